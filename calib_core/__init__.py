@@ -1,0 +1,1 @@
+"""The pure core: arrays in, values out; no clock, no files, no sockets, no logging."""

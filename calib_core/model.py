@@ -1,0 +1,41 @@
+"""The sensor model that everything is corrected with: calibrated = scale @ (raw - bias).
+
+Grammenos et al. 2018, Eq. 2 (accelerometer) and Eq. 9 (gyroscope). Estimation lives elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillcal.calib_core.samples import Array, frozen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorModel:
+    """Affine correction of one triaxial sensor. scale: (3, 3) dimensionless; bias: (3,) in raw units."""
+
+    scale: Array
+    bias: Array
+
+    @classmethod
+    def of(cls, scale: ArrayLike, bias: ArrayLike) -> SensorModel:
+        """Build from anything array-like. Raises ValueError on a wrong shape or a non-finite value."""
+        model = cls(frozen(scale), frozen(bias))
+        if model.scale.shape != (3, 3) or model.bias.shape != (3,):
+            shapes = f"scale {model.scale.shape} and bias {model.bias.shape}"
+            raise ValueError(f"{shapes}: expected (3, 3) and (3,)")
+        if not (np.isfinite(model.scale).all() and np.isfinite(model.bias).all()):
+            raise ValueError("scale and bias must be finite")
+        return model
+
+    @classmethod
+    def identity(cls) -> SensorModel:
+        """Return the model that changes nothing."""
+        return cls.of(np.eye(3), np.zeros(3))
+
+    def apply(self, raw: Array) -> Array:
+        """Correct raw readings, shape (..., 3), to calibrated ones of the same shape (Eq. 2)."""
+        return (raw - self.bias) @ self.scale.T

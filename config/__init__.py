@@ -1,0 +1,1 @@
+"""Default settings, phones, scenarios, formats and service units; data only."""

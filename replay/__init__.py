@@ -1,0 +1,1 @@
+"""Recordings and the simulated phone, through the daemon's own engine."""

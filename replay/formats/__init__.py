@@ -1,0 +1,1 @@
+"""Readers of recordings, one declarative column map per format."""

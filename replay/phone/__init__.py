@@ -1,0 +1,1 @@
+"""The simulated phone: motion, heat, sensors, clock."""
