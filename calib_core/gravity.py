@@ -1,0 +1,101 @@
+"""Local gravity from latitude and height: the ground truth that every calibration leans on.
+
+Two normal-gravity formulas stand side by side: the one the daemon's paper prints (International
+Gravity Formula with the free air correction, Grammenos et al. 2018, Eq. 16-18), and WGS-84's
+Somigliana formula with the second-order free air correction (NGA TR8350.2, 3rd ed., Eq. 4-1 and
+4-3), which is the default.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Formula = Literal["somigliana", "igf"]
+
+STANDARD = 9.80665
+"""m/s^2, the conventional standard gravity (3rd CGPM, 1901): used where no location is known."""
+
+EQUATOR, POLE = 9.7803253359, 9.8321849378
+"""m/s^2, WGS-84 normal gravity at sea level (NGA TR8350.2, Table 3.4)."""
+
+ANOMALY_UNCERTAINTY = 4e-4
+"""m/s^2 (40 mGal): how far real gravity stands off the normal field, one standard deviation over land.
+
+The global rms of gravity anomalies is near 35 mGal (Heiskanen and Moritz, Physical Geodesy, 1967, 7-2)."""
+
+UNKNOWN_HEIGHT = 500.0
+"""m, standard uncertainty of the height where a location comes without one."""
+
+FREE_AIR = 3.086e-6
+"""1/s^2, the free air gradient (Grammenos et al. 2018, Eq. 18)."""
+
+
+class LocationError(ValueError):
+    """A latitude, longitude or altitude outside the earth's range."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gravity:
+    """Local gravity. value, uncertainty: m/s^2 (1 sd). source: where it came from."""
+
+    value: float = STANDARD
+    uncertainty: float = (POLE - EQUATOR) / 12**0.5
+    source: Literal["default", "location", "given"] = "default"
+    formula: Formula | None = None
+    latitude: float | None = None
+    altitude: float | None = None
+
+    @property
+    def scale_uncertainty(self) -> float:
+        """Relative uncertainty that g puts on a scale common to all axes, which rests cannot show."""
+        return self.uncertainty / self.value
+
+
+def igf(latitude: float, altitude: float = 0.0) -> float:
+    """Return g in m/s^2 from latitude (deg) and height (m): IGF plus free air correction.
+
+    Grammenos et al. 2018, Eq. 16-18.
+    """
+    phi = np.radians(latitude)
+    at_sea_level = 9.780327 * (1 + 0.0053024 * np.sin(phi) ** 2 - 0.0000058 * np.sin(2 * phi) ** 2)
+    return float(at_sea_level - FREE_AIR * altitude)
+
+
+def somigliana(latitude: float, altitude: float = 0.0) -> float:
+    """Return normal gravity in m/s^2 on the WGS-84 ellipsoid from geodetic latitude (deg) and height (m).
+
+    Closed formula of Somigliana (NGA TR8350.2, Eq. 4-1) with the second-order free air correction
+    (Eq. 4-3): g_h = g (1 - 2/a (1 + f + m - 2 f sin^2 phi) h + 3 h^2 / a^2).
+    """
+    a, f, m = 6378137.0, 1 / 298.257223563, 0.00344978650684
+    k, e2 = 0.00193185265241, 0.00669437999014
+    s2 = np.sin(np.radians(latitude)) ** 2
+    at_sea_level = EQUATOR * (1 + k * s2) / np.sqrt(1 - e2 * s2)
+    free_air = 1 - 2 / a * (1 + f + m - 2 * f * s2) * altitude + 3 * (altitude / a) ** 2
+    return float(at_sea_level * free_air)
+
+
+def at(latitude: float, altitude: float | None, formula: Formula = "somigliana") -> Gravity:
+    """Return local gravity at a location. latitude: deg, altitude: m or None where unknown.
+
+    The uncertainty holds the anomaly of the real field and, without an altitude, the height's.
+    Raises LocationError outside +-90 deg or -500..12000 m.
+    """
+    if not -90 <= latitude <= 90:
+        raise LocationError(f"latitude {latitude} deg is not within -90..90")
+    if altitude is not None and not -500 <= altitude <= 12000:
+        raise LocationError(f"altitude {altitude} m is not within -500..12000")
+    height_uncertainty = UNKNOWN_HEIGHT if altitude is None else 0.0
+    value = {"somigliana": somigliana, "igf": igf}[formula](latitude, altitude or 0.0)
+    uncertainty = float(np.hypot(ANOMALY_UNCERTAINTY, FREE_AIR * height_uncertainty))
+    return Gravity(value, uncertainty, "location", formula, latitude, altitude)
+
+
+def given(value: float, uncertainty: float = 0.0) -> Gravity:
+    """Return a gravity that somebody measured, in m/s^2. Raises LocationError where no place has it."""
+    if not 9.7 <= value <= 9.9:
+        raise LocationError(f"gravity {value} m/s^2 is not found on the earth's surface (9.76 to 9.84)")
+    return Gravity(value, uncertainty, "given")
