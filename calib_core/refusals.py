@@ -1,0 +1,18 @@
+"""The one error a fit raises when what was gathered cannot support it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class NotSupported(ValueError):
+    """What was asked for cannot be had from what was gathered.
+
+    reason: what stands in the way. missing: what to gather to get it, a phrase for each, most wanted first.
+    """
+
+    def __init__(self, reason: str, missing: Sequence[str] = ()) -> None:
+        remedy = f"; needed: {', '.join(missing)}" if missing else ""
+        super().__init__(f"{reason}{remedy}")
+        self.reason = reason
+        self.missing = tuple(missing)
