@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
-class NotSupported(ValueError):
+class NotSupported(ValueError):  # noqa: N818 - it is a refusal, said as one, not a failure
     """What was asked for cannot be had from what was gathered.
 
     reason: what stands in the way. missing: what to gather to get it, a phrase for each, most wanted first.

@@ -1,0 +1,131 @@
+"""The gyroscope's bias from rests, and what rotation those rests may have hidden in it.
+
+At rest a gyroscope reads its bias. What turns slowly and steadily reads as bias too: about a horizontal
+axis gravity's direction betrays it, about the vertical nothing does (RestState.spin_admitted). Rests in
+different attitudes put the vertical along different axes of the body and so bound it. A bias that
+follows gravity (g-sensitivity) shows here as wander between attitudes, not as a bias of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.refusals import NotSupported
+from stillcal.calib_core.rests import RestState, forces
+from stillcal.calib_core.samples import Array
+
+_OUTLIER = 4.5  # robust standard deviations; 1 in 150 000 normal draws lies beyond
+_MAD_TO_SD = 1.4826  # of a normal distribution
+_UNBOUNDED_SPIN = 1e3  # rad/s; stands for "nothing bounds it", far beyond any gyroscope's range
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BiasEstimate:
+    """Bias of a gyroscope. bias: (3,) raw rad/s. covariance: (3, 3) of that mean.
+
+    wander: (3,) rad/s, how far the bias of single rests strays from it beyond their own uncertainty.
+    admitted: (3,) rad/s, standard size of the error that slow rotation in the rests may have put into
+    each axis unseen; inf where nothing bounds it. n_rests: rests with rates. outliers: indices of those
+    left out, for having turned or jumped.
+    """
+
+    bias: Array
+    covariance: Array
+    wander: Array
+    admitted: Array
+    n_rests: int
+    outliers: tuple[int, ...] = ()
+
+
+def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
+    """Estimate the bias from rests' mean rates, weighted by their uncertainty plus the wander between.
+
+    A random-effects mean with robust scatter (median absolute deviation); rests further out than 4.5
+    of it are left out. Rests without rates are passed over. Raises NotSupported where none has any.
+    """
+    rates, variances = _rest_rates(rests)
+    centre = np.median(rates, axis=0)
+    wander = _wander(rates - centre, variances)
+    total = variances + wander**2
+    near = (np.abs(rates - centre) <= _OUTLIER * np.sqrt(total)).all(axis=1)
+    kept = near if len(rates) > 2 else np.full(len(rates), True)
+    weights = kept[:, None] / total
+    bias = (weights * rates).sum(axis=0) / weights.sum(axis=0)
+    with_rates = [i for i, r in enumerate(rests) if r.rate is not None]
+    return BiasEstimate(
+        bias=bias,
+        covariance=np.diag(1.0 / weights.sum(axis=0)),
+        wander=wander,
+        admitted=_admitted([rests[i] for i, k in zip(with_rates, kept, strict=True) if k], total[kept]),
+        n_rests=len(rates),
+        outliers=tuple(i for i, k in zip(with_rates, kept, strict=True) if not k),
+    )
+
+
+def zeroing(
+    model: SensorModel, rests: Sequence[RestState], known: BiasEstimate | None = None
+) -> tuple[SensorModel, BiasEstimate]:
+    """Renew the bias of a gyroscope's model from recent rests (Grammenos et al. 2018, 4.7).
+
+    With a `known` bias the rests are weighed against it, it being uncertain by its covariance and its
+    wander: a short rest then moves the bias less than a long one. Raises NotSupported without rates.
+    """
+    fresh = bias_from_rests(rests)
+    if known is not None:
+        fresh = _combined(known, fresh)
+    return SensorModel.of(model.scale, fresh.bias), fresh
+
+
+def _combined(known: BiasEstimate, fresh: BiasEstimate) -> BiasEstimate:
+    """Weigh both; hidden rotation cannot have moved the bias by more than it moved."""
+    prior = known.covariance + np.diag(known.wander**2)
+    gain = prior @ np.linalg.inv(prior + fresh.covariance)
+    change = fresh.bias - known.bias
+    return BiasEstimate(
+        bias=known.bias + gain @ change,
+        covariance=gain @ fresh.covariance,
+        wander=np.maximum(known.wander, fresh.wander),
+        admitted=np.minimum(known.admitted + np.abs(gain @ change), fresh.admitted),
+        n_rests=fresh.n_rests,
+        outliers=fresh.outliers,
+    )
+
+
+def _rest_rates(rests: Sequence[RestState]) -> tuple[Array, Array]:
+    pairs = [(r.rate, r.rate_uncertainty) for r in rests if r.rate is not None]
+    if not pairs:
+        raise NotSupported("no rest has a gyroscope mean", ["a rest with the gyroscope on"])
+    rates = np.array([rate for rate, _ in pairs], dtype=np.float64)
+    sd = np.array([np.zeros(3) if u is None else u for _, u in pairs], dtype=np.float64)
+    return rates, np.maximum(sd, 1e-9) ** 2
+
+
+def _wander(deviations: Array, variances: Array) -> Array:
+    """Scatter of the rests beyond their own uncertainty, per axis, rad/s."""
+    if len(deviations) < 3:
+        return np.zeros(3)
+    scatter = (_MAD_TO_SD * np.median(np.abs(deviations), axis=0)) ** 2
+    return np.sqrt(np.maximum(scatter - np.median(variances, axis=0), 0.0))
+
+
+def _admitted(rests: Sequence[RestState], variances: Array) -> Array:
+    """Error that rotation hidden in the rests may leave in the bias, per axis, rad/s.
+
+    Each rest tells the bias across its vertical up to tilt_rate_limit and along it up to spin_admitted;
+    what that leaves open beyond the rests' own noise is what rotation may have put there.
+    """
+    up = forces(rests)
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
+    along = up[:, :, None] * up[:, None, :]
+    spin = np.array([_UNBOUNDED_SPIN if r.spin_admitted is None else r.spin_admitted for r in rests])
+    tilt = np.array([r.tilt_rate_limit or 0.0 for r in rests])
+    hidden = spin[:, None, None] ** 2 * along + tilt[:, None, None] ** 2 * (np.eye(3) - along)
+    noise = np.einsum("ki,ij->kij", variances, np.eye(3))
+    with_rotation = np.linalg.inv(np.linalg.inv(noise + hidden).sum(axis=0))
+    without = 1.0 / (1.0 / variances).sum(axis=0)
+    admitted = np.sqrt(np.maximum(np.diag(with_rotation) - without, 0.0))
+    return np.where(admitted > 1e-2 * _UNBOUNDED_SPIN, np.inf, admitted)
