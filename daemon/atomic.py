@@ -1,0 +1,56 @@
+"""Replacing a file so that a reader, a crash or a full disk never meets half of it.
+
+Write a temporary beside the target, fsync it, rename it over the target, fsync the folder. Nothing
+here knows what is written.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+
+class NotDurableError(OSError):
+    """The file was replaced whole, but its folder could not be synced: a power cut may undo the change."""
+
+
+def write_atomically(path: Path, data: bytes, mode: int = 0o644) -> None:
+    """Replace the file at `path` by `data`, with permissions `mode`; the old stays until the new is whole.
+
+    The temporary is `path` with `.tmp` added, so that crashes leave at most one, which the next write
+    takes over; `path` may have one writer at a time. Raises OSError (disk full, read-only folder, I/O
+    error) with the old file intact and the temporary removed, and NotDurableError where only the last
+    step, the sync of the folder, failed. A failed fsync is never tried again on the same file: the
+    kernel may have dropped the pages and would then report success (fsync(2), errors).
+    """
+    temporary = path.with_name(path.name + ".tmp")
+    try:
+        _write_synced(temporary, data, mode)
+        temporary.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    try:
+        sync_folder(path.parent)
+    except OSError as error:
+        raise NotDurableError(error.errno, error.strerror, str(path)) from error
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames and removals in `folder` durable."""
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def _write_synced(path: Path, data: bytes, mode: int) -> None:
+    flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC
+    with os.fdopen(os.open(path, flags, mode), "wb") as file:
+        os.fchmod(file.fileno(), mode)
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())

@@ -1,0 +1,307 @@
+"""The store: one JSON file that holds the current calibration, and the care that nothing ever tears it.
+
+Files and locks live here; what the file says is store_document.py's.
+
+Every change writes two whole files, `NAME.last-good` first and then `NAME`, each by an atomic rename:
+a crash at any moment leaves both whole, and a `NAME` that something else damaged later is replaced by
+its twin without losing the newest calibration. An older generation would lose it, and earlier
+calibrations are in the history anyway. A missing `NAME` means a fresh start, even beside a twin: to
+remove the store is how one begins anew.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import stat
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from stillcal.calib_core.record import CalibrationRecord
+from stillcal.daemon.atomic import sync_folder, write_atomically
+from stillcal.daemon.store_document import (
+    SCHEMA,
+    Fault,
+    HistoryEntry,
+    StoreDocument,
+    StoreFormatError,
+    parse,
+    render,
+)
+
+MODES = (0o600, 0o640)
+MAX_BYTES = 64 * 2**20
+"""No store grows to this; a file that did is not ours and is not read into memory."""
+
+
+class StoreError(ValueError):
+    """The store cannot be read or written; the message says why and what to do."""
+
+
+class StoreLockedError(StoreError):
+    """Another process writes this store. pid: which, or None where it did not say."""
+
+    def __init__(self, path: Path, pid: int | None) -> None:
+        who = f"process {pid}" if pid else "another process"
+        super().__init__(f"{path} is in use by {who}: stop it first, or give another --store")
+        self.pid = pid
+
+
+@dataclass(frozen=True, slots=True)
+class StoreSettings:
+    """Where the store is and what it keeps.
+
+    path: "" for store.json in the service's state folder. mode: permissions, 0600 or 0640. history:
+    how many earlier and rejected calibrations are kept.
+    """
+
+    path: str = ""
+    mode: int = 0o600
+    history: int = 32
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise ValueError(f"mode is 0o{self.mode:o}: expected 0o600 or 0o640")
+        if not 2 <= self.history <= 1000:
+            raise ValueError(f"history is {self.history}: expected within 2 .. 1000")
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What lies at one path. document is None where nothing is there or `problem` says what is wrong."""
+
+    path: Path
+    document: StoreDocument | None = None
+    schema: int | None = None
+    problem: StoreFormatError | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a change left behind. notes: what was out of the ordinary, a line each, to be logged."""
+
+    document: StoreDocument
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """The state of a store and its twin; `whole` where the store itself is there and good."""
+
+    store: Reading
+    last_good: Reading
+
+    @property
+    def whole(self) -> bool:
+        """Whether the store can be used as it is."""
+        return self.store.document is not None
+
+
+class Store:
+    """A calibration store at `path`. Reading needs no lock; the first change takes it until `close`."""
+
+    def __init__(self, path: Path | str, settings: StoreSettings | None = None) -> None:
+        self.path = Path(path).resolve()
+        self.settings = settings or StoreSettings()
+        self._lock: int | None = None
+
+    @property
+    def last_good_path(self) -> Path:
+        """The twin that a damaged store is replaced by."""
+        return self.path.with_name(self.path.name + ".last-good")
+
+    def __enter__(self) -> Store:
+        self.lock()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def lock(self) -> None:
+        """Become the store's only writer. Raises StoreLockedError where somebody else is."""
+        if self._lock is None:
+            self._lock = _locked(self.path.with_name(self.path.name + ".lock"), self.path)
+
+    def close(self) -> None:
+        """Let other writers in."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def load(self) -> StoreDocument | None:
+        """Return the store's document, or its twin's where the store is damaged; None where there is none.
+
+        Changes nothing. Raises StoreError where the store is damaged and so is its twin.
+        """
+        found = self.verify()
+        if found.store.problem is None:
+            return found.store.document
+        if found.last_good.document is None:
+            raise StoreError(f"{self.path} is {found.store.problem}, and there is no good copy beside it")
+        return found.last_good.document
+
+    def verify(self) -> Verification:
+        """Read the store and its twin and say what is wrong with them. Changes nothing."""
+        return Verification(_read(self.path), _read(self.last_good_path))
+
+    def history(self) -> tuple[HistoryEntry, ...]:
+        """Return the earlier and the rejected calibrations, oldest first."""
+        document = self.load()
+        return document.history if document else ()
+
+    def recover(self) -> Outcome:
+        """Make the store usable: to be called before the first use, and called again before every change.
+
+        What is damaged or foreign is set aside under a new name, never overwritten; the twin takes its
+        place. A store of an earlier schema is migrated and its original kept. Raises StoreError.
+        """
+        self.lock()
+        found = self.verify()
+        if found.store.problem is not None:
+            return self._replace_damaged(found)
+        document = found.store.document or StoreDocument()
+        if found.store.schema in (None, SCHEMA):
+            return Outcome(document)
+        kept = self._set_aside(self.path, f"schema-{found.store.schema}")
+        self.save(document)
+        note = f"{self.path}: migrated from schema {found.store.schema} to {SCHEMA}; original kept as {kept}"
+        return Outcome(document, (note,))
+
+    def save(self, document: StoreDocument) -> None:
+        """Replace the store's contents. Raises StoreError with the old store intact."""
+        self.lock()
+        data = render(document)
+        try:
+            for path in (self.last_good_path, self.path):
+                write_atomically(path, data, self.settings.mode)
+        except OSError as error:
+            raise _explained(error, self.path, "write") from error
+
+    def publish(self, calibration: CalibrationRecord) -> Outcome:
+        """Make `calibration` the current one; the one before goes into the history."""
+        return self._change(lambda d: d.after_publishing(calibration, self.settings.history))
+
+    def reject(self, candidate: CalibrationRecord, reason: str) -> Outcome:
+        """Keep a candidate that was turned down in the history, without its rests, and why."""
+        return self._change(lambda d: d.after_rejecting(candidate, reason, self.settings.history))
+
+    def rollback(self, target: int | str = 1) -> Outcome:
+        """Make an earlier calibration current again: the target-th before, or the one of this id.
+
+        Raises ValueError where there is no such calibration.
+        """
+        return self._change(lambda d: d.after_rollback(target, self.settings.history))
+
+    def _change(self, change: Callable[[StoreDocument], StoreDocument]) -> Outcome:
+        before = self.recover()
+        after = change(before.document)
+        self.save(after)
+        return Outcome(after, before.notes)
+
+    def _replace_damaged(self, found: Verification) -> Outcome:
+        kept = self._set_aside(self.path, "unreadable")
+        damage = f"{self.path} was {found.store.problem}; set aside as {kept}"
+        if found.last_good.document is not None:
+            self.save(found.last_good.document)
+            return Outcome(found.last_good.document, (f"{damage}; the last good copy took its place",))
+        notes = [f"{damage}; there was no good copy: starting without a calibration"]
+        if found.last_good.problem is not None:
+            kept = self._set_aside(self.last_good_path, "unreadable")
+            notes.append(f"{self.last_good_path} was {found.last_good.problem}; set aside as {kept}")
+        self._remove_damaged()
+        return Outcome(StoreDocument(), tuple(notes))
+
+    def _remove_damaged(self) -> None:
+        """Remove the damaged names, which `_set_aside` has kept under others."""
+        for path in (self.path, self.last_good_path):
+            path.unlink(missing_ok=True)
+        sync_folder(self.path.parent)
+
+    def _set_aside(self, path: Path, label: str) -> Path:
+        """Give the file a second name that nothing had, so that replacing the first loses nothing.
+
+        A hard link, which refuses an existing name and leaves no moment without a store; where the file
+        system has none (vfat), a rename under the writer's lock.
+        """
+        for n in range(1, 10_000):
+            aside = path.with_name(f"{self.path.name}.{label}-{n}.json")
+            try:
+                os.link(path, aside, follow_symlinks=False)
+            except FileExistsError:
+                continue
+            except OSError as error:
+                if error.errno not in (errno.EPERM, errno.ENOTSUP):
+                    raise _explained(error, path, "set aside") from error
+                path.rename(aside)
+            sync_folder(path.parent)
+            return aside
+        raise StoreError(
+            f"{path.parent} is full of files set aside ({label}-…): look at them and remove them"
+        )
+
+
+def _read(path: Path) -> Reading:
+    try:
+        data = _bytes(path)
+    except FileNotFoundError:
+        return Reading(path)
+    except PermissionError as error:
+        raise _explained(error, path, "read") from error
+    except OSError as error:
+        return Reading(path, problem=StoreFormatError(Fault.UNREADABLE, f"{error.strerror}"))
+    try:
+        document, schema = parse(data)
+    except StoreFormatError as error:
+        return Reading(path, problem=error)
+    return Reading(path, document, schema)
+
+
+def _bytes(path: Path) -> bytes:
+    fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a FIFO must not block
+    with os.fdopen(fd, "rb") as file:
+        found = os.fstat(fd)
+        if not stat.S_ISREG(found.st_mode):
+            raise StoreError(f"{path} is not a regular file: a store cannot be there")
+        if found.st_size > MAX_BYTES:
+            raise OSError(errno.EFBIG, f"{found.st_size} bytes, more than any store has")
+        return file.read()
+
+
+def _locked(path: Path, store: Path) -> int:
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        raise _explained(error, store, "lock") from error
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.ftruncate(fd, 0)
+        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+    except OSError as error:
+        holder = os.pread(fd, 32, 0).strip()
+        os.close(fd)
+        if isinstance(error, BlockingIOError):
+            raise StoreLockedError(store, int(holder) if holder.isdigit() else None) from error
+        raise _explained(error, store, "lock") from error
+    return fd
+
+
+REMEDIES = {
+    errno.ENOSPC: "the disk is full: free some space",
+    errno.EDQUOT: "the disk quota is used up: free some space",
+    errno.EFBIG: "it would be larger than this process may write: raise the limit (ulimit -f)",
+    errno.EROFS: "the file system is read-only: remount it or give another path",
+    errno.EACCES: "permission denied: run as the store's owner or give another path",
+    errno.EPERM: "not permitted: run as the store's owner or give another path",
+    errno.ENOENT: "there is no such folder: create it or give another path",
+    errno.EIO: "the disk reports an error: check it (dmesg)",
+}
+
+
+def _explained(error: OSError, path: Path, verb: str) -> StoreError:
+    remedy = REMEDIES.get(error.errno or 0, error.strerror or str(error))
+    return StoreError(f"cannot {verb} {path}: {remedy}")
