@@ -182,13 +182,13 @@ class Store:
         except OSError as error:
             raise _explained(error, self.path, "write") from error
 
-    def publish(self, calibration: CalibrationRecord) -> Outcome:
-        """Make `calibration` the current one; the one before goes into the history."""
-        return self._change(lambda d: d.after_publishing(calibration, self.settings.history))
+    def publish(self, calibration: CalibrationRecord, reason: str = "", at: float | None = None) -> Outcome:
+        """Make `calibration` the current one; the one before goes into the history, why and when (s)."""
+        return self._change(lambda d: d.after_publishing(calibration, self.settings.history, reason, at))
 
-    def reject(self, candidate: CalibrationRecord, reason: str) -> Outcome:
-        """Keep a candidate that was turned down in the history, without its rests, and why."""
-        return self._change(lambda d: d.after_rejecting(candidate, reason, self.settings.history))
+    def reject(self, candidate: CalibrationRecord, reason: str, at: float | None = None) -> Outcome:
+        """Keep a candidate that was turned down in the history, and why and when (s)."""
+        return self._change(lambda d: d.after_rejecting(candidate, reason, self.settings.history, at))
 
     def rollback(self, target: int | str = 1) -> Outcome:
         """Make an earlier calibration current again: the target-th before, or the one of this id.

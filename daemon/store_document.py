@@ -55,10 +55,11 @@ class StoreFormatError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HistoryEntry:
-    """A calibration that is not current. at: s, sample time at which it ceased to be or was turned down,
-    None where nobody knows.
+    """A calibration that is not current.
 
-    A rejected candidate is kept without its rests (`states`): it is a witness, not a fallback.
+    at: s, sample time at which it ceased to be or was turned down, None where nobody knows. It is kept
+    without its rests (`states`), which are most of its size: what they showed stays in its covariance,
+    residual and counts, and months of history stay quick to write.
     """
 
     what: What
@@ -74,28 +75,33 @@ class StoreDocument:
     current: CalibrationRecord | None = None
     history: tuple[HistoryEntry, ...] = ()
 
-    def after_publishing(self, calibration: CalibrationRecord, limit: int) -> StoreDocument:
+    def after_publishing(
+        self, calibration: CalibrationRecord, limit: int, reason: str = "", at: float | None = None
+    ) -> StoreDocument:
         """Return the document with `calibration` current and the one before in the history.
 
-        Publishing the same calibration again changes no history, so that a restart may repeat itself. A
-        zeroing that another zeroing replaces is forgotten: rolling back to a stale gyroscope bias helps
-        nobody, and hourly zeroings would push out every full calibration.
+        reason, at: why and when (s) the change was made, else what the calibration says. Publishing the
+        same calibration again changes no history, so that a restart may repeat itself. A zeroing that
+        another zeroing replaces is forgotten: rolling back to a stale gyroscope bias helps nobody, and
+        hourly zeroings would push out every full calibration.
         """
         old = self.current
         zeroings = old is not None and {old.acceptance.how, calibration.acceptance.how} == {"zeroing"}
         if old is None or old.id == calibration.id or zeroings:
             return dataclasses.replace(self, current=calibration)
-        reason = calibration.acceptance.reason or f"replaced by {calibration.id}"
-        entry = HistoryEntry(what="replaced", reason=reason, at=calibration.fitted_at, calibration=old)
+        why = f"replaced by {calibration.id}: {reason or calibration.acceptance.reason}".rstrip(": ")
+        when = calibration.fitted_at if at is None else at
+        entry = _entry("replaced", why, when, old)
         return self._with(calibration, entry, limit)
 
-    def after_rejecting(self, candidate: CalibrationRecord, reason: str, limit: int) -> StoreDocument:
-        """Return the document with a candidate that was turned down in the history."""
-        witness = dataclasses.replace(candidate, states=())
-        entry = HistoryEntry(what="rejected", reason=reason, at=candidate.fitted_at, calibration=witness)
+    def after_rejecting(
+        self, candidate: CalibrationRecord, reason: str, limit: int, at: float | None = None
+    ) -> StoreDocument:
+        """Return the document with a candidate that was turned down in the history, once."""
         if any(e.what == "rejected" and e.calibration.id == candidate.id for e in self.history):
             return self
-        return self._with(self.current, entry, limit)
+        when = candidate.fitted_at if at is None else at
+        return self._with(self.current, _entry("rejected", reason, when, candidate), limit)
 
     def after_rollback(self, target: int | str, limit: int) -> StoreDocument:
         """Return the document with an earlier calibration current again.
@@ -111,8 +117,7 @@ class StoreDocument:
         rest = dataclasses.replace(self, history=tuple(e for e in self.history if e is not entry))
         if self.current is None:
             return dataclasses.replace(rest, current=restored)
-        reason = f"rolled back to {restored.id}"
-        retired = HistoryEntry(what="rolled_back", reason=reason, at=None, calibration=self.current)
+        retired = _entry("rolled_back", f"rolled back to {restored.id}", None, self.current)
         return rest._with(restored, retired, limit)
 
     def _with(self, current: CalibrationRecord | None, entry: HistoryEntry, limit: int) -> StoreDocument:
@@ -204,6 +209,11 @@ def pretty(value: Any, indent: int = 0, lead: int = 0) -> str:
     inner = [pad + k + pretty(v, indent + 2, len(k)) for k, v in zip(keys, items, strict=True)]
     opened, closed = "{}" if isinstance(value, dict) else "[]"
     return "\n".join([opened, ",\n".join(inner), " " * indent + closed])
+
+
+def _entry(what: What, reason: str, at: float | None, calibration: CalibrationRecord) -> HistoryEntry:
+    bare = dataclasses.replace(calibration, states=())
+    return HistoryEntry(what=what, reason=reason, at=at, calibration=bare)
 
 
 def _decoded(data: bytes) -> dict[str, Any]:
