@@ -1,0 +1,117 @@
+"""What stands beside a recording: NAME.json, the maker's claims, and NAME.events.jsonl, what happened."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TypeAlias
+
+import msgspec
+
+from stillcal.calib_core.samples import Sensor
+from stillcal.replay.formats.errors import TraceError
+
+PerAxis: TypeAlias = float | tuple[float, float, float]
+
+
+class Claims(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What the maker claims of a device, SI units, densities per sqrt(Hz); None where it is not said.
+
+    accel_unit, gyro_unit: nominal SI value of one count where the recording holds raw counts, accel_zero
+    and gyro_zero the counts taken off first; one value, or one an axis. Fields not known are ignored.
+    """
+
+    device: str | None = None
+    nominal_rate_hz: float | None = None
+    gravity: float | None = None
+    accel_range: float | None = None
+    gyro_range: float | None = None
+    accel_lsb: float | None = None
+    gyro_lsb: float | None = None
+    accel_noise_density: float | None = None
+    gyro_noise_density: float | None = None
+    accel_unit: PerAxis | None = None
+    gyro_unit: PerAxis | None = None
+    accel_zero: PerAxis | None = None
+    gyro_zero: PerAxis | None = None
+
+    def counts(self, sensor: Sensor) -> tuple[PerAxis | None, PerAxis | None]:
+        """Return (SI value of one count, zero in counts) claimed for a sensor."""
+        if sensor is Sensor.ACCELEROMETER:
+            return self.accel_unit, self.accel_zero
+        return self.gyro_unit, self.gyro_zero
+
+
+class Charging(msgspec.Struct, frozen=True, tag_field="event", tag="charging"):
+    """The charger was plugged in or out at t, s of the sensor's clock."""
+
+    t: float
+    on: bool
+
+
+class Location(msgspec.Struct, frozen=True, tag_field="event", tag="location"):
+    """Where the phone was at t (s): degrees north and east, metres above the ellipsoid (None: not known)."""
+
+    t: float
+    latitude: float
+    longitude: float
+    altitude: float | None = None
+
+
+Event: TypeAlias = Charging | Location
+_KNOWN = {"charging": Charging, "location": Location}
+
+
+class _Kind(msgspec.Struct):
+    event: str
+
+
+def beside(path: Path, suffix: str) -> Path:
+    """Return the path of what stands beside a recording: NAME.csv or NAME.csv.gz -> NAME + `suffix`."""
+    plain = path.with_suffix("") if path.suffix == ".gz" else path
+    return plain.with_name(plain.stem + suffix)
+
+
+def read_claims(path: Path) -> Claims:
+    """Read NAME.json beside the recording `path`; no claims where there is none. Raises TraceError."""
+    file = beside(path, ".json")
+    text = _bytes_of(file)
+    if text is None:
+        return Claims()
+    try:
+        return msgspec.json.decode(text, type=Claims)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise TraceError(file, f"not the maker's claims: {error}", "correct the field it names") from None
+
+
+def read_events(path: Path) -> list[Event]:
+    """Read NAME.events.jsonl beside the recording `path`, in time order; events of other kinds are skipped.
+
+    Raises TraceError naming the line that is not an event.
+    """
+    file = beside(path, ".events.jsonl")
+    text = _bytes_of(file)
+    if text is None:
+        return []
+    found = [_event(file, number, line) for number, line in enumerate(text.split(b"\n"), 1) if line.strip()]
+    return sorted((event for event in found if event is not None), key=lambda event: event.t)
+
+
+def _event(file: Path, number: int, line: bytes) -> Event | None:
+    try:
+        kind = _KNOWN.get(msgspec.json.decode(line, type=_Kind).event)
+        event = None if kind is None else msgspec.json.decode(line, type=kind)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise TraceError(file, f"not an event: {error}", "correct or delete that line", number) from None
+    if event is not None and not math.isfinite(event.t):
+        raise TraceError(file, "the event's t is not finite", "correct or delete that line", number)
+    return event
+
+
+def _bytes_of(file: Path) -> bytes | None:
+    try:
+        return file.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise TraceError(file, f"cannot be read ({error.strerror})", "check its permissions") from None

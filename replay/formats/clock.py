@@ -1,0 +1,169 @@
+"""The time stamps of one file: their unit, rows that stand out of order, repeats, gaps.
+
+Time must not run backwards: a recording in which it does is refused with the row. What is tolerated is
+counted, and said in notes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.samples import Array
+from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap
+from stillcal.replay.formats.errors import TraceError
+
+FASTEST_STEP_S = 5e-4
+"""2 kHz, s: with a unit chosen by itself the median step lies between this and 1000 times it."""
+
+GAP_S = 1.0
+"""s: a step longer than this (and than ten median steps) is counted as a gap."""
+
+REPEATS_ALLOWED = 0.05
+"""Fraction of stamps that may repeat the one before; beyond it the clock is too coarse or stands still."""
+
+
+@dataclass(slots=True)
+class Rows:
+    """Rows on their way to samples: t (n,) s, values (n, k) in the file's units, lines (n,) in the file."""
+
+    t: Array
+    values: Array
+    lines: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return int(self.t.size)
+
+    def taken(self, which: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Rows:
+        """Return the rows chosen by a mask, an order or a slice."""
+        return Rows(self.t[which], self.values[which], self.lines[which])
+
+    def after(self, earlier: Rows | None) -> Rows:
+        """Return these rows with `earlier` ones in front."""
+        if earlier is None or not len(earlier):
+            return self
+        return Rows(
+            np.concatenate([earlier.t, self.t]),
+            np.concatenate([earlier.values, self.values]),
+            np.concatenate([earlier.lines, self.lines]),
+        )
+
+
+@dataclass(slots=True)
+class Tally:
+    """What was met on the way, for the notes."""
+
+    samples: int = 0
+    repeats: int = 0
+    first_repeat: int = 0
+    reordered: int = 0
+    gaps: int = 0
+    longest_gap: float = 0.0
+    longest_gap_line: int = 0
+
+
+@dataclass(slots=True)
+class Clock:
+    """Puts the rows of one file in time order, block by block, holding back at most `reorder` rows."""
+
+    path: Path
+    column_map: ColumnMap
+    tally: Tally = field(default_factory=Tally)
+    _held: Rows | None = None
+    _last: float = -np.inf
+
+    def ordered(self, rows: Rows) -> Rows:
+        """Return rows that are surely next in time. Raises TraceError where time runs backwards."""
+        window = self.column_map.reorder
+        if window:
+            self.tally.reordered += int(np.count_nonzero(np.diff(rows.t) < 0))
+            rows = rows.after(self._held)
+            rows = rows.taken(np.argsort(rows.t, kind="stable"))
+            rows, self._held = rows.taken(slice(None, -window)), rows.taken(slice(-window, None))
+        return self._accepted(rows)
+
+    def rest(self) -> Rows | None:
+        """Return the rows still held back at the end of the file, None where there are none."""
+        held, self._held = self._held, None
+        return None if held is None or not len(held) else self._accepted(held)
+
+    def _accepted(self, rows: Rows) -> Rows:
+        if not len(rows):
+            return rows
+        step = np.diff(rows.t, prepend=self._last)
+        self._refuse_backwards(rows, step)
+        self._count_gaps(rows, step)
+        self._last = float(rows.t[-1])
+        self.tally.samples += len(rows)
+        repeated = step == 0
+        return self._without_repeats(rows, repeated) if repeated.any() else rows
+
+    def _refuse_backwards(self, rows: Rows, step: Array) -> None:
+        backwards = step < 0
+        if backwards.any():
+            i = int(backwards.argmax())
+            what = f"time runs backwards by {-step[i]:.6g} s, to {rows.t[i]:.6f} s"
+            remedy = "cut the recording there, or put its rows in order (a column map's `reorder`)"
+            raise TraceError(self.path, what, remedy, int(rows.lines[i]))
+
+    def _without_repeats(self, rows: Rows, repeated: NDArray[np.bool_]) -> Rows:
+        tally, policy = self.tally, self.column_map.repeats
+        first = int(rows.lines[int(repeated.argmax())])
+        if policy == "refuse":
+            what = "the time stamp repeats the one before"
+            raise TraceError(self.path, what, "delete one of the two rows", first)
+        tally.first_repeat = tally.first_repeat or first
+        tally.repeats += int(repeated.sum())
+        if policy == "keep":
+            return rows
+        if tally.repeats > 10 and tally.repeats > REPEATS_ALLOWED * tally.samples:
+            what = f"{tally.repeats} of {tally.samples} time stamps repeat the one before"
+            remedy = "record with finer stamps, or read it by a column map with repeats = 'keep'"
+            raise TraceError(self.path, what, remedy, tally.first_repeat)
+        return rows.taken(~repeated)
+
+    def _count_gaps(self, rows: Rows, step: Array) -> None:
+        known = step[np.isfinite(step)]
+        if not known.size:
+            return
+        gaps = np.isfinite(step) & (step > max(GAP_S, 10 * float(np.median(known))))
+        if gaps.any():
+            longest = int(np.where(gaps, step, 0).argmax())
+            self.tally.gaps += int(gaps.sum())
+            if step[longest] > self.tally.longest_gap:
+                self.tally.longest_gap = float(step[longest])
+                self.tally.longest_gap_line = int(rows.lines[longest])
+
+    def notes(self) -> list[str]:
+        """Say what was tolerated, one line each."""
+        tally, said = self.tally, []
+        if tally.reordered:
+            said.append(f"{tally.reordered} rows stood out of time order and were put back")
+        if tally.repeats:
+            done = "kept" if self.column_map.repeats == "keep" else "left out"
+            where = f"first in line {tally.first_repeat}"
+            said.append(f"{tally.repeats} samples repeat the stamp before and were {done} ({where})")
+        if tally.gaps:
+            longest = f"{tally.longest_gap:.6g} s before line {tally.longest_gap_line}"
+            said.append(f"{tally.gaps} gaps in time, the longest {longest}")
+        return [f"{self.path.name}: {line}" for line in said]
+
+
+def seconds_per_unit(unit: str, stamps: Array, rate_hz: float | None) -> float | None:
+    """Return the length of one unit of a time column, s; None where "auto" finds no unit.
+
+    stamps: (n,) the file's first stamps. "auto" picks the only power of 1000 that puts the median step
+    between 0.5 ms and 0.5 s, as in logs whose unit differs between devices (Stisen et al. 2015).
+    """
+    if unit == "samples":
+        return 1.0 / rate_hz if rate_hz else None
+    if unit != "auto":
+        return TIME_UNITS[unit]
+    step = np.abs(np.diff(stamps))
+    step = step[step > 0]
+    typical = float(np.median(step)) if step.size else 0.0
+    fits = [s for s in TIME_UNITS.values() if FASTEST_STEP_S <= typical * s < 1000 * FASTEST_STEP_S]
+    return fits[0] if fits else None

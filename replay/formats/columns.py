@@ -1,0 +1,185 @@
+"""Column maps: which column of a log is which quantity, in which unit. Written in TOML, checked here.
+
+A map is all that a plain-text log needs to be read; the formats that stillcal knows by name are maps in
+config/formats, a user's own is a file like them (docs/formats.md). Nothing here opens a recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from stillcal.replay.formats.errors import TraceError
+
+STANDARD_GRAVITY = 9.80665
+"""m/s^2, exact by definition: 3rd CGPM (1901)."""
+
+Column = str | Annotated[int, msgspec.Meta(ge=0)]
+"""A column by its name in the header, or by its place counted from 0."""
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Sign = Literal[-1, 1]
+
+_FORCE_UNITS = {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
+_RATE_UNITS = {"rad/s": 1.0, "deg/s": 0.017453292519943295, "mdeg/s": 1.7453292519943295e-05}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Seconds in one unit of a time column."""
+
+
+class TimeMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where the stamps come from: a column with a unit, a column of sample numbers, or a fixed rate.
+
+    unit "auto" picks s, ms, us or ns so that the median step is a sensor's (0.5 ms to 0.5 s).
+    """
+
+    column: Column | None = None
+    unit: Literal["s", "ms", "us", "ns", "samples", "auto"] = "s"
+    rate_hz: Positive | None = None
+    arrival: Column | None = None
+    arrival_unit: Literal["s", "ms", "us", "ns"] = "s"
+
+    def __post_init__(self) -> None:
+        if (self.column is None or self.unit == "samples") and self.rate_hz is None:
+            raise ValueError("rate_hz is needed where there is no time column or its unit is 'samples'")
+
+
+class SensorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Three columns of one sensor, for the phone's x, y and z.
+
+    columns name the log's columns that are x, y, z (an axis swap is another order); signs turn axes
+    round. unit "counts" needs counts_per_unit (counts in one m/s^2 or rad/s); zero is taken off first.
+    optional: the columns may be missing. other_file: [[part, replacement], ...] of the file's name that
+    lead to the sensor's own file. refuse: {file stem: why} of files that cannot serve.
+    """
+
+    columns: tuple[Column, Column, Column]
+    unit: Literal["m/s^2", "g", "mg", "rad/s", "deg/s", "mdeg/s", "counts"]
+    signs: tuple[Sign, Sign, Sign] = (1, 1, 1)
+    counts_per_unit: Positive | None = None
+    zero: float = 0.0
+    optional: bool = False
+    other_file: tuple[tuple[str, str], ...] = ()
+    refuse: dict[str, str] = {}
+
+    def __post_init__(self) -> None:
+        if (self.unit == "counts") != (self.counts_per_unit is not None):
+            raise ValueError("counts_per_unit goes with unit 'counts', and only with it")
+
+    @property
+    def si_per_unit(self) -> float:
+        """SI value of one unit of the columns, in m/s^2 or rad/s."""
+        if self.counts_per_unit is not None:
+            return 1.0 / self.counts_per_unit
+        return (_FORCE_UNITS | _RATE_UNITS)[self.unit]
+
+
+class TemperatureMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The thermometer's column; cells may be empty, the column may be missing."""
+
+    column: Column
+    unit: Literal["degC", "K", "degF"] = "degC"
+
+    def celsius(self) -> tuple[float, float]:
+        """Return (factor, offset): degC = factor * value + offset."""
+        return {"degC": (1.0, 0.0), "K": (1.0, -273.15), "degF": (5 / 9, -160 / 9)}[self.unit]
+
+
+class SelectMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Read only the rows whose `columns` hold `values`; without values, those of the first row."""
+
+    columns: tuple[Column, ...]
+    values: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.columns or (self.values is not None and len(self.values) != len(self.columns)):
+            raise ValueError("select needs columns, and as many values as columns")
+
+
+class ColumnMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How to read one kind of log.
+
+    delimiter: one character, "space" for runs of blanks, or "auto" (the header's own: comma,
+    semicolon or tab). header: names stand in the first line after skip_lines. decimal: the decimal
+    mark. reorder: rows by which a stamp may stand too late and is put back. repeats: what to do with a
+    stamp equal to the one before: "drop" the sample, "keep" it, or "refuse" the file.
+    """
+
+    time: TimeMap
+    accelerometer: SensorMap
+    gyroscope: SensorMap | None = None
+    temperature: TemperatureMap | None = None
+    select: SelectMap | None = None
+    description: str = ""
+    delimiter: Annotated[str, msgspec.Meta(pattern=r"^([^\w\s.\"+-]|\t|space|auto)$")] = ","
+    header: bool = True
+    skip_lines: Annotated[int, msgspec.Meta(ge=0)] = 0
+    decimal: Literal[".", ","] = "."
+    reorder: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+    repeats: Literal["drop", "keep", "refuse"] = "drop"
+
+    def __post_init__(self) -> None:
+        if self.accelerometer.unit in _RATE_UNITS:
+            raise ValueError(f"accelerometer.unit {self.accelerometer.unit!r} is a unit of rate")
+        if self.gyroscope is not None and self.gyroscope.unit in _FORCE_UNITS:
+            raise ValueError(f"gyroscope.unit {self.gyroscope.unit!r} is a unit of acceleration")
+        if not self.header and any(isinstance(column, str) for column in self._columns()):
+            raise ValueError("without a header, columns are numbers counted from 0")
+
+    def _columns(self) -> list[Column]:
+        sensors = [self.accelerometer] + ([self.gyroscope] if self.gyroscope else [])
+        thermometer = self.temperature.column if self.temperature else None
+        single = [self.time.column, self.time.arrival, thermometer]
+        chosen = self.select.columns if self.select else ()
+        return [*(c for s in sensors for c in s.columns), *(c for c in single if c is not None), *chosen]
+
+
+def builtin_formats() -> list[str]:
+    """Return the names of the formats that stillcal knows without a file of the user's."""
+    maps = resources.files("stillcal.config").joinpath("formats").iterdir()
+    return sorted(m.name.removesuffix(".toml") for m in maps if m.name.endswith(".toml"))
+
+
+def load_map(name: str | Path) -> ColumnMap:
+    """Read a column map: a built-in format's name, or the path of a TOML file.
+
+    Raises TraceError where there is no such format or the map is not valid.
+    """
+    if str(name) in builtin_formats():
+        inside = resources.files("stillcal.config").joinpath("formats", f"{name}.toml")
+        return parse_map(inside.read_bytes(), Path(f"{name}.toml"))
+    try:
+        return parse_map(Path(name).read_bytes(), Path(name))
+    except OSError:
+        known = ", ".join(builtin_formats())
+        raise TraceError(
+            name, "no such format", f"name one of {known}, or the path of a column map (TOML)"
+        ) from None
+
+
+def parse_map(text: bytes, path: Path) -> ColumnMap:
+    """Turn TOML into a checked map. Raises TraceError naming the field at fault."""
+    try:
+        return msgspec.toml.decode(text, type=ColumnMap)
+    except msgspec.ValidationError as error:
+        raise TraceError(path, f"not a valid column map: {error}", "see docs/formats.md") from None
+    except (msgspec.DecodeError, UnicodeDecodeError, ValueError) as error:
+        raise TraceError(path, f"not TOML: {error}", "correct the line it names") from None
+
+
+def find_columns(wanted: Sequence[Column], names: Sequence[str] | None, width: int) -> list[int] | None:
+    """Return the places of `wanted` among the header's names (or `width` columns), None if any is missing."""
+    places = []
+    for column in wanted:
+        if isinstance(column, int):
+            if column >= width:
+                return None
+            places.append(column)
+        elif names is None or column not in names:
+            return None
+        else:
+            places.append(list(names).index(column))
+    return places

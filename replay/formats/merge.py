@@ -1,0 +1,84 @@
+"""Two streams of samples side by side in time, so that neither runs far ahead of the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from stillcal.calib_core.samples import Samples, Sensor
+from stillcal.replay.formats.stream import Run, SampleFile
+
+Pair = tuple[Samples, Samples]
+
+
+def merged(files: Sequence[SampleFile], max_rows: int) -> Iterator[Pair]:
+    """Yield (accelerometer, gyroscope) runs of at most `max_rows` samples each, in time order.
+
+    A run holds all samples of both sensors up to its end. One file: its own blocks; two: each is read
+    on only while the other is ahead. Neither run is longer than `max_rows`, unless stamps repeat.
+    """
+    runs = files[0].runs() if len(files) == 1 else _two(files[0], files[1])
+    for run in runs:
+        yield from _cut(run, max_rows)
+
+
+def _of(run: Run, sensor: Sensor) -> Samples:
+    return run.get(sensor) or Samples.empty(sensor)
+
+
+def _cut(run: Run, max_rows: int) -> Iterator[Pair]:
+    accelerometer, gyroscope = _of(run, Sensor.ACCELEROMETER), _of(run, Sensor.GYROSCOPE)
+    while len(accelerometer) or len(gyroscope):
+        ends = [float(s.t[max_rows - 1]) for s in (accelerometer, gyroscope) if len(s) > max_rows]
+        a, g = (_upto(s, min(ends, default=np.inf)) for s in (accelerometer, gyroscope))
+        yield accelerometer[:a], gyroscope[:g]
+        accelerometer, gyroscope = accelerometer[a:], gyroscope[g:]
+
+
+def _upto(samples: Samples, end: float) -> int:
+    return int(np.searchsorted(samples.t, end, side="right"))
+
+
+class _Side:
+    """One stream and what of it is read but not yet passed on."""
+
+    def __init__(self, file: SampleFile, sensor: Sensor) -> None:
+        self.sensor = sensor
+        self.ended = False
+        self._runs = file.runs()
+        self.samples = Samples.empty(sensor)
+
+    @property
+    def end(self) -> float:
+        """How far this side is known; for ever once its file has ended."""
+        if self.ended:
+            return np.inf
+        return float(self.samples.t[-1]) if len(self.samples) else -np.inf
+
+    def read_on(self) -> None:
+        """Read one more block."""
+        run = next(self._runs, None)
+        if run is None:
+            self.ended = True
+        else:
+            self.samples = _joined(self.samples, _of(run, self.sensor))
+
+    def taken(self, end: float) -> Samples:
+        """Pass on what is no later than `end`."""
+        n = _upto(self.samples, end)
+        out, self.samples = self.samples[:n], self.samples[n:]
+        return out
+
+
+def _joined(first: Samples, second: Samples) -> Samples:
+    return Samples.joined([s for s in (first, second) if len(s)] or [second])
+
+
+def _two(accelerometer: SampleFile, gyroscope: SampleFile) -> Iterator[Run]:
+    sides = (_Side(accelerometer, Sensor.ACCELEROMETER), _Side(gyroscope, Sensor.GYROSCOPE))
+    while not all(side.ended for side in sides):
+        behind = min(sides, key=lambda side: side.end)
+        behind.read_on()
+        end = min(side.end for side in sides)
+        yield {side.sensor: side.taken(end) for side in sides}
