@@ -130,10 +130,11 @@ class StoreDocument:
                 raise ValueError(f"cannot roll back {target} calibrations: the history holds {len(earlier)}")
             return earlier[target - 1]
         found = [e for e in self.history if e.calibration.id.startswith(target) and e.what != "rejected"]
-        if len(found) != 1:
-            problem = "no earlier calibration" if not found else f"{len(found)} earlier calibrations"
+        ids = {e.calibration.id for e in found}
+        if len(ids) != 1:
+            problem = f"{len(ids) or 'no'} earlier calibrations"
             raise ValueError(f"{problem} with an id beginning with {target!r}: see `stillcal store history`")
-        return found[0]
+        return found[-1]
 
 
 def bounded(entries: tuple[HistoryEntry, ...], limit: int) -> tuple[HistoryEntry, ...]:
@@ -198,17 +199,19 @@ def pretty(value: Any, indent: int = 0, lead: int = 0) -> str:
 
     lead: columns that the key takes up before the value.
     """
-    line = json.dumps(value, allow_nan=False)
     items = list(value.values()) if isinstance(value, dict) else value
-    nested = isinstance(items, list) and any(isinstance(item, dict | list) for item in items)
-    vector = isinstance(value, list) and not nested
-    if not isinstance(value, dict | list) or vector or (indent > 0 and indent + lead + len(line) <= WIDTH):
-        return line
+    if not isinstance(items, list) or not any(isinstance(item, dict | list) for item in items):
+        line = json.dumps(value, allow_nan=False)
+        if not isinstance(value, dict) or indent + lead + len(line) <= WIDTH:
+            return line
     keys = [f"{json.dumps(key)}: " for key in value] if isinstance(value, dict) else [""] * len(value)
-    pad = " " * (indent + 2)
-    inner = [pad + k + pretty(v, indent + 2, len(k)) for k, v in zip(keys, items, strict=True)]
+    parts = [key + pretty(item, indent + 2, len(key)) for key, item in zip(keys, items, strict=True)]
     opened, closed = "{}" if isinstance(value, dict) else "[]"
-    return "\n".join([opened, ",\n".join(inner), " " * indent + closed])
+    line = opened + ", ".join(parts) + closed
+    if indent > 0 and "\n" not in line and indent + lead + len(line) <= WIDTH:
+        return line
+    pad = "\n" + " " * (indent + 2)
+    return f"{opened}{pad}{(',' + pad).join(parts)}{pad[:-2]}{closed}"
 
 
 def _entry(what: What, reason: str, at: float | None, calibration: CalibrationRecord) -> HistoryEntry:
