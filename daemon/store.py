@@ -64,9 +64,9 @@ class StoreSettings:
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
-            raise ValueError(f"mode is 0o{self.mode:o}: expected 0o600 or 0o640")
+            raise ValueError(f"mode = 0o{self.mode:o}: must be 0o600 or 0o640")
         if not 2 <= self.history <= 1000:
-            raise ValueError(f"history is {self.history}: expected within 2 .. 1000")
+            raise ValueError(f"history = {self.history}: must be within 2..1000")
 
 
 @dataclass(frozen=True, slots=True)

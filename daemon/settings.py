@@ -1,0 +1,182 @@
+"""All that a user may choose: sections of settings, read from TOML, refused where they make no sense.
+
+A section belongs to the module that uses it; this one puts them together, reads the file and explains
+what is wrong with it by file, line and key. config/default.toml documents every knob and holds the
+defaults, the same as here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from stillcal.daemon.store import StoreSettings
+
+T = TypeVar("T")
+
+
+class SettingsError(ValueError):
+    """A settings file that cannot be used; the message names file, line, key and remedy."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSettings:
+    """Where the samples come from. port: the serial device's path. baud: symbols per s on a real line."""
+
+    port: str = ""
+    baud: int = 115200
+
+    def __post_init__(self) -> None:
+        if not 1200 <= self.baud <= 4_000_000:
+            raise ValueError(f"baud = {self.baud}: must be within 1200..4000000")
+
+
+@dataclass(frozen=True, slots=True)
+class SocketSettings:
+    """Where questions are answered. path: "" for the service's runtime folder. mode: permissions."""
+
+    path: str = ""
+    mode: int = 0o660
+
+    def __post_init__(self) -> None:
+        if not 0o600 <= self.mode <= 0o666 or self.mode & 0o111:
+            raise ValueError(f"mode = 0o{self.mode:o}: must be within 0o600..0o666, not executable")
+
+
+@dataclass(frozen=True, slots=True)
+class LogSettings:
+    """What is logged. level: the least that is."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """All sections, one per table of the TOML file."""
+
+    store: StoreSettings = field(default_factory=StoreSettings)
+    source: SourceSettings = field(default_factory=SourceSettings)
+    socket: SocketSettings = field(default_factory=SocketSettings)
+    log: LogSettings = field(default_factory=LogSettings)
+
+
+def load_settings(path: Path | str | None = None) -> Settings:
+    """Read settings from a TOML file; what it does not mention, or no file at all, is the default.
+
+    Raises SettingsError on a file that cannot be read, is not TOML, names an unknown key, or gives a
+    value of the wrong type or out of its range.
+    """
+    if path is None:
+        return Settings()
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise SettingsError(f"{path}: {reason}: give the path of a TOML file") from error
+    return parse_settings(text, str(path))
+
+
+def parse_settings(text: str, name: str = "settings") -> Settings:
+    """Read settings from TOML text; `name` is what errors call it. Raises SettingsError."""
+    try:
+        return _section(Settings, tomllib.loads(text), ())
+    except tomllib.TOMLDecodeError as error:
+        line = re.search(r"at line (\d+)", str(error))
+        raise SettingsError(f"{name}:{line[1] if line else 'end'}: not TOML: {error}") from error
+    except _BadKeyError as error:
+        line_number = line_of(text, error.keys)
+        where = f"{name}:{line_number}" if line_number else name
+        raise SettingsError(f"{where}: {error}") from error
+
+
+def store_path(settings: StoreSettings, environ: Mapping[str, str]) -> Path:
+    """Return the store's path: as set, else store.json in the service's or the user's state folder.
+
+    systemd names the service's (STATE_DIRECTORY); the user's is XDG_STATE_HOME or ~/.local/state.
+    """
+    if settings.path:
+        return Path(settings.path)
+    if service := environ.get("STATE_DIRECTORY"):
+        return Path(service.split(":")[0]) / "store.json"
+    home = environ.get("XDG_STATE_HOME") or Path(environ.get("HOME", "/")) / ".local" / "state"
+    return Path(home) / "stillcal" / "store.json"
+
+
+def line_of(text: str, keys: tuple[str, ...]) -> int | None:
+    """Return the line, from 1, where TOML text sets the key or, failing that, opens a table above it."""
+    places = {place: number for number, place in reversed(list(_places(text)))}
+    for length in range(len(keys), 0, -1):
+        if keys[:length] in places:
+            return places[keys[:length]]
+    return None
+
+
+class _BadKeyError(ValueError):
+    """A value that cannot be taken; `keys` is the path to it."""
+
+    def __init__(self, keys: tuple[str, ...], problem: str) -> None:
+        *tables, key = keys
+        named = problem if problem.startswith(key) else f"{key} {problem}"
+        super().__init__(f"[{'.'.join(tables)}] {named}" if tables else named)
+        self.keys = keys
+
+
+def _section(kind: type[T], table: Any, keys: tuple[str, ...]) -> T:
+    if not isinstance(table, dict):
+        raise _BadKeyError(keys, f"= {table!r}: must be a table, [{'.'.join(keys)}]")
+    hints = get_type_hints(kind)
+    for key in table.keys() - hints.keys():
+        raise _BadKeyError(
+            (*keys, key), f"is no {'key' if keys else 'section'}: {_nearest(key, list(hints))}"
+        )
+    values = {key: _value(hints[key], value, (*keys, key)) for key, value in table.items()}
+    try:
+        return kind(**values)
+    except ValueError as error:
+        blamed = next((key for key in values if re.search(rf"\b{key}\b", str(error))), None)
+        raise _BadKeyError((*keys, blamed) if blamed else keys, str(error)) from error
+
+
+def _value(hint: Any, value: Any, keys: tuple[str, ...]) -> Any:
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return _section(hint, value, keys)
+    if isinstance(value, float) and math.isnan(value):
+        raise _BadKeyError(keys, "= nan: must be a number")
+    try:
+        return msgspec.convert(value, type=hint)
+    except msgspec.ValidationError as error:
+        allowed = f"one of {', '.join(map(repr, get_args(hint)))}" if get_origin(hint) is Literal else ""
+        raise _BadKeyError(keys, f"= {value!r}: must be {allowed or _plainly(str(error))}") from error
+
+
+def _plainly(problem: str) -> str:
+    """Turn "Expected `int`, got `str` - at `$`" into "int"."""
+    return problem.removeprefix("Expected ").split(", got")[0].replace("`", "")
+
+
+def _nearest(key: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+
+
+def _places(text: str) -> Iterator[tuple[int, tuple[str, ...]]]:
+    table: tuple[str, ...] = ()
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := re.match(r"\s*\[\s*([^\[\]]+?)\s*\]", line):
+            table = _parts(header[1])
+            yield number, table
+        elif assigned := re.match(r"\s*([\w.\-\"' ]+?)\s*=", line):
+            yield number, table + _parts(assigned[1])
+
+
+def _parts(dotted: str) -> tuple[str, ...]:
+    return tuple(part.strip(" \"'") for part in dotted.split("."))
