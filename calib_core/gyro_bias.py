@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.refusals import NotSupported
@@ -51,18 +52,18 @@ def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
     centre = np.median(rates, axis=0)
     wander = _wander(rates - centre, variances)
     total = variances + wander**2
-    near = (np.abs(rates - centre) <= _OUTLIER * np.sqrt(total)).all(axis=1)
-    kept = near if len(rates) > 2 else np.full(len(rates), True)
+    kept: NDArray[np.bool_] = np.all(np.abs(rates - centre) <= _OUTLIER * np.sqrt(total), axis=1) | (len(rates) < 3)
     weights = kept[:, None] / total
     bias = (weights * rates).sum(axis=0) / weights.sum(axis=0)
     with_rates = [i for i, r in enumerate(rests) if r.rate is not None]
+    used = [i for i, k in zip(with_rates, kept.tolist(), strict=True) if k]
     return BiasEstimate(
         bias=bias,
         covariance=np.diag(1.0 / weights.sum(axis=0)),
         wander=wander,
-        admitted=_admitted([rests[i] for i, k in zip(with_rates, kept, strict=True) if k], total[kept]),
+        admitted=_admitted([rests[i] for i in used], total[kept]),
         n_rests=len(rates),
-        outliers=tuple(i for i, k in zip(with_rates, kept, strict=True) if not k),
+        outliers=tuple(sorted(set(with_rates) - set(used))),
     )
 
 
@@ -78,6 +79,25 @@ def zeroing(
     if known is not None:
         fresh = _combined(known, fresh)
     return SensorModel.of(model.scale, fresh.bias), fresh
+
+
+def smoothed(rests: Sequence[RestState]) -> tuple[Array, Array, Array]:
+    """Follow the bias from rest to rest: a random walk seen through the rests' mean rates.
+
+    rests: n in time order, all with rates. Returns the bias at each, (n, 3) rad/s, its covariance between
+    rests for each axis, (3, n, n), and the walk's step between neighbours, (3,) rad/s, taken from how far
+    they differ beyond their own uncertainty. A bias that stays is so pooled, one that wanders is followed.
+    """
+    rates, variances = _rest_rates(rests)
+    n = len(rates)
+    excess = 2.0 * _wander(np.diff(rates, axis=0) if n > 1 else rates, 2.0 * variances) ** 2
+    step = np.sqrt(0.5 * excess + 1e-4 * np.median(variances, axis=0))
+    differences = np.diff(np.eye(n), axis=0)
+    precision = np.einsum("ka,kl->akl", 1.0 / variances, np.eye(n))
+    precision += (differences.T @ differences) / step[:, None, None] ** 2
+    covariance = np.linalg.inv(precision)
+    mean = np.einsum("akl,la->ka", covariance, rates / variances)
+    return mean, covariance, step
 
 
 def _combined(known: BiasEstimate, fresh: BiasEstimate) -> BiasEstimate:
