@@ -78,13 +78,13 @@ class GyroscopeSettings:
 class GyroscopeFit:
     """A fitted gyroscope. calibrated = model.scale @ (raw - model.bias).
 
-    covariance: (12, 12) of the scale, row by row, then the bias (rad/s); zero where held fixed.
-    scale_uncertainty: (3, 3). bias: what the rests alone say. shift: (3,) rad/s, bias while turning less
-    that at rest. before, after: (K,) rad, angle between gravity carried and measured, with the nominal
-    scale and with the fitted one, the rests' bias taken off in both. gravity_rms_*: the same in m/s^2,
-    rms over the turns used. rejected: indices of turns left out. turned: (3,) rad, path about each
-    axis over the turns used. variance_factor: squared residuals over what their uncertainties promise.
-    missing: what to do to get a larger model.
+    covariance: (12, 12) of the scale, row by row, then the bias (rad/s); zero where held fixed. bias: what
+    the rests say, with its caveats. shift, shift_uncertainty: (3,) rad/s, bias while turning less that at
+    rest; the model's bias is that at rest. before, after: (K,) rad, angle between gravity carried and
+    measured, with the nominal scale and with the fitted one, the rests' bias taken off in both.
+    gravity_rms_*: the same in m/s^2, rms over the turns used. rejected: indices of turns left out.
+    turned: (3,) rad, path about each axis over the turns used. variance_factor: squared residuals over
+    what their uncertainties promise. missing: what to do to get a larger model.
     """
 
     model: SensorModel
@@ -92,6 +92,7 @@ class GyroscopeFit:
     covariance: Array
     bias: BiasEstimate
     shift: Array
+    shift_uncertainty: Array
     before: Array
     after: Array
     rms_before: float
@@ -265,6 +266,7 @@ def _without_turns(bias: BiasEstimate, parameters: Parameters | None) -> Gyrosco
         covariance=covariance,
         bias=bias,
         shift=np.zeros(3),
+        shift_uncertainty=np.full(3, np.nan),
         before=np.zeros(0),
         after=np.zeros(0),
         rms_before=np.nan,
@@ -291,17 +293,19 @@ def _reported(
     """Put a solution into the record that users see."""
     scale, shift = solution.theta[:9].reshape(3, 3), solution.theta[9:]
     covariance = solution.covariance.copy()
-    covariance[9:, 9:] += bias.covariance
+    covariance[9:], covariance[:, 9:] = 0.0, 0.0
+    covariance[9:, 9:] = bias.covariance
     before = problem.at(_NOMINAL, 0.0).carried.angle
     after = problem.at(solution.theta, 0.0).carried.angle
     used = solution.used
     rms_before, rms_after = (float(np.sqrt(np.mean(a[used] ** 2))) for a in (before, after))
     return GyroscopeFit(
-        model=SensorModel.of(scale, bias.bias + shift),
+        model=SensorModel.of(scale, bias.bias),
         parameters=choice,
         covariance=covariance,
         bias=bias,
         shift=shift,
+        shift_uncertainty=np.sqrt(np.diag(solution.covariance)[9:]),
         before=before,
         after=after,
         rms_before=rms_before,
