@@ -28,6 +28,9 @@ Evidence = dict[str, float | int | str | bool | None]
 DETERMINANTS = (1 / 8, 8.0)
 """Sane |det scale|: within a factor of two on every axis (15 % is the largest seen on a phone)."""
 
+BIAS_NAMES = ("bias_x", "bias_y", "bias_z")
+"""What the bias is called among the names of a covariance's parameters."""
+
 
 class NotCalibratedError(ValueError):
     """The record holds no calibration of the sensor asked for."""
@@ -67,6 +70,14 @@ class SensorRecord:
     def model(self) -> SensorModel:
         """The correction alone."""
         return SensorModel.of(self.scale, self.bias)
+
+    @property
+    def bias_uncertainty(self) -> Array | None:
+        """Standard uncertainty of the bias, (3,) in `unit`; None where the covariance does not hold it."""
+        if self.covariance is None or not set(BIAS_NAMES) <= set(self.names):
+            return None
+        rows = [self.names.index(name) for name in BIAS_NAMES]
+        return frozen(np.sqrt(np.diag(self.covariance)[rows]))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

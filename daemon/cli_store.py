@@ -1,0 +1,261 @@
+"""`stillcal store …`: look at a calibration store, check it, and go back to an earlier calibration.
+
+Only click and rich live here; what a store is and does is store.py's.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from stillcal.calib_core.record import CalibrationRecord, SensorRecord
+from stillcal.daemon.store import Reading, Store
+from stillcal.daemon.store_document import HistoryEntry, StoreDocument, calibration_json
+
+BAD_INPUT, DAMAGED = 2, 1
+
+
+def examples(*lines: str) -> str:
+    """Return an epilog that click does not rewrap."""
+    return "\n".join(["\b", "Examples:", *(f"  {line}" for line in lines)])
+
+
+path_argument = click.argument("path", type=click.Path(path_type=Path))
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+
+
+@click.group("store")
+def store_group() -> None:
+    """Look at a calibration store, check it, or go back to an earlier calibration.
+
+    PATH is the store's JSON file, such as /var/lib/stillcal/store.json. Looking and checking are safe
+    while the daemon runs; rolling back needs it stopped.
+    """
+
+
+@store_group.command(
+    "show",
+    epilog=examples(
+        "stillcal store show store.json",
+        "stillcal store show store.json --json | jq .accelerometer.bias",
+    ),
+)
+@path_argument
+@json_option
+def show(path: Path, as_json: bool) -> None:
+    """Show the current calibration."""
+    document = _loaded(path)
+    if as_json:
+        _print_json(calibration_json(document.current))
+    elif document.current is None:
+        click.echo("no calibration yet")
+    else:
+        _show(document.current)
+
+
+@store_group.command(
+    "history",
+    epilog=examples(
+        "stillcal store history store.json",
+        "stillcal store history store.json --json",
+    ),
+)
+@path_argument
+@json_option
+def history(path: Path, as_json: bool) -> None:
+    """List the current, the earlier and the rejected calibrations, newest first."""
+    document = _loaded(path)
+    rows = list(_history_rows(document))
+    if as_json:
+        _print_json(rows)
+        return
+    table = Table(title=str(path))
+    for name in ("back", "id", "what", "at [s]", "rms [m/s²]", "attitudes"):
+        table.add_column(name, justify="left" if name in ("id", "what") else "right", no_wrap=True)
+    table.add_column("reason", overflow="fold")
+    for row in rows:
+        figures = (_figure(row["at"]), _figure(row["rms_residual"]), _figure(row["n_states"]))
+        table.add_row(_figure(row["back"]), row["id"], row["what"], *figures, row["reason"])
+    _print(table)
+
+
+@store_group.command(
+    "rollback",
+    epilog=examples(
+        "stillcal store rollback store.json              to the one before",
+        "stillcal store rollback store.json --steps 2    to the one before that",
+        "stillcal store rollback store.json --to 900d0f  to the one of this id",
+    ),
+)
+@path_argument
+@click.option("--to", "identity", metavar="ID", help="The calibration's id, or the beginning of it.")
+@click.option("--steps", type=click.IntRange(1), default=1, show_default=True, help="How far back.")
+def rollback(path: Path, identity: str | None, steps: int) -> None:
+    """Make an earlier calibration current again; the present one stays in the history."""
+    with _one_line(), Store(_existing(path)) as store:
+        outcome = store.rollback(identity or steps)
+    for note in outcome.notes:
+        click.echo(note, err=True)
+    if outcome.document.current is not None:
+        click.echo(f"{path}: calibration {outcome.document.current.id} is current again")
+
+
+@store_group.command(
+    "verify",
+    epilog=examples(
+        "stillcal store verify store.json",
+        "stillcal store verify store.json --json",
+    ),
+)
+@path_argument
+@json_option
+def verify(path: Path, as_json: bool) -> None:
+    """Check that a store is whole: JSON, checksum, schema, units and values; exit 1 where it is not."""
+    with _one_line():
+        found = Store(_existing(path)).verify()
+    report = {"whole": found.whole, "store": _reading(found.store), "last_good": _reading(found.last_good)}
+    if as_json:
+        _print_json(report)
+    else:
+        for reading in (found.store, found.last_good):
+            click.echo(f"{reading.path}: {_verdict(reading)}")
+    sys.exit(0 if found.whole else DAMAGED)
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    """Turn a refusal into one line on standard error and exit status 2."""
+    try:
+        yield
+    except ValueError as error:
+        click.echo(f"stillcal: {error}", err=True)
+        sys.exit(BAD_INPUT)
+
+
+def _existing(path: Path) -> Path:
+    if not path.exists():
+        raise ValueError(f"{path}: there is no store: give the path of an existing one")
+    return path
+
+
+def _loaded(path: Path) -> StoreDocument:
+    """Read a store, warning on standard error where only its last good copy could be used."""
+    with _one_line():
+        store = Store(_existing(path))
+        problem = store.verify().store.problem
+        document = store.load()
+    if problem is not None:
+        click.echo(f"stillcal: {path} is {problem}; showing {store.last_good_path}", err=True)
+    return document or StoreDocument()
+
+
+def _history_rows(document: StoreDocument) -> Iterator[dict[str, Any]]:
+    current = document.current
+    if current is not None:
+        reason = current.acceptance.reason
+        yield _row(current, None, "current", current.fitted_at, reason)
+    back = 0
+    for entry in reversed(document.history):
+        back += entry.what == "replaced"
+        yield _entry_row(entry, back if entry.what == "replaced" else None)
+
+
+def _entry_row(entry: HistoryEntry, back: int | None) -> dict[str, Any]:
+    return _row(entry.calibration, back, entry.what.replace("_", " "), entry.at, entry.reason)
+
+
+def _row(
+    record: CalibrationRecord, back: int | None, what: str, at: float | None, reason: str
+) -> dict[str, Any]:
+    accelerometer = record.accelerometer
+    return {
+        "back": back,
+        "id": record.id,
+        "what": what,
+        "at": at,
+        "reason": reason,
+        "rms_residual": accelerometer and accelerometer.rms_residual,
+        "n_states": accelerometer and accelerometer.n_states,
+    }
+
+
+def _show(record: CalibrationRecord) -> None:
+    """Print a calibration: both sensors, then what it rests on."""
+    table = Table(title=f"calibration {record.id}", caption="calibrated = scale @ (raw - bias)")
+    table.add_column("", no_wrap=True)
+    for axis in "xyz":
+        table.add_column(axis, justify="right", no_wrap=True)
+    for name, part in (("accelerometer", record.accelerometer), ("gyroscope", record.gyroscope)):
+        if part is not None:
+            _add_sensor(table, name, part.unit, part)
+    _print(table)
+    for line in _facts(record):
+        click.echo(line)
+
+
+def _add_sensor(table: Table, name: str, unit: str, part: SensorRecord) -> None:
+    table.add_row(f"{name} bias [{unit}]", *(f"{v:.6f}" for v in part.bias))
+    if (doubt := part.bias_uncertainty) is not None:
+        table.add_row("  ± (1 sd)", *map(_figure, doubt.tolist()))
+    for axis, row in zip("xyz", part.scale, strict=True):
+        table.add_row(f"{name} scale, row {axis}", *(f"{v:.6f}" for v in row))
+
+
+def _facts(record: CalibrationRecord) -> Iterator[str]:
+    if (accelerometer := record.accelerometer) is not None:
+        yield (
+            f"accelerometer: {accelerometer.parameters} parameters from {accelerometer.n_rests} rests in "
+            f"{accelerometer.n_states} attitudes, residual {_figure(accelerometer.rms_residual)} m/s²"
+        )
+    if record.gravity is not None:
+        gravity = record.gravity
+        yield f"gravity: {gravity.value:.5f} ± {gravity.uncertainty:.5f} m/s² ({gravity.source})"
+    yield f"fitted at: {_figure(record.fitted_at)} s"
+    yield f"accepted: {record.acceptance.how}, {record.acceptance.reason or 'no reason recorded'}"
+    if record.provenance.software:
+        yield f"by: {record.provenance.software} from {record.provenance.source or 'an unnamed source'}"
+
+
+def _reading(reading: Reading) -> dict[str, Any]:
+    current = reading.document.current if reading.document else None
+    return {
+        "path": str(reading.path),
+        "schema": reading.schema,
+        "id": current.id if current else None,
+        "history": len(reading.document.history) if reading.document else 0,
+        "problem": str(reading.problem) if reading.problem else None,
+    }
+
+
+def _verdict(reading: Reading) -> str:
+    if reading.problem is not None:
+        return str(reading.problem)
+    if reading.document is None:
+        return "missing"
+    current = reading.document.current
+    held = f"calibration {current.id}" if current else "no calibration yet"
+    return f"whole, schema {reading.schema}, {held}, {len(reading.document.history)} in the history"
+
+
+def _figure(value: float | int | None) -> str:
+    if value is None or not np.isfinite(value):
+        return "-"
+    return str(value) if isinstance(value, int) else f"{value:.6g}"
+
+
+def _print(table: Table) -> None:
+    """Print a table, taking no square bracket for markup; 120 columns where there is no terminal."""
+    Console(width=None if sys.stdout.isatty() else 120, markup=False, highlight=False).print(table)
+
+
+def _print_json(value: Any) -> None:
+    click.echo(json.dumps(value, indent=2, allow_nan=False))
