@@ -1,0 +1,114 @@
+"""A phone: its sensors, clock, heat, effects and what its maker claims; read from TOML and written back."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from stillcal.calib_core.samples import Sensor
+from stillcal.replay.phone.effects import AnyEffect, TiltCreep
+from stillcal.replay.phone.scenario import read_settings
+from stillcal.replay.phone.settings import ClockSettings, HeatSettings, SensorSettings, Settings, per_axis
+
+
+class Claims(Settings, frozen=True, kw_only=True):
+    """What the maker says of the phone, right or wrong. SI; noise densities per sqrt(Hz)."""
+
+    device: str | None = None
+    nominal_rate_hz: float | None = None
+    gravity: float | None = None
+    accel_range: float | None = None
+    gyro_range: float | None = None
+    accel_lsb: float | None = None
+    gyro_lsb: float | None = None
+    accel_noise_density: float | None = None
+    gyro_noise_density: float | None = None
+
+
+class Phone(Settings, frozen=True, kw_only=True, rename={"effects": "effect"}):
+    """All that makes one phone's recordings differ from true motion. gyro: None for a phone without one."""
+
+    description: str = ""
+    accel: SensorSettings = SensorSettings()
+    gyro: SensorSettings | None = SensorSettings()
+    clock: ClockSettings = ClockSettings()
+    heat: HeatSettings = HeatSettings()
+    claims: Claims = Claims()
+    effects: tuple[AnyEffect, ...] = ()
+
+    def sensor(self, which: Sensor) -> SensorSettings | None:
+        """Return a sensor's settings with all effects on settings in them."""
+        settings = self.accel if which is Sensor.ACCELEROMETER else self.gyro
+        if settings is None:
+            return None
+        for effect in self.effects:
+            settings = effect.on_sensor(settings) if effect.concerns(which) else settings
+        return settings
+
+    def effective_clock(self) -> ClockSettings:
+        """Return the clock's settings with all effects on it in them."""
+        clock = self.clock
+        for effect in self.effects:
+            clock = effect.on_clock(clock)
+        return clock
+
+    def creep(self) -> TiltCreep | None:
+        """Return the creep of what the phone lies on, None where it is firm."""
+        return next((e for e in self.effects if isinstance(e, TiltCreep)), None)
+
+    def claimed(self) -> dict[str, Any]:
+        """Return what the maker says, as `NAME.json` holds it; unsaid figures come from the settings."""
+        told: dict[str, Any] = {"device": self.description, "nominal_rate_hz": self.accel.rate_hz}
+        for name, settings in (("accel", self.accel), ("gyro", self.gyro)):
+            if settings is not None:
+                told[f"{name}_range"] = settings.range
+                told[f"{name}_lsb"] = settings.lsb or None
+                told[f"{name}_noise_density"] = float(per_axis(settings.noise.white).max()) or None
+        told |= msgspec.to_builtins(self.claims)
+        return {key: value for key, value in told.items() if value is not None}
+
+
+def load_phone(name: str | Path) -> Phone:
+    """Load a phone by path or by the name of a ready one. Raises ValueError saying what is wrong where."""
+    return read_settings(name, "phones", Phone)
+
+
+def dump_phone(phone: Phone) -> str:
+    """Return the phone as the text of a TOML file that `load_phone` reads back to an equal phone."""
+    return toml_text(msgspec.to_builtins(phone))
+
+
+def toml_text(table: dict[str, Any]) -> str:
+    """Return a nested dict of numbers, texts, lists and dicts as TOML."""
+    lines: list[str] = []
+    _write_table(table, "", lines)
+    return "\n".join(lines) + "\n"
+
+
+def _is_rows(value: Any) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(v, dict) for v in value)
+
+
+def _write_table(table: dict[str, Any], prefix: str, lines: list[str]) -> None:
+    nested = {k: v for k, v in table.items() if isinstance(v, dict) or _is_rows(v)}
+    lines += [f"{key} = {_literal(v)}" for key, v in table.items() if key not in nested and v is not None]
+    for key, value in nested.items():
+        for row in [value] if isinstance(value, dict) else value:
+            opening = f"[{prefix}{key}]" if isinstance(value, dict) else f"[[{prefix}{key}]]"
+            lines += ["", opening]
+            _write_table(row, f"{prefix}{key}.", lines)
+
+
+def _literal(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return msgspec.json.encode(value).decode()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_literal(v) for v in value)}]"
+    if isinstance(value, float) and math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    return repr(value)

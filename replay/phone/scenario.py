@@ -1,0 +1,65 @@
+"""People's days: what happens to a phone, in order, as a TOML file says it."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from stillcal.replay.phone.moving import Drive, Hand, Pocket, Stairs, Walk
+from stillcal.replay.phone.resting import Desk, Mattress, Place, Poses, Rest, Table, Washer
+from stillcal.replay.phone.settings import Settings, require
+
+T = TypeVar("T")
+
+Segment = Rest | Table | Poses | Desk | Washer | Mattress | Hand | Pocket | Walk | Stairs | Drive
+
+
+class Scenario(Settings, frozen=True, kw_only=True, rename={"segments": "segment"}):
+    """A course of events. place: where it starts; ambient_c: degC at the start; repeat: how often it all happens.
+
+    duration_s: length of the whole recording, None for as long as it takes; a course that ends early rests
+    until then, one that runs over is cut. earth_rotation: whether the gyroscope feels the Earth turn.
+    """
+
+    segments: tuple[Segment, ...]
+    description: str = ""
+    place: Place = Place(latitude=52.2, longitude=0.12, altitude=20.0)
+    ambient_c: float = 22.0
+    repeat: int = 1
+    duration_s: float | None = None
+    earth_rotation: bool = False
+
+    def __post_init__(self) -> None:
+        require(len(self.segments) > 0, "segment", "none", "given at least once")
+        require(1 <= self.repeat <= 1000, "repeat", self.repeat, "from 1 to 1000")
+        require(self.duration_s is None or self.duration_s > 0.0, "duration_s", self.duration_s, "above 0 s")
+
+
+def read_settings(name: str | Path, folder: str, kind: type[T]) -> T:
+    """Read a settings file by path, or by name from the package's own `folder`.
+
+    Raises ValueError naming the file and the field where it is not found or does not fit.
+    """
+    path = Path(name)
+    source: Any = path
+    if path.suffix != ".toml":
+        source = files("stillcal.config") / folder / f"{name}.toml"
+    try:
+        table = tomllib.loads(source.read_text(encoding="utf-8"))
+        return msgspec.convert(table, type=kind)
+    except FileNotFoundError as error:
+        known = sorted(
+            p.name[:-5] for p in (files("stillcal.config") / folder).iterdir() if p.name.endswith(".toml")
+        )
+        raise ValueError(f"{name}: no such file, and not one of {', '.join(known)}") from error
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
+        raise ValueError(f"{source}: {error}") from error
+
+
+def load_scenario(name: str | Path) -> Scenario:
+    """Load a scenario by path or by the name of a ready one. Raises ValueError saying what is wrong where."""
+    return read_settings(name, "scenarios", Scenario)
