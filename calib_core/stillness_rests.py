@@ -1,0 +1,165 @@
+"""From a run of still windows to a rest with honest uncertainties, or to the reason why it is none.
+
+Works on the joint rows of stillness_windows (accelerometer columns, then gyroscope's); no state.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.rests import RestState
+from stillcal.calib_core.samples import Array, frozen
+from stillcal.calib_core.stillness_settings import DetectorSettings, Fate
+from stillcal.calib_core.stillness_windows import (
+    COLUMNS,
+    D2,
+    HIGH,
+    K_END,
+    LOW,
+    LSB,
+    M2,
+    MEAN,
+    NORM_M2,
+    T0,
+    T1,
+    TEMP,
+    K,
+    N,
+    correlation_inflation,
+)
+
+# Student's t for a two-sided probability of 68.27 %, by degrees of freedom from 1 (JCGM 100:2008, Table G.2).
+_STUDENT = np.array([1.84, 1.32, 1.20, 1.14, 1.11, 1.09, 1.08, 1.07, 1.06, 1.05])
+_MIN_BATCHES = 8
+_FEW_CODES = 2.5  # a range below this many steps: at most three neighbouring codes
+_HELD_SHARE = 0.9  # of windows that never changed, beyond which a rest is a stuck sensor's
+
+
+def refusal(rows: Array, drifted: bool, settings: DetectorSettings) -> Fate | None:
+    """Say why these still windows are no rest, or None. `drifted`: no motion parts them from a neighbour."""
+    length = (rows[:, K_END] - rows[:, K]).sum() * settings.window_s
+    if length < settings.w_min_s * (1 - 1e-9):
+        return Fate.SHORT
+    if drifted and length < settings.settle_s:
+        return Fate.TILTING
+    if (rows[:, D2].sum(axis=1) == 0).mean() > _HELD_SHARE:
+        return Fate.FROZEN
+    slope, uncertainty = tilt(rows)
+    if slope > max(settings.max_tilt_rate, 4.0 * uncertainty):
+        return Fate.TILTING
+    return None
+
+
+def rest_of(rows: Array) -> RestState:
+    """Build the rest from its windows' joint rows, shape (windows, 2 COLUMNS)."""
+    accel, gyro = rows[:, :COLUMNS], rows[rows[:, COLUMNS + N] > 0, COLUMNS:]
+    force = weighted_mean(accel)
+    with_gyro = 2 * gyro.shape[0] >= rows.shape[0]
+    rate = weighted_mean(gyro) if with_gyro else None
+    rate_uncertainty = mean_uncertainty(gyro) if with_gyro else None
+    slope, slope_uncertainty = tilt(accel)
+    temperature = float(np.average(accel[:, TEMP], weights=accel[:, N]))
+    return RestState(
+        t_start=float(accel[0, T0]),
+        t_end=float(accel[-1, T1]),
+        n=int(accel[:, N].sum()),
+        specific_force=frozen(force),
+        force_sd=frozen(_sd(accel)),
+        force_uncertainty=frozen(mean_uncertainty(accel)),
+        level=float(np.sqrt(accel[:, NORM_M2].sum() / _freedom(accel))),
+        rate=None if rate is None else frozen(rate),
+        rate_sd=frozen(_sd(gyro)) if with_gyro else None,
+        rate_uncertainty=None if rate_uncertainty is None else frozen(rate_uncertainty),
+        rate_level=float(np.sqrt((_sd(gyro) ** 2).mean())) if with_gyro else None,
+        tilt_rate_limit=slope + 2.0 * slope_uncertainty,
+        spin_admitted=_spin(force, rate, rate_uncertainty),
+        temperature=temperature if np.isfinite(temperature) else None,
+    )
+
+
+def _freedom(rows: Array) -> float:
+    return float(max((rows[:, N] - 1).sum(), 1.0))
+
+
+def _sd(rows: Array) -> Array:
+    return np.asarray(np.sqrt(rows[:, M2].sum(axis=0) / _freedom(rows)))
+
+
+def weighted_mean(rows: Array) -> Array:
+    """Return the mean of all samples in the rows, shape (3,)."""
+    n = rows[:, N : N + 1]
+    return np.asarray((n * rows[:, MEAN]).sum(axis=0) / n.sum())
+
+
+def _spin(force: Array, rate: Array | None, uncertainty: Array | None) -> float | None:
+    """Bound the rotation about the vertical: all of the mean rate along it may be rotation, not bias."""
+    if rate is None or uncertainty is None:
+        return None
+    up = force / np.linalg.norm(force)
+    return float(abs(rate @ up) + 2.0 * np.linalg.norm(uncertainty * up))
+
+
+def mean_uncertainty(rows: Array) -> Array:
+    """Return the standard uncertainty of the mean of all samples, shape (3,), honest for coloured noise.
+
+    The largest of: white noise inflated by the samples' lag-one correlation, and the scatter of batch means
+    at every batch length that leaves at least 8 batches (fewer, where the rest is that short), each widened
+    by Student's t for so few batches. Then the quantiser's own bias on top, where few codes were seen.
+    """
+    inflation = correlation_inflation(rows[:, M2].sum(axis=0), rows[:, D2].sum(axis=0), rows[:, N].sum())
+    variance = _sd(rows) ** 2 * inflation / rows[:, N].sum()
+    length = 1
+    while length == 1 or rows.shape[0] // length >= _MIN_BATCHES:
+        variance = np.maximum(variance, _batch_variance(rows, length))
+        length *= 2
+    return np.asarray(np.sqrt(variance + _quantisation(rows) ** 2))
+
+
+def _batch_variance(rows: Array, length: int) -> Array:
+    """Variance of the mean from the scatter of means over `length` windows, times Student's t squared."""
+    batches = rows.shape[0] // length
+    if batches < 2:
+        return np.zeros(3)
+    kept = rows[: batches * length]
+    n = kept[:, N].reshape(batches, length, 1)
+    means = (n * kept[:, MEAN].reshape(batches, length, 3)).sum(axis=1) / n.sum(axis=1)
+    student = _STUDENT[min(batches - 2, _STUDENT.size - 1)]
+    return np.asarray(means.var(axis=0, ddof=1) / batches * student**2)
+
+
+def _quantisation(rows: Array) -> Array:
+    """Return the standard uncertainty that rounding leaves in the mean, however long it is averaged.
+
+    LSB / sqrt(12) on at most three codes. With more codes the noise dithers, and of the bias there remains
+    LSB / (pi sqrt 2) exp(-2 pi^2 sd^2 / LSB^2), the first term of its Fourier
+    series (Widrow and Kollar 2008).
+    """
+    lsb = rows[:, LSB].min(axis=0)
+    known = np.isfinite(lsb)
+    lsb = np.where(known, lsb, 1.0)
+    ratio = np.minimum(_sd(rows) / lsb, 10.0)
+    dithered = lsb / (np.pi * np.sqrt(2.0)) * np.exp(-2.0 * np.pi**2 * ratio**2)
+    few = rows[:, HIGH].max(axis=0) - rows[:, LOW].min(axis=0) < _FEW_CODES * lsb
+    floor = np.where(few, lsb / np.sqrt(12.0), dithered)
+    return np.where(known, floor, 0.0)
+
+
+def tilt(rows: Array) -> tuple[float, float]:
+    """Return how fast gravity's direction turned, rad/s, and its standard uncertainty, by least squares."""
+    mean = weighted_mean(rows)
+    n = rows[:, N]
+    t = 0.5 * (rows[:, T0] + rows[:, T1])
+    t = t - (n * t).sum() / n.sum()
+    lever = float((n * t * t).sum())
+    if lever == 0.0:
+        return 0.0, np.inf
+    off = rows[:, MEAN] - mean
+    slope = ((n * t)[:, None] * off).sum(axis=0) / lever
+    left = off - t[:, None] * slope
+    inflation = correlation_inflation(rows[:, M2].sum(axis=0), rows[:, D2].sum(axis=0), 10.0)
+    scatter = (n[:, None] * left * left).sum(axis=0) / max(rows.shape[0] - 2, 1)
+    variance = np.maximum(_sd(rows) ** 2 * inflation, scatter) + _quantisation(rows) ** 2 * n.mean()
+    norm = max(float(np.linalg.norm(mean)), 1e-12)
+    up = mean / norm
+    across = slope - up * (up @ slope)
+    return float(np.linalg.norm(across)) / norm, float(np.sqrt(variance.sum() / lever)) / norm
