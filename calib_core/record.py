@@ -235,11 +235,11 @@ class CalibrationRecord:
             "fitted_at": self.fitted_at,
             "terms": self.terms,
         }
-        return digest(jsonable(found))[:12]
+        return digest(_floats(jsonable(found)))[:12]
 
     def model(self, sensor: Sensor) -> SensorModel:
         """Return the correction of one sensor. Raises NotCalibratedError where there is none."""
-        part = self.accelerometer if sensor is Sensor.ACCELEROMETER else self.gyroscope
+        part = self.accelerometer if sensor == Sensor.ACCELEROMETER else self.gyroscope
         if part is None:
             raise NotCalibratedError(f"calibration {self.id} holds no {sensor}: record one with it at rest")
         return part.model
@@ -272,6 +272,15 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
     return value
+
+
+def _floats(value: Any) -> Any:
+    """Make every number a float, so that 2 given for 2.0 is the same calibration as read back."""
+    if isinstance(value, int):
+        return float(value)
+    if isinstance(value, Mapping):
+        return {key: _floats(item) for key, item in value.items()}
+    return [_floats(item) for item in value] if isinstance(value, list) else value
 
 
 def _require_within(name: str, value: float, low: float, high: float) -> None:
