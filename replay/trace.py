@@ -15,9 +15,23 @@ from stillcal.replay.formats.claims import Claims, Event, read_claims, read_even
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import merged
+from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.units import UnitCheck
+from stillcal.replay.formats.writer import TraceWriter
 
-__all__ = ["Chunk", "Claims", "Event", "Recording", "Trace", "TraceError", "open_trace", "read_all"]
+__all__ = [
+    "Chunk",
+    "Claims",
+    "Event",
+    "Recording",
+    "Trace",
+    "TraceError",
+    "TraceWriter",
+    "open_trace",
+    "read_all",
+    "read_rest_table",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +74,16 @@ class Trace:
         return any(Sensor.GYROSCOPE in file.sensors for file in self._files)
 
     @property
+    def has_temperature(self) -> bool:
+        """Whether the recording has a column of temperatures (some of its samples may still have none)."""
+        return any(file.has_temperature for file in self._files)
+
+    @property
+    def has_arrival(self) -> bool:
+        """Whether the recording has a column of arrival times."""
+        return any(file.has_arrival for file in self._files)
+
+    @property
     def size_bytes(self) -> int:
         """Size of the recording's files as stored."""
         return sum(file.path.stat().st_size for file in self._files)
@@ -86,7 +110,9 @@ class Trace:
         events = list(self.events)
         total = 0
         last: Chunk | None = None
+        units = UnitCheck(self.path)
         for accelerometer, gyroscope in merged(self._files, max_rows):
+            units.see(accelerometer, gyroscope)
             if last is not None:
                 yield last
             total += len(accelerometer)
@@ -97,6 +123,7 @@ class Trace:
         if last is None or total < 2:
             what = f"the recording holds {'one' if total else 'no'} accelerometer sample"
             raise TraceError(self.path, what, "give a recording of some minutes")
+        units.finish()
         yield Chunk(last.accelerometer, last.gyroscope, last.events + tuple(events))
 
 
@@ -105,6 +132,8 @@ def open_trace(path: Path | str, format: str | Path = "csv", gyro: Path | str | 
 
     Raises TraceError where a file, a column or the format is missing.
     """
+    if str(format) == "rest":
+        raise TraceError(path, "a rest table holds no samples", "give a recording of samples")
     path, column_map = Path(path), load_map(format)
     claims = read_claims(path)
     own = Path(gyro) if gyro is not None else None
@@ -133,7 +162,7 @@ def _files(
     gyro = gyro or other_file(path, rules)
     if gyro is None:
         return [first], [f"{path.name}: no gyroscope file beside it (name it with --gyro)"]
-    return [first, SampleFile(gyro, column_map, [Sensor.GYROSCOPE], claims)], []
+    return [first, SampleFile(gyro, column_map, [Sensor.GYROSCOPE], claims, first.selected)], []
 
 
 def other_file(path: Path, rules: tuple[tuple[str, str], ...]) -> Path | None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import msgspec
 
+from stillcal.calib_core.events import Charging, Location
 from stillcal.calib_core.samples import Sensor
 from stillcal.replay.formats.errors import TraceError
 
@@ -35,6 +36,10 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     accel_zero: PerAxis | None = None
     gyro_zero: PerAxis | None = None
 
+    def without_counts(self) -> Claims:
+        """Return the claims as they hold once the values are in SI units."""
+        return msgspec.structs.replace(self, accel_unit=None, gyro_unit=None, accel_zero=None, gyro_zero=None)
+
     def counts(self, sensor: Sensor) -> tuple[PerAxis | None, PerAxis | None]:
         """Return (SI value of one count, zero in counts) claimed for a sensor."""
         if sensor is Sensor.ACCELEROMETER:
@@ -42,28 +47,8 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         return self.gyro_unit, self.gyro_zero
 
 
-class Charging(msgspec.Struct, frozen=True, tag_field="event", tag="charging"):
-    """The charger was plugged in or out at t, s of the sensor's clock."""
-
-    t: float
-    on: bool
-
-
-class Location(msgspec.Struct, frozen=True, tag_field="event", tag="location"):
-    """Where the phone was at t (s): degrees north and east, metres above the ellipsoid (None: not known)."""
-
-    t: float
-    latitude: float
-    longitude: float
-    altitude: float | None = None
-
-
 Event: TypeAlias = Charging | Location
-_KNOWN = {"charging": Charging, "location": Location}
-
-
-class _Kind(msgspec.Struct):
-    event: str
+_KNOWN: dict[str, type[Charging] | type[Location]] = {"charging": Charging, "location": Location}
 
 
 def beside(path: Path, suffix: str) -> Path:
@@ -97,11 +82,18 @@ def read_events(path: Path) -> list[Event]:
     return sorted((event for event in found if event is not None), key=lambda event: event.t)
 
 
+def event_line(event: Event) -> bytes:
+    """Return the line of NAME.events.jsonl that tells of `event`."""
+    fields = {name: value for name, value in msgspec.structs.asdict(event).items() if value is not None}
+    return msgspec.json.encode({"t": event.t, "event": type(event).__name__.lower(), **fields}) + b"\n"
+
+
 def _event(file: Path, number: int, line: bytes) -> Event | None:
     try:
-        kind = _KNOWN.get(msgspec.json.decode(line, type=_Kind).event)
-        event = None if kind is None else msgspec.json.decode(line, type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        fields = msgspec.json.decode(line, type=dict[str, Any])
+        kind = _KNOWN.get(fields.pop("event", None))
+        event = None if kind is None else msgspec.convert(fields, kind)
+    except (msgspec.DecodeError, UnicodeDecodeError, TypeError) as error:
         raise TraceError(file, f"not an event: {error}", "correct or delete that line", number) from None
     if event is not None and not math.isfinite(event.t):
         raise TraceError(file, "the event's t is not finite", "correct or delete that line", number)

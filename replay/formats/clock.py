@@ -149,7 +149,7 @@ class Clock:
         if tally.gaps:
             longest = f"{tally.longest_gap:.6g} s before line {tally.longest_gap_line}"
             said.append(f"{tally.gaps} gaps in time, the longest {longest}")
-        return [f"{self.path.name}: {line}" for line in said]
+        return said
 
 
 def seconds_per_unit(unit: str, stamps: Array, rate_hz: float | None) -> float | None:

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from stillcal.calib_core.samples import Sensor
 from stillcal.replay.formats.errors import TraceError
 
 STANDARD_GRAVITY = 9.80665
@@ -53,7 +54,7 @@ class SensorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     columns name the log's columns that are x, y, z (an axis swap is another order); signs turn axes
     round. unit "counts" needs counts_per_unit (counts in one m/s^2 or rad/s); zero is taken off first.
     optional: the columns may be missing. other_file: [[part, replacement], ...] of the file's name that
-    lead to the sensor's own file. refuse: {file stem: why} of files that cannot serve.
+    lead to the sensor's own file. refuse: {file stem: [why, remedy]} of files that cannot serve.
     """
 
     columns: tuple[Column, Column, Column]
@@ -63,7 +64,7 @@ class SensorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     zero: float = 0.0
     optional: bool = False
     other_file: tuple[tuple[str, str], ...] = ()
-    refuse: dict[str, str] = {}
+    refuse: dict[str, tuple[str, str]] = {}
 
     def __post_init__(self) -> None:
         if (self.unit == "counts") != (self.counts_per_unit is not None):
@@ -83,6 +84,7 @@ class TemperatureMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     column: Column
     unit: Literal["degC", "K", "degF"] = "degC"
 
+    @property
     def celsius(self) -> tuple[float, float]:
         """Return (factor, offset): degC = factor * value + offset."""
         return {"degC": (1.0, 0.0), "K": (1.0, -273.15), "degF": (5 / 9, -160 / 9)}[self.unit]
@@ -128,6 +130,13 @@ class ColumnMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             raise ValueError(f"gyroscope.unit {self.gyroscope.unit!r} is a unit of acceleration")
         if not self.header and any(isinstance(column, str) for column in self._columns()):
             raise ValueError("without a header, columns are numbers counted from 0")
+
+    def sensor(self, sensor: Sensor) -> SensorMap:
+        """Return the map of one sensor, which must be there."""
+        chosen = self.accelerometer if sensor is Sensor.ACCELEROMETER else self.gyroscope
+        if chosen is None:
+            raise ValueError("the column map has no gyroscope")
+        return chosen
 
     def _columns(self) -> list[Column]:
         sensors = [self.accelerometer] + ([self.gyroscope] if self.gyroscope else [])

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from stillcal.calib_core.samples import Samples, Sensor
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.stream import Run, SampleFile
 
 Pair = tuple[Samples, Samples]
@@ -46,6 +47,9 @@ class _Side:
     def __init__(self, file: SampleFile, sensor: Sensor) -> None:
         self.sensor = sensor
         self.ended = False
+        self.path = file.path
+        self.first = np.inf
+        self.last = -np.inf
         self._runs = file.runs()
         self.samples = Samples.empty(sensor)
 
@@ -63,6 +67,9 @@ class _Side:
             self.ended = True
         else:
             self.samples = _joined(self.samples, _of(run, self.sensor))
+        if len(self.samples):
+            self.first = min(self.first, float(self.samples.t[0]))
+            self.last = float(self.samples.t[-1])
 
     def taken(self, end: float) -> Samples:
         """Pass on what is no later than `end`."""
@@ -82,3 +89,13 @@ def _two(accelerometer: SampleFile, gyroscope: SampleFile) -> Iterator[Run]:
         behind.read_on()
         end = min(side.end for side in sides)
         yield {side.sensor: side.taken(end) for side in sides}
+    _refuse_apart(*sides)
+
+
+def _refuse_apart(accelerometer: _Side, gyroscope: _Side) -> None:
+    """Refuse two files of which one ends before the other begins: not one recording, or not one clock."""
+    if gyroscope.last < accelerometer.first < np.inf or accelerometer.last < gyroscope.first < np.inf:
+        spans = f"{gyroscope.first:.6g} to {gyroscope.last:.6g} s"
+        own = f"{accelerometer.first:.6g} to {accelerometer.last:.6g} s"
+        what = f"its time, {spans}, never meets that of {accelerometer.path.name}, {own}"
+        raise TraceError(gyroscope.path, what, "give two files of one recording on one clock")

@@ -1,4 +1,10 @@
-"""One file of a recording as samples in SI units, block by block, for the sensors that it holds."""
+"""One file of a recording as samples in SI units, block by block, for the sensors that it holds.
+
+Empty cells: a row whose three cells of a sensor are all empty has no sample of that sensor. A
+temperature carries over to the rows after it (leading rows take the first that follows), so that
+samples carry a temperature for every row or, before the first reading is known, none at all; an arrival
+time missing is the stamp plus the delay of the row before.
+"""
 
 from __future__ import annotations
 
@@ -6,67 +12,103 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.samples import Array, Samples, Sensor, frozen
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import Clock, Rows, seconds_per_unit
-from stillcal.replay.formats.columns import TIME_UNITS, Column, ColumnMap, SensorMap, find_columns
+from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, SensorMap
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.layout import lay_out, selection
 from stillcal.replay.formats.text import EMPTY, TextTable
+
+CLOCKS_AGREE = 0.05
+"""A difference between the sensor's and the host's clock beyond this fraction is noted."""
 
 Run = dict[Sensor, Samples]
 """Samples of the same stretch of file, by sensor."""
 
 
 class SampleFile:
-    """Reads one file through a column map. Opening checks that the columns are there; raises TraceError."""
+    """Reads one file through a column map. Opening checks that the columns are there; raises TraceError.
 
-    def __init__(self, path: Path, column_map: ColumnMap, sensors: Sequence[Sensor], claims: Claims) -> None:
+    selected: the cells by which rows are chosen, where the map chooses and another file's hold for this.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        column_map: ColumnMap,
+        sensors: Sequence[Sensor],
+        claims: Claims,
+        selected: Sequence[str] | None = None,
+    ) -> None:
         self.path = path
         self._map = column_map
         self._claims = claims
+        for sensor in sensors:
+            _refuse_by_name(path, column_map.sensor(sensor))
         self._table = TextTable(path, column_map)
-        self._clock = Clock(path, column_map)
+        self._layout = lay_out(self._table, column_map, sensors)
+        self._key = selection(self._table, column_map, selected)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._clock = Clock(self.path, self._map)
+        self._origin: tuple[float, float] | None = None
         self._scale: float | None = None
-        self._missing = 0
-        self._time = self._optional(column_map.time.column)
-        if self._time is None and column_map.time.column is not None:
-            raise self._no_column([column_map.time.column])
-        self._arrival = self._optional(column_map.time.arrival)
-        self._temperature = self._optional(column_map.temperature.column if column_map.temperature else None)
-        self._axes = {sensor: places for sensor in sensors if (places := self._axes_of(sensor))}
-        self._last_temperature = self._last_delay = np.nan
+        self._by_arrival = False
+        self._temperature = self._delay = np.nan
+        self._without_cells = 0
+        self._spans = np.zeros(2)
+
+    @property
+    def selected(self) -> list[str]:
+        """The cells by which rows are chosen; none where all are read."""
+        return [text for _, text in self._key]
 
     @property
     def sensors(self) -> list[Sensor]:
         """The sensors whose columns the file has."""
-        return list(self._axes)
+        return list(self._layout.axes)
+
+    @property
+    def has_temperature(self) -> bool:
+        """Whether the file has a column of temperatures."""
+        return self._layout.temperature is not None
+
+    @property
+    def has_arrival(self) -> bool:
+        """Whether the file has a column of arrival times."""
+        return self._layout.arrival is not None
 
     @property
     def bytes_read(self) -> int:
         """Bytes of the file read so far."""
-        return self._table.count.value
+        return self._table.bytes_read
 
     @property
     def notes(self) -> list[str]:
-        """What was tolerated so far, one line each."""
-        said = self._clock.notes()
+        """What was tolerated or chosen so far, one line each."""
+        said = []
         if self._table.left_out:
-            chosen = ", ".join(text for _, text in self._key())
-            said.append(f"{self.path.name}: {self._table.left_out} rows not of {chosen} were left out")
-        if self._missing:
-            said.append(f"{self.path.name}: {self._missing} rows had empty cells for a sensor")
-        return said
+            chosen = " ".join(self.selected)
+            said.append(f"only the rows of {chosen} are read, {self._table.left_out} others left out")
+        if self._by_arrival:
+            said.append("the sensor's own stamps make no clock: arrival times are used")
+        if self._without_cells:
+            said.append(f"{self._without_cells} rows have no sample of one sensor (empty cells)")
+        own, arrival = self._spans
+        if own and abs(arrival / own - 1) > CLOCKS_AGREE:
+            said.append(f"the sensor's clock went {own:.6g} s while {arrival:.6g} s passed by arrival times")
+        return [f"{self.path.name}: {line}" for line in [*said, *self._clock.notes()]]
 
     def runs(self) -> Iterator[Run]:
         """Yield the file's samples in time order. Raises TraceError at the first row that cannot be used."""
-        self._clock = Clock(self.path, self._map)
-        self._last_temperature = self._last_delay = np.nan
-        self._missing = 0
-        places = self._places()
+        self._begin()
         row = 0
-        for block in self._table.blocks(places, self._key()):
-            self._check_finite(block.values, block.lines, places)
+        for block in self._table.blocks(self._layout.wanted, self._key):
+            self._check_finite(block.values, block.lines)
             t = self._stamps(block.values, row)
             row += len(t)
             yield self._run(self._clock.ordered(Rows(t, block.values, block.lines)))
@@ -74,120 +116,115 @@ class SampleFile:
         if held is not None:
             yield self._run(held)
 
-    # Columns
-
-    def _optional(self, column: Column | None) -> int | None:
-        found = None if column is None else find_columns([column], self._table.names, self._table.width)
-        return found[0] if found else None
-
-    def _axes_of(self, sensor: Sensor) -> list[int] | None:
-        sensor_map = self._sensor_map(sensor)
-        found = find_columns(sensor_map.columns, self._table.names, self._table.width)
-        if found is None and not sensor_map.optional:
-            raise self._no_column(sensor_map.columns)
-        return found
-
-    def _sensor_map(self, sensor: Sensor) -> SensorMap:
-        chosen = self._map.accelerometer if sensor is Sensor.ACCELEROMETER else self._map.gyroscope
-        assert chosen is not None
-        return chosen
-
-    def _no_column(self, wanted: Sequence[Column]) -> TraceError:
-        table = self._table
-        missing = [c for c in wanted if find_columns([c], table.names, table.width) is None]
-        what = f"no column {', '.join(repr(c) for c in missing)}"
-        if table.names is None:
-            return TraceError(self.path, f"{what} in rows of {table.width} cells", _MAP_REMEDY, 1)
-        seen = ", ".join(table.names)[:120]
-        return TraceError(self.path, f"{what}; the header has: {seen}", _MAP_REMEDY, self._map.skip_lines + 1)
-
-    def _places(self) -> list[int]:
-        single = [p for p in (self._time, self._arrival, self._temperature) if p is not None]
-        return [*single, *(p for axes in self._axes.values() for p in axes)]
-
-    def _key(self) -> list[tuple[int, str]]:
-        select = self._map.select
-        if select is None:
-            return []
-        places = find_columns(select.columns, self._table.names, self._table.width)
-        if places is None:
-            raise self._no_column(select.columns)
-        values = select.values or [self._table.first_row[place].strip() for place in places]
-        return list(zip(places, values, strict=True))
-
-    def _column(self, values: Array, place: int | None) -> Array | None:
-        return None if place is None else values[:, self._places().index(place)]
-
-    # Values
-
-    def _check_finite(self, values: Array, lines: np.ndarray, places: Sequence[int]) -> None:
+    def _check_finite(self, values: Array, lines: NDArray[np.int64]) -> None:
+        """Refuse what is not finite, and empty cells where there must be a number."""
         bad = ~np.isfinite(values)
-        if not bad.any():
-            return
-        if self._temperature is not None:  # "nan" is a common way to write that nothing was measured
-            column = self._places().index(self._temperature)
-            unknown = np.isnan(values[:, column])
-            values[unknown, column] = EMPTY
-            bad[unknown, column] = False
+        temperature = self._layout.temperature
+        if temperature is not None and bad[:, temperature].any():
+            unknown = np.isnan(values[:, temperature])  # a common way to write that nothing was measured
+            values[unknown, temperature] = EMPTY
+            bad[unknown, temperature] = False
+        if self._layout.time is not None:
+            bad[:, self._layout.time] |= values[:, self._layout.time] == EMPTY
+        for axes in self._layout.axes.values():
+            empty = values[:, axes] == EMPTY
+            bad[:, axes] |= empty & ~empty.all(axis=1, keepdims=True)
         if bad.any():
-            row, column = np.argwhere(bad)[0]
-            name = self._table.column_name(places[column])
-            what = f"{name} holds {values[row, column]}, which is not a finite number"
+            row, column = (int(i) for i in np.argwhere(bad)[0])
+            cell = values[row, column]
+            holds = "is empty" if cell == EMPTY else f"holds {cell}, which is not a finite number"
+            what = f"{self._table.column_name(self._layout.wanted[column])} {holds}"
             raise TraceError(self.path, what, "correct or delete that row", int(lines[row]))
 
     def _stamps(self, values: Array, first_row: int) -> Array:
         time = self._map.time
-        if self._time is None:
-            return (first_row + np.arange(len(values))) / (time.rate_hz or 1.0)
-        stamps = values[:, 0]
+        if self._layout.time is None:
+            return np.asarray((first_row + np.arange(len(values))) / (time.rate_hz or 1.0))
         if self._scale is None:
-            self._scale = seconds_per_unit(time.unit, stamps, time.rate_hz)
-        if self._scale is None:
-            raise TraceError(self.path, "the unit of the time column cannot be told", _MAP_REMEDY, None)
+            self._scale = self._found_scale(values)
+        place = self._layout.arrival if self._by_arrival else self._layout.time
+        stamps = values[:, place]
         return stamps if self._scale == 1.0 else stamps * self._scale
+
+    def _found_scale(self, values: Array) -> float:
+        time = self._map.time
+        scale = seconds_per_unit(time.unit, values[:, self._layout.time], time.rate_hz)
+        if scale is None and self._layout.arrival is not None:
+            self._by_arrival = True
+            return TIME_UNITS[time.arrival_unit]
+        if scale is None:
+            what = "the time column's unit cannot be told from its steps"
+            raise TraceError(self.path, what, "say its unit in a column map (docs/formats.md)")
+        return scale
 
     def _run(self, rows: Rows) -> Run:
         temperature, arrival = self._temperatures(rows), self._arrivals(rows)
         run = {}
-        for sensor, axes in self._axes.items():
-            first = self._places().index(axes[0])
-            xyz = rows.values[:, first : first + 3]
-            run[sensor] = Samples(sensor, frozen(rows.t), frozen(self._si(sensor, xyz)), temperature, arrival)
+        for sensor, axes in self._layout.axes.items():
+            xyz = rows.values[:, axes]
+            there = xyz[:, 0] != EMPTY
+            samples = Samples(sensor, frozen(rows.t), frozen(self._si(sensor, xyz)), temperature, arrival)
+            if not there.all():
+                self._without_cells += int(np.count_nonzero(~there))
+                samples = _taken(samples, there)
+            run[sensor] = samples
         return run
 
     def _si(self, sensor: Sensor, xyz: Array) -> Array:
-        sensor_map = self._sensor_map(sensor)
+        sensor_map = self._map.sensor(sensor)
         unit, zero = self._claims.counts(sensor)
         factor = (sensor_map.si_per_unit if unit is None else np.asarray(unit)) * np.array(sensor_map.signs)
         offset = np.asarray(sensor_map.zero if zero is None else zero)
-        return (xyz - offset) * factor if np.any(offset) or np.any(factor != 1) else xyz
+        return (xyz - offset) * factor if np.any(offset != 0) or np.any(factor != 1) else xyz
 
     def _temperatures(self, rows: Rows) -> Array | None:
-        column, temperature_map = self._column(rows.values, self._temperature), self._map.temperature
-        if column is None or temperature_map is None:
+        if self._layout.temperature is None or self._map.temperature is None:
             return None
-        factor, offset = temperature_map.celsius()
-        filled = _carried(column, self._last_temperature)
-        if filled is None:
+        filled = _carried(rows.values[:, self._layout.temperature], self._temperature)
+        if filled is None or not len(filled):
             return None
-        self._last_temperature = float(filled[-1]) if len(filled) else self._last_temperature
+        self._temperature = float(filled[-1])
+        factor, offset = self._map.temperature.celsius
         return frozen(filled if (factor, offset) == (1.0, 0.0) else filled * factor + offset)
 
     def _arrivals(self, rows: Rows) -> Array | None:
-        column = self._column(rows.values, self._arrival)
-        if column is None:
+        if self._layout.arrival is None:
             return None
-        seconds = column * TIME_UNITS[self._map.time.arrival_unit]
-        if not (column == EMPTY).any():
+        column = rows.values[:, self._layout.arrival]
+        unit = TIME_UNITS[self._map.time.arrival_unit]
+        seconds = column if unit == 1.0 else column * unit
+        empty = column == EMPTY
+        if not empty.any():
+            self._compare_clocks(rows.t, seconds)
             return frozen(seconds)
-        delay = _carried(np.where(column == EMPTY, EMPTY, seconds - rows.t), self._last_delay)
+        delay = _carried(np.where(empty, EMPTY, seconds - rows.t), self._delay)
         if delay is None:
             return None
-        self._last_delay = float(delay[-1])
-        return frozen(rows.t + delay)
+        self._delay = float(delay[-1])
+        return frozen(np.where(empty, rows.t + delay, seconds))
+
+    def _compare_clocks(self, t: Array, arrival: Array) -> None:
+        if t.size:
+            self._origin = self._origin or (float(t[0]), float(arrival[0]))
+            self._spans = np.array([t[-1], arrival[-1]]) - self._origin
 
 
-_MAP_REMEDY = "name the columns so, or say which is which in a column map given as --format (docs/formats.md)"
+def _refuse_by_name(path: Path, sensor_map: SensorMap) -> None:
+    stem = path.name.split(".")[0]
+    if stem in sensor_map.refuse:
+        what, remedy = sensor_map.refuse[stem]
+        raise TraceError(path, what, remedy)
+
+
+def _taken(samples: Samples, which: NDArray[np.bool_]) -> Samples:
+    temperature, arrival = samples.temperature, samples.t_arrival
+    return Samples(
+        samples.sensor,
+        frozen(samples.t[which]),
+        frozen(samples.xyz[which]),
+        None if temperature is None else frozen(temperature[which]),
+        None if arrival is None else frozen(arrival[which]),
+    )
 
 
 def _carried(column: Array, last: float) -> Array | None:
@@ -199,4 +236,4 @@ def _carried(column: Array, last: float) -> Array | None:
         return None if np.isnan(last) else np.full(column.shape, last)
     before = np.maximum.accumulate(np.where(known, np.arange(column.size), -1))
     start = column[int(known.argmax())] if np.isnan(last) else last
-    return np.where(before >= 0, column[before], start)
+    return np.asarray(np.where(before >= 0, column[before], start))

@@ -49,35 +49,17 @@ class Block:
     has_empty: bool = False
 
 
-class ByteCount:
-    """How much of a file on disk has been read, for a progress bar."""
-
-    def __init__(self) -> None:
-        self._file: BinaryIO | None = None
-        self._last = 0
-
-    def follow(self, file: BinaryIO) -> None:
-        """Count what is read from `file`."""
-        self._file = file
-
-    @property
-    def value(self) -> int:
-        """Bytes read so far, as stored (compressed where the file is)."""
-        if self._file is not None and not self._file.closed:
-            self._last = self._file.tell()
-        return self._last
-
-
 class TextTable:
     """A table in a text file. Opening reads its head only; `blocks` reads it through.
 
-    names: the header's, None without one. width: cells in a row. Raises TraceError.
+    names: the header's, None without one. width: cells in a row. bytes_read: of the file as stored, by
+    the latest reading. left_out: rows left out by it. Raises TraceError.
     """
 
     def __init__(self, path: Path, column_map: ColumnMap) -> None:
         self.path = path
         self.left_out = 0
-        self.count = ByteCount()
+        self.bytes_read = 0
         self._map = column_map
         head = _read_head(path)
         lines = head.split("\n")
@@ -89,6 +71,7 @@ class TextTable:
             what = "the file holds a header only" if self.names else "the file is empty"
             raise TraceError(path, what, "give a recording with samples", self._skip or None)
         self.first_row = self._cells(rows[0])
+        self.header_line = column_map.skip_lines + 1
         self.width = len(self.names) if self.names is not None else len(self.first_row)
 
     def blocks(
@@ -128,12 +111,12 @@ class TextTable:
         """Yield (whole lines, number of the first, whether the last one lacks its line end)."""
         line, tail = 1, b""
         with self.path.open("rb") as file:
-            self.count.follow(file)
             stream = _unpacked(file)
             for _ in range(self._skip):
                 stream.readline()
                 line += 1
             while read := self._read(stream, size):
+                self.bytes_read = file.tell()
                 cut = read.rfind(b"\n") + 1
                 if not cut:
                     tail += read
@@ -143,7 +126,6 @@ class TextTable:
                 line += text.count(b"\n")
             if tail:
                 yield tail + b"\n", line, True
-            self.count.value  # noqa: B018  keeps the final count once the file is closed
 
     def _read(self, stream: io.BufferedIOBase | BinaryIO, size: int) -> bytes:
         try:
@@ -157,20 +139,10 @@ class TextTable:
         """Return `text` with blank lines taken out, every row as wide as the header, and line numbers."""
         if self._map.decimal == ",":
             text = text.replace(b",", b".")
-        if self.delimiter != _BLANKS:
-            rows = self._count_of_even_rows(text)
-            if rows is not None:
-                return text, np.arange(first_line, first_line + rows, dtype=np.int64)
+        rows = _even_rows(text, self.delimiter, self.width)
+        if rows is not None:
+            return text, np.arange(first_line, first_line + rows, dtype=np.int64)
         return self._walked(text, first_line, unfinished)
-
-    def _count_of_even_rows(self, text: bytes) -> int | None:
-        """Return the number of rows where every one has `width` cells, else None."""
-        characters = np.frombuffer(text, dtype=np.uint8)
-        ends = characters[(characters == ord(self.delimiter)) | (characters == _NEWLINE)]
-        if self.width < 2 or ends.size % self.width:
-            return None
-        line_ends = ends.reshape(-1, self.width) == _NEWLINE
-        return len(line_ends) if line_ends[:, -1].all() and not line_ends[:, :-1].any() else None
 
     def _walked(self, text: bytes, first_line: int, unfinished: bool) -> tuple[bytes, NDArray[np.int64]]:
         rows = text.decode("utf-8", "backslashreplace").split("\n")[:-1]
@@ -246,6 +218,22 @@ class TextTable:
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""
         return f"column {self.names[place]!r}" if self.names is not None else f"column {place}"
+
+
+def _even_rows(text: bytes, delimiter: str, width: int) -> int | None:
+    """Return the number of rows where every one has `width` cells (none of them blank), else None."""
+    characters = np.frombuffer(text, dtype=np.uint8)
+    line_end = characters == _NEWLINE
+    if delimiter == _BLANKS:
+        blank = characters <= ord(" ")
+        begins = np.count_nonzero(~blank[:1]) + np.cumsum(blank[:-1] & ~blank[1:])
+        words = np.diff(np.append(begins, begins[-1:])[np.flatnonzero(line_end) - 1], prepend=0)
+        return words.size if (words == width).all() else None
+    ends = line_end[(characters == ord(delimiter)) | line_end]
+    if width < 2 or ends.size % width:
+        return None
+    rows = ends.reshape(-1, width)
+    return len(rows) if rows[:, -1].all() and not rows[:, :-1].any() else None
 
 
 def _unpacked(file: BinaryIO) -> io.BufferedIOBase | BinaryIO:

@@ -1,0 +1,96 @@
+"""Where a column map's columns stand in one file's table, and the errors for those that do not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stillcal.calib_core.samples import Sensor
+from stillcal.replay.formats.columns import Column, ColumnMap, find_columns
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.text import TextTable
+
+MAP_REMEDY = "name the columns so, or say which is which in a column map given as --format (docs/formats.md)"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What to read of a table: `wanted`, places in the file's rows; all others are places in `wanted`."""
+
+    wanted: list[int]
+    time: int | None
+    arrival: int | None
+    temperature: int | None
+    axes: dict[Sensor, slice]
+
+
+def lay_out(table: TextTable, column_map: ColumnMap, sensors: Sequence[Sensor]) -> Layout:
+    """Find the columns of `sensors`. Raises TraceError where one that must be there is missing."""
+    wanted: list[int] = []
+
+    def single(column: Column | None) -> int | None:
+        found = None if column is None else find_columns([column], table.names, table.width)
+        wanted.extend(found or [])
+        return len(wanted) - 1 if found else None
+
+    time = single(column_map.time.column)
+    if time is None and column_map.time.column is not None:
+        raise missing(table, [column_map.time.column])
+    arrival = single(column_map.time.arrival)
+    temperature = single(column_map.temperature.column if column_map.temperature else None)
+    axes: dict[Sensor, slice] = {}
+    for sensor in sensors:
+        sensor_map = column_map.sensor(sensor)
+        found = find_columns(sensor_map.columns, table.names, table.width)
+        if found is not None:
+            axes[sensor] = slice(len(wanted), len(wanted) + 3)
+            wanted.extend(found)
+        elif not _may_be_missing(table, column_map, sensor):
+            raise missing(table, sensor_map.columns)
+    return Layout(wanted, time, arrival, temperature, axes)
+
+
+def _may_be_missing(table: TextTable, column_map: ColumnMap, sensor: Sensor) -> bool:
+    """Whether a sensor may be absent: it is optional and none of its three columns is there."""
+    sensor_map = column_map.sensor(sensor)
+    some = any(find_columns([column], table.names, table.width) for column in sensor_map.columns)
+    return sensor_map.optional and not some
+
+
+def selection(
+    table: TextTable, column_map: ColumnMap, selected: Sequence[str] | None = None
+) -> list[tuple[int, str]]:
+    """Return (place, text) of the cells that a row must hold to be read; nothing where all rows are.
+
+    The texts are the map's own, else `selected`, else those of the file's first row.
+    """
+    select = column_map.select
+    if select is None:
+        return []
+    places = find_columns(select.columns, table.names, table.width)
+    if places is None:
+        raise missing(table, select.columns)
+    values = select.values or selected or [table.first_row[place].strip() for place in places]
+    return list(zip(places, values, strict=True))
+
+
+def missing(table: TextTable, wanted: Sequence[Column]) -> TraceError:
+    """Return the error that names the columns not found and what stands in the file instead."""
+    lost = [c for c in wanted if find_columns([c], table.names, table.width) is None]
+    what = f"no column {', '.join(repr(c) for c in lost)}"
+    if table.names is None:
+        return TraceError(table.path, f"{what} in rows of {table.width} cells", MAP_REMEDY, table.header_line)
+    seen = ", ".join(table.names)
+    what = f"{what}; the header has: {seen if len(seen) <= 120 else seen[:117] + '...'}"
+    return TraceError(table.path, what, _other_delimiter(table) or MAP_REMEDY, table.header_line)
+
+
+def _other_delimiter(table: TextTable) -> str | None:
+    """Return the remedy for a header that another character splits."""
+    names = table.names or []
+    for mark, name in ((";", ";"), ("\t", "\\t"), (",", ",")):
+        if len(names) <= 2 and any(mark in cell for cell in names):
+            return (
+                f'its cells seem to be split by another character: set delimiter = "{name}" in a column map'
+            )
+    return None

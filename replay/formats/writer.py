@@ -1,0 +1,162 @@
+"""Writing a recording as CSV with what stands beside it: streaming, at full precision, whole or not at all.
+
+Numbers are written in the shortest form that reads back to the same bits (msgspec's; about four times
+as fast here as joining Python's repr, twenty times numpy.savetxt).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import io
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+import msgspec
+import numpy as np
+
+from stillcal.calib_core.samples import Array, Samples
+from stillcal.replay.formats.claims import Claims, Event, beside, event_line
+from stillcal.replay.formats.errors import TraceError
+
+_BATCH_ROWS = 8192
+_ZIP_LEVEL = 4
+_encoder = msgspec.json.Encoder()
+
+
+class TraceWriter:
+    """Writes NAME.csv (or .csv.gz), NAME.events.jsonl and NAME.json; a context manager.
+
+    gyroscope, temperature, arrival: whether the recording has these columns. All is written under
+    temporary names in the same folder and renamed when the block ends well; when it ends in an error
+    nothing is left behind and what stood there stays. Raises TraceError where the folder does not take it.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        gyroscope: bool = True,
+        temperature: bool = False,
+        arrival: bool = False,
+        claims: Claims | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self._gyroscope, self._temperature, self._arrival = gyroscope, temperature, arrival
+        self._claims = claims
+        self._events: list[Event] = []
+        self._temporary = self._hidden(self.path)
+        self._file: BinaryIO | None = None
+        self._stream: BinaryIO | io.BufferedIOBase | None = None
+
+    @property
+    def columns(self) -> list[str]:
+        """The header."""
+        optional = [("temperature", self._temperature), ("t_arrival", self._arrival)]
+        gyroscope = ["gx", "gy", "gz"] if self._gyroscope else []
+        return ["t", "ax", "ay", "az", *gyroscope, *(name for name, there in optional if there)]
+
+    def __enter__(self) -> TraceWriter:
+        try:
+            self._file = self._temporary.open("wb")
+        except OSError as error:
+            raise self._refused(error) from None
+        packed = self.path.suffix == ".gz"
+        self._stream = gzip.GzipFile("", "wb", _ZIP_LEVEL, self._file, mtime=0) if packed else self._file
+        self._put(",".join(self.columns).encode() + b"\n")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+        except OSError as failure:
+            raise self._refused(failure) from None
+        finally:
+            self._discard()
+
+    def write(
+        self, accelerometer: Samples, gyroscope: Samples | None = None, events: Iterable[Event] = ()
+    ) -> None:
+        """Append samples in time order; where the sensors' stamps differ, the other one's cells stay empty.
+
+        All samples of one call come before those of the next. Of equal stamps in one sensor the last
+        sample is kept.
+        """
+        self._events.extend(events)
+        rows = self._rows(accelerometer, gyroscope if self._gyroscope else None)
+        for first in range(0, len(rows), _BATCH_ROWS):
+            text = _encoder.encode_lines(rows[first : first + _BATCH_ROWS].tolist())
+            self._put(text.translate(None, b"[]").replace(b"null", b""))
+
+    def _rows(self, accelerometer: Samples, gyroscope: Samples | None) -> Array:
+        """Return the table of one call: (n, columns), NaN where a cell stays empty."""
+        parts = [s for s in (gyroscope, accelerometer) if s is not None and len(s)]
+        if not parts:
+            return np.empty((0, len(self.columns)))
+        shared = len(parts) == 1 or np.array_equal(parts[0].t, parts[1].t)
+        t = parts[-1].t if shared else np.union1d(parts[0].t, parts[1].t)
+        rows = np.full((t.size, len(self.columns)), np.nan)
+        rows[:, 0] = t
+        for samples in parts:
+            at = slice(None) if shared else np.searchsorted(t, samples.t)
+            first = 1 if samples is accelerometer else 4
+            rows[at, first : first + 3] = samples.xyz
+            for name, column in (("temperature", samples.temperature), ("t_arrival", samples.t_arrival)):
+                if column is not None and name in self.columns:
+                    rows[at, self.columns.index(name)] = column
+        return rows
+
+    def _put(self, data: bytes) -> None:
+        if self._stream is None:
+            raise RuntimeError("a TraceWriter writes inside a with block only")
+        try:
+            self._stream.write(data)
+        except OSError as error:
+            raise self._refused(error) from None
+
+    def _finish(self) -> None:
+        """Make all files whole, then rename them into place, the recording itself last."""
+        assert self._file is not None and self._stream is not None
+        if self._stream is not self._file:
+            self._stream.close()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+        events = beside(self.path, ".events.jsonl")
+        if self._events:
+            _write_beside(events, b"".join(map(event_line, self._events)))
+        else:
+            events.unlink(missing_ok=True)
+        if self._claims is not None:
+            _write_beside(beside(self.path, ".json"), msgspec.json.encode(self._claims.without_counts()))
+        self._temporary.replace(self.path)
+
+    def _discard(self) -> None:
+        with contextlib.suppress(OSError):
+            if self._file is not None:
+                self._file.close()
+            self._temporary.unlink(missing_ok=True)
+        self._file = self._stream = None
+
+    def _refused(self, error: OSError) -> TraceError:
+        what = f"cannot be written ({error.strerror or error})"
+        return TraceError(self.path, what, "name a file in a folder that exists, can be written and has room")
+
+    @staticmethod
+    def _hidden(path: Path) -> Path:
+        return path.with_name(f".{path.name}.{os.getpid()}.part")
+
+
+def _write_beside(path: Path, data: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
