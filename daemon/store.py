@@ -15,7 +15,8 @@ import errno
 import fcntl
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -101,7 +102,11 @@ class Verification:
 
 
 class Store:
-    """A calibration store at `path`. Reading needs no lock; the first change takes it until `close`."""
+    """A calibration store at `path`.
+
+    Reading needs no lock. A change locks the store while it lasts; who means to be its only writer for
+    longer, such as the daemon, uses `with` or `lock`.
+    """
 
     def __init__(self, path: Path | str, settings: StoreSettings | None = None) -> None:
         self.path = Path(path).resolve()
@@ -123,9 +128,9 @@ class Store:
         self.close()
 
     def lock(self) -> None:
-        """Become the store's only writer. Raises StoreLockedError where somebody else is."""
+        """Become the store's only writer until `close`. Raises StoreLockedError where somebody else is."""
         if self._lock is None:
-            self._lock = _locked(self.path.with_name(self.path.name + ".lock"), self.path)
+            self._lock = _lock_taken(self.path.with_name(self.path.name + ".lock"), self.path)
 
     def close(self) -> None:
         """Let other writers in."""
@@ -160,25 +165,21 @@ class Store:
         What is damaged or foreign is set aside under a new name, never overwritten; the twin takes its
         place. A store of an earlier schema is migrated and its original kept. Raises StoreError.
         """
-        self.lock()
-        found = self.verify()
-        if found.store.problem is not None:
-            return self._replace_damaged(found)
-        document = found.store.document or StoreDocument()
-        if found.store.schema in (None, SCHEMA):
-            return Outcome(document)
-        kept = self._set_aside(self.path, f"schema-{found.store.schema}")
-        self.save(document)
-        note = f"{self.path}: migrated from schema {found.store.schema} to {SCHEMA}; original kept as {kept}"
-        return Outcome(document, (note,))
+        with self._locked():
+            found = self.verify()
+            if found.store.problem is not None:
+                return self._replace_damaged(found)
+            if found.store.document is None:
+                return Outcome(StoreDocument())
+            return self._migrate(found.store.document, found.store.schema)
 
     def save(self, document: StoreDocument) -> None:
         """Replace the store's contents. Raises StoreError with the old store intact."""
-        self.lock()
         data = render(document)
         try:
-            for path in (self.last_good_path, self.path):
-                write_atomically(path, data, self.settings.mode)
+            with self._locked():
+                for path in (self.last_good_path, self.path):
+                    write_atomically(path, data, self.settings.mode)
         except OSError as error:
             raise _explained(error, self.path, "write") from error
 
@@ -198,10 +199,28 @@ class Store:
         return self._change(lambda d: d.after_rollback(target, self.settings.history))
 
     def _change(self, change: Callable[[StoreDocument], StoreDocument]) -> Outcome:
-        before = self.recover()
-        after = change(before.document)
-        self.save(after)
+        with self._locked():
+            before = self.recover()
+            after = change(before.document)
+            self.save(after)
         return Outcome(after, before.notes)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Hold the lock for the block, and on where it was held before."""
+        if self._lock is not None:
+            yield
+            return
+        with self:
+            yield
+
+    def _migrate(self, document: StoreDocument, schema: int | None) -> Outcome:
+        if schema == SCHEMA:
+            return Outcome(document)
+        kept = self._set_aside(self.path, f"schema-{schema}")
+        self.save(document)
+        note = f"{self.path}: migrated from schema {schema} to {SCHEMA}; original kept as {kept}"
+        return Outcome(document, (note,))
 
     def _replace_damaged(self, found: Verification) -> Outcome:
         kept = self._set_aside(self.path, "unreadable")
@@ -263,16 +282,19 @@ def _read(path: Path) -> Reading:
 
 def _bytes(path: Path) -> bytes:
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a FIFO must not block
-    with os.fdopen(fd, "rb") as file:
+    try:
         found = os.fstat(fd)
         if not stat.S_ISREG(found.st_mode):
             raise StoreError(f"{path} is not a regular file: a store cannot be there")
         if found.st_size > MAX_BYTES:
             raise OSError(errno.EFBIG, f"{found.st_size} bytes, more than any store has")
-        return file.read()
+        with os.fdopen(fd, "rb", closefd=False) as file:
+            return file.read()
+    finally:
+        os.close(fd)
 
 
-def _locked(path: Path, store: Path) -> int:
+def _lock_taken(path: Path, store: Path) -> int:
     try:
         fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     except OSError as error:
