@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core import rotation
 from stillcal.calib_core.model import SensorModel
-from stillcal.calib_core.rests import RestState
+from stillcal.calib_core.rests import RestState, force_uncertainties
+from stillcal.calib_core.rests import forces as stack
 from stillcal.calib_core.samples import Array
 from stillcal.calib_core.turns import Turn
 
@@ -29,7 +30,7 @@ class Rests:
     """The distinct rests at the ends of K turns, in time order.
 
     rests: n of them. before, after: (K,) index of each turn's ends. up, up_covariance: (n, 3) direction of
-    the calibrated specific force and (n, 3, 3) its covariance, rad^2.
+    the calibrated specific force and (n, 3, 3) its covariance, rad^2. forces: (n, 3) m/s^2, calibrated.
     """
 
     rests: tuple[RestState, ...]
@@ -37,6 +38,7 @@ class Rests:
     after: Rows
     up: Array
     up_covariance: Array
+    forces: Array
 
     @classmethod
     def of(cls, turns: Sequence[Turn], accel: SensorModel) -> Rests:
@@ -47,11 +49,12 @@ class Rests:
         rests = tuple(found[key] for key in keys)
         up, covariance = directions(rests, accel)
         return cls(
-            rests,
-            np.array([index[_key(t.before)] for t in turns], dtype=np.intp),
-            np.array([index[_key(t.after)] for t in turns], dtype=np.intp),
-            up,
-            covariance,
+            rests=rests,
+            before=np.array([index[_key(t.before)] for t in turns], dtype=np.intp),
+            after=np.array([index[_key(t.after)] for t in turns], dtype=np.intp),
+            up=up,
+            up_covariance=covariance,
+            forces=accel.apply(stack(rests)),
         )
 
 
@@ -61,8 +64,8 @@ def directions(rests: Sequence[RestState], accel: SensorModel) -> tuple[Array, A
     Besides each rest's own uncertainty, what the norms scatter beyond it stands for what the accelerometer's
     model leaves across gravity too.
     """
-    force = accel.apply(np.array([r.specific_force for r in rests]))
-    variance = np.array([r.force_uncertainty for r in rests]) ** 2
+    force = accel.apply(stack(rests))
+    variance = force_uncertainties(rests) ** 2
     norm = np.linalg.norm(force, axis=1)
     up = force / norm[:, None]
     across = np.eye(3) - up[:, :, None] * up[:, None, :]
@@ -91,8 +94,8 @@ class Bundle:
     up_after: Array
 
     @classmethod
-    def of(cls, turns: Sequence[Turn], biases: Array, rests: Rests) -> Bundle:
-        """Lay out `turns` with each one's bias, row of (K, 3), taken off."""
+    def of(cls, turns: Sequence[Turn], biases: Sequence[Array], rests: Rests) -> Bundle:
+        """Lay out `turns` with each one's bias, (3,) or (n, 3) for n samples, taken off."""
         angles, cones, steps = [], [], []
         for turn, bias in zip(turns, biases, strict=True):
             rates = turn.rates - bias
@@ -126,9 +129,7 @@ class Bundle:
 
     def carry(self, scale: Array, shift: Array) -> Carried:
         """Carry gravity through every turn with rates scale @ (raw - bias - shift)."""
-        cofactor = np.linalg.det(scale) * np.linalg.inv(scale).T
-        steps = (self.angles - self.steps * shift) @ scale.T + self.cones @ cofactor.T
-        body = rotation.matrix(rotation.running_product(rotation.exponential(steps)))
+        body = self._bodies(scale, shift)
         first = body[self.starts].transpose(0, 2, 1)
         turned = (first @ body[self.ends]).transpose(0, 2, 1)
         rows = body.reshape(-1, 9).T
@@ -137,6 +138,19 @@ class Bundle:
         sums = (first @ sums.reshape(-1, 3, 12)).reshape(-1, 3, 3, 4)
         rate_sums = sums[..., :3] - sums[..., 3:] * shift
         return Carried.of(self, turned, rate_sums.reshape(-1, 3, 9), -sums[..., 3] @ scale)
+
+    def up_along(self, scale: Array, shift: Array) -> list[Array]:
+        """Return for each turn the direction of gravity's specific force at its samples, (n, 3)."""
+        body = self._bodies(scale, shift)
+        fixed = (body[self.starts] @ self.up_before[:, :, None])[..., 0]
+        spans = zip(fixed, self.starts, self.ends + 1, strict=True)
+        return [up @ body[a:b] for up, a, b in spans]
+
+    def _bodies(self, scale: Array, shift: Array) -> Array:
+        """Attitude at every sample, (N, 3, 3): from the body to the body at the first sample of all."""
+        cofactor = np.linalg.det(scale) * np.linalg.inv(scale).T
+        steps = (self.angles - self.steps * shift) @ scale.T + self.cones @ cofactor.T
+        return rotation.matrix(rotation.running_product(rotation.exponential(steps)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

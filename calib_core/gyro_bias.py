@@ -48,11 +48,13 @@ def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
     A random-effects mean with robust scatter (median absolute deviation); rests further out than 4.5
     of it are left out. Rests without rates are passed over. Raises NotSupported where none has any.
     """
-    rates, variances = _rest_rates(rests)
+    rates, variances = rest_rates(rests)
     centre = np.median(rates, axis=0)
     wander = _wander(rates - centre, variances)
     total = variances + wander**2
-    kept: NDArray[np.bool_] = np.all(np.abs(rates - centre) <= _OUTLIER * np.sqrt(total), axis=1) | (len(rates) < 3)
+    kept: NDArray[np.bool_] = np.all(np.abs(rates - centre) <= _OUTLIER * np.sqrt(total), axis=1) | (
+        len(rates) < 3
+    )
     weights = kept[:, None] / total
     bias = (weights * rates).sum(axis=0) / weights.sum(axis=0)
     with_rates = [i for i, r in enumerate(rests) if r.rate is not None]
@@ -81,25 +83,6 @@ def zeroing(
     return SensorModel.of(model.scale, fresh.bias), fresh
 
 
-def smoothed(rests: Sequence[RestState]) -> tuple[Array, Array, Array]:
-    """Follow the bias from rest to rest: a random walk seen through the rests' mean rates.
-
-    rests: n in time order, all with rates. Returns the bias at each, (n, 3) rad/s, its covariance between
-    rests for each axis, (3, n, n), and the walk's step between neighbours, (3,) rad/s, taken from how far
-    they differ beyond their own uncertainty. A bias that stays is so pooled, one that wanders is followed.
-    """
-    rates, variances = _rest_rates(rests)
-    n = len(rates)
-    excess = 2.0 * _wander(np.diff(rates, axis=0) if n > 1 else rates, 2.0 * variances) ** 2
-    step = np.sqrt(0.5 * excess + 1e-4 * np.median(variances, axis=0))
-    differences = np.diff(np.eye(n), axis=0)
-    precision = np.einsum("ka,kl->akl", 1.0 / variances, np.eye(n))
-    precision += (differences.T @ differences) / step[:, None, None] ** 2
-    covariance = np.linalg.inv(precision)
-    mean = np.einsum("akl,la->ka", covariance, rates / variances)
-    return mean, covariance, step
-
-
 def _combined(known: BiasEstimate, fresh: BiasEstimate) -> BiasEstimate:
     """Weigh both; hidden rotation cannot have moved the bias by more than it moved."""
     prior = known.covariance + np.diag(known.wander**2)
@@ -115,7 +98,11 @@ def _combined(known: BiasEstimate, fresh: BiasEstimate) -> BiasEstimate:
     )
 
 
-def _rest_rates(rests: Sequence[RestState]) -> tuple[Array, Array]:
+def rest_rates(rests: Sequence[RestState]) -> tuple[Array, Array]:
+    """Stack the mean raw rates and their variances, (n, 3) each, of the rests that have any.
+
+    Raises NotSupported where none has.
+    """
     pairs = [(r.rate, r.rate_uncertainty) for r in rests if r.rate is not None]
     if not pairs:
         raise NotSupported("no rest has a gyroscope mean", ["a rest with the gyroscope on"])
