@@ -87,7 +87,8 @@ def _posterior(
     prior = np.zeros((3, n + 3, n + 3))
     prior[:, :n, :n] = differences.T @ differences / step[:, None, None] ** 2
     prior[:, n:, n:] = np.eye(3) / typical**2
-    weighted = design.T / variances.T[:, None, :]
-    covariance: Array = np.linalg.inv(prior + weighted @ design)
+    weighted: Array = design.T / variances.T[:, None, :]
+    information: Array = prior + weighted @ design
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     latent: Array = covariance @ (weighted @ rates.T[:, :, None])
     return latent[..., 0].T, covariance

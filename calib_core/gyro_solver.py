@@ -70,7 +70,7 @@ class GyroscopeSettings:
     g_sensitivity: float = 1.8e-4
     max_uncertainty: float = 0.005
     outlier: float = 4.5
-    tolerance: float = 1e-9
+    tolerance: float = 1e-7
     max_iterations: int = 50
 
     def __post_init__(self) -> None:
