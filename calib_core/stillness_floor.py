@@ -42,8 +42,8 @@ class Floor:
 
 def rate_class(rate: Array) -> Index:
     """Octave of the sampling rate (Hz) that a window belongs to, as an index."""
-    octave = np.floor(np.log2(np.maximum(rate, 1.0))) - 1
-    return np.clip(octave, 0, _RATES - 1).astype(np.intp)
+    octave: Index = (np.log2(np.maximum(rate, 1.0)) - 1.0).astype(np.intp)
+    return octave.clip(0, _RATES - 1)
 
 
 def counted(floor: Floor, classes: Index, spreads: Array) -> Floor:

@@ -5,6 +5,8 @@ Works on the joint rows of stillness_windows (accelerometer columns, then gyrosc
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from stillcal.calib_core.rests import RestState
@@ -35,8 +37,11 @@ _FEW_CODES = 2.5  # a range below this many steps: at most three neighbouring co
 _HELD_SHARE = 0.9  # of windows that never changed, beyond which a rest is a stuck sensor's
 
 
-def refusal(rows: Array, drifted: bool, settings: DetectorSettings) -> Fate | None:
-    """Say why these still windows are no rest, or None. `drifted`: no motion parts them from a neighbour."""
+def judged(rows: Array, drifted: bool, settings: DetectorSettings) -> RestState | Fate:
+    """Return the rest that these still windows make, or why they make none.
+
+    rows: joint rows, shape (windows, 2 COLUMNS). drifted: no motion parts them from a neighbour.
+    """
     length = (rows[:, K_END] - rows[:, K]).sum() * settings.window_s
     if length < settings.w_min_s * (1 - 1e-9):
         return Fate.SHORT
@@ -44,37 +49,41 @@ def refusal(rows: Array, drifted: bool, settings: DetectorSettings) -> Fate | No
         return Fate.TILTING
     if (rows[:, D2].sum(axis=1) == 0).mean() > _HELD_SHARE:
         return Fate.FROZEN
-    slope, uncertainty = tilt(rows)
+    slope, uncertainty = tilt(rows[:, :COLUMNS])
     if slope > max(settings.max_tilt_rate, 4.0 * uncertainty):
         return Fate.TILTING
-    return None
+    return _rest(rows, slope + 2.0 * uncertainty)
 
 
-def rest_of(rows: Array) -> RestState:
-    """Build the rest from its windows' joint rows, shape (windows, 2 COLUMNS)."""
+def _rest(rows: Array, tilt_rate_limit: float) -> RestState:
     accel, gyro = rows[:, :COLUMNS], rows[rows[:, COLUMNS + N] > 0, COLUMNS:]
-    force = weighted_mean(accel)
-    with_gyro = 2 * gyro.shape[0] >= rows.shape[0]
-    rate = weighted_mean(gyro) if with_gyro else None
-    rate_uncertainty = mean_uncertainty(gyro) if with_gyro else None
-    slope, slope_uncertainty = tilt(accel)
+    force, force_sd = weighted_mean(accel), _sd(accel)
     temperature = float(np.average(accel[:, TEMP], weights=accel[:, N]))
     return RestState(
         t_start=float(accel[0, T0]),
         t_end=float(accel[-1, T1]),
         n=int(accel[:, N].sum()),
         specific_force=frozen(force),
-        force_sd=frozen(_sd(accel)),
+        force_sd=frozen(force_sd),
         force_uncertainty=frozen(mean_uncertainty(accel)),
         level=float(np.sqrt(accel[:, NORM_M2].sum() / _freedom(accel))),
-        rate=None if rate is None else frozen(rate),
-        rate_sd=frozen(_sd(gyro)) if with_gyro else None,
-        rate_uncertainty=None if rate_uncertainty is None else frozen(rate_uncertainty),
-        rate_level=float(np.sqrt((_sd(gyro) ** 2).mean())) if with_gyro else None,
-        tilt_rate_limit=slope + 2.0 * slope_uncertainty,
-        spin_admitted=_spin(force, rate, rate_uncertainty),
+        tilt_rate_limit=tilt_rate_limit,
         temperature=temperature if np.isfinite(temperature) else None,
+        **(_rate_fields(gyro, force) if 2 * gyro.shape[0] >= rows.shape[0] else {}),
     )
+
+
+def _rate_fields(gyro: Array, force: Array) -> dict[str, Any]:
+    """Return what a rest says of the rate. All of the rate about the vertical may be rotation, not bias."""
+    rate, rate_sd, uncertainty = weighted_mean(gyro), _sd(gyro), mean_uncertainty(gyro)
+    up = force / np.linalg.norm(force)
+    return {
+        "rate": frozen(rate),
+        "rate_sd": frozen(rate_sd),
+        "rate_uncertainty": frozen(uncertainty),
+        "rate_level": float(np.sqrt((rate_sd**2).mean())),
+        "spin_admitted": float(abs(rate @ up) + 2.0 * np.linalg.norm(uncertainty * up)),
+    }
 
 
 def _freedom(rows: Array) -> float:
@@ -89,14 +98,6 @@ def weighted_mean(rows: Array) -> Array:
     """Return the mean of all samples in the rows, shape (3,)."""
     n = rows[:, N : N + 1]
     return np.asarray((n * rows[:, MEAN]).sum(axis=0) / n.sum())
-
-
-def _spin(force: Array, rate: Array | None, uncertainty: Array | None) -> float | None:
-    """Bound the rotation about the vertical: all of the mean rate along it may be rotation, not bias."""
-    if rate is None or uncertainty is None:
-        return None
-    up = force / np.linalg.norm(force)
-    return float(abs(rate @ up) + 2.0 * np.linalg.norm(uncertainty * up))
 
 
 def mean_uncertainty(rows: Array) -> Array:

@@ -5,7 +5,7 @@ Sources: Grammenos et al. 2018, section 4.4 and Algorithm 1, called "the paper" 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -183,3 +183,7 @@ class Ledger:
     lapsed: int = 0
     windows: dict[Fate, int] = field(default_factory=dict)
     rests: dict[Fate, int] = field(default_factory=dict)
+
+    def copy(self) -> Ledger:
+        """Return a copy that counting on does not change."""
+        return replace(self, windows=dict(self.windows), rests=dict(self.rests))

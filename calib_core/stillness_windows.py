@@ -83,7 +83,7 @@ def reduce_cells(
     """
     cells = _cells(t, window)
     starts = np.flatnonzero(np.concatenate(([True], cells[1:] != cells[:-1])))
-    counts = np.diff(np.concatenate((starts, [t.size])))
+    counts = np.diff(starts, append=t.size)
     rows = np.zeros((starts.size, COLUMNS))
     rows[:, K] = cells[starts]
     rows[:, K_END] = cells[starts] + 1
@@ -155,7 +155,7 @@ def joined(rows: Array, cells: int) -> Array:
     group = np.floor(rows[:, K] / cells)
     starts = np.flatnonzero(np.concatenate(([True], group[1:] != group[:-1])))
     out = np.empty((starts.size, rows.shape[1]))
-    members: Index = np.diff(np.concatenate((starts, [rows.shape[0]])))
+    members = np.diff(starts, append=rows.shape[0]).astype(np.intp)
     n = rows[:, N : N + 1]
     total = np.add.reduceat(n, starts)
     out[:, K], out[:, K_END] = group[starts] * cells, (group[starts] + 1) * cells

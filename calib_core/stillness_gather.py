@@ -1,0 +1,187 @@
+"""Gathering rests from judged windows, in either mode: all of them, or only those that probes ask for.
+
+Holds the open run and the probe under way; knows nothing of samples, streams or noise floors.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stillcal.calib_core.rests import RestState
+from stillcal.calib_core.samples import Array
+from stillcal.calib_core.stillness_judge import FATES, GAPPED, SPARSE, STILL, Codes, Flags
+from stillcal.calib_core.stillness_probe import Probe, cells_of, draw_probe
+from stillcal.calib_core.stillness_rests import judged
+from stillcal.calib_core.stillness_run import Run, absorb, drifted, trimmed
+from stillcal.calib_core.stillness_settings import DetectorSettings, Fate, Ledger, Sense, Sleep, Want
+from stillcal.calib_core.stillness_windows import K_END, K
+
+Steps = tuple[float, float]
+
+
+@dataclass(slots=True)
+class Gathered:
+    """What is open, and the count of what became of things.
+
+    run: open run of still windows; end_cell: the cell after the last window seen; probe: due or under way;
+    drawn: counter of random draws.
+    """
+
+    run: Run = field(default_factory=Run)
+    end_cell: float = -math.inf
+    probe: Probe | None = None
+    drawn: int = 0
+    ledger: Ledger = field(default_factory=Ledger)
+
+
+class Gatherer:
+    """Turns judged windows into rests, kept in `found` until taken."""
+
+    def __init__(self, settings: DetectorSettings, state: Gathered) -> None:
+        self.settings = settings
+        self.state = state
+        self.found: list[RestState] = []
+        self._most = cells_of(settings.max_rest_s, settings.window_s)
+
+    def taken(self) -> list[RestState]:
+        """Return the rests found since the last time."""
+        found, self.found = self.found, []
+        return found
+
+    def scan(self, rows: Array, codes: Codes, steps: Steps) -> None:
+        """Gather runs from all windows; anything but a still window that follows on closes the open one.
+
+        rows: joint rows; codes: their fates; steps: what coarseness alone may move the two means by.
+        """
+        s = self.state
+        previous = np.concatenate(([s.end_cell], rows[:-1, K_END]))
+        apart = rows[:, K] != previous
+        cuts = np.flatnonzero(np.concatenate(([True], (codes[1:] != codes[:-1]) | apart[1:])))
+        for first, last in zip(cuts, [*cuts[1:], rows.shape[0]], strict=True):
+            if apart[first]:
+                self._close(Fate.GAP)
+            if codes[first] == STILL:
+                self._gather(rows[first:last], steps)
+            else:
+                self._close(FATES[codes[first]])
+        s.end_cell = float(rows[-1, K_END])
+        s.ledger.asked_s += float((rows[:, K_END] - rows[:, K]).sum()) * self.settings.window_s
+
+    def probed(self, rows: Array, codes: Codes, steps: Steps, cells: int) -> Flags:
+        """Look only at windows that a probe asks for (Algorithm 1, lines 8-29); say which those were.
+
+        cells: of one window, for slow sensors.
+        """
+        looked = np.zeros(rows.shape[0], dtype=bool)
+        at = 0
+        while at < rows.shape[0]:
+            probe = self.due(rows[at, K])
+            if rows[at, K] < probe.start:
+                at += int(np.searchsorted(rows[at:, K], probe.start))
+                continue
+            read = self._read(rows[at:], codes[at:], steps, cells)
+            looked[at : at + read] = True
+            at += read
+        self.state.end_cell = float(rows[-1, K_END])
+        return looked
+
+    def wants(self, now: float) -> Want:
+        """Say what the probe under way or due wants at time `now`, s, giving up one that nothing came for."""
+        window, cell = self.settings.window_s, now / self.settings.window_s
+        probe = self.due(cell)
+        overdue = cell > self._asked_end(probe) + self.settings.max_lag_s / window
+        if overdue and self.state.run.rows.shape[0] == 0:
+            self._end_probe(Fate.GAP, cell)
+            probe = self.due(cell)
+        return Sleep(probe.start * window) if cell < probe.start else Sense(self._asked_end(probe) * window)
+
+    def due(self, cell: float) -> Probe:
+        """Return the probe that is under way or due, drawing the first one after `cell`."""
+        s = self.state
+        if s.probe is None:
+            s.probe = draw_probe(cell, s.drawn, self.settings)
+            s.drawn = s.probe.drawn
+        return s.probe
+
+    def stop(self) -> None:
+        """Close what is open: a run, and the probe that gathers it."""
+        if self.state.probe is not None and self.state.run.rows.shape[0]:
+            self._end_probe(Fate.STILL, self.state.end_cell)
+        self._close(Fate.STILL)
+
+    def _gather(self, rows: Array, steps: Steps) -> None:
+        """Add still, adjoining windows to the open run, closing it where they step off or it is full."""
+        s = self.state
+        while rows.shape[0]:
+            ends = np.cumsum(rows[:, K_END] - rows[:, K]) + s.run.cells
+            room = int(np.searchsorted(ends, self._most, side="right"))
+            if room == 0 and s.run.cells:
+                self._close(Fate.STILL)
+                continue
+            s.run, taken = absorb(s.run, rows[: max(room, 1)], steps, self.settings)
+            if taken < max(room, 1):
+                self._close(Fate.STEPPED)
+            rows = rows[taken:]
+
+    def _close(self, ended_by: Fate) -> None:
+        """Close the open run: a rest joins `found`, a refusal the ledger."""
+        s, run = self.state, self.state.run
+        s.run = Run(after=ended_by)
+        if run.rows.shape[0]:
+            rest = judged(trimmed(run, ended_by), drifted(run, ended_by), self.settings)
+            fate = rest if isinstance(rest, Fate) else Fate.STILL
+            s.ledger.rests[fate] = s.ledger.rests.get(fate, 0) + 1
+            if not isinstance(rest, Fate):
+                self.found.append(rest)
+
+    def _read(self, rows: Array, codes: Codes, steps: Steps, cells: int) -> int:
+        """Read windows up to the probe's end or the first that is not still; return how many were read."""
+        s = self.state
+        first = 0 if s.run.rows.shape[0] else self._started(rows, codes, cells)
+        probe = self.due(rows[0, K])
+        rows, codes = rows[first:], codes[first:]
+        expected = np.concatenate(([probe.start + s.run.cells], rows[:-1, K_END]))[: rows.shape[0]]
+        good = (codes == STILL) & (rows[:, K] == expected) & (rows[:, K_END] <= probe.end)
+        still = int(good.argmin()) if not good.all() else good.size
+        s.run, taken = absorb(s.run, rows[:still], steps, self.settings)
+        if taken == rows.shape[0] and s.run.cells < probe.full:
+            return first + taken
+        if s.run.cells >= probe.full:
+            self._end_probe(Fate.STILL, probe.end)
+            return first + taken
+        broken = Fate.STEPPED if taken < still else FATES[codes[taken]]
+        inside = rows[taken, K_END] <= probe.end
+        self._end_probe(Fate.GAP if broken is Fate.STILL or not inside else broken, rows[taken, K_END])
+        return first + taken + int(inside)
+
+    def _started(self, rows: Array, codes: Codes, cells: int) -> int:
+        """Skip broken windows while the sensors start up; the probe begins at the first whole one."""
+        probe = self.due(rows[0, K])
+        late = probe.asked + cells_of(self.settings.startup_s, self.settings.window_s)
+        skip = ((codes == GAPPED) | (codes == SPARSE)) & (rows[:, K_END] <= late)
+        first = rows.shape[0] if skip.all() else int(skip.argmin())
+        begins = rows[-1, K_END] if first == rows.shape[0] else rows[first, K]
+        if begins <= late:
+            self.state.probe = probe.begun_at(int(begins), cells)
+        return first
+
+    def _asked_end(self, probe: Probe) -> int:
+        """Return the cell up to which samples are wanted: w_min at first, w_max once that was still."""
+        shortest = min(cells_of(self.settings.w_min_s, self.settings.window_s), probe.full)
+        return probe.end if self.state.run.cells >= shortest else probe.start + shortest
+
+    def _end_probe(self, ended_by: Fate, cell: float) -> None:
+        """Close the probe, which ended at `cell`, and draw the next one after that."""
+        s, window = self.state, self.settings.window_s
+        probe = self.due(cell)
+        s.ledger.probes += 1
+        s.ledger.lapsed += int(s.run.rows.shape[0] == 0 and ended_by is Fate.GAP)
+        s.ledger.abandoned += int(s.run.cells < cells_of(self.settings.w_min_s, window))
+        asked = min(max(cell, probe.start), self._asked_end(probe)) - probe.asked
+        s.ledger.asked_s += asked * window
+        self._close(ended_by)
+        s.run, s.probe = Run(), None
+        self.due(max(cell, probe.start))
