@@ -91,7 +91,8 @@ def parse_settings(text: str, name: str = "settings") -> Settings:
         return _section(Settings, tomllib.loads(text), ())
     except tomllib.TOMLDecodeError as error:
         line = re.search(r"at line (\d+)", str(error))
-        raise SettingsError(f"{name}:{line[1] if line else 'end'}: not TOML: {error}") from error
+        last = len(text.splitlines())
+        raise SettingsError(f"{name}:{line[1] if line else last}: not TOML: {error}") from error
     except _BadKeyError as error:
         line_number = line_of(text, error.keys)
         where = f"{name}:{line_number}" if line_number else name
@@ -134,7 +135,7 @@ def _section(kind: type[T], table: Any, keys: tuple[str, ...]) -> T:
     if not isinstance(table, dict):
         raise _BadKeyError(keys, f"= {table!r}: must be a table, [{'.'.join(keys)}]")
     hints = get_type_hints(kind)
-    for key in table.keys() - hints.keys():
+    for key in (key for key in table if key not in hints):
         raise _BadKeyError(
             (*keys, key), f"is no {'key' if keys else 'section'}: {_nearest(key, list(hints))}"
         )
@@ -171,7 +172,7 @@ def _nearest(key: str, known: list[str]) -> str:
 def _places(text: str) -> Iterator[tuple[int, tuple[str, ...]]]:
     table: tuple[str, ...] = ()
     for number, line in enumerate(text.splitlines(), 1):
-        if header := re.match(r"\s*\[\s*([^\[\]]+?)\s*\]", line):
+        if header := re.match(r"\s*\[\[?\s*([^\[\]]+?)\s*\]", line):
             table = _parts(header[1])
             yield number, table
         elif assigned := re.match(r"\s*([\w.\-\"' ]+?)\s*=", line):

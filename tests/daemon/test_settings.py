@@ -1,0 +1,140 @@
+"""Settings: defaults documented and equal, and errors that name line, key and what is allowed."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import stillcal.config
+from stillcal.calib_core.codec import plain
+from stillcal.daemon.settings import (
+    Settings,
+    SettingsError,
+    line_of,
+    load_settings,
+    parse_settings,
+    store_path,
+)
+from stillcal.daemon.store import StoreSettings
+
+DEFAULT = Path(stillcal.config.__file__).with_name("default.toml")
+UNSET = re.compile(r"^# (?=\w+ = \S+ +# \S+: )", re.MULTILINE)
+
+
+def knobs(value: dict, *above: str) -> dict[tuple[str, ...], object]:
+    """Flatten nested tables into {path: value}."""
+    flat = {}
+    for key, item in value.items():
+        flat |= knobs(item, *above, key) if isinstance(item, dict) else {(*above, key): item}
+    return flat
+
+
+def test_the_default_file_says_what_the_code_says():
+    from_code = {key: value for key, value in knobs(plain(Settings())).items() if value is not None}
+    assert knobs(tomllib.loads(DEFAULT.read_text())) == from_code
+
+
+def test_knobs_without_a_default_stand_in_the_file_as_comments():
+    text = DEFAULT.read_text()
+    with_unset = knobs(tomllib.loads(UNSET.sub("", text)))
+    assert with_unset.keys() == knobs(plain(Settings())).keys()
+    parse_settings(UNSET.sub("", text))
+
+
+def test_the_default_file_loads_as_the_defaults():
+    assert load_settings(DEFAULT) == load_settings(None) == Settings()
+
+
+def test_every_knob_has_a_comment_that_begins_with_its_unit():
+    assigned = re.findall(r"^(?:# )?(\w+) = [^#\n]*(.*)$", DEFAULT.read_text(), re.MULTILINE)
+    assert len(assigned) == len(knobs(plain(Settings())))
+    bare = [key for key, comment in assigned if not re.fullmatch(r"# \S[^:]*: .{10,}", comment)]
+    assert bare == []
+
+
+def test_what_a_file_does_not_mention_keeps_its_default():
+    settings = parse_settings("[store]\nhistory = 5\n")
+    assert settings == dataclasses.replace(Settings(), store=StoreSettings(history=5))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[store]\nmode = 0o777", r"^c\.toml:2: \[store\] mode = 0o777: must be 0o600 or 0o640$"),
+        ("[store]\n# one\nhistroy = 3", r"^c\.toml:3: \[store\] histroy is no key: did you mean history\?$"),
+        ("\n[stroe]\n", r"^c\.toml:2: stroe is no section: did you mean store\?$"),
+        ("[zzzzzz]\n", r"known are .*store.*log"),
+        ("store = 5", r"^c\.toml:1: store = 5: must be a table, \[store\]$"),
+        ("[[store]]\nmode = 3", r"^c\.toml:1: store = .*: must be a table"),
+        ("[log]\nlevel = 'loud'", r"^c\.toml:2: \[log\] level = 'loud': must be one of 'debug', 'info'"),
+        ("[source]\nbaud = 'fast'", r"^c\.toml:2: \[source\] baud = 'fast': must be int$"),
+        ("[source]\nbaud = true", r"^c\.toml:2: .* must be int$"),
+        ("[source]\nbaud = 3", r"^c\.toml:2: \[source\] baud = 3: must be within 1200\.\.4000000$"),
+        ("source.baud = 3", r"^c\.toml:1: \[source\] baud = 3"),
+        ("store = {mode = 3}", r"^c\.toml:1: \[store\] mode"),
+        ("[log]\n[store]\n'mode' = 3", r"^c\.toml:3: \[store\] mode"),
+        ("[log]\nlevel", r"^c\.toml:2: not TOML: "),
+        ("[log", r"^c\.toml:1: not TOML: "),
+        (
+            "[engine.schedule]\ncheck_interval_s = -5",
+            r"^c\.toml:2: \[engine\.schedule\] check_interval_s = -5",
+        ),
+        ("[engine.schedule]\nreview_interval_s = nan", r"^c\.toml:2: .* = nan: must be a number$"),
+        ("[engine]\nshedule = {}", r"^c\.toml:2: \[engine\] shedule is no key: did you mean schedule\?$"),
+    ],
+)
+def test_an_error_names_line_key_and_remedy(text, message):
+    with pytest.raises(SettingsError, match=message):
+        parse_settings(text, "c.toml")
+
+
+def test_whole_numbers_do_for_seconds():
+    assert parse_settings("[engine.schedule]\ncheck_interval_s = 60").engine.schedule.check_interval_s == 60.0
+
+
+@given(st.text(max_size=60))
+def test_no_text_gets_through_as_anything_but_settings_or_a_refusal(text):
+    try:
+        assert isinstance(parse_settings(text), Settings)
+    except SettingsError as error:
+        assert str(error).startswith("settings")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: None, "No such file"),
+        (lambda path: path.mkdir(), "Is a directory"),
+        (lambda path: path.write_bytes(b"\xff\xfe"), "not UTF-8"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_named(tmp_path, make, message):
+    make(tmp_path / "c.toml")
+    with pytest.raises(SettingsError, match=rf"c\.toml: {message}"):
+        load_settings(tmp_path / "c.toml")
+
+
+def test_the_line_is_that_of_the_key_in_its_own_table():
+    text = "[a]\nx = 1\n\n[b]\nx = 2\n"
+    assert line_of(text, ("b", "x")) == 5
+    assert line_of(text, ("b", "y")) == 4
+    assert line_of(text, ("c",)) is None
+
+
+@pytest.mark.parametrize(
+    ("path", "environ", "found"),
+    [
+        ("/here/s.json", {"STATE_DIRECTORY": "/var/lib/stillcal"}, "/here/s.json"),
+        ("", {"STATE_DIRECTORY": "/var/lib/stillcal:/var/lib/other"}, "/var/lib/stillcal/store.json"),
+        ("", {"HOME": "/home/u"}, "/home/u/.local/state/stillcal/store.json"),
+        ("", {"HOME": "/home/u", "XDG_STATE_HOME": "/x"}, "/x/stillcal/store.json"),
+    ],
+)
+def test_the_store_is_found_where_settings_or_system_say(path, environ, found):
+    assert str(store_path(StoreSettings(path=path), environ)) == found
