@@ -28,7 +28,7 @@ Evidence = dict[str, float | int | str | bool | None]
 DETERMINANTS = (1 / 8, 8.0)
 """Sane |det scale|: within a factor of two on every axis (15 % is the largest seen on a phone)."""
 
-BIAS_NAMES = ("bias_x", "bias_y", "bias_z")
+BIAS_NAMES = ("b_x", "b_y", "b_z")
 """What the bias is called among the names of a covariance's parameters."""
 
 

@@ -60,7 +60,7 @@ def test_a_sensor_without_a_calibration_is_refused():
         ({"n_rests": 3, "n_states": 4}, "n_states"),
         ({"rms_residual": -1.0}, "rms_residual"),
         ({"covariance": np.zeros((2, 3))}, "square"),
-        ({"covariance": np.eye(3), "names": ("bias_x",)}, "one row per name"),
+        ({"covariance": np.eye(3), "names": ("b_x",)}, "one row per name"),
         ({"covariance": -np.eye(3)}, "negative variance"),
     ],
 )
