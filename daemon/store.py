@@ -22,7 +22,7 @@ from pathlib import Path
 from types import TracebackType
 
 from stillcal.calib_core.record import CalibrationRecord
-from stillcal.daemon.atomic import sync_folder, write_atomically
+from stillcal.daemon.atomic import NotDurableError, sync_folder, write_atomically
 from stillcal.daemon.store_document import (
     SCHEMA,
     Fault,
@@ -174,14 +174,19 @@ class Store:
             return self._migrate(found.store.document, found.store.schema)
 
     def save(self, document: StoreDocument) -> None:
-        """Replace the store's contents. Raises StoreError with the old store intact."""
+        """Replace the store's contents.
+
+        Raises StoreError with the old store intact; where only the folder's sync failed, it says so, and
+        the new store is in place until a power cut.
+        """
         data = render(document)
         try:
             with self._locked():
                 for path in (self.last_good_path, self.path):
                     write_atomically(path, data, self.settings.mode)
         except OSError as error:
-            raise _explained(error, self.path, "write") from error
+            verb = "make durable" if isinstance(error, NotDurableError) else "write"
+            raise _explained(error, self.path, verb) from error
 
     def publish(self, calibration: CalibrationRecord, reason: str = "", at: float | None = None) -> Outcome:
         """Make `calibration` the current one; the one before goes into the history, why and when (s)."""
