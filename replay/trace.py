@@ -156,6 +156,8 @@ def _files(
     """Return the recording's one or two files, and what was chosen."""
     both = [Sensor.ACCELEROMETER] + ([Sensor.GYROSCOPE] if column_map.gyroscope else [])
     rules = column_map.gyroscope.other_file if column_map.gyroscope else ()
+    if gyro is not None and column_map.gyroscope is None:
+        raise TraceError(gyro, "the format has no gyroscope", "say its columns in a column map")
     if gyro is None and not rules:
         return [SampleFile(path, column_map, both, claims)], []
     first = SampleFile(path, column_map, [Sensor.ACCELEROMETER], claims)
