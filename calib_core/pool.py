@@ -1,0 +1,106 @@
+"""The rests and turns gathered so far: bounded, one attitude never crowding out the others.
+
+The daemon runs for months, so nothing here grows without end. A rest is kept with the gravity of
+the place it was taken at, because the phone travels between rests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.rests import RestState, group_attitudes
+from stillcal.calib_core.turns import Turn
+
+
+@dataclass(frozen=True, slots=True)
+class PoolSettings:
+    """attitude_angle: rad within which two rests share an attitude. The rest are bounds of the pool.
+
+    rests_per_attitude, attitudes, turns: how many are kept. max_age_s: s after which a rest is too old.
+    """
+
+    attitude_angle: float = 0.09
+    rests_per_attitude: int = 12
+    attitudes: int = 96
+    turns: int = 64
+    max_age_s: float = 14 * 86400.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.attitude_angle < np.pi / 4:
+            raise ValueError(f"attitude_angle = {self.attitude_angle}: must be within 0..0.785 rad")
+        for name in ("rests_per_attitude", "attitudes", "turns"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be 1 or more")
+        if not self.max_age_s > 0:
+            raise ValueError(f"max_age_s = {self.max_age_s}: must be positive")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldRest:
+    """A rest and the gravity of where it was taken."""
+
+    rest: RestState
+    gravity: Gravity
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pool:
+    """What has been gathered, oldest first."""
+
+    held: tuple[HeldRest, ...] = ()
+    turns: tuple[Turn, ...] = ()
+
+    @property
+    def rests(self) -> list[RestState]:
+        """The rests without their gravity, oldest first."""
+        return [h.rest for h in self.held]
+
+    def with_rest(self, held: HeldRest, settings: PoolSettings) -> Pool:
+        """Return the pool with one rest more, thinned back to its bounds."""
+        return replace(self, held=_thinned((*self.held, held), settings))
+
+    def with_turn(self, turn: Turn, settings: PoolSettings) -> Pool:
+        """Return the pool with one turn more; the oldest goes where there are too many."""
+        return replace(self, turns=(*self.turns, turn)[-settings.turns :])
+
+    def since(self, t: float) -> Pool:
+        """Return only what was taken from t (s) on."""
+        return Pool(
+            tuple(h for h in self.held if h.rest.t_start >= t),
+            tuple(turn for turn in self.turns if turn.t_start >= t),
+        )
+
+    def where(self, valid: Callable[[RestState], bool]) -> Pool:
+        """Return the pool without the rests that are no longer believed to be rests."""
+        return replace(self, held=tuple(h for h in self.held if valid(h.rest)))
+
+    def attitudes(self, settings: PoolSettings) -> list[list[int]]:
+        """Group the rests by attitude; indices point into `held`."""
+        return group_attitudes(self.rests, settings.attitude_angle)
+
+
+def _thinned(held: tuple[HeldRest, ...], settings: PoolSettings) -> tuple[HeldRest, ...]:
+    """Drop what is too old, then the least certain rest of a crowded attitude, then the oldest attitude.
+
+    The newest rest of an attitude always stays: it is what the next check is made with.
+    """
+    newest = held[-1].rest.t_end
+    recent = tuple(h for h in held if newest - h.rest.t_end <= settings.max_age_s)
+    if len(recent) <= settings.rests_per_attitude:
+        return recent
+    groups = group_attitudes([h.rest for h in recent], settings.attitude_angle)
+    groups = sorted(groups, key=lambda group: group[-1])[-settings.attitudes :]
+    kept = {i for group in groups for i in _without_worst(group, recent, settings.rests_per_attitude)}
+    return tuple(h for i, h in enumerate(recent) if i in kept)
+
+
+def _without_worst(group: list[int], held: tuple[HeldRest, ...], limit: int) -> list[int]:
+    if len(group) <= limit:
+        return group
+    *older, last = group
+    older.sort(key=lambda i: float(np.linalg.norm(held[i].rest.force_uncertainty)))
+    return [*older[: limit - 1], last]

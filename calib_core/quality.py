@@ -1,0 +1,182 @@
+"""The hourly check (Grammenos et al. 2018, 4.7), and whether a new calibration deserves the old one's place.
+
+"Checking for calibration quality is much faster and easier than trying to gather potential states":
+the norm of a rest is held against local gravity, the gyroscope against zero, and a table says what
+follows. Every difference is judged against its own uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.pool import HeldRest
+from stillcal.calib_core.rests import force_uncertainties, forces
+from stillcal.calib_core.samples import Array
+
+
+@dataclass(frozen=True, slots=True)
+class QualitySettings:
+    """What counts as drift: larger than `significance` standard deviations and than the limits.
+
+    accel_limit: m/s^2 of the rest's norm. gyro_limit: rad/s. advantage: how many standard errors a new
+    calibration must be better by on held-out rests. held_out_rests: how many such rests it takes.
+    """
+
+    significance: float = 3.0
+    accel_limit: float = 0.02
+    gyro_limit: float = 0.001
+    advantage: float = 2.0
+    held_out_rests: int = 6
+
+    def __post_init__(self) -> None:
+        for name in ("significance", "accel_limit", "gyro_limit", "advantage"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be positive")
+        if self.held_out_rests < 3:
+            raise ValueError(f"held_out_rests = {self.held_out_rests}: must be 3 or more")
+
+
+class Drift(StrEnum):
+    """What a check found of one sensor."""
+
+    NONE = "none"
+    DRIFTED = "drifted"
+    UNKNOWN = "unknown"
+
+
+class Verdict(StrEnum):
+    """What follows from a check."""
+
+    WAIT = "wait"
+    KEEP = "keep"
+    ZERO_GYRO = "zero gyro"
+    RECALIBRATE = "recalibrate"
+
+
+VERDICTS: dict[tuple[Drift, Drift], Verdict] = {
+    (Drift.UNKNOWN, Drift.UNKNOWN): Verdict.WAIT,
+    (Drift.UNKNOWN, Drift.NONE): Verdict.WAIT,
+    (Drift.UNKNOWN, Drift.DRIFTED): Verdict.WAIT,
+    (Drift.NONE, Drift.UNKNOWN): Verdict.KEEP,
+    (Drift.NONE, Drift.NONE): Verdict.KEEP,
+    (Drift.NONE, Drift.DRIFTED): Verdict.ZERO_GYRO,
+    (Drift.DRIFTED, Drift.UNKNOWN): Verdict.RECALIBRATE,
+    (Drift.DRIFTED, Drift.NONE): Verdict.RECALIBRATE,
+    (Drift.DRIFTED, Drift.DRIFTED): Verdict.RECALIBRATE,
+}
+"""(accelerometer, gyroscope) -> what follows. The accelerometer decides on a full recalibration (4.7)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One check. accel_residual: m/s^2, mean norm less gravity; gyro_residual: rad/s, largest axis.
+
+    Each with its standard uncertainty; None where no rest told. rests: how many took part.
+    """
+
+    accelerometer: Drift
+    gyroscope: Drift
+    verdict: Verdict
+    rests: int
+    accel_residual: float | None = None
+    accel_uncertainty: float | None = None
+    gyro_residual: float | None = None
+    gyro_uncertainty: float | None = None
+
+
+def norm_residuals(model: SensorModel, held: Sequence[HeldRest]) -> tuple[Array, Array]:
+    """Return each rest's calibrated norm less local gravity, and its standard uncertainty, (n,) m/s^2.
+
+    The uncertainty holds the rest's own mean, carried through the model along the direction of gravity.
+    """
+    rests = [h.rest for h in held]
+    calibrated = model.apply(forces(rests))
+    norm = np.linalg.norm(calibrated, axis=1)
+    along = (calibrated / norm[:, None]) @ model.scale
+    own = np.linalg.norm(along * force_uncertainties(rests), axis=1)
+    return norm - np.array([h.gravity.value for h in held]), own
+
+
+def check(
+    accelerometer: SensorModel,
+    norm_uncertainty: float,
+    gyro_bias: Array | None,
+    held: Sequence[HeldRest],
+    settings: QualitySettings,
+) -> Check:
+    """Hold rests taken since the last check against the current calibration.
+
+    norm_uncertainty: m/s^2, what the calibration itself leaves open in a norm, the repeatability of
+    rests included. gyro_bias: (3,) rad/s or None.
+    """
+    if not held:
+        return Check(Drift.UNKNOWN, Drift.UNKNOWN, Verdict.WAIT, 0)
+    residual, own = norm_residuals(accelerometer, held)
+    accel = _weighted_mean(residual, own, norm_uncertainty)
+    accel_drift = _drift(accel, settings.significance, settings.accel_limit)
+    gyro = _rate_residual(gyro_bias, held)
+    gyro_drift = _drift(gyro, settings.significance, settings.gyro_limit)
+    verdict = VERDICTS[accel_drift, gyro_drift]
+    return Check(accel_drift, gyro_drift, verdict, len(held), *accel, *(gyro or (None, None)))
+
+
+def _weighted_mean(values: Array, own: Array, common: float) -> tuple[float, float]:
+    """Return the mean of residuals that share one common error, and its standard uncertainty."""
+    weight = 1 / np.maximum(own, 1e-9) ** 2
+    mean = float(weight @ values / weight.sum())
+    return mean, float(np.hypot(1 / np.sqrt(weight.sum()), common))
+
+
+def _rate_residual(bias: Array | None, held: Sequence[HeldRest]) -> tuple[float, float] | None:
+    """Return the largest axis of (mean rate at rest - bias) and its uncertainty; None without a rate."""
+    seen = [h.rest for h in held if h.rest.rate is not None and h.rest.rate_uncertainty is not None]
+    if bias is None or not seen:
+        return None
+    weight = 1 / np.maximum(np.array([r.rate_uncertainty for r in seen]), 1e-9) ** 2
+    mean = (weight * np.array([r.rate for r in seen])).sum(axis=0) / weight.sum(axis=0) - bias
+    axis = int(np.abs(mean).argmax())
+    return float(mean[axis]), float(1 / np.sqrt(weight.sum(axis=0)[axis]))
+
+
+def _drift(found: tuple[float, float] | None, significance: float, limit: float) -> Drift:
+    if found is None:
+        return Drift.UNKNOWN
+    residual, uncertainty = found
+    return Drift.DRIFTED if abs(residual) > max(limit, significance * uncertainty) else Drift.NONE
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A new calibration against the old one on rests that neither was fitted to.
+
+    gain: mean log score per rest that the new one gains; standard_error: of that mean; rms_old, rms_new:
+    m/s^2 over the held-out rests. `better`: the gain is more than chance.
+    """
+
+    rests: int
+    gain: float
+    standard_error: float
+    rms_old: float
+    rms_new: float
+    better: bool
+
+
+def compare(old: Array, new: Array, sd: Array, settings: QualitySettings) -> Comparison:
+    """Compare held-out residuals of the old and the new calibration, (n,) each, m/s^2.
+
+    sd: (n,) standard uncertainty of each residual, shared by both, so that a score cannot be won by
+    claiming certainty. The gain is a paired mean of Gaussian log scores; it must stand `advantage`
+    standard errors above zero.
+    """
+    gains = (old**2 - new**2) / (2 * sd**2)
+    n = gains.size
+    mean = float(gains.mean()) if n else 0.0
+    error = float(gains.std(ddof=1) / np.sqrt(n)) if n > 1 else float("inf")
+    better = n >= settings.held_out_rests and mean > settings.advantage * error
+    rms_old, rms_new = (float(np.sqrt(np.mean(r**2))) if n else 0.0 for r in (old, new))
+    return Comparison(n, mean, error, rms_old, rms_new, bool(better))

@@ -1,0 +1,110 @@
+"""What the engine looks at and when it calibrates: every timing decision, as pure functions.
+
+Times are s of sample time. The engine asks; nothing here remembers anything.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+
+class Watch(StrEnum):
+    """How the engine is looking at the moment."""
+
+    CONTINUOUS = "continuous"
+    PROBING = "probing"
+    IDLE = "idle"
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduleSettings:
+    """When the engine does what; all times in s of sample time.
+
+    watch: "auto" spends the energy allowance; "continuous" and "probing" force one way of looking.
+    check_interval_s: between quality checks (4.7: hourly). review_interval_s: between looks at what is
+    gathered. recalibrate_interval_s: at least this long between two full calibrations on charging.
+    attitudes_wanted: distinct attitudes after which gathering rests (Algorithm 1's s). gravity: local g
+    in m/s^2 if known, else None. gyro_patience_s: how far the gyroscope's stream may lag.
+    """
+
+    watch: Literal["auto", "continuous", "probing"] = "auto"
+    check_interval_s: float = 3600.0
+    review_interval_s: float = 60.0
+    recalibrate_interval_s: float = 6 * 3600.0
+    attitudes_wanted: int = 30
+    gravity: float | None = None
+    gyro_patience_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s", "gyro_patience_s"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be positive seconds")
+        if self.attitudes_wanted < 6:
+            raise ValueError(f"attitudes_wanted = {self.attitudes_wanted}: must be 6 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """What is still wanted. rests: attitudes are missing; check: a check waits for a rest."""
+
+    rests: bool
+    check: bool
+
+
+def watch_for(
+    need: Need, current: Watch, lasts_s: float, burst_s: float, settings: ScheduleSettings
+) -> Watch:
+    """Choose how to look on, given how long (s) the energy allowance would last.
+
+    Unbroken watching begins only with half the burst saved up and goes on until it is spent, so that the
+    sensors are not switched to and fro; a check alone is worth probing only.
+    """
+    if settings.watch != "auto":
+        return Watch(settings.watch)
+    if need.rests and lasts_s > 0 and (current is Watch.CONTINUOUS or lasts_s >= burst_s / 2):
+        return Watch.CONTINUOUS
+    return Watch.PROBING if need.rests or need.check else Watch.IDLE
+
+
+def next_on_grid(began: float, interval: float, after: float) -> float:
+    """Return the first of the times began + k interval (k = 1, 2, ...) that lies past `after`.
+
+    Deadlines stay on their grid across gaps, so that schedules do not drift.
+    """
+    return began + interval * max(1, math.floor((after - began) / interval) + 1)
+
+
+class Occasion(StrEnum):
+    """What may bring about a full calibration."""
+
+    CHARGING = "charging"
+    UNPLUGGED = "no charger was ever reported"
+    END = "the recording ended"
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Where calibration stands. fresh: rests gathered since the last try to fit. since_fit: s since the
+    last fit that was accepted, inf where there was none.
+    """
+
+    has_record: bool
+    degraded: bool
+    fresh: int
+    since_fit: float
+
+
+def calibration_due(standing: Standing, occasion: Occasion, settings: ScheduleSettings) -> bool:
+    """Say whether a full calibration is worth trying: never without rests gathered since the last try.
+
+    A phone without a calibration, or with one that failed its check, does not wait; nor does a
+    recording that ends, there being no later chance.
+    """
+    if standing.fresh == 0:
+        return False
+    if not standing.has_record or standing.degraded or occasion is Occasion.END:
+        return True
+    return standing.since_fit >= settings.recalibrate_interval_s

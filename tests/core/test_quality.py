@@ -1,0 +1,86 @@
+"""The hourly check and the comparison of two calibrations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.pool import HeldRest
+from stillcal.calib_core.quality import VERDICTS, Drift, QualitySettings, Verdict, check, compare
+from stillcal.calib_core.rests import RestState
+
+SETTINGS = QualitySettings()
+IDENTITY = SensorModel.identity()
+
+
+def held(force: list[float], rate: list[float] | None = None, uncertainty: float = 1e-3) -> HeldRest:
+    sigma = np.full(3, uncertainty)
+    rest = RestState(
+        0,
+        10,
+        1000,
+        np.array(force),
+        sigma,
+        sigma,
+        uncertainty,
+        rate=None if rate is None else np.array(rate),
+        rate_uncertainty=None if rate is None else np.full(3, 1e-5),
+    )
+    return HeldRest(rest, Gravity(9.8, 0.0, "given"))
+
+
+def test_every_pair_of_findings_has_a_verdict() -> None:
+    assert set(VERDICTS) == {(a, g) for a in Drift for g in Drift}
+    assert VERDICTS[Drift.DRIFTED, Drift.NONE] is Verdict.RECALIBRATE
+
+
+def test_nothing_seen_is_nothing_said() -> None:
+    assert check(IDENTITY, 0.001, np.zeros(3), [], SETTINGS).verdict is Verdict.WAIT
+
+
+@pytest.mark.parametrize(
+    ("force", "rate", "verdict"),
+    [
+        ([0, 0, 9.801], [0, 0, 0], Verdict.KEEP),
+        ([0, 0, 9.801], [0, 0.01, 0], Verdict.ZERO_GYRO),
+        ([0, 0, 9.9], [0, 0, 0], Verdict.RECALIBRATE),
+        ([0, 9.7, 0], None, Verdict.RECALIBRATE),
+        ([0, 9.8, 0], None, Verdict.KEEP),
+    ],
+)
+def test_drift_of_either_sensor_is_told_apart(
+    force: list[float], rate: list[float] | None, verdict: Verdict
+) -> None:
+    found = check(IDENTITY, 0.002, np.zeros(3), [held(force, rate)], SETTINGS)
+    assert found.verdict is verdict
+    assert found.accel_residual == pytest.approx(np.linalg.norm(force) - 9.8)
+
+
+def test_a_drift_within_its_uncertainty_is_none() -> None:
+    far = [0, 0, 9.85]
+    assert check(IDENTITY, 0.001, None, [held(far)], SETTINGS).accelerometer is Drift.DRIFTED
+    assert check(IDENTITY, 0.050, None, [held(far)], SETTINGS).accelerometer is Drift.NONE
+    assert check(IDENTITY, 0.001, None, [held(far, uncertainty=0.05)], SETTINGS).accelerometer is Drift.NONE
+
+
+def test_a_better_calibration_wins_and_an_equal_one_seldom() -> None:
+    rng = np.random.default_rng(3)
+    sd = np.full(20, 0.01)
+    wins = 0
+    for _ in range(400):
+        noise = rng.normal(0, 0.01, 20)
+        wins += compare(
+            noise + rng.normal(0, 0.003, 20), noise + rng.normal(0, 0.003, 20), sd, SETTINGS
+        ).better
+    # One-sided two standard errors: 2.9 % by Student's t with 19 degrees; 400 trials, three sigma above.
+    assert wins / 400 < 0.029 + 3 * np.sqrt(0.029 * 0.971 / 400)
+    drifted = compare(rng.normal(0.05, 0.01, 20), rng.normal(0, 0.01, 20), sd, SETTINGS)
+    assert drifted.better and drifted.rms_new < drifted.rms_old
+
+
+def test_too_few_held_out_rests_decide_nothing() -> None:
+    few = compare(np.full(3, 0.1), np.zeros(3), np.full(3, 0.01), SETTINGS)
+    assert not few.better and few.rests == 3
+    assert not compare(np.empty(0), np.empty(0), np.empty(0), SETTINGS).better
