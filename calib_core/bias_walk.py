@@ -17,6 +17,7 @@ from stillcal.calib_core.samples import Array
 
 Rows = NDArray[np.intp]
 
+_PASSES = 4  # each divides what of G is still taken for walk by about ten
 _MAD_TO_SD = 1.4826  # of a normal distribution
 
 
@@ -44,10 +45,11 @@ class BiasWalk:
         n = len(rates)
         design = np.hstack((np.eye(n), forces))
         step = _step(rates, variances, n - 1)
-        first, _ = _posterior(design, rates, variances, step, typical)
-        explained = forces @ first[n:]
-        step = np.minimum(step, _step(rates - explained, variances, n - 4))
         latent, covariance = _posterior(design, rates, variances, step, typical)
+        for _ in range(_PASSES):
+            unexplained = rates - forces @ latent[n:]
+            step = np.minimum(step, _step(unexplained, variances, n - 4))
+            latent, covariance = _posterior(design, rates, variances, step, typical)
         return cls(latent[:n], latent[n:].T, covariance, step)
 
     def between(self, before: Rows, after: Rows, forces: Array) -> tuple[Array, Array]:
