@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.samples import Array
 
@@ -59,20 +60,28 @@ def force_uncertainties(rests: Sequence[RestState]) -> Array:
     return np.array([r.force_uncertainty for r in rests], dtype=np.float64).reshape(-1, 3)
 
 
+def attitude_labels(raw: Array, angle: float) -> NDArray[np.intp]:
+    """Number the attitudes of raw forces (n, 3) from 0 in order of first appearance; returns (n,).
+
+    Two share an attitude where their directions lie within `angle` (rad) of the first that had it.
+    """
+    unit = raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-12)
+    labels = np.full(len(unit), -1, dtype=np.intp)
+    for number in range(len(unit)):
+        free = np.flatnonzero(labels < 0)
+        if free.size == 0:
+            break
+        near = unit[free] @ unit[free[0]] >= np.cos(angle)
+        near[0] = True
+        labels[free[near]] = number
+    return labels
+
+
 def group_attitudes(rests: Sequence[RestState], angle: float) -> list[list[int]]:
     """Group rests whose raw gravity directions lie within `angle` (rad) of the group's first rest.
 
     "Nearby states are merged" (Grammenos et al. 2018, 4.4), so that one attitude held twice counts
     once. Groups keep the order of their first rest; indices point into `rests`.
     """
-    raw = forces(rests)
-    unit = raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-12)
-    groups: list[list[int]] = []
-    for i, direction in enumerate(unit):
-        for group in groups:
-            if direction @ unit[group[0]] >= np.cos(angle):
-                group.append(i)
-                break
-        else:
-            groups.append([i])
-    return groups
+    labels = attitude_labels(forces(rests), angle)
+    return [np.flatnonzero(labels == k).tolist() for k in range(int(labels.max(initial=-1)) + 1)]
