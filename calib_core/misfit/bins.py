@@ -1,0 +1,191 @@
+"""Cutting a recording into still bins: all that is judged slowly is judged on their means.
+
+A bin belongs to one rest; between two rests the phone moved. Cuts are made on windows of one second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.events import Charging
+from stillcal.calib_core.samples import Array, Samples
+
+WINDOW = 1.0
+SHORTEST_REST = 5
+STILL_FORCE = 0.08
+STILL_RATE = 0.03
+BINS = 200
+SHORTEST_BIN = 10.0
+POOLED_WEIGHT = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """One-second windows of one sensor. t: (n,) s, middles; count: (n,); mean, variance: (n, 3)."""
+
+    t: Array
+    count: Array
+    mean: Array
+    variance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bins:
+    """Still bins. t, duration: (n,) s; rest: (n,) index; force, rate: (n, 3) means, rate None without gyroscope.
+
+    force_variance, rate_variance: (n, 3) of the means, white noise only. temperature: (n,) degC or None;
+    charging: (n,) part of the bin on the charger, None without events; use: (n,) activity since the start
+    up to the bin is in `activity`: (m, 2) s and 0..1 per window. vibration: (n,) (m/s^2)^2.
+    span: (start, end) s of the recording.
+    """
+
+    t: Array
+    duration: Array
+    rest: Array
+    force: Array
+    force_variance: Array
+    vibration: Array
+    activity: Array
+    span: tuple[float, float]
+    rate: Array | None = None
+    rate_variance: Array | None = None
+    temperature: Array | None = None
+    charging: Array | None = None
+    charging_switches: Array | None = None
+
+    def __len__(self) -> int:
+        return int(self.t.size)
+
+
+def windows(samples: Samples, t_start: float, t_end: float) -> Windows:
+    """Return statistics of `samples` in windows of `WINDOW` s; windows without samples have count 0."""
+    n = max(1, int((t_end - t_start) / WINDOW))
+    index = ((samples.t - t_start) / WINDOW).astype(np.int64)
+    keep = (index >= 0) & (index < n)
+    index, xyz = index[keep], samples.xyz[keep]
+    count = np.bincount(index, minlength=n).astype(np.float64)
+    safe = np.maximum(count, 1.0)[:, None]
+    center = np.median(xyz, axis=0) if len(xyz) else np.zeros(3)
+    total = _sums(index, xyz - center, n)
+    mean = total / safe
+    variance = _sums(index, (xyz - center - mean[index]) ** 2, n) / np.maximum(safe - 1.0, 1.0)
+    return Windows(t_start + (np.arange(n) + 0.5) * WINDOW, count, mean + center, variance)
+
+
+def _sums(index: Array, xyz: Array, n: int) -> Array:
+    return np.stack([np.bincount(index, weights=xyz[:, a], minlength=n) for a in range(3)], axis=1)
+
+
+def still_windows(force: Windows, rate: Windows | None) -> Array:
+    """Return which windows (n,) are still: quiet for this recording, and mean force and rate that stay."""
+    enough = force.count >= max(3.0, 0.5 * float(np.median(force.count)))
+    spread = np.sqrt(force.variance.sum(axis=1))
+    floor = float(np.quantile(spread[enough], 0.1)) if enough.any() else 0.0
+    still = enough & (spread < 3.0 * floor + STILL_FORCE)
+    jump = np.abs(np.diff(force.mean, axis=0)).max(axis=1)
+    steady = jump < 0.03 + 6.0 * np.sqrt(np.minimum(spread[1:], spread[:-1]) ** 2 / np.maximum(force.count[1:], 1))
+    still[1:] &= steady
+    still[:-1] &= steady
+    if rate is not None and still.any():
+        still &= _not_turning(rate, still)
+    return np.asarray(still)
+
+
+def _not_turning(rate: Windows, still: Array) -> Array:
+    turn = np.sqrt(rate.variance.sum(axis=1))
+    floor = float(np.quantile(turn[still], 0.1))
+    rest = np.median(rate.mean[still], axis=0)
+    noise = 4.0 * floor / np.sqrt(np.maximum(rate.count, 1.0))
+    slow = np.abs(rate.mean - rest).max(axis=1) < STILL_RATE + noise
+    return np.asarray(slow & (turn < 3.0 * floor + 2.0 * STILL_RATE) & (rate.count >= 3))
+
+
+def rest_runs(still: Array) -> list[tuple[int, int]]:
+    """Return [first, last) windows of runs of stillness, one window trimmed at either end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    runs = [(int(a) + 1, int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(a, b) for a, b in runs if b - a >= SHORTEST_REST]
+
+
+def cut(
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    events: Sequence[Charging] = (),
+    bin_length: float | None = None,
+) -> Bins:
+    """Cut a recording into still bins of `bin_length` s (None: 10 s, or 1/200 of the recording)."""
+    span = (float(accelerometer.t[0]), float(accelerometer.t[-1]))
+    force = windows(accelerometer, *span)
+    rate = None if gyroscope is None or len(gyroscope) == 0 else windows(gyroscope, *span)
+    still = still_windows(force, rate)
+    length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
+    first, last, rest = _bin_edges(rest_runs(still), length)
+    duration = (last - first) * WINDOW
+    return Bins(
+        t=span[0] + (first + last) * 0.5 * WINDOW,
+        duration=duration,
+        rest=rest,
+        force=_bin_means(force.mean, first, last),
+        force_variance=_white_variances(force.mean, first, last),
+        vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],
+        activity=np.stack([force.t, (~still).astype(np.float64)], axis=1),
+        span=span,
+        rate=None if rate is None else _bin_means(rate.mean, first, last),
+        rate_variance=None if rate is None else _white_variances(rate.mean, first, last),
+        temperature=_bin_temperatures(accelerometer, span[0], first, last),
+        **_charging(events, span, first, last),
+    )
+
+
+def _bin_edges(runs: list[tuple[int, int]], length: float) -> tuple[Array, Array, Array]:
+    parts = [np.linspace(a, b, max(1, round((b - a) * WINDOW / length)) + 1).round() for a, b in runs]
+    if not parts:
+        return np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)
+    rest = np.repeat(np.arange(len(parts)), [p.size - 1 for p in parts])
+    return np.concatenate([p[:-1] for p in parts]), np.concatenate([p[1:] for p in parts]), rest
+
+
+def _bin_means(values: Array, first: Array, last: Array) -> Array:
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return np.asarray((total[last.astype(int)] - total[first.astype(int)]) / (last - first)[:, None])
+
+
+def _white_variances(values: Array, first: Array, last: Array) -> Array:
+    """Variance (n, 3) of bin means, from differences of window means inside bins, shrunk to their mean."""
+    half = np.diff(values, axis=0) ** 2 / 2.0
+    own = _bin_means(half, first, last - 1.0)
+    count = (last - first - 1.0)[:, None]
+    pooled = (own * count).sum(axis=0) / count.sum() if count.size else np.zeros(3)
+    windows_variance = (own * count + pooled * POOLED_WEIGHT) / (count + POOLED_WEIGHT)
+    return np.asarray(np.maximum(windows_variance / (last - first)[:, None], 1e-18))
+
+
+def _bin_temperatures(samples: Samples, t_start: float, first: Array, last: Array) -> Array | None:
+    if samples.temperature is None:
+        return None
+    known = np.isfinite(samples.temperature)
+    if known.sum() < 2 or first.size == 0:
+        return None
+    grid = t_start + (np.arange(int(last.max())) + 0.5) * WINDOW
+    at_windows = np.interp(grid, samples.t[known], samples.temperature[known])
+    return _bin_means(at_windows[:, None], first, last)[:, 0]
+
+
+def _charging(
+    events: Sequence[Charging], span: tuple[float, float], first: Array, last: Array
+) -> dict[str, Array | None]:
+    """Part of each bin on the charger and (m, 2) switching times and states; before the first event its opposite."""
+    plugs = sorted((e for e in events if isinstance(e, Charging)), key=lambda e: e.t)
+    if not plugs:
+        return {"charging": None, "charging_switches": None}
+    times = np.array([span[0], *(e.t for e in plugs)])
+    states = np.array([float(plugs[0].t > span[0] and not plugs[0].on), *(float(e.on) for e in plugs)])
+    fine = span[0] + np.arange(int((span[1] - span[0]) / WINDOW) + 1) * WINDOW
+    at = states[np.maximum(np.searchsorted(times, fine, side="right") - 1, 0)]
+    return {
+        "charging": _bin_means(at[:, None], first, last)[:, 0],
+        "charging_switches": np.stack([times, states], axis=1),
+    }

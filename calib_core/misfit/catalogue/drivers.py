@@ -1,0 +1,101 @@
+"""Curves that a slow effect may follow, at the middles of still bins: temperature, plug, age, heat."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from stillcal.calib_core.misfit.bins import WINDOW, Bins
+from stillcal.calib_core.misfit.catalogue.entry import Scene, moves
+from stillcal.calib_core.samples import Array
+
+Driver = tuple[dict[str, float], Array]
+TAUS = (60.0, 120.0, 240.0, 480.0, 960.0, 1920.0)
+STEPS = 48
+LATENT_TAUS = (90.0, 200.0, 450.0, 900.0, 1800.0)
+LEAST_SPAN = 0.3
+
+
+def temperature(scene: Scene) -> list[Driver]:
+    """Temperature about its mean, K; needs 0.3 K of span."""
+    t = scene.bins.temperature
+    return [] if t is None or not moves(t, LEAST_SPAN) else [({}, t - t.mean())]
+
+
+def age(bins: Bins) -> Array:
+    """Time since the recording began, s."""
+    return np.asarray(bins.t - bins.span[0])
+
+
+def warmup(scene: Scene) -> list[Driver]:
+    """1 - exp(-age / tau), for tau up to half the recording."""
+    half = (scene.bins.span[1] - scene.bins.span[0]) / 2.0
+    return [({"tau_s": tau}, relaxation(scene.bins, tau)) for tau in TAUS if tau <= half]
+
+
+def relaxation(bins: Bins, tau: float) -> Array:
+    """1 - exp(-age / tau), (n,)."""
+    return np.asarray(-np.expm1(-age(bins) / tau))
+
+
+def drift(scene: Scene) -> list[Driver]:
+    """Time since the beginning, s."""
+    return [({}, age(scene.bins))]
+
+
+def steps(scene: Scene) -> list[Driver]:
+    """One at and after a time; up to `STEPS` times evenly among the borders of bins, two bins from either end."""
+    t = scene.bins.t
+    if t.size < 6:
+        return []
+    borders = np.unique(np.linspace(2, t.size - 2, STEPS).round().astype(int))
+    return [({"t_start": float(_border(scene.bins, i))}, (np.arange(t.size) >= i).astype(float)) for i in borders]
+
+
+def _border(bins: Bins, i: int) -> float:
+    return float((bins.t[i - 1] + bins.duration[i - 1] / 2 + bins.t[i] - bins.duration[i] / 2) / 2)
+
+
+def charging(scene: Scene) -> list[Driver]:
+    """One while on the charger."""
+    c = scene.bins.charging
+    return [] if c is None or not moves(c, 0.5) else [({}, c)]
+
+
+def latent_heat(scene: Scene) -> list[Driver]:
+    """First-order temperatures (arbitrary unit) that charging, use and a cool or warm start would give.
+
+    Only where no thermometer was recorded. All sources share one time constant; their shares are gridded.
+    """
+    bins = scene.bins
+    if bins.temperature is not None and moves(bins.temperature, LEAST_SPAN):
+        return []
+    sources = [(1.0, 0.0, 0.0), (1.0, 0.0, -0.7), (1.0, 0.0, 0.7), (1.0, 0.5, 0.0)]
+    plugged = bins.charging_switches is not None and moves(bins.charging_switches[:, 1])
+    if not plugged:
+        sources = [(0.0, 1.0, 0.0), (0.0, 1.0, -0.7), (0.0, 1.0, 0.7)]
+    found = []
+    for tau, (plug, use, start) in product(LATENT_TAUS, sources):
+        curve = heat(bins, tau, plug, use, start)
+        if moves(curve, 0.05):
+            found.append(({"tau_s": tau, "plug": plug, "use": use, "start": start}, curve / np.ptp(curve)))
+    return found
+
+
+def heat(bins: Bins, tau: float, plug: float, use: float, start: float) -> Array:
+    """Solution (n,) of tau z' = plug on(t) + use active(t) - z, z(0) = start, at the bins."""
+    t, active = bins.activity[:, 0], bins.activity[:, 1]
+    on = np.zeros_like(t)
+    if bins.charging_switches is not None:
+        times, states = bins.charging_switches.T
+        on = states[np.maximum(np.searchsorted(times, t, side="right") - 1, 0)]
+    decay = np.exp(-WINDOW / tau)
+    z = _filtered(plug * on + use * active, decay)
+    return np.asarray(np.interp(bins.t, t, z + start * np.exp(-(t - t[0]) / tau)))
+
+
+def _filtered(source: Array, decay: float) -> Array:
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter([1.0 - decay], [1.0, -decay], source))

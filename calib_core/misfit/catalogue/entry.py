@@ -1,0 +1,75 @@
+"""What a catalogue entry is: an effect's forward equation as columns in each view, and what may be said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.views import View
+from stillcal.calib_core.samples import Array
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """One sensor's slow views with what the catalogue may use. up: (n, 3) unit gravity in every bin, or None."""
+
+    sensor: str
+    bins: Bins
+    views: tuple[View, ...]
+    gravity: float
+    up: Array | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """An effect at one point of its grid. columns: one (b, n, k) a view, in the order of the scene's views."""
+
+    entry: Entry
+    grid: dict[str, float]
+    columns: tuple[Array, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """An effect of the catalogue.
+
+    propose: all its hypotheses in a scene, none where the recording lacks what drives it. parameters: name,
+    unit and row lengths of its linear parameters in order. look_alikes: effects that can imitate it; decides:
+    the recording that tells them apart. sentence: one plain sentence, `{axes}` filled in. follows: driver.
+    """
+
+    effect: str
+    sensor: str
+    follows: str
+    propose: Callable[[Entry, Scene], list[Hypothesis]]
+    parameters: tuple[tuple[str, str, int], ...]
+    sentence: str
+    look_alikes: tuple[str, ...] = ()
+    decides: str = ""
+    grid_units: dict[str, str] = field(default_factory=dict)
+
+
+def bias_columns(scene: Scene, curve: Array, views: tuple[str, ...] = ()) -> tuple[Array, ...]:
+    """Columns of a bias that follows `curve` (N,), one parameter an axis; `views` names views to leave out."""
+    return tuple(
+        v.project * (0.0 if v.name in views else 1.0) * curve[v.bins][None, :, None] for v in scene.views
+    )
+
+
+def curves(drivers: Callable[[Scene], list[tuple[dict[str, float], Array]]]) -> Callable[[Entry, Scene], list[Hypothesis]]:
+    """Return the proposal of a bias on each axis that follows any of the drivers' curves."""
+
+    def propose(entry: Entry, scene: Scene) -> list[Hypothesis]:
+        return [Hypothesis(entry, grid, bias_columns(scene, curve)) for grid, curve in drivers(scene)]
+
+    return propose
+
+
+def moves(curve: Array, least: float = 1e-9) -> bool:
+    """Whether a driver changes at all."""
+    return curve.size > 0 and float(np.ptp(curve)) > least

@@ -1,0 +1,18 @@
+"""From still bins to the two sensors' scenes: baseline fitted, views built."""
+
+from __future__ import annotations
+
+from stillcal.calib_core.misfit import views
+from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.catalogue.entry import Scene
+
+
+def scenes(bins: Bins, gravity: float) -> list[Scene]:
+    """Return the accelerometer's scene and, where there is a gyroscope, its own."""
+    baseline = views.fit_baseline(bins.force, bins.force_variance, gravity)
+    norm = views.norm_view(bins, baseline, gravity)
+    tangent = views.tangent_view(bins, baseline)
+    force_views = (norm,) if tangent is None else (norm, tangent)
+    found = [Scene("accel", bins, force_views, gravity, baseline.up)]
+    rates = tuple(views.rate_views(bins))
+    return [*found, Scene("gyro", bins, rates, gravity, baseline.up)] if rates else found

@@ -1,0 +1,137 @@
+"""Competition of the catalogue on one sensor's slow views, with forward steps.
+
+Every hypothesis is scored on one scale (docs/misfit.md, 5); the best one above the threshold joins the
+baseline and the search is repeated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Scene
+from stillcal.calib_core.misfit.evidence import (
+    Fit,
+    Reduced,
+    fit_hypothesis,
+    gain_bound,
+    null_log_likelihood,
+    reduce_view,
+)
+from stillcal.calib_core.samples import Array
+
+VISIBLE = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """A hypothesis with its fit and its score S; profile: (grid value, log likelihood) over its entry's grid."""
+
+    hypothesis: Hypothesis
+    fit: Fit
+    score: float
+    gain: float
+    profile: tuple[tuple[dict[str, float], float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One forward step: the winner and the best of every other entry, best first."""
+
+    winner: Scored
+    others: tuple[Scored, ...]
+
+
+def score(gain: float, parameters: int, dof: float, trials: int) -> float:
+    """Return S: minus log10 of the F tail of a gain in log likelihood, less log10 of the grid's size."""
+    from scipy.stats import f as f_distribution
+
+    explained = -np.expm1(-2.0 * max(gain, 0.0) / dof)
+    ratio = (explained / parameters) / (max(1.0 - explained, 1e-15) / max(dof - parameters, 1.0))
+    log_tail = float(f_distribution.logsf(ratio, parameters, max(dof - parameters, 1.0)))
+    return -log_tail / np.log(10.0) - float(np.log10(trials))
+
+
+def proposals(scene: Scene, entries: Sequence[Entry]) -> list[Hypothesis]:
+    """Return all hypotheses that the entries propose in a scene."""
+    return [h for entry in entries for h in entry.propose(entry, scene)]
+
+
+def compete(
+    scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()
+) -> tuple[list[Scored], list[Reduced]]:
+    """Score every hypothesis against the baseline with `found` projected out; best of each entry, best first."""
+    reduced = reduce_scene(scene, hypotheses, found)
+    null = null_log_likelihood(reduced)
+    dof = sum(v.dof for v in reduced)
+    trials: dict[int, int] = {}
+    for h in hypotheses:
+        trials[id(h.entry)] = trials.get(id(h.entry), 0) + 1
+    scored: dict[int, list[Scored]] = {}
+    for index, h in enumerate(hypotheses):
+        rank = visible(reduced, scene, h, index)
+        if rank == 0:
+            continue
+        bound = score(gain_bound(reduced, index) - null, rank, dof, trials[id(h.entry)])
+        if bound < thresholds.WORTH_FITTING:
+            continue
+        fit = fit_hypothesis(reduced, index)
+        gain = fit.log_likelihood - null
+        scored.setdefault(id(h.entry), []).append(
+            Scored(h, fit, score(gain, rank, dof, trials[id(h.entry)]), gain)
+        )
+    return sorted((_best(group) for group in scored.values()), key=lambda s: -s.score), reduced
+
+
+def _best(group: list[Scored]) -> Scored:
+    top = max(group, key=lambda s: s.gain)
+    profile = tuple((s.hypothesis.grid, s.gain) for s in group)
+    return Scored(top.hypothesis, top.fit, top.score, top.gain, profile)
+
+
+def reduce_scene(
+    scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()
+) -> list[Reduced]:
+    """Reduce every view of a scene for a list of hypotheses."""
+    widths = [h.columns[0].shape[2] for h in hypotheses]
+    ends = np.cumsum([0, *widths])
+    index = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    reduced = []
+    for i, view in enumerate(scene.views):
+        design = np.concatenate([h.columns[i] for h in hypotheses], axis=2)
+        extra = np.concatenate([f.columns[i] for f in found], axis=2) if found else None
+        reduced.append(reduce_view(view, design, index, _nonzero(extra)))
+    return reduced
+
+
+def _nonzero(extra: Array | None) -> Array | None:
+    """Drop columns that a view does not see."""
+    if extra is None:
+        return None
+    seen = np.abs(extra).max(axis=(0, 1)) > 0.0
+    return extra[:, :, seen] if seen.any() else None
+
+
+def visible(reduced: Sequence[Reduced], scene: Scene, hypothesis: Hypothesis, h: int) -> int:
+    """Return how many directions of a hypothesis survive the projection of the baseline (white noise)."""
+    raw = sum(
+        np.einsum("bnk,n->k", c**2, 1.0 / v.variance) for c, v in zip(hypothesis.columns, scene.views, strict=True)
+    )
+    size = np.sqrt(np.maximum(np.asarray(raw), 1e-300))
+    left = sum(v.blocks[h][0] for v in reduced) / np.outer(size, size)
+    return int((np.linalg.eigvalsh(np.asarray(left)) > VISIBLE).sum())
+
+
+def forward(scene: Scene, entries: Sequence[Entry], threshold: float = thresholds.SCORE) -> list[Step]:
+    """Return the forward steps whose winner passes the threshold, at most `thresholds.MAX_FINDINGS`."""
+    hypotheses = proposals(scene, entries)
+    steps: list[Step] = []
+    while hypotheses and len(steps) < thresholds.MAX_FINDINGS:
+        ranked, _ = compete(scene, hypotheses, [s.winner.hypothesis for s in steps])
+        if not ranked or ranked[0].score < threshold:
+            break
+        steps.append(Step(ranked[0], tuple(ranked[1:])))
+    return steps

@@ -1,0 +1,182 @@
+"""The baseline phone and the residuals that must vanish under it: norm and tangent of gravity, rate at rest.
+
+A view holds residuals of the still bins with the baseline's columns that are to be projected out. What an
+effect would do in each view is the catalogue's business; how noise looks is `shapes`'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.samples import Array
+
+BIAS_SIZE = 0.5
+SCALE_SIZE = 0.05
+CREEP_BINS = 6
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Residuals of one kind, n bins in each of b blocks that share a covariance.
+
+    y: (b, n) residual; baseline: (b, n, p) columns projected out of each block; variance: (n,) white;
+    coupling: (n, n) how the bias of two bins is shared; project: (b, n, 3) what an error vector of the
+    sensor in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,).
+    """
+
+    name: str
+    y: Array
+    baseline: Array
+    variance: Array
+    coupling: Array
+    project: Array
+    bins: Array
+    t: Array
+    duration: Array
+    rest: Array
+
+    @property
+    def parameters(self) -> int:
+        """Number of baseline parameters projected out, over all blocks."""
+        return int(self.baseline.shape[0] * self.baseline.shape[2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Baseline:
+    """Affine accelerometer fitted to the norm of gravity. scale (3, 3), bias (3,), up: (n, 3) unit, norm: (n,)."""
+
+    scale: Array
+    bias: Array
+    up: Array
+    norm: Array
+    jacobian: Array
+
+
+def fit_baseline(force: Array, variance: Array, gravity: float, steps: int = 8) -> Baseline:
+    """Fit the nine parameters of |S (m - b)| = g by damped Gauss-Newton with priors of physical size.
+
+    force, variance: (n, 3). Norm of gravity alone leaves a common rotation free, so S is symmetric.
+    """
+    weight = 1.0 / np.sqrt(variance.mean(axis=1))
+    prior = np.diag(1.0 / np.array([BIAS_SIZE] * 3 + [SCALE_SIZE] * 6))
+    x = np.zeros(9)
+    for _ in range(steps):
+        fit = _linearised(force, x)
+        design = np.vstack([fit.jacobian * weight[:, None], prior])
+        target = np.concatenate([(gravity - fit.norm) * weight, -prior @ x])
+        x = x + np.linalg.lstsq(design, target, rcond=None)[0]
+    return _linearised(force, x)
+
+
+def _linearised(force: Array, x: Array) -> Baseline:
+    scale = np.eye(3)
+    for value, (a, b) in zip(x[3:], PAIRS, strict=True):
+        scale[a, b] += value
+        scale[b, a] = scale[a, b]
+    centred = force - x[:3]
+    corrected = centred @ scale.T
+    norm = np.linalg.norm(corrected, axis=1)
+    up = corrected / norm[:, None]
+    of_scale = [up[:, a] * centred[:, b] + (a != b) * up[:, b] * centred[:, a] for a, b in PAIRS]
+    return Baseline(scale, x[:3], up, norm, np.column_stack([-up @ scale, *of_scale]))
+
+
+def pruned(columns: Array, sizes: Array, variance: Array) -> Array:
+    """Keep the combinations (n, q) of columns that could move the data by more than the white noise."""
+    scaled = columns * sizes / np.sqrt(variance)[:, None]
+    u, s, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(u[:, s > 1.0] * np.sqrt(variance)[:, None])
+
+
+def norm_view(bins: Bins, baseline: Baseline, gravity: float) -> View:
+    """Residual of gravity's norm: blind to any tilt of the phone."""
+    variance = np.einsum("na,na->n", baseline.up**2, bins.force_variance)
+    sizes = np.array([BIAS_SIZE] * 3 + [SCALE_SIZE] * 6)
+    return View(
+        name="norm",
+        y=(baseline.norm - gravity)[None],
+        baseline=pruned(baseline.jacobian, sizes, variance)[None],
+        variance=variance,
+        coupling=baseline.up @ baseline.up.T,
+        project=(baseline.up @ baseline.scale)[None],
+        bins=np.arange(len(bins)),
+        t=bins.t,
+        duration=bins.duration,
+        rest=bins.rest,
+    )
+
+
+def tangent_view(bins: Bins, baseline: Baseline) -> View | None:
+    """Change of the two components across gravity inside long rests, creep of the support removed.
+
+    None where no rest has `CREEP_BINS` bins.
+    """
+    counts = np.bincount(bins.rest, minlength=1)
+    keep = np.flatnonzero(counts[bins.rest] >= CREEP_BINS)
+    if keep.size == 0:
+        return None
+    rest, t = bins.rest[keep], bins.t[keep]
+    across = _across(baseline.up[keep], rest)
+    creep = _creep(t, rest)
+    return View(
+        name="tangent",
+        y=np.einsum("bna,na->bn", across, bins.force[keep] - bins.force[keep].mean(axis=0)),
+        baseline=np.stack([creep, creep]),
+        variance=bins.force_variance[keep].mean(axis=1),
+        coupling=(rest[:, None] == rest[None, :]).astype(np.float64),
+        project=across,
+        bins=keep,
+        t=t,
+        duration=bins.duration[keep],
+        rest=rest,
+    )
+
+
+def _across(up: Array, rest: Array) -> Array:
+    """Two unit vectors (2, n, 3) across the mean gravity of each rest, as near to body axes as can be."""
+    across = np.empty((2, len(up), 3))
+    for r in np.unique(rest):
+        rows = rest == r
+        mean = up[rows].mean(axis=0)
+        first = np.eye(3)[np.argmin(np.abs(mean))]
+        first = first - (first @ mean) * mean / (mean @ mean)
+        first /= np.linalg.norm(first)
+        across[0, rows], across[1, rows] = first, np.cross(mean, first) / np.linalg.norm(mean)
+    return across
+
+
+def _creep(t: Array, rest: Array) -> Array:
+    """Offset, ramp and logarithmic relaxation of every rest: (n, 3 rests)."""
+    columns = []
+    for r in np.unique(rest):
+        inside = rest == r
+        age = np.where(inside, t - t[inside][0], 0.0)
+        log_age = np.log1p(age / 20.0)
+        columns += [inside.astype(np.float64), age / max(age.max(), 1e-9), log_age / max(log_age.max(), 1e-9)]
+    return np.column_stack(columns)
+
+
+def rate_views(bins: Bins) -> list[View]:
+    """Rate at rest, one view an axis; the constant bias is the baseline."""
+    if bins.rate is None or bins.rate_variance is None:
+        return []
+    n = len(bins)
+    return [
+        View(
+            name=f"rate_{'xyz'[a]}",
+            y=bins.rate[None, :, a],
+            baseline=np.ones((1, n, 1)),
+            variance=bins.rate_variance[:, a],
+            coupling=np.ones((n, n)),
+            project=np.broadcast_to(np.eye(3)[a], (1, n, 3)),
+            bins=np.arange(n),
+            t=bins.t,
+            duration=bins.duration,
+            rest=bins.rest,
+        )
+        for a in range(3)
+    ]
