@@ -1,7 +1,12 @@
-"""The simulated phone: motion, heat, sensors, clock; a forward model that shares no formula with calib_core."""
+"""The simulated phone: motion, heat, sensors, clock.
+
+A forward model that shares no formula with calib_core, of which it uses the sample blocks only.
+"""
 
 from stillcal.replay.phone.phone import Phone, dump_phone, load_phone
 from stillcal.replay.phone.plan import Charging, Event, Location
+from stillcal.replay.phone.population import population
+from stillcal.replay.phone.restdraws import RestDraws, draw_rests
 from stillcal.replay.phone.scenario import Scenario, load_scenario
 from stillcal.replay.phone.simulation import Chunk, Simulation, Truth, simulate
 
@@ -11,11 +16,14 @@ __all__ = [
     "Event",
     "Location",
     "Phone",
+    "RestDraws",
     "Scenario",
     "Simulation",
     "Truth",
+    "draw_rests",
     "dump_phone",
     "load_phone",
     "load_scenario",
+    "population",
     "simulate",
 ]

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.samples import Array
 from stillcal.replay.phone.noise import seeded
 from stillcal.replay.phone.settings import ClockSettings
+
+Flags = NDArray[np.bool_]
 
 BLOCK_S = 60.0
 """Length of a block of simulated time, s: fixed, so that how a recording is cut changes nothing in it."""
@@ -49,15 +52,18 @@ LOAD = Load()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ticks:
-    """Samples of one block. t: (n,) true time s; stamp: (n,) device's time; arrival: (n,) host's; kept: (n,) bool."""
+    """Samples of one block. t, stamp, arrival: (n,) s of true time, the device's clock, the host's clock.
+
+    rows: which of them are delivered, in order; doubled ones come twice.
+    """
 
     t: Array
     stamp: Array
     arrival: Array
-    kept: np.ndarray
+    rows: NDArray[np.int64]
 
 
-def inside(t: Array, intervals: Sequence[Interval]) -> np.ndarray:
+def inside(t: Array, intervals: Sequence[Interval]) -> Flags:
     """Return whether each of the times (n,) lies within any of the disjoint, rising intervals."""
     if not intervals:
         return np.zeros(t.size, dtype=bool)
@@ -78,6 +84,7 @@ class StreamClock:
         rate_hz: float,
         stressed: Sequence[Interval],
         suspended: Sequence[Interval],
+        *,
         seed: int,
         stream: str,
     ) -> None:
@@ -95,10 +102,12 @@ class StreamClock:
         t: Array = (np.arange(first, last, dtype=np.float64) + self._phase) / self._rate
         busy = inside(t, self._stressed)
         stamp = self._stamps(t, busy, rng)
-        kept = self._kept(t, busy, rng) & ~inside(t, self._suspended)
-        return Ticks(t, stamp, self._arrivals(t, busy, kept, rng), kept)
+        kept = self._kept(t, busy, rng) & ~inside(t, self._suspended) & ~self._outages(t, busy, index)
+        arrival = self._arrivals(t, busy, kept, rng)
+        times = 1 + (rng.random(int(kept.sum())) < self._clock.double_fraction)
+        return Ticks(t, stamp, arrival, np.repeat(np.flatnonzero(kept), times))
 
-    def _stamps(self, t: Array, busy: np.ndarray, rng: np.random.Generator) -> Array:
+    def _stamps(self, t: Array, busy: Flags, rng: np.random.Generator) -> Array:
         period = 1.0 / self._rate
         sigma = np.hypot(self._clock.jitter_s, np.where(busy, LOAD.jitter * period, 0.0))
         off = 0.0 if not sigma.any() else sigma * rng.standard_normal(t.size)
@@ -107,20 +116,25 @@ class StreamClock:
         )
         return stamps
 
-    def _kept(self, t: Array, busy: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    def _kept(self, t: Array, busy: Flags, rng: np.random.Generator) -> Flags:
         kept = np.ones(t.size, dtype=bool)
         if self._clock.drop_fraction > 0.0:
             kept &= rng.random(t.size) >= self._clock.drop_fraction
-        if self._clock.gaps_per_hour > 0.0:
-            kept &= ~_outages(t, 3600.0 / self._clock.gaps_per_hour, self._clock.gap_s, rng)
         if busy.any():
             hops = np.cumsum(np.where(rng.random(t.size) < LOAD.single, 1, 2))
             served = np.zeros(t.size, dtype=bool)
             served[hops[hops < t.size]] = True
-            kept &= ~busy | (served & ~_outages(t, LOAD.outage_every_s, LOAD.outage_s, rng))
+            kept &= ~busy | served
         return kept
 
-    def _arrivals(self, t: Array, busy: np.ndarray, kept: np.ndarray, rng: np.random.Generator) -> Array:
+    def _outages(self, t: Array, busy: Flags, index: int) -> Flags:
+        """Return where nothing is sampled: the same for both streams, because the phone is to blame."""
+        rng, start = seeded(self._seed, "outages", index), index * BLOCK_S
+        now_and_then = drawn_outages(self._clock.gaps_per_hour / 3600.0, self._clock.gap_s, start, rng)
+        starving = drawn_outages(1.0 / LOAD.outage_every_s, LOAD.outage_s, start, rng)
+        return inside(t, now_and_then) | (busy & inside(t, starving))
+
+    def _arrivals(self, t: Array, busy: Flags, kept: Flags, rng: np.random.Generator) -> Array:
         clock = self._clock
         arrival = t + clock.latency_s
         if clock.latency_jitter_s > 0.0:
@@ -137,11 +151,11 @@ class StreamClock:
         return arrival
 
 
-def _outages(t: Array, every: float, length: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
-    count = rng.poisson(np.ptp(t) / every) if t.size else 0
-    starts = np.sort(rng.uniform(t[0], t[-1], count)) if count else np.empty(0)
-    lengths = rng.uniform(*length, count)
-    hit = np.zeros(t.size, dtype=bool)
-    for start, span in zip(starts, lengths, strict=True):
-        hit |= (t >= start) & (t < start + span)
-    return hit
+def drawn_outages(
+    per_s: float, length: tuple[float, float], start: float, rng: np.random.Generator
+) -> list[Interval]:
+    """Draw disjoint outages in the block that begins at `start` s, `per_s` of them a second on average."""
+    count = int(rng.poisson(per_s * BLOCK_S))
+    begins = np.sort(rng.uniform(start, start + BLOCK_S, count))
+    ends = np.minimum(begins + rng.uniform(*length, count), np.append(begins[1:], start + BLOCK_S))
+    return [Interval(float(a), float(b)) for a, b in zip(begins, ends, strict=True)]

@@ -1,4 +1,4 @@
-"""The simulated world's gravity: how hard the ground pushes at a place. Independent of calib_core's formulas."""
+"""The simulated world's gravity and rotation at a place; shares no formula with calib_core."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ class Profile(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Glide:
-    """From 0 to `change` in `duration` s after `start` s with the least jerk (Flash and Hogan 1985, Eq. 3)."""
+    """From 0 to `change` in `duration` s after `start` s with least jerk (Flash and Hogan 1985, Eq. 3)."""
 
     change: float
     duration: float
@@ -67,6 +67,8 @@ class Waves:
             cosine @ (self.amplitude * omega),
             sine @ (self.amplitude * -(omega**2)),
         )
+        if t.size and t[0] >= self.fade and t[-1] <= self.duration - self.fade:
+            return s0, s1, s2
         rise = Glide(1.0, self.fade).at(t)
         fall = Glide(-1.0, self.fade, self.duration - self.fade).at(t)
         w0, w1, w2 = (a + b for a, b in zip(rise, fall, strict=True))

@@ -35,10 +35,10 @@ def flicker_sigma(level: Array) -> Array:
     """Return the standard deviation of each process in the flicker bank for a bias instability `level`.
 
     A bank with equal variances and correlation times spaced by a factor r has the one-sided spectrum
-    sigma^2 / (f ln r); IEEE Std 952-1997, Annex C, has B^2 / (2 pi f) for bias instability B, whose Allan
-    deviation is flat at B sqrt(2 ln 2 / pi) = 0.664 B.
+    sigma^2 / (f ln r). IEEE Std 952-1997, Annex C, gives bias instability B the two-sided spectrum
+    B^2 / (2 pi f), one-sided B^2 / (pi f), whose Allan deviation is flat at B sqrt(2 ln 2 / pi) = 0.664 B.
     """
-    sigma: Array = level * math.sqrt(math.log(FLICKER_SPACING) / (2.0 * math.pi))
+    sigma: Array = level * math.sqrt(math.log(FLICKER_SPACING) / math.pi)
     return sigma
 
 

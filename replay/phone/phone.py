@@ -9,8 +9,9 @@ from typing import Any
 import msgspec
 
 from stillcal.calib_core.samples import Sensor
-from stillcal.replay.phone.effects import AnyEffect, TiltCreep
+from stillcal.replay.phone.effects import AnyEffect
 from stillcal.replay.phone.scenario import read_settings
+from stillcal.replay.phone.setting_effects import TiltCreep
 from stillcal.replay.phone.settings import ClockSettings, HeatSettings, SensorSettings, Settings, per_axis
 
 

@@ -99,7 +99,11 @@ class Rest(Activity, frozen=True, kw_only=True, tag="rest"):
 
 
 class Table(Activity, frozen=True, kw_only=True, tag="table"):
-    """Lying about, taken up now and then and put down otherwise. rest_s: length of a rest; look: chance of use."""
+    """Lying about, taken up now and then and put down otherwise.
+
+    rest_s: length of a rest; look: chance that it is looked at before it is put down again, for look_s.
+    supports: how often it is put down on which.
+    """
 
     rest_s: Span = (15.0, 900.0)
     look: float = 0.6
@@ -161,7 +165,7 @@ class Desk(Activity, frozen=True, kw_only=True, tag="desk"):
 
 
 class Washer(Activity, frozen=True, kw_only=True, tag="washer"):
-    """On a washing machine (seed of Stisen et al. 2015, Fig. 4): tumbling, then spinning at spin_hz."""
+    """On a washing machine (Stisen et al. 2015, Fig. 4): tumbling, then spinning at spin_hz."""
 
     support: str = "screen_up"
     spin_hz: Span = (10.0, 25.0)

@@ -19,10 +19,11 @@ Segment = Rest | Table | Poses | Desk | Washer | Mattress | Hand | Pocket | Walk
 
 
 class Scenario(Settings, frozen=True, kw_only=True, rename={"segments": "segment"}):
-    """A course of events. place: where it starts; ambient_c: degC at the start; repeat: how often it all happens.
+    """A course of events.
 
-    duration_s: length of the whole recording, None for as long as it takes; a course that ends early rests
-    until then, one that runs over is cut. earth_rotation: whether the gyroscope feels the Earth turn.
+    place: where it starts; ambient_c: degC at the start; repeat: how often it all happens. duration_s:
+    length of the whole recording, None for as long as it takes; a course that ends early rests until then,
+    one that runs over is cut. earth_rotation: whether the gyroscope feels the Earth turn.
     """
 
     segments: tuple[Segment, ...]

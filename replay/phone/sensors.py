@@ -1,6 +1,6 @@
 """The forward chain of one sensor: from what is felt to what is reported.
 
-    raw = hold(Q(clip(h_LP * [bias + scale @ true + terms + wander + white])))
+    raw = hold(Q(clip(h_LP * [bias + scale @ bound(true) + terms + wander + white])))
 
 Noise is added ahead of the low-pass because it arises in the sensing element and its amplifier: the
 filter shapes it as it shapes the signal. The quantiser comes last and so rounds the noise too, which is
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.signal import butter, lfilter, lfilter_zi
 
 from stillcal.calib_core.samples import Array, Sensor
-from stillcal.replay.phone.effects import Circumstances, Effect, Moment, Term
+from stillcal.replay.phone.effect import Circumstances, Effect, Moment, Term
 from stillcal.replay.phone.heat import Surroundings
 from stillcal.replay.phone.noise import GaussMarkov, Wander, White, flicker_bank, seeded
 from stillcal.replay.phone.settings import Noise, SensorSettings, per_axis
@@ -76,7 +76,9 @@ class SensorChain:
             return np.empty((0, 3))
         moment = self._disturbed(moment)
         settings = self._settings
-        raw: Array = moment.felt_by(self._sensor) @ np.asarray(settings.scale).T + np.asarray(settings.bias)
+        felt, bound = moment.felt_by(self._sensor), settings.element_range
+        felt = felt if bound is None else np.clip(felt, -bound, bound)
+        raw: Array = felt @ np.asarray(settings.scale).T + np.asarray(settings.bias)
         for term in self._outputs:
             raw = raw + term(moment)
         if not self._wander.silent:

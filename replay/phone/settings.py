@@ -70,8 +70,9 @@ class SensorSettings(Settings, frozen=True, kw_only=True):
     """One triaxial sensor: raw = scale @ true + bias + noise, then bandwidth, range and lsb.
 
     rate_hz: samples a second by its own clock. bias: raw unit. scale: forward 3x3 matrix. lsb: step of
-    the values, 0 for none. range: largest magnitude, None for unlimited. cutoff_hz: -3 dB of a
-    second-order low-pass, None for none. held_fraction: samples that repeat the one before.
+    the values, 0 for none. range: largest magnitude reported, element_range: largest that the sensing
+    element bears, None for unlimited. cutoff_hz: -3 dB of a second-order low-pass, None for none.
+    held_fraction: samples that repeat the one before.
     """
 
     rate_hz: float = 100.0
@@ -80,13 +81,16 @@ class SensorSettings(Settings, frozen=True, kw_only=True):
     noise: Noise = Noise()
     lsb: float = 0.0
     range: float | None = None
+    element_range: float | None = None
     cutoff_hz: float | None = None
     held_fraction: float = 0.0
 
     def __post_init__(self) -> None:
         require(1.0 <= self.rate_hz <= 4000.0, "rate_hz", self.rate_hz, "from 1 to 4000 Hz")
         require(self.lsb >= 0.0, "lsb", self.lsb, "0 or more")
-        require(self.range is None or self.range > 0.0, "range", self.range, "above 0")
+        for field in ("range", "element_range"):
+            limit = getattr(self, field)
+            require(limit is None or limit > 0.0, field, limit, "above 0")
         require(0.0 <= self.held_fraction < 1.0, "held_fraction", self.held_fraction, "from 0 to below 1")
         determinant = float(np.linalg.det(np.asarray(self.scale)))
         require(abs(determinant) > 1e-6, "scale", self.scale, "an invertible matrix")
@@ -101,11 +105,11 @@ class ClockSettings(Settings, frozen=True, kw_only=True):
     """How samples are timed and delivered.
 
     skew: the device's clock against true time, relative (positive: fast). jitter_s: standard deviation
-    of a stamp. shared: both sensors sampled together, under one stamp. latency_s, latency_jitter_s: constant
-    and mean exponential delay to arrival. drop_fraction: samples lost. burst_fraction, burst_s: share of
-    the time in which delivery stalls for burst_s and then comes at once. gaps_per_hour, gap_s: outages of
-    that mean number, with lengths drawn from the range. gyro_delay_s: the gyroscope's motion is this old
-    when stamped.
+    of a stamp. shared: both sensors sampled together, under one stamp, at the accelerometer's rate.
+    latency_s, latency_jitter_s: constant and mean exponential delay to arrival. drop_fraction: samples lost;
+    double_fraction: samples delivered twice. burst_fraction, burst_s: share of the time in which delivery
+    stalls for burst_s and then comes at once. gaps_per_hour, gap_s: outages of that mean number, with
+    lengths drawn from the range. gyro_delay_s: the gyroscope's motion is this old when stamped.
     """
 
     skew: float = 0.0
@@ -114,6 +118,7 @@ class ClockSettings(Settings, frozen=True, kw_only=True):
     latency_s: float = 0.0
     latency_jitter_s: float = 0.0
     drop_fraction: float = 0.0
+    double_fraction: float = 0.0
     burst_fraction: float = 0.0
     burst_s: float = 0.2
     gaps_per_hour: float = 0.0
@@ -125,7 +130,7 @@ class ClockSettings(Settings, frozen=True, kw_only=True):
         for field in ("jitter_s", "latency_s", "latency_jitter_s", "gaps_per_hour"):
             value = getattr(self, field)
             require(value >= 0.0, field, value, "0 or more")
-        for field in ("drop_fraction", "burst_fraction"):
+        for field in ("drop_fraction", "double_fraction", "burst_fraction"):
             value = getattr(self, field)
             require(0.0 <= value < 1.0, field, value, "from 0 to below 1")
         require(0.0 < self.burst_s <= 10.0, "burst_s", self.burst_s, "above 0, at most 10 s")

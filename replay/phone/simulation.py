@@ -14,7 +14,7 @@ import numpy as np
 
 from stillcal.calib_core.samples import Array, Samples, Sensor, frozen
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
-from stillcal.replay.phone.effects import Moment
+from stillcal.replay.phone.effect import Moment
 from stillcal.replay.phone.heat import Heat
 from stillcal.replay.phone.noise import seeded
 from stillcal.replay.phone.phone import Phone
@@ -26,7 +26,7 @@ from stillcal.replay.phone.settings import SensorSettings
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chunk:
-    """What the phone delivered up to a stamp of t_end s: accelerometer, gyroscope (None without one), events."""
+    """What the phone delivered up to a stamp of t_end s; gyroscope is None where the phone has none."""
 
     t_end: float
     accelerometer: Samples
@@ -36,7 +36,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueModel:
-    """A sensor's true affine model, raw = forward @ true + bias; calibrated = scale @ (raw - bias) undoes it."""
+    """A sensor's true affine model, raw = forward @ true + bias; scale @ (raw - bias) undoes it."""
 
     forward: Array
     scale: Array
@@ -125,8 +125,7 @@ class Simulation:
         accel, gyro = Samples.empty(Sensor.ACCELEROMETER), Samples.empty(Sensor.GYROSCOPE)
         has_gyro, events, t_end = self.phone.gyro is not None, list(self.events()), 0.0
         for sure, more_accel, more_gyro in self._blocks():
-            accel = Samples.joined([accel, more_accel]) if len(accel) else more_accel
-            gyro = Samples.joined([gyro, more_gyro]) if len(gyro) else more_gyro
+            accel, gyro = _end_to_end([accel, more_accel]), _end_to_end([gyro, more_gyro])
             while t_end + seconds <= sure or (sure >= self.duration and t_end < self.duration):
                 t_end += seconds
                 now = tuple(e for e in events if e.t < t_end)
@@ -141,8 +140,8 @@ class Simulation:
         gyros = [c.gyroscope for c in parts if c.gyroscope is not None]
         return Chunk(
             self.duration,
-            Samples.joined([c.accelerometer for c in parts]),
-            Samples.joined(gyros) if gyros else None,
+            _end_to_end([c.accelerometer for c in parts]),
+            _end_to_end(gyros) if gyros else None,
             self.events(),
         )
 
@@ -175,7 +174,9 @@ class _Stream:
         settings = phone.sensor(sensor)
         assert settings is not None, "a stream is made only for a sensor that the phone has"
         settings = msgspec.structs.replace(settings, rate_hz=rate_hz)
-        self.clock = StreamClock(clock, rate_hz, plan.stressed, plan.suspended, simulation.seed, sensor)
+        self.clock = StreamClock(
+            clock, rate_hz, plan.stressed, plan.suspended, seed=simulation.seed, stream=sensor
+        )
         self._simulation, self._sensor = simulation, sensor
         self._delay = clock.gyro_delay_s if sensor is Sensor.GYROSCOPE else 0.0
         self._chain = SensorChain(sensor, settings, phone.effects, plan.surroundings, simulation.seed)
@@ -186,14 +187,14 @@ class _Stream:
             return Samples.empty(self._sensor)
         temperature = self._simulation._heat.at(ticks.t)
         raw = self._chain.read(self._moment(ticks.t, temperature))
-        kept = ticks.kept
+        rows = ticks.rows
         reported = self._reported(temperature)
         return Samples(
             self._sensor,
-            frozen(ticks.stamp[kept]),
-            frozen(raw[kept]),
-            None if reported is None else frozen(reported[kept]),
-            frozen(ticks.arrival[kept]),
+            frozen(ticks.stamp[rows]),
+            frozen(raw[rows]),
+            None if reported is None else frozen(reported[rows]),
+            frozen(ticks.arrival[rows]),
         )
 
     def _moment(self, t: Array, temperature: Array) -> Moment:
@@ -211,6 +212,11 @@ class _Stream:
             temperature = temperature + noise * self._thermometer.standard_normal(temperature.size)
         lsb = heat.thermometer_lsb_c
         return temperature if lsb == 0.0 else np.rint(temperature / lsb) * lsb
+
+
+def _end_to_end(blocks: list[Samples]) -> Samples:
+    """Join blocks, of which those without samples may lack the others' optional columns."""
+    return Samples.joined([b for b in blocks if len(b)] or blocks[-1:])
 
 
 def _true_model(settings: SensorSettings) -> TrueModel:
