@@ -80,9 +80,20 @@ def missing(table: TextTable, wanted: Sequence[Column]) -> TraceError:
     what = f"no column {', '.join(repr(c) for c in lost)}"
     if table.names is None:
         return TraceError(table.path, f"{what} in rows of {table.width} cells", MAP_REMEDY, table.header_line)
+    if all(map(_is_float, table.names)):
+        remedy = "name the columns in its first line, or count them in a column map (docs/formats.md)"
+        return TraceError(table.path, f"{what}: the first line is not a header", remedy, table.header_line)
     seen = ", ".join(table.names)
     what = f"{what}; the header has: {seen if len(seen) <= 120 else seen[:117] + '...'}"
     return TraceError(table.path, what, _other_delimiter(table) or MAP_REMEDY, table.header_line)
+
+
+def _is_float(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _other_delimiter(table: TextTable) -> str | None:

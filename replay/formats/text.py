@@ -100,7 +100,10 @@ class TextTable:
     def _cells(self, line: str) -> list[str]:
         if self.delimiter == _BLANKS:
             return line.split()
-        return next(csv.reader([line.rstrip("\r")], delimiter=self.delimiter), [])
+        try:
+            return next(csv.reader([line.replace("\r", " ")], delimiter=self.delimiter), [])
+        except csv.Error:
+            return [line]
 
     def _line_blocks(self, size: int) -> Iterator[tuple[bytes, int, bool]]:
         """Yield (whole lines, number of the first, whether the last one lacks its line end)."""

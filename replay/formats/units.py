@@ -32,6 +32,13 @@ _CLEARLY = 10.0
 """One unit must leave this many times the squared misfit of another to be ruled out: more than the 4 that
 a gyroscope turned against the accelerometer's axes gives (residual twice the turning)."""
 
+_SEEN = 2e-3
+"""rad, rms of a pair of bins: turning that the mistaken unit must leave unexplained, above any rounding."""
+
+_TILT = 0.2
+"""rad: how far biases and misalignment may tilt the force from gravity as the gyroscope's axes have it; a
+fast spin about the vertical then seems to turn gravity by this much of its angle."""
+
 _MAP = "in a column map given as --format (docs/formats.md)"
 
 
@@ -40,10 +47,12 @@ class Turning:
     """Sums for the least-squares fit of gravity's turning to the rates, for any factor k between them.
 
     du = -k (theta x u) + (b x u) dt, with theta the integrated rate between the centres of neighbouring
-    bins and b the free bias; pairs counts the pairs of bins used.
+    bins and b the free bias. pairs: pairs of bins used. squared_angle, angle: sums of |theta|^2 and theta.
     """
 
     pairs: int = 0
+    squared_angle: float = 0.0
+    angle: Array = field(default_factory=lambda: np.zeros(3))
     _normal: Array = field(default_factory=lambda: np.zeros((3, 3)))
     _right: Array = field(default_factory=lambda: np.zeros((2, 3)))
     _squares: Array = field(default_factory=lambda: np.zeros((2, 2)))
@@ -59,6 +68,8 @@ class Turning:
         joined &= (t[:-1] >= gyroscope.t[0]) & (t[1:] <= gyroscope.t[-1])
         theta = np.column_stack([np.diff(np.interp(t, gyroscope.t, angle[:, i])) for i in range(3)])
         middle, turned, dt = (up[1:] + up[:-1]) / 2, np.diff(up, axis=0), np.diff(t)
+        self.squared_angle += float(np.sum(theta[joined] ** 2))
+        self.angle = self.angle + theta[joined].sum(axis=0)
         self._add(turned[joined], np.cross(theta, middle)[joined], middle[joined] * dt[joined, None])
 
     def _add(self, turned: Array, crossed: Array, arm: Array) -> None:
@@ -75,6 +86,11 @@ class Turning:
         right = weights @ self._right
         explained = right @ np.linalg.pinv(self._normal) @ right
         return float(weights @ self._squares @ weights - explained)
+
+    @property
+    def spread(self) -> float:
+        """Sum of squares of the turning by the rates alone, their mean taken out, rad^2."""
+        return self.squared_angle - float(self.angle @ self.angle) / max(self.pairs, 1)
 
 
 @dataclass(slots=True)
@@ -122,8 +138,13 @@ class UnitCheck:
         right, degrees, radians = (turning.misfit(k) for k in (1.0, DEGREE, 1 / DEGREE))
         if turning.pairs < _FEWEST_TURNS:
             return
-        for unit, wrong, stated in (("deg/s", degrees, "rad/s"), ("rad/s", radians, "deg/s")):
-            if right > _CLEARLY * wrong:
+        seen = turning.pairs * _SEEN**2
+        tilted = _TILT**2 * turning.spread
+        for unit, misfit, least, stated in (
+            ("deg/s", degrees, tilted, "rad/s"),
+            ("rad/s", radians, 0.0, "deg/s"),
+        ):
+            if right > max(_CLEARLY * misfit, least, seen):
                 what = f"the rates are not {stated}: gravity's direction turns as if they were {unit}"
                 raise TraceError(self.path, what, f'give rad/s, or set unit = "{unit}" {_MAP}')
         if min(degrees, radians) > _CLEARLY * right:
