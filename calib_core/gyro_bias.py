@@ -45,25 +45,24 @@ class BiasEstimate:
 def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
     """Estimate the bias from rests' mean rates, weighted by their uncertainty plus the wander between.
 
-    A random-effects mean with robust scatter (median absolute deviation); rests further out than 4.5
-    of it are left out. Rests without rates are passed over. Raises NotSupported where none has any.
+    A random-effects mean (DerSimonian and Laird 1986) of the rests within 4.5 robust standard deviations
+    of the median. What the wander adds to the covariance is widened as Student's t has it for few rests.
+    Rests without rates are passed over. Raises NotSupported where none has any.
     """
     rates, variances = rest_rates(rests)
-    centre = np.median(rates, axis=0)
-    wander = _wander(rates - centre, variances)
-    total = variances + wander**2
-    kept: NDArray[np.bool_] = np.all(np.abs(rates - centre) <= _OUTLIER * np.sqrt(total), axis=1) | (
-        len(rates) < 3
-    )
-    weights = kept[:, None] / total
-    bias = (weights * rates).sum(axis=0) / weights.sum(axis=0)
+    kept = _near(rates, variances)
+    n = int(kept.sum())
+    wander = _wander(rates[kept], variances[kept])
+    total = variances[kept] + wander**2 * (n - 1) / max(n - 3, 0.5)
+    weights = 1.0 / total
+    bias = (weights * rates[kept]).sum(axis=0) / weights.sum(axis=0)
     with_rates = [i for i, r in enumerate(rests) if r.rate is not None]
     used = [i for i, k in zip(with_rates, kept.tolist(), strict=True) if k]
     return BiasEstimate(
         bias=bias,
         covariance=np.diag(1.0 / weights.sum(axis=0)),
         wander=wander,
-        admitted=_admitted([rests[i] for i in used], total[kept]),
+        admitted=_admitted([rests[i] for i in used], total),
         n_rests=len(rates),
         outliers=tuple(sorted(set(with_rates) - set(used))),
     )
@@ -111,12 +110,21 @@ def rest_rates(rests: Sequence[RestState]) -> tuple[Array, Array]:
     return rates, np.maximum(sd, 1e-9) ** 2
 
 
-def _wander(deviations: Array, variances: Array) -> Array:
+def _near(rates: Array, variances: Array) -> NDArray[np.bool_]:
+    """Tell which rests lie near the median, by the median absolute deviation; of two, both do."""
+    if len(rates) < 3:
+        return np.full(len(rates), True)
+    distance = np.abs(rates - np.median(rates, axis=0))
+    scatter = np.maximum(_MAD_TO_SD * np.median(distance, axis=0), np.sqrt(variances))
+    near: NDArray[np.bool_] = np.all(distance <= _OUTLIER * scatter, axis=1)
+    return near
+
+
+def _wander(rates: Array, variances: Array) -> Array:
     """Scatter of the rests beyond their own uncertainty, per axis, rad/s."""
-    if len(deviations) < 3:
+    if len(rates) < 2:
         return np.zeros(3)
-    scatter = (_MAD_TO_SD * np.median(np.abs(deviations), axis=0)) ** 2
-    return np.sqrt(np.maximum(scatter - np.median(variances, axis=0), 0.0))
+    return np.sqrt(np.maximum(rates.var(axis=0, ddof=1) - variances.mean(axis=0), 0.0))
 
 
 def _admitted(rests: Sequence[RestState], variances: Array) -> Array:
