@@ -19,8 +19,9 @@ from stillcal.calib_core.samples import Array, Samples, Sensor
 from stillcal.calib_core.stillness_floor import Floor, counted, rate_class, renewed
 from stillcal.calib_core.stillness_gather import Gathered, Gatherer
 from stillcal.calib_core.stillness_judge import FATES, Coarseness, Codes, Flags, Windows, fates, lively
+from stillcal.calib_core.stillness_pace import Pace, moved, paced
 from stillcal.calib_core.stillness_settings import DetectorSettings, Fate, Ledger, Mode, Sense, Sleep, Want
-from stillcal.calib_core.stillness_windows import COLUMNS, K_END, K, N, Stream, take
+from stillcal.calib_core.stillness_windows import BLOCK, COLUMNS, K_END, K, N, Stream, matched, take
 
 __all__ = [
     "DetectorSettings",
@@ -34,8 +35,7 @@ __all__ = [
     "Want",
 ]
 
-_FIRST_EPOCH, _LAST_EPOCH = 8, 128  # cells between renewals of the floors, doubling
-_MOST_CELLS = 8  # of one window, for slow sensors
+_FIRST_EPOCH, _LAST_EPOCH = BLOCK, 16 * BLOCK  # cells between renewals of the floors, doubling
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class DetectorState:
     """All that a detector remembers; packs and unpacks (codec) to go on bit for bit.
 
     Cells are counted on the absolute grid. next_cell: the first not judged yet; epoch_end: where the floors
-    are renewed next; cells: of one window; seen: cells and samples of both sensors in this epoch.
+    are renewed next, after epoch_cells; pace: how long windows are.
     """
 
     mode: Mode
@@ -53,8 +53,7 @@ class DetectorState:
     next_cell: float = -math.inf
     epoch_end: float = -math.inf
     epoch_cells: int = _FIRST_EPOCH
-    cells: int = 1
-    seen: list[float] = field(default_factory=lambda: [0.0] * 4)
+    pace: Pace = field(default_factory=Pace)
     floors: list[Floor] = field(default_factory=lambda: [Floor(), Floor()])
     coarse: list[Coarseness] = field(default_factory=lambda: [Coarseness(), Coarseness()])
     gathered: Gathered = field(default_factory=Gathered)
@@ -178,31 +177,32 @@ class StationaryDetector:
         return min(accel, gyro) if s.gyro_expected else accel
 
     def _advance(self, horizon: float) -> None:
-        """Judge all complete windows before cell `horizon`, epoch by epoch."""
+        """Judge all windows that are complete before cell `horizon`, epoch by epoch."""
         s = self._s
-        while s.accel.rows.shape[0]:
-            if s.accel.rows[0, K] >= s.epoch_end:
-                self._renew(s.accel.rows[0, K])
-            whole = math.floor(horizon / s.cells) * s.cells if math.isfinite(horizon) else horizon
-            accel, gyro = _before(s.accel.rows, whole), _before(s.gyro.rows, whole)
-            if accel.shape[0] == 0:
-                return
-            self._judge_epochs(Windows.of(accel, gyro, s.cells, self.settings))
-            s.accel.rows = s.accel.rows[np.searchsorted(s.accel.rows[:, K], s.next_cell) :]
-            s.gyro.rows = s.gyro.rows[np.searchsorted(s.gyro.rows[:, K], s.next_cell) :]
+        accel, gyro = _before(s.accel.rows, horizon), _before(s.gyro.rows, horizon)
+        at, found = matched(gyro[:, K], accel[:, K])
+        counts = accel[:, N].copy()
+        counts[found] = np.minimum(counts[found], gyro[at[found], N])
+        widths = paced(s.pace, accel[:, K], counts, self.settings.min_samples)
+        ends = (np.floor(accel[:, K] / widths) + 1.0) * widths
+        whole = int(np.searchsorted(ends, horizon, side="right"))
+        if whole == 0:
+            return
+        self._judge_epochs(Windows.of(accel[:whole], gyro, widths[:whole], self.settings))
+        s.pace = moved(s.pace, accel[:whole, K], counts[:whole])
+        s.next_cell = float(ends[whole - 1])
+        s.accel.rows = s.accel.rows[whole:]
+        s.gyro.rows = s.gyro.rows[np.searchsorted(s.gyro.rows[:, K], s.next_cell) :]
 
     def _judge_epochs(self, windows: Windows) -> None:
-        """Judge windows until they run out or a renewal changes the length that windows should have."""
-        s, first, cells = self._s, 0, self._s.cells
+        """Judge windows, renewing the floors wherever an epoch ends."""
+        s, first = self._s, 0
         starts = windows.rows[:, K]
         while first < len(windows):
             if starts[first] >= s.epoch_end:
                 self._renew(starts[first])
-            if s.cells != cells:
-                return
             last = int(np.searchsorted(starts, s.epoch_end))
             self._judge(windows[slice(first, last)])
-            s.next_cell = float(windows.rows[last - 1, K_END])
             first = last
 
     def _judge(self, windows: Windows) -> None:
@@ -214,23 +214,19 @@ class StationaryDetector:
             looked = np.ones(len(windows), dtype=bool)
             self._gatherer.scan(windows.rows, codes, steps)
         else:
-            looked = self._gatherer.probed(windows.rows, codes, steps, s.cells)
+            looked = self._gatherer.probed(windows.rows, codes, steps)
         self._learn(windows, codes, looked)
         self._count(windows, codes, looked)
 
     def _learn(self, windows: Windows, codes: Codes, looked: Flags) -> None:
-        """Let the windows looked at teach the floors, the sensors' coarseness, and the sampling rate."""
+        """Let the windows looked at teach the floors and the sensors' coarseness."""
         s = self._s
         ceilings = (self.settings.accel_ceiling, self.settings.gyro_ceiling)
         teach = lively(windows, codes)
-        width = windows.rows[:, K_END] - windows.rows[:, K]
         for i, half in enumerate((windows.accel, windows.gyro)):
             use = teach[i] & looked
             s.floors[i] = counted(s.floors[i], half.rates[use], half.spread[use])
             s.coarse[i] = s.coarse[i].observed(half, looked, ceilings[i])
-            n = half.rows[:, N]
-            s.seen[2 * i] += float(width[looked & (n > 0)].sum())
-            s.seen[2 * i + 1] += float(n[looked].sum())
 
     def _count(self, windows: Windows, codes: Codes, looked: Flags) -> None:
         """Enter the windows into the ledger."""
@@ -247,15 +243,10 @@ class StationaryDetector:
                 ledger.windows[FATES[code]] = ledger.windows.get(FATES[code], 0) + count
 
     def _renew(self, cell: float) -> None:
-        """Begin an epoch: use what the last one taught, and fit the windows' length to the sampling rate."""
+        """Begin an epoch: use what the last one taught."""
         s, k = self._s, self.settings
         s.floors = [renewed(floor, k) for floor in s.floors]
         s.coarse = [coarse.renewed(k) for coarse in s.coarse]
-        density = [s.seen[i + 1] / s.seen[i] for i in (0, 2) if s.seen[i]]
-        if density:
-            wanted = math.ceil(math.log2(max(k.min_samples / min(density), 1.0)))
-            s.cells = min(1 << wanted, _MOST_CELLS)
-        s.seen = [0.0] * 4
         if math.isfinite(s.epoch_end):
             s.epoch_cells = min(2 * s.epoch_cells, _LAST_EPOCH)
         s.epoch_end = (math.floor(cell / s.epoch_cells) + 1.0) * s.epoch_cells

@@ -70,11 +70,8 @@ class Gatherer:
         s.end_cell = float(rows[-1, K_END])
         s.ledger.asked_s += float((rows[:, K_END] - rows[:, K]).sum()) * self.settings.window_s
 
-    def probed(self, rows: Array, codes: Codes, steps: Steps, cells: int) -> Flags:
-        """Look only at windows that a probe asks for (Algorithm 1, lines 8-29); say which those were.
-
-        cells: of one window, for slow sensors.
-        """
+    def probed(self, rows: Array, codes: Codes, steps: Steps) -> Flags:
+        """Look only at windows that a probe asks for (Algorithm 1, lines 8-29); say which those were."""
         looked = np.zeros(rows.shape[0], dtype=bool)
         at = 0
         while at < rows.shape[0]:
@@ -82,7 +79,7 @@ class Gatherer:
             if rows[at, K] < probe.start:
                 at += int(np.searchsorted(rows[at:, K], probe.start))
                 continue
-            read = self._read(rows[at:], codes[at:], steps, cells)
+            read = self._read(rows[at:], codes[at:], steps)
             looked[at : at + read] = True
             at += read
         self.state.end_cell = float(rows[-1, K_END])
@@ -137,10 +134,10 @@ class Gatherer:
             if not isinstance(rest, Fate):
                 self.found.append(rest)
 
-    def _read(self, rows: Array, codes: Codes, steps: Steps, cells: int) -> int:
+    def _read(self, rows: Array, codes: Codes, steps: Steps) -> int:
         """Read windows up to the probe's end or the first that is not still; return how many were read."""
         s = self.state
-        first = 0 if s.run.rows.shape[0] else self._started(rows, codes, cells)
+        first = 0 if s.run.rows.shape[0] else self._started(rows, codes)
         probe = self.due(rows[0, K])
         rows, codes = rows[first:], codes[first:]
         expected = np.concatenate(([probe.start + s.run.cells], rows[:-1, K_END]))[: rows.shape[0]]
@@ -154,10 +151,10 @@ class Gatherer:
             return first + taken
         broken = Fate.STEPPED if taken < still else FATES[codes[taken]]
         inside = rows[taken, K_END] <= probe.end
-        self._end_probe(Fate.GAP if broken is Fate.STILL or not inside else broken, rows[taken, K_END])
+        self._end_probe(Fate.GAP if broken is Fate.STILL or not inside else broken, float(rows[taken, K_END]))
         return first + taken + int(inside)
 
-    def _started(self, rows: Array, codes: Codes, cells: int) -> int:
+    def _started(self, rows: Array, codes: Codes) -> int:
         """Skip broken windows while the sensors start up; the probe begins at the first whole one."""
         probe = self.due(rows[0, K])
         late = probe.asked + cells_of(self.settings.startup_s, self.settings.window_s)
@@ -165,7 +162,7 @@ class Gatherer:
         first = rows.shape[0] if skip.all() else int(skip.argmin())
         begins = rows[-1, K_END] if first == rows.shape[0] else rows[first, K]
         if begins <= late:
-            self.state.probe = probe.begun_at(int(begins), cells)
+            self.state.probe = probe.begun_at(int(begins), int(rows[0, K_END] - rows[0, K]))
         return first
 
     def _asked_end(self, probe: Probe) -> int:
@@ -181,7 +178,7 @@ class Gatherer:
         s.ledger.lapsed += int(s.run.rows.shape[0] == 0 and ended_by is Fate.GAP)
         s.ledger.abandoned += int(s.run.cells < cells_of(self.settings.w_min_s, window))
         asked = min(max(cell, probe.start), self._asked_end(probe)) - probe.asked
-        s.ledger.asked_s += asked * window
+        s.ledger.asked_s += float(asked) * window
         self._close(ended_by)
         s.run, s.probe = Run(), None
         self.due(max(cell, probe.start))

@@ -22,9 +22,11 @@ from stillcal.calib_core.stillness_windows import (
     LOW,
     LSB,
     MEAN,
+    Index,
     K,
     N,
     joined,
+    matched,
     paired,
     spread,
 )
@@ -104,17 +106,19 @@ class Half:
     rates: NDArray[np.intp]
     constant: Flags
     few: Flags
+    thin: Flags
     slack: Array
 
     @classmethod
-    def of(cls, rows: Array, window: float) -> Half:
+    def of(cls, rows: Array, settings: DetectorSettings) -> Half:
         """Derive from one sensor's rows."""
         lsb = rows[:, LSB]
         narrow = rows[:, HIGH] - rows[:, LOW] <= _FEW_CODES * lsb
         slack = np.where(narrow & np.isfinite(lsb), 0.25 * lsb * lsb, 0.0).mean(axis=1)
-        rate = rows[:, N] / ((rows[:, K_END] - rows[:, K]).clip(1.0) * window)
+        rate = rows[:, N] / ((rows[:, K_END] - rows[:, K]).clip(1.0) * settings.window_s)
         constant = rows[:, D2].sum(axis=1) == 0
-        return cls(rows, spread(rows), rate_class(rate), constant, narrow.all(axis=1) & ~constant, slack)
+        few, thin = narrow.all(axis=1) & ~constant, 2 * rows[:, N] < settings.min_samples
+        return cls(rows, spread(rows), rate_class(rate), constant, few, thin, slack)
 
     def __getitem__(self, part: slice) -> Half:
         return Half(*(getattr(self, name)[part] for name in self.__slots__))
@@ -134,13 +138,14 @@ class Windows:
     gyro: Half
 
     @classmethod
-    def of(cls, accel: Array, gyro: Array, cells: int, settings: DetectorSettings) -> Windows:
-        """Pair two sensors' cell rows into windows of `cells` cells."""
-        rows = paired(joined(accel, cells), joined(gyro, cells))
+    def of(cls, accel: Array, gyro: Array, widths: Index, settings: DetectorSettings) -> Windows:
+        """Pair two sensors' cell rows. widths: of the window that each accelerometer row joins, in cells."""
+        at, found = matched(accel[:, K], gyro[:, K])
+        rows = paired(joined(accel, widths), joined(gyro[found], widths[at[found]]))
         gyro_rows = rows[:, COLUMNS:]
         unusable = (gyro_rows[:, GAP] > settings.gap_s) | (2 * gyro_rows[:, N] < settings.min_samples)
         gyro_rows[unusable | (gyro_rows[:, D2].sum(axis=1) == 0)] = 0.0
-        return cls(rows, Half.of(rows[:, :COLUMNS], settings.window_s), Half.of(gyro_rows, settings.window_s))
+        return cls(rows, Half.of(rows[:, :COLUMNS], settings), Half.of(gyro_rows, settings))
 
     def __len__(self) -> int:
         return int(self.rows.shape[0])
@@ -155,7 +160,7 @@ def fates(windows: Windows, floors: tuple[Floor, Floor], coarse: bool, settings:
     norm = np.sqrt(mean[:, 0] ** 2 + mean[:, 1] ** 2 + mean[:, 2] ** 2)
     conditions = [
         accel.rows[:, GAP] > settings.gap_s,
-        2 * accel.rows[:, N] < settings.min_samples,
+        accel.thin,
         (norm < settings.force_low) | (norm > settings.force_high),
         accel.constant & (not coarse),
         accel.exceeds(floors[0], settings.accel_factor, settings.accel_ceiling),

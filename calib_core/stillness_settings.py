@@ -128,7 +128,7 @@ class DetectorSettings:
     window_s: float = 0.5
     min_samples: int = 8
     gap_s: float = 0.3
-    max_lag_s: float = 10.0
+    max_lag_s: float = 30.0
     accel_factor: float = 2.0
     gyro_factor: float = 3.0
     accel_ceiling: float = 0.15

@@ -25,6 +25,8 @@ MEAN, M2, D2, LSB, LOW, HIGH = (slice(6 + 3 * i, 9 + 3 * i) for i in range(6))
 NORM, NORM_M2, TEMP = 24, 25, 26
 COLUMNS = 27
 
+BLOCK = 8  # cells of the longest window; everything that changes with time changes between blocks
+
 _CHUNK = 1 << 14  # samples worked on at a time: the scratch arrays then stay in cache
 _SAME = 1e-6  # SI; smaller steps are conversion noise of one and the same code
 
@@ -145,24 +147,24 @@ def _mean_and_squares(x: Array, starts: Index, n: Index) -> tuple[Array, Array]:
     return mean, np.add.reduceat(centred * centred, starts)
 
 
-def joined(rows: Array, cells: int) -> Array:
-    """Join rows into windows of `cells` cells, aligned on the grid; N counts what there was.
+def joined(rows: Array, widths: Index) -> Array:
+    """Join rows into windows of `widths` cells (given for each row), aligned on the grid.
 
-    Means and squares are combined exactly (Chan et al. 1979). A window that lacks a cell keeps a GAP of inf.
+    Means and squares are combined exactly (Chan et al. 1979). A window that lacks a cell has a GAP of inf.
     """
-    if cells == 1 or rows.shape[0] == 0:
+    if rows.shape[0] == 0 or bool((widths == 1).all()):
         return rows
-    group = np.floor(rows[:, K] / cells)
-    starts = np.flatnonzero(np.concatenate(([True], group[1:] != group[:-1])))
+    begins = np.floor(rows[:, K] / widths) * widths
+    starts = np.flatnonzero(np.concatenate(([True], begins[1:] != begins[:-1])))
     out = np.empty((starts.size, rows.shape[1]))
     members = np.diff(starts, append=rows.shape[0]).astype(np.intp)
     n = rows[:, N : N + 1]
     total = np.add.reduceat(n, starts)
-    out[:, K], out[:, K_END] = group[starts] * cells, (group[starts] + 1) * cells
+    out[:, K], out[:, K_END] = begins[starts], begins[starts] + widths[starts]
     out[:, N] = total[:, 0]
     out[:, T0] = np.minimum.reduceat(rows[:, T0], starts)
     out[:, T1] = np.maximum.reduceat(rows[:, T1], starts)
-    out[:, GAP] = np.where(members == cells, np.maximum.reduceat(rows[:, GAP], starts), np.inf)
+    out[:, GAP] = np.where(members == widths[starts], np.maximum.reduceat(rows[:, GAP], starts), np.inf)
     for mean, squares in ((MEAN, M2), (slice(NORM, NORM + 1), slice(NORM_M2, NORM_M2 + 1))):
         centre = np.add.reduceat(n * rows[:, mean], starts) / total
         between = n * (rows[:, mean] - np.repeat(centre, members, axis=0)) ** 2
@@ -175,6 +177,14 @@ def joined(rows: Array, cells: int) -> Array:
     return out
 
 
+def matched(keys: Array, wanted: Array) -> tuple[Index, NDArray[np.bool_]]:
+    """Look up `wanted` in sorted `keys`: where each one is, and whether it is there at all."""
+    at = np.searchsorted(keys, wanted)
+    found = at < keys.size
+    found[found] = keys[at[found]] == wanted[found]
+    return at, found
+
+
 def paired(accel: Array, gyro: Array) -> Array:
     """Set gyroscope rows beside the accelerometer rows of the same cells, shape (n, 2 COLUMNS).
 
@@ -182,9 +192,7 @@ def paired(accel: Array, gyro: Array) -> Array:
     """
     both = np.zeros((accel.shape[0], 2 * COLUMNS))
     both[:, :COLUMNS] = accel
-    at = np.searchsorted(gyro[:, K], accel[:, K])
-    found = at < gyro.shape[0]
-    found[found] = gyro[at[found], K] == accel[found, K]
+    at, found = matched(gyro[:, K], accel[:, K])
     both[found, COLUMNS:] = gyro[at[found]]
     return both
 
