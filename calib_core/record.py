@@ -19,6 +19,7 @@ import numpy as np
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.parameters import BIAS
 from stillcal.calib_core.rests import RestState
 from stillcal.calib_core.samples import Array, Sensor, frozen
 
@@ -27,9 +28,6 @@ Evidence = dict[str, float | int | str | bool | None]
 
 DETERMINANTS = (1 / 8, 8.0)
 """Sane |det scale|: within a factor of two on every axis (15 % is the largest seen on a phone)."""
-
-BIAS_NAMES = ("b_x", "b_y", "b_z")
-"""What the bias is called among the names of a covariance's parameters."""
 
 
 class NotCalibratedError(ValueError):
@@ -74,9 +72,9 @@ class SensorRecord:
     @property
     def bias_uncertainty(self) -> Array | None:
         """Standard uncertainty of the bias, (3,) in `unit`; None where the covariance does not hold it."""
-        if self.covariance is None or not set(BIAS_NAMES) <= set(self.names):
+        if self.covariance is None or not set(BIAS) <= set(self.names):
             return None
-        rows = [self.names.index(name) for name in BIAS_NAMES]
+        rows = [self.names.index(name) for name in BIAS]
         return frozen(np.sqrt(np.diag(self.covariance)[rows]))
 
 

@@ -14,11 +14,13 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
+from stillcal.calib_core.engine import EngineSettings
 from stillcal.daemon.store import StoreSettings
 
 T = TypeVar("T")
@@ -63,6 +65,7 @@ class LogSettings:
 class Settings:
     """All sections, one per table of the TOML file."""
 
+    engine: EngineSettings = field(default_factory=EngineSettings)
     store: StoreSettings = field(default_factory=StoreSettings)
     source: SourceSettings = field(default_factory=SourceSettings)
     socket: SocketSettings = field(default_factory=SocketSettings)
@@ -155,8 +158,14 @@ def _value(hint: Any, value: Any, keys: tuple[str, ...]) -> Any:
     try:
         return msgspec.convert(value, type=hint)
     except msgspec.ValidationError as error:
-        allowed = f"one of {', '.join(map(repr, get_args(hint)))}" if get_origin(hint) is Literal else ""
-        raise _BadKeyError(keys, f"= {value!r}: must be {allowed or _plainly(str(error))}") from error
+        raise _BadKeyError(keys, f"= {value!r}: must be {_allowed(hint) or _plainly(str(error))}") from error
+
+
+def _allowed(hint: Any) -> str:
+    """List the values of a choice; empty for what is none."""
+    is_choice = isinstance(hint, type) and issubclass(hint, StrEnum)
+    choices = [str(member) for member in hint] if is_choice else get_args(hint)
+    return f"one of {', '.join(map(repr, choices))}" if is_choice or get_origin(hint) is Literal else ""
 
 
 def _plainly(problem: str) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.parameters import BIAS
 from stillcal.calib_core.record import (
-    BIAS_NAMES,
     AccelerometerRecord,
     Acceptance,
     CalibrationRecord,
@@ -37,7 +37,7 @@ def _record(number: float, how: How = "calibration", states: int = 2) -> Calibra
         scale=np.array([[1.01, 0.002, 0.0], [0.002, 0.99, 0.0], [0.0, 0.0, 1.003]]),
         bias=np.array([0.01 * number, -0.2, 0.3]),
         parameters=9,
-        names=BIAS_NAMES,
+        names=BIAS,
         covariance=np.array([[1e-6, 0.0, 0.0], [0.0, np.nan, 0.0], [0.0, 0.0, np.inf]]),
         rms_residual=0.0011,
         n_rests=12,

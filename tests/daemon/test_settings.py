@@ -73,6 +73,10 @@ def test_what_a_file_does_not_mention_keeps_its_default():
         ("store = 5", r"^c\.toml:1: store = 5: must be a table, \[store\]$"),
         ("[[store]]\nmode = 3", r"^c\.toml:1: store = .*: must be a table"),
         ("[log]\nlevel = 'loud'", r"^c\.toml:2: \[log\] level = 'loud': must be one of 'debug', 'info'"),
+        (
+            "[engine.detector]\nmode = 'skan'",
+            r"^c\.toml:2: .* mode = 'skan': must be one of 'scan', 'probe'$",
+        ),
         ("[source]\nbaud = 'fast'", r"^c\.toml:2: \[source\] baud = 'fast': must be int$"),
         ("[source]\nbaud = true", r"^c\.toml:2: .* must be int$"),
         ("[source]\nbaud = 3", r"^c\.toml:2: \[source\] baud = 3: must be within 1200\.\.4000000$"),
