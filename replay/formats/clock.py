@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,10 +81,18 @@ class Clock:
         window = self.column_map.reorder
         if window:
             self.tally.reordered += int(np.count_nonzero(np.diff(rows.t) < 0))
-            rows = rows.after(self._held)
-            rows = rows.taken(np.argsort(rows.t, kind="stable"))
+            rows = self._sorted(rows.after(self._held), window)
             rows, self._held = rows.taken(slice(None, -window)), rows.taken(slice(-window, None))
         return self._accepted(rows)
+
+    def _sorted(self, rows: Rows, window: int) -> Rows:
+        """Put rows in order, none of them forward by more than `window`."""
+        order = np.argsort(rows.t, kind="stable")
+        late = order[order - np.arange(len(order)) > window]
+        if late.size:
+            first = int(late.min())
+            self._refuse(rows, first, float(rows.t[:first].max() - rows.t[first]))
+        return rows.taken(order)
 
     def rest(self) -> Rows | None:
         """Return the rows still held back at the end of the file, None where there are none."""
@@ -105,9 +114,12 @@ class Clock:
         backwards = step < 0
         if backwards.any():
             i = int(backwards.argmax())
-            what = f"time runs backwards by {-step[i]:.6g} s, to {rows.t[i]:.6f} s"
-            remedy = "cut the recording there, or put its rows in order (a column map's `reorder`)"
-            raise TraceError(self.path, what, remedy, int(rows.lines[i]))
+            self._refuse(rows, i, float(-step[i]))
+
+    def _refuse(self, rows: Rows, i: int, back: float) -> NoReturn:
+        what = f"time runs backwards by {back:.6g} s, to {rows.t[i]:.6f} s"
+        remedy = "cut the recording there, or put its rows in order (a column map's `reorder`)"
+        raise TraceError(self.path, what, remedy, int(rows.lines[i]))
 
     def _without_repeats(self, rows: Rows, repeated: NDArray[np.bool_]) -> Rows:
         tally, policy = self.tally, self.column_map.repeats

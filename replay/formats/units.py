@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from stillcal.calib_core.samples import Array, Samples
 from stillcal.replay.formats.errors import TraceError
 
-ENOUGH = 2000
-"""Samples after which the acceleration is judged; fewer only where the recording is shorter."""
+OPENING, ENOUGH = 200, 2000
+"""Samples after which the acceleration is judged: by its beginning, often a rest, and again with more."""
 
 FEWEST = 10
 """Samples without which nothing is judged."""
@@ -104,11 +104,13 @@ class UnitCheck:
 
     def see(self, accelerometer: Samples, gyroscope: Samples) -> None:
         """Take in the next stretch of the recording. Raises TraceError."""
-        if self._seen < ENOUGH:
+        before, self._seen = self._seen, self._seen + len(accelerometer)
+        if before < ENOUGH:
             self._norms.append(np.linalg.norm(accelerometer.xyz, axis=1))
-            self._seen += len(accelerometer)
-            if self._seen >= ENOUGH:
-                self.finish()
+        if before < OPENING <= self._seen:
+            self._judge_size(np.concatenate(self._norms)[:OPENING])
+        if before < ENOUGH <= self._seen:
+            self.finish()
         if self._turning is not None and len(gyroscope):
             self._turning.see(accelerometer, gyroscope)
             self._judge_rates(self._turning)
@@ -116,14 +118,15 @@ class UnitCheck:
     def finish(self) -> None:
         """Judge the acceleration by what was seen; called again at the end it has nothing left to say."""
         if self._norms and self._seen >= FEWEST:
-            self._judge_forces(np.concatenate(self._norms)[:ENOUGH])
+            norms = np.concatenate(self._norms)[:ENOUGH]
+            if not norms.any():
+                what = f"the accelerometer reads zero in all of the first {norms.size} samples"
+                raise TraceError(self.path, what, "check that it was on and that the columns are its own")
+            self._judge_size(norms)
         self._norms = []
 
-    def _judge_forces(self, norms: Array) -> None:
+    def _judge_size(self, norms: Array) -> None:
         low, middle, high = np.quantile(norms, (0.05, 0.5, 0.95))
-        if high == 0:
-            what = f"the accelerometer reads zero in all of the first {norms.size} samples"
-            raise TraceError(self.path, what, "check that the sensor was on and that the columns are its own")
         seen = f"the acceleration is about {middle:.4g} in size where m/s^2 would give 9.8"
         for unit, one in (("g", 1.0), ("mg", 1000.0)):
             if 0.7 * one < middle < 1.4 * one and 0.2 * one < low and high < 4 * one:

@@ -1,0 +1,98 @@
+"""The formats on real recordings (public, see docs/formats.md for their sources)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.replay.trace import Recording, TraceError, read_all
+
+SUNSIDED = """
+[time]
+column = "host_time_s"
+[accelerometer]
+columns = ["ax_g", "ay_g", "az_g"]
+unit = "g"
+[gyroscope]
+columns = ["gx_dps", "gy_dps", "gz_dps"]
+unit = "deg/s"
+[temperature]
+column = "temperature_c"
+"""
+ROCKET = """
+[time]
+column = "timestamp_seconds"
+[accelerometer]
+columns = ["raw_acceleration_x_gs", "raw_acceleration_y_gs", "raw_acceleration_z_gs"]
+unit = "g"
+[gyroscope]
+columns = ["raw_angular_rate_x_deg_per_s", "raw_angular_rate_y_deg_per_s", "raw_angular_rate_z_deg_per_s"]
+unit = "deg/s"
+[temperature]
+column = "temperature_celsius"
+"""
+
+
+def resting_norm(recording: Recording) -> float:
+    """Return the median norm of the force, m/s^2: most of each recording is rest or calm motion."""
+    return float(np.median(np.linalg.norm(recording.accelerometer.xyz, axis=1)))
+
+
+@pytest.mark.parametrize(
+    ("file", "format", "rows", "rate"),
+    [
+        ("imu_tk/xsens_acc.mat.gz", "imu_tk", 51175, 100),
+        ("mikoff/imu0.log", "mikoff", 15969, 100),
+        ("mikoff/imu1.log", "mikoff", 15931, 100),
+        ("mikoff/imu2.log", "mikoff", 15934, 100),
+        ("imucal/example_ferraris_session.csv", "imucal", 10376, 102.4),
+        ("hhar/Phones_accelerometer.csv.gz", "hhar", 10000, 200),
+        ("hhar/Watch_accelerometer.csv.gz", "hhar", 10000, 100),
+    ],
+)
+def test_known_formats(data_dir: Path, file: str, format: str, rows: int, rate: float) -> None:
+    recording = read_all(data_dir / file, format)
+    assert recording.gyroscope is not None
+    assert len(recording.accelerometer) == len(recording.gyroscope) == rows
+    assert 1 / np.median(np.diff(recording.accelerometer.t)) == pytest.approx(rate, rel=0.02)
+    assert resting_norm(recording) == pytest.approx(9.8, rel=0.1)
+    assert np.median(np.abs(recording.gyroscope.xyz)) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "rows"),
+    [
+        ("sunsided/still_10min.csv.gz", SUNSIDED, 65022),
+        ("sunsided/full_sphere.csv.gz", SUNSIDED, 10516),
+        ("rocket/jackpot_launch_1.csv.gz", ROCKET, 6616),
+    ],
+)
+def test_a_map_written_by_a_user(data_dir: Path, tmp_path: Path, file: str, text: str, rows: int) -> None:
+    format = tmp_path / "own.toml"
+    format.write_text(text)
+    recording = read_all(data_dir / file, format)
+    assert len(recording.accelerometer) == rows
+    assert resting_norm(recording) == pytest.approx(9.8, rel=0.1)
+    temperature = recording.accelerometer.temperature
+    assert temperature is not None and 10 < temperature.min() < temperature.max() < 50
+    format.write_text(text.replace('unit = "g"', 'unit = "m/s^2"'))
+    with pytest.raises(TraceError, match="it seems to be g"):
+        read_all(data_dir / file, format)
+
+
+@pytest.mark.parametrize("file", ["sunsided/still_10min.csv.gz", "sunsided/full_sphere.csv.gz"])
+def test_degrees_taken_for_radians_are_recognised(data_dir: Path, tmp_path: Path, file: str) -> None:
+    format = tmp_path / "own.toml"
+    format.write_text(SUNSIDED.replace("deg/s", "rad/s"))
+    with pytest.raises(TraceError, match="the rates are not rad/s"):
+        read_all(data_dir / file, format)
+
+
+def test_hhar_stamps_are_put_in_order_and_a_sleeping_clock_is_noted(data_dir: Path) -> None:
+    phone = read_all(data_dir / "hhar/Phones_accelerometer.csv.gz", "hhar")
+    assert (np.diff(phone.accelerometer.t) > 0).all()
+    assert any("287 rows stood out of time order" in note for note in phone.notes)
+    watch = read_all(data_dir / "hhar/Watch_accelerometer.csv.gz", "hhar")
+    assert any("135.595 s while 538.567 s passed" in note for note in watch.notes)
