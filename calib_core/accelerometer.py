@@ -8,28 +8,26 @@ the attitudes support is judged in attitudes.py; known attitudes are fitted in s
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stillcal.calib_core import attitudes, excess
-from stillcal.calib_core.accelerometer_fit import AccelerometerFit as AccelerometerFit
-from stillcal.calib_core.accelerometer_fit import Dropped
+from stillcal.calib_core.accelerometer_fit import AccelerometerFit, Dropped
+from stillcal.calib_core.accelerometer_norms import Norms, Solution, solve
 from stillcal.calib_core.attitudes import Attitude
-from stillcal.calib_core.damped import Damping, minimise
+from stillcal.calib_core.damped import Damping
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.parameters import Form, basis, names
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.calib_core.rests import attitude_labels
 from stillcal.calib_core.samples import Array, frozen
 
-Parameters = Literal["auto", 6, 9, 12]
+__all__ = ["AccelerometerFit", "AccelerometerSettings", "AttitudesMissing", "Parameters", "fit"]
 
-_IDENTITY = np.r_[np.zeros(3), np.eye(3).ravel()]
-_LEAST_SD = 1e-12  # of gravity: no rest is weighted as better known than this
+Parameters = Literal["auto", 6, 9, 12]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +46,8 @@ class AccelerometerSettings:
     accelerometer. rounds: of reweighting.
     """
 
-    damping: Damping = Damping()
-    attitude_angle: float = np.deg2rad(5.0)
+    damping: Damping = field(default_factory=Damping)
+    attitude_angle: float = 0.0872665  # 5 degrees
     max_amplification: float = 5.0
     max_norm_sd: float = 0.05
     spare_attitudes: int = 1
@@ -83,49 +81,43 @@ class AttitudesMissing(NotSupported):
         self.attitudes = wanted
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
-    """Rests in units of gravity. raw, sd: (n, 3); target: (n,) norms, about 1; labels: (n,) attitudes."""
+_DEFAULT = AccelerometerSettings()
 
-    raw: Array
-    sd: Array
-    target: Array
-    labels: Array
-    matrix: Array
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """One model to be fitted. least: distinct attitudes wanted; local: (n,) gravity, m/s^2."""
+
+    norms: Norms
+    parameters: int
+    form: Form
+    least: int
+    local: Array
+    gravity_uncertainty: float
     settings: AccelerometerSettings
 
-    def only(self, mask: Array) -> _Problem:
-        """Keep some rests, attitudes numbered anew."""
-        labels = np.unique(self.labels[mask], return_inverse=True)[1]
-        return replace(self, raw=self.raw[mask], sd=self.sd[mask], target=self.target[mask], labels=labels)
+    @property
+    def g(self) -> float:
+        """The unit of `norms`, m/s^2."""
+        return float(self.local.mean())
 
-    def directions(self) -> Array:
-        """Unit vectors of the attitudes, (m, 3), each the mean of its rests."""
-        sums = [np.bincount(self.labels, column) for column in attitudes.directions(self.raw).T]
-        return attitudes.directions(np.column_stack(sums))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solution:
-    """A fit of some rests, in units of gravity. within, between: excess variances of rests and attitudes."""
-
-    v: Array
-    covariance: Array
-    within: float
-    between: float
-    iterations: int
-    converged: bool
+    def supported_by(self, rests: Norms, least: int) -> bool:
+        """Tell whether these rests' attitudes determine the model well enough."""
+        up = rests.directions()
+        if len(up) < least:
+            return False
+        return attitudes.amplification(up, self.parameters) <= self.settings.max_amplification
 
 
 def fit(
     forces: ArrayLike,
     uncertainties: ArrayLike | None,
-    gravity: float | ArrayLike,
+    gravity: ArrayLike,
     gravity_uncertainty: float = 0.0,
     *,
     parameters: Parameters = "auto",
     form: Form = "symmetric",
-    settings: AccelerometerSettings = AccelerometerSettings(),
+    settings: AccelerometerSettings = _DEFAULT,
 ) -> AccelerometerFit:
     """Fit bias and scale to rests of unknown attitude.
 
@@ -135,44 +127,50 @@ def fit(
     attitudes support. Raises AttitudesMissing (a NotSupported) where they do not support it, or not even 6;
     NotSupported where the outcome is no phone's accelerometer; ValueError on arrays that do not fit.
     """
-    problem, local = _problem(forces, uncertainties, gravity, form, settings)
-    choices = (9, 6) if parameters == "auto" else (parameters,)
-    refusal: AttitudesMissing | None = None
-    for choice in choices:
-        try:
-            return _fit_model(problem, choice, form, local, gravity_uncertainty, spare=parameters == "auto")
-        except AttitudesMissing as error:
-            refusal = error
-    assert refusal is not None
-    raise refusal
+    if parameters != "auto":
+        return _fit(_task(forces, uncertainties, gravity, gravity_uncertainty, parameters, form, settings))
+    try:
+        task = _task(forces, uncertainties, gravity, gravity_uncertainty, 9, form, settings)
+        return _fit(replace(task, least=9 + settings.spare_attitudes))
+    except AttitudesMissing:
+        return _fit(_task(forces, uncertainties, gravity, gravity_uncertainty, 6, form, settings))
 
 
-def _problem(
+def _task(  # noqa: PLR0917 - `fit`'s own arguments, in its order
     forces: ArrayLike,
     uncertainties: ArrayLike | None,
-    gravity: float | ArrayLike,
+    gravity: ArrayLike,
+    gravity_uncertainty: float,
+    parameters: int,
     form: Form,
     settings: AccelerometerSettings,
-) -> tuple[_Problem, Array]:
-    """Check the arrays and put them in units of gravity; return with them local gravity, (n,) m/s^2."""
-    raw = np.asarray(forces, dtype=np.float64)
-    if raw.ndim != 2 or raw.shape[1] != 3:
-        raise ValueError(f"forces have shape {raw.shape}: expected (n, 3)")
-    sd = np.zeros_like(raw) if uncertainties is None else np.asarray(uncertainties, dtype=np.float64)
-    if sd.shape != raw.shape:
-        raise ValueError(f"uncertainties have shape {sd.shape}: expected {raw.shape}")
-    local = np.broadcast_to(np.asarray(gravity, dtype=np.float64), len(raw))
-    if not (np.isfinite(raw).all() and np.isfinite(sd).all() and (sd >= 0.0).all() and (local > 0.0).all()):
-        raise ValueError(
-            "forces and uncertainties must be finite, uncertainties not negative, gravity positive"
-        )
+) -> _Task:
+    """Check the arrays and put them in units of gravity."""
+    raw = np.asarray(forces, dtype=np.float64).reshape(-1, 3) if np.size(forces) == 0 else np.asarray(forces)
+    sd = np.zeros(raw.shape) if uncertainties is None else np.asarray(uncertainties, dtype=np.float64)
+    _check_arrays(raw, sd.reshape(raw.shape) if raw.size == 0 else sd)
+    local = np.array(np.broadcast_to(np.asarray(gravity, dtype=np.float64), len(raw)))
+    if not (np.isfinite(local).all() and (local > 0.0).all() and gravity_uncertainty >= 0.0):
+        raise ValueError("gravity must be positive and its uncertainty not negative")
     if len(raw) == 0:
         wanted = attitudes.missing_attitudes(raw, 6, settings.max_amplification, 6)
         raise AttitudesMissing("there is no rest", wanted)
     g = float(local.mean())
     _check_unit(raw, g)
+    own_form: Form = "symmetric" if parameters == 12 else form
     labels = attitude_labels(raw, settings.attitude_angle)
-    return _Problem(raw / g, sd / g, local / g, labels, basis(9, form), settings), local
+    norms = Norms(raw / g, sd / g, local / g, labels, basis(min(parameters, 9), own_form))
+    least = min(parameters, 9)
+    return _Task(norms, parameters, own_form, least, local, gravity_uncertainty, settings)
+
+
+def _check_arrays(raw: Array, sd: Array) -> None:
+    if raw.ndim != 2 or raw.shape[1] != 3:
+        raise ValueError(f"forces have shape {raw.shape}: expected (n, 3)")
+    if sd.shape != raw.shape:
+        raise ValueError(f"uncertainties have shape {sd.shape}: expected {raw.shape}")
+    if not (np.isfinite(raw).all() and np.isfinite(sd).all() and (sd >= 0.0).all()):
+        raise ValueError("forces and uncertainties must be finite, uncertainties not negative")
 
 
 def _check_unit(raw: Array, gravity: float) -> None:
@@ -182,221 +180,144 @@ def _check_unit(raw: Array, gravity: float) -> None:
         raise NotSupported(reason, ["the same rests in m/s^2 (multiply by 9.80665)"])
 
 
-def _fit_model(
-    problem: _Problem, parameters: int, form: Form, local: Array, gravity_uncertainty: float, spare: bool
-) -> AccelerometerFit:
-    """Fit one model or raise AttitudesMissing. 12 parameters: see `AccelerometerFit.form`."""
-    own_form: Form = "symmetric" if parameters == 12 else form
-    problem = replace(problem, matrix=basis(min(parameters, 9), own_form))
-    _require_support(problem, parameters, spare)
-    used, solution = _robust(problem)
-    _require_plausible(problem, solution)
-    found = _report(problem, solution, used, parameters, own_form, local, gravity_uncertainty)
-    worst = found.worst_norm_uncertainty
-    if worst > problem.settings.max_norm_sd:
-        where = attitudes.most_helpful_attitude(problem.only(used).directions(), parameters)
-        reason = (
-            f"{parameters} parameters would leave {worst:.2g} m/s^2 open along the worst direction, more than "
-            f"{problem.settings.max_norm_sd:g}"
-        )
-        raise AttitudesMissing(reason, (where,))
+def _fit(task: _Task) -> AccelerometerFit:
+    """Fit one model or raise AttitudesMissing."""
+    _require_support(task)
+    used, solution = _robust(task)
+    _require_plausible(task, solution)
+    found = _report(task, solution, used)
+    worst, limit = found.worst_norm_uncertainty, task.settings.max_norm_sd
+    if worst > limit:
+        wanted = attitudes.most_helpful_attitude(task.norms.only(used).directions(), task.parameters)
+        reason = f"{task.parameters} parameters would leave {worst:.2g} m/s^2 open along the worst direction"
+        raise AttitudesMissing(f"{reason}, more than {limit:g}", (wanted,))
     return found
 
 
-def _least_attitudes(parameters: int, spare: bool, settings: AccelerometerSettings) -> int:
-    return min(parameters, 9) + (settings.spare_attitudes if spare and parameters > 6 else 0)
-
-
-def _supported(problem: _Problem, parameters: int, spare: bool) -> bool:
-    up = problem.directions()
-    if len(up) < _least_attitudes(parameters, spare, problem.settings):
-        return False
-    return attitudes.amplification(up, parameters) <= problem.settings.max_amplification
-
-
-def _require_support(problem: _Problem, parameters: int, spare: bool) -> None:
-    if _supported(problem, parameters, spare):
+def _require_support(task: _Task) -> None:
+    if task.supported_by(task.norms, task.least):
         return
-    limit, up = problem.settings.max_amplification, problem.directions()
-    least = _least_attitudes(parameters, spare, problem.settings)
-    reason = f"{len(up)} distinct attitudes do not support {parameters} parameters"
-    if len(up) >= least:
-        reason += (
-            f": they leave the worst direction {attitudes.amplification(up, parameters):.3g} times less known"
-        )
-        reason += f" than a rest measures it, the limit is {limit:g}"
-    raise AttitudesMissing(reason, attitudes.missing_attitudes(up, parameters, limit, least))
+    up, limit = task.norms.directions(), task.settings.max_amplification
+    reason = f"{len(up)} distinct attitudes do not support {task.parameters} parameters"
+    if len(up) >= task.least:
+        worst = attitudes.amplification(up, task.parameters)
+        reason += f": the worst direction would be known {worst:.3g} times worse than a rest measures it"
+        reason += f", the limit is {limit:g}"
+    wanted = attitudes.missing_attitudes(up, task.parameters, limit, task.least)
+    raise AttitudesMissing(reason, wanted)
 
 
-def _robust(problem: _Problem) -> tuple[Array, _Solution]:
+def _robust(task: _Task) -> tuple[NDArray[np.bool_], Solution]:
     """Fit, drop what does not belong as long as the model stays supported, and fit again."""
-    used = np.ones(len(problem.raw), dtype=bool)
-    solution = _solve(problem, None)
-    if problem.settings.outlier_level == 0.0:
-        return used, solution
-    for row in _suspects(problem, solution):
-        fewer = used.copy()
-        fewer[row] = False
-        if _supported(problem.only(fewer), problem.matrix.shape[1], spare=False):
-            used = fewer
+    damping, rounds = task.settings.damping, task.settings.rounds
+    solution = solve(task.norms, damping, rounds)
+    used = _without(task, _suspects(task, solution))
     if used.all():
         return used, solution
-    solution = _solve(problem.only(used), solution.v)
-    readmitted = _readmitted(problem, solution, used)
-    if readmitted.sum() > used.sum():
-        used, solution = readmitted, _solve(problem.only(readmitted), solution.v)
-    return used, solution
+    solution = solve(task.norms.only(used), damping, rounds, solution.v)
+    again = used | _explained(task, solution, int(used.sum()))
+    if np.array_equal(again, used):
+        return used, solution
+    return again, solve(task.norms.only(again), damping, rounds, solution.v)
 
 
-def _suspects(problem: _Problem, solution: _Solution) -> list[int]:
-    residuals, jacobian = _norm_residuals(problem, problem.matrix @ solution.v)
-    variances = _own_variances(problem, problem.matrix @ solution.v) + solution.within + solution.between
-    most = int(problem.settings.max_outliers * len(residuals))
-    return excess.outliers(
-        residuals, jacobian @ problem.matrix, variances, most, problem.settings.outlier_level
-    )
+def _suspects(task: _Task, solution: Solution) -> list[int]:
+    if task.settings.outlier_level == 0.0:
+        return []
+    residuals, jacobian = task.norms.residuals(solution.v)
+    most = int(task.settings.max_outliers * len(residuals))
+    variances = solution.variances(task.norms)
+    return excess.outliers(residuals, jacobian, variances, most, task.settings.outlier_level)
 
 
-def _readmitted(problem: _Problem, solution: _Solution, used: Array) -> Array:
-    """Take back rests that the others, with the scatter they show among themselves, do explain."""
+def _without(task: _Task, rows: list[int]) -> NDArray[np.bool_]:
+    """Drop rows, worst first, each only if what is left still supports the model."""
+    used = np.ones(len(task.local), dtype=bool)
+    for row in rows:
+        used[row] = False
+        if not task.supported_by(task.norms.only(used), task.least):
+            used[row] = True
+    return used
+
+
+def _explained(task: _Task, solution: Solution, fitted: int) -> NDArray[np.bool_]:
+    """Tell which rests the fitted ones explain, given the scatter that these show among themselves."""
     from scipy.special import stdtrit  # noqa: PLC0415 - the daemon stays light until it fits
 
-    twelve = problem.matrix @ solution.v
-    residuals, jacobian = _norm_residuals(problem, twelve)
-    rows = jacobian @ problem.matrix
-    variances = _own_variances(problem, twelve) + solution.within + solution.between
-    variances = variances + np.einsum("ij,jk,ik->i", rows, solution.covariance, rows)
-    free = max(int(used.sum()) - rows.shape[1], 1)
-    limit = stdtrit(free, 1.0 - problem.settings.outlier_level / (2.0 * len(used)))
-    return np.asarray(used | (np.abs(residuals) <= limit * np.sqrt(variances)))
+    residuals, jacobian = task.norms.residuals(solution.v)
+    predicted = np.einsum("ij,jk,ik->i", jacobian, solution.covariance, jacobian)
+    free = max(fitted - jacobian.shape[1], 1)
+    limit = stdtrit(free, 1.0 - task.settings.outlier_level / (2.0 * len(residuals)))
+    sd = np.sqrt(solution.variances(task.norms) + predicted)
+    return np.asarray(np.abs(residuals) <= limit * sd, dtype=np.bool_)
 
 
-def _solve(problem: _Problem, start: Array | None) -> _Solution:
-    """Minimise and reweigh in turn until the weights settle."""
-    v = np.linalg.lstsq(problem.matrix, _IDENTITY, rcond=None)[0] if start is None else start
-    within = between = 0.0
-    iterations = 0
-    pooled = _pooling(problem.labels, np.ones(len(problem.raw)))
-    root = np.ones(len(pooled))
-    for _ in range(problem.settings.rounds):
-        step = minimise(_whitened(problem, root[:, None] * pooled), v, problem.settings.damping)
-        v, iterations = step.v, iterations + step.iterations
-        twelve = problem.matrix @ v
-        residuals, jacobian = _norm_residuals(problem, twelve)
-        own = _own_variances(problem, twelve)
-        within = excess.within_variance(residuals, problem.labels, own)
-        pooled = _pooling(problem.labels, 1.0 / (own + within))
-        group = 1.0 / np.bincount(problem.labels, 1.0 / (own + within))
-        design = pooled @ jacobian @ problem.matrix
-        between = excess.excess_variance(pooled @ residuals, design, group)
-        new_root = 1.0 / np.sqrt(group + between)
-        settled = np.allclose(new_root, root, rtol=1e-3)
-        root = new_root
-        if settled:
-            break
-    white = root[:, None] * design
-    return _Solution(v, np.linalg.inv(white.T @ white), within, between, iterations, step.converged)
-
-
-def _pooling(labels: Array, weights: Array) -> Array:
-    """Return the (m, n) matrix that takes weighted means over each attitude's rests."""
-    members = (labels[None, :] == np.arange(labels.max() + 1)[:, None]) * weights
-    return np.asarray(members / members.sum(axis=1, keepdims=True))
-
-
-def _whitened(problem: _Problem, whitening: Array) -> Callable[[Array], tuple[Array, Array]]:
-    def residuals(v: Array) -> tuple[Array, Array]:
-        values, jacobian = _norm_residuals(problem, problem.matrix @ v)
-        return whitening @ values, whitening @ (jacobian @ problem.matrix)
-
-    return residuals
-
-
-def _norm_residuals(problem: _Problem, twelve: Array) -> tuple[Array, Array]:
-    """Return Eq. 4 over twice the norm wanted, (n,), and its Jacobian on all twelve parameters, (n, 12)."""
-    scale = twelve[3:].reshape(3, 3)
-    shifted = problem.raw - twelve[:3]
-    calibrated = shifted @ scale.T
-    target = problem.target
-    residuals = ((calibrated**2).sum(axis=1) - target**2) / (2.0 * target)
-    unit = calibrated / target[:, None]
-    products = unit[:, :, None] * shifted[:, None, :]
-    return residuals, np.hstack((-unit @ scale, products.reshape(-1, 9)))
-
-
-def _own_variances(problem: _Problem, twelve: Array) -> Array:
-    """Return each rest's own variance of its calibrated norm, (n,), through the current model."""
-    scale = twelve[3:].reshape(3, 3)
-    slopes = attitudes.directions((problem.raw - twelve[:3]) @ scale.T) @ scale
-    return np.maximum(((slopes * problem.sd) ** 2).sum(axis=1), _LEAST_SD**2)
-
-
-def _require_plausible(problem: _Problem, solution: _Solution) -> None:
-    settings = problem.settings
-    twelve = problem.matrix @ solution.v
-    bias = 9.80665 * float(np.abs(twelve[:3]).max())
-    stretch = np.linalg.svd(twelve[3:].reshape(3, 3), compute_uv=False)
-    error = float(np.abs(stretch - 1.0).max())
+def _require_plausible(task: _Task, solution: Solution) -> None:
+    settings = task.settings
+    model = _model(task, solution)
+    bias = float(np.abs(model.bias).max())
+    error = float(np.abs(np.linalg.svd(model.scale, compute_uv=False) - 1.0).max())
     if not solution.converged:
         raise NotSupported("the fit did not converge", ["rests in more attitudes"])
     if bias > settings.max_bias or error > settings.max_scale_error:
         reason = f"no phone's accelerometer: a bias of {bias:.2g} m/s^2 and a scale off by {error:.0%}"
-        raise NotSupported(reason, ["rests in m/s^2 of a phone that lies still"])
+        raise NotSupported(reason, ["rests, in m/s^2, of a phone that lies still"])
 
 
-def _report(
-    problem: _Problem,
-    solution: _Solution,
-    used: Array,
-    parameters: int,
-    form: Form,
-    local: Array,
-    gravity_uncertainty: float,
-) -> AccelerometerFit:
-    """Put a solution in units of m/s^2 and beside it what a reader needs to judge it."""
-    g = float(local.mean())
-    kept = problem.only(used)
-    twelve = problem.matrix @ solution.v
-    units = np.r_[np.full(3, g), np.ones(9)]
-    model = SensorModel.of(twelve[3:].reshape(3, 3), g * twelve[:3])
-    norms = np.linalg.norm(model.apply(g * problem.raw), axis=1)
-    residuals = norms - local
-    spread = problem.matrix * units[:, None]
-    full = spread @ solution.covariance @ spread.T
-    back = np.linalg.pinv(basis(parameters, form))
-    counts = np.bincount(kept.labels)
-    shared = bool((counts > 1).any())
-    cover = attitudes.coverage(kept.directions(), parameters, form)
+def _model(task: _Task, solution: Solution) -> SensorModel:
+    twelve = task.norms.matrix @ solution.v
+    return SensorModel.of(twelve[3:].reshape(3, 3), task.g * twelve[:3])
+
+
+def _covariance(task: _Task, solution: Solution) -> Array:
+    """Return the covariance of the model's own parameters, (p, p), in m/s^2 and 1."""
+    units = np.r_[np.full(3, task.g), np.ones(9)]
+    spread = np.linalg.pinv(basis(task.parameters, task.form)) @ (task.norms.matrix * units[:, None])
+    return frozen(spread @ solution.covariance @ spread.T)
+
+
+def _degrees_of_freedom(solution: Solution, rests: int, states: int) -> float:
+    """Return on how many degrees of freedom the covariance rests; see AccelerometerFit."""
+    if solution.between > 0.0:
+        return float(states - len(solution.v))
+    return float(rests - states) if solution.within > 0.0 else float("inf")
+
+
+def _report(task: _Task, solution: Solution, used: NDArray[np.bool_]) -> AccelerometerFit:
+    """Put a solution in m/s^2 and beside it what a reader needs to judge it."""
+    model, kept = _model(task, solution), task.norms.only(used)
+    residuals = np.linalg.norm(model.apply(task.g * task.norms.raw), axis=1) - task.local
+    states = int(kept.labels.max()) + 1
     return AccelerometerFit(
         model=model,
-        parameters=parameters,
-        form=form,
-        names=names(parameters, form),
-        covariance=frozen(back @ full @ back.T),
-        degrees_of_freedom=len(counts) - solution.covariance.shape[0],
-        coverage=cover,
+        parameters=task.parameters,
+        form=task.form,
+        names=names(task.parameters, task.form),
+        covariance=_covariance(task, solution),
+        degrees_of_freedom=_degrees_of_freedom(solution, len(kept.raw), states),
+        coverage=attitudes.coverage(kept.directions(), task.parameters, task.form),
         residuals=frozen(residuals),
         rms_residual=float(np.sqrt(np.mean(residuals**2))),
         dropped=_dropped(residuals, used),
         n_rests=len(used),
-        n_states=len(counts),
-        repeatability=_repeatability(residuals[used], kept.labels) if shared else None,
-        excess_rest=g * float(np.sqrt(solution.within)),
-        excess_attitude=g * float(np.sqrt(solution.between)),
-        gravity=g,
-        gravity_uncertainty=gravity_uncertainty,
+        n_states=states,
+        repeatability=_repeatability(residuals[used], kept.labels),
+        excess_rest=task.g * float(np.sqrt(solution.within)),
+        excess_attitude=task.g * float(np.sqrt(solution.between)),
+        gravity=task.g,
+        gravity_uncertainty=task.gravity_uncertainty,
         iterations=solution.iterations,
     )
 
 
-def _repeatability(residuals: Array, labels: Array) -> float:
-    """Return the standard deviation of norms within an attitude, pooled over attitudes held more than once."""
-    own = np.full(len(residuals), 0.0)
-    return float(np.sqrt(excess.within_variance(residuals, labels, own)))
+def _repeatability(residuals: Array, labels: NDArray[np.intp]) -> float | None:
+    """Return the sd of norms within an attitude, pooled over those held more than once; None without."""
+    if labels.size == np.unique(labels).size:
+        return None
+    return float(np.sqrt(excess.within_variance(residuals, labels, np.zeros(labels.size))))
 
 
-def _dropped(residuals: Array, used: Array) -> tuple[Dropped, ...]:
-    return tuple(
-        Dropped(int(row), f"its norm is {residuals[row]:+.3g} m/s^2 off what the other rests agree on")
-        for row in np.flatnonzero(~used)
-    )
+def _dropped(residuals: Array, used: NDArray[np.bool_]) -> tuple[Dropped, ...]:
+    rows = np.flatnonzero(np.logical_not(used))
+    why = "its norm is {:+.3g} m/s^2 off what the other rests agree on"
+    return tuple(Dropped(int(row), why.format(residuals[row])) for row in rows)

@@ -32,8 +32,9 @@ class AccelerometerFit:
     parameters: 6, 9 or 12, called `names`. form: of a 9-parameter scale; 12 parameters from gravity alone are
     the symmetric ones, the full matrix nearest the raw axes, since any rotation of it fits as well.
     covariance: (p, p), of rests; what gravity's own uncertainty adds is in gravity_uncertainty and is
-    put in by the methods. degrees_of_freedom: attitudes beyond parameters; with none left the scatter of
-    rests cannot be estimated and intervals rest on the declared uncertainties. coverage: what the attitudes
+    put in by the methods. degrees_of_freedom: of the scatter that the covariance rests on: attitudes beyond
+    parameters where these scatter more than their rests explain, else rests beyond attitudes where rests
+    repeat worse than declared, else infinite: the declared uncertainties are taken as they are. coverage: what the attitudes
     support. residuals: (n,) calibrated norm less gravity, of all rests; rms_residual: over all of them,
     dropped or not. dropped: rests left out, with reasons. n_states: distinct attitudes.
     repeatability: sd of the norm between rests of one attitude, None where none was held twice.
@@ -46,7 +47,7 @@ class AccelerometerFit:
     form: Form
     names: tuple[str, ...]
     covariance: Array
-    degrees_of_freedom: int
+    degrees_of_freedom: float
     coverage: Coverage
     residuals: Array
     rms_residual: float
@@ -87,11 +88,11 @@ class AccelerometerFit:
     def sensor_covariance(self) -> Array:
         """Covariance of (scale row by row 9, bias 3), (12, 12), with the common scale's part."""
         order = np.r_[3:12, 0:3]
-        return self._full_covariance()[np.ix_(order, order)]
+        return np.asarray(self._full_covariance()[np.ix_(order, order)])
 
     @property
     def worst_norm_uncertainty(self) -> float:
-        """Standard uncertainty of the calibrated norm at rest, m/s^2, along the worst direction; from rests."""
+        """Standard uncertainty of the calibrated norm at rest along the worst direction, m/s^2."""
         rows = self._norm_rows(attitudes.sphere())
         return float(np.sqrt(np.einsum("ij,jk,ik->i", rows, self._from_rests(), rows).max()))
 
@@ -101,7 +102,7 @@ class AccelerometerFit:
 
         tail = 0.5 + level / 2.0
         free = self.degrees_of_freedom
-        reach = stdtrit(free, tail) if free > 0 else ndtri(tail)
+        reach = stdtrit(free, tail) if np.isfinite(free) else ndtri(tail)
         sd = np.sqrt(np.diag(self.total_covariance))
         return np.column_stack((self.values - reach * sd, self.values + reach * sd))
 
@@ -114,7 +115,8 @@ class AccelerometerFit:
         by_bias = np.broadcast_to(-self.model.scale, (*shifted.shape, 3))
         by_scale = np.eye(3)[:, :, None] * shifted[..., None, None, :]
         rows = np.concatenate((by_bias, by_scale.reshape(*shifted.shape, 9)), axis=-1)
-        return np.asarray(np.sqrt(np.einsum("...i,ij,...j->...", rows, self._full_covariance(), rows)))
+        variances = np.einsum("...i,ij,...j->...", rows, self._full_covariance(), rows)
+        return np.asarray(np.sqrt(variances))
 
     def _twelve(self) -> Array:
         return np.r_[self.model.bias, self.model.scale.ravel()]
@@ -125,10 +127,10 @@ class AccelerometerFit:
 
     def _full_covariance(self) -> Array:
         common = np.r_[np.zeros(3), self.model.scale.ravel()] * self.common_scale_uncertainty
-        return self._from_rests() + np.outer(common, common)
+        return np.asarray(self._from_rests() + np.outer(common, common))
 
     def _norm_rows(self, up: Array) -> Array:
         """Jacobian of the norm of a rest calibrated to gravity along unit vectors `up`, (n, 12)."""
         shifted = self.gravity * up @ np.linalg.inv(self.model.scale).T
         products = up[:, :, None] * shifted[:, None, :]
-        return np.hstack((-up @ self.model.scale, products.reshape(-1, 9)))
+        return np.asarray(np.hstack((-up @ self.model.scale, products.reshape(-1, 9))))

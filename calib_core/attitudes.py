@@ -60,7 +60,7 @@ class Coverage:
 
 
 def describe(up: Array) -> str:
-    """Say in words how to lay a phone so that body direction `up` (3,) points up, to the nearest eighth turn."""
+    """Say in words how to lay a phone so that `up` (3,), body axes, points up; to the nearest eighth turn."""
     unit = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
     place = places()[int(np.argmax(places() @ unit))]
     faces = [FACES[k][0 if place[k] > 0 else 1] for k in range(3) if abs(place[k]) > 0.1]
@@ -71,7 +71,7 @@ def describe(up: Array) -> str:
 
 def directions(forces: Array) -> Array:
     """Return the unit vectors of raw forces (n, 3)."""
-    return forces / np.maximum(np.linalg.norm(forces, axis=1, keepdims=True), 1e-12)
+    return np.asarray(forces / np.maximum(np.linalg.norm(forces, axis=1, keepdims=True), 1e-12))
 
 
 def coverage(up: Array, parameters: int = 9, form: Form = "symmetric") -> Coverage:
@@ -124,7 +124,7 @@ def _gauge(parameters: int) -> Array:
 
 def _information(up: Array, parameters: int) -> Array:
     rows = norm_rows(np.reshape(up, (-1, 3)), _gauge(parameters))
-    return rows.T @ rows
+    return np.asarray(rows.T @ rows)
 
 
 def _determined(information: Array) -> bool:
@@ -134,7 +134,7 @@ def _determined(information: Array) -> bool:
 
 def _variances(candidates: Array, information: Array, parameters: int) -> Array:
     rows = norm_rows(candidates, _gauge(parameters))
-    return np.einsum("ij,ij->i", rows, np.linalg.solve(information, rows.T).T)
+    return np.asarray(np.einsum("ij,ij->i", rows, np.linalg.solve(information, rows.T).T))
 
 
 def _weakest(information: Array, parameters: int) -> Attitude:
@@ -171,7 +171,7 @@ def _even_moments(matrix: Array) -> Array:
 
 @cache
 def places() -> Array:
-    """The 26 directions of a cube's faces (first 6), edges (12) and corners (8), as unit vectors."""
+    """Return the 26 directions of a cube's faces (first 6), edges (12) and corners (8), as unit vectors."""
     cube = np.array([p for p in product((1.0, 0.0, -1.0), repeat=3) if any(p)])
     cube = cube[np.argsort(np.abs(cube).sum(axis=1), kind="stable")]
     return frozen(cube / np.linalg.norm(cube, axis=1, keepdims=True))
@@ -179,7 +179,7 @@ def places() -> Array:
 
 @cache
 def sphere(n: int = 400) -> Array:
-    """`n` directions spread evenly (a Fibonacci lattice), and the 26 places."""
+    """Return `n` directions spread evenly (a Fibonacci lattice), and the 26 places."""
     k = np.arange(n) + 0.5
     z = 1.0 - 2.0 * k / n
     turn = np.pi * (1.0 + np.sqrt(5.0)) * k

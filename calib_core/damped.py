@@ -68,13 +68,13 @@ def minimise(function: Residuals, start: Array, settings: Damping) -> Minimum:
     """
     v, damping = start, settings.start
     residuals, jacobian = function(v)
-    cost = residuals @ residuals
+    cost = float(residuals @ residuals)
     for iteration in range(1, settings.iterations + 1):
         hessian = jacobian.T @ jacobian
         step = _step(hessian, jacobian.T @ residuals, damping)
         trial = v + step
         new_residuals, new_jacobian = function(trial)
-        new_cost = new_residuals @ new_residuals
+        new_cost = float(new_residuals @ new_residuals)
         if new_cost > cost * (1.0 + 1e-12) or not np.isfinite(new_cost):
             damping = max(damping, 1e-12) * settings.grow
             if damping > settings.most:
@@ -92,9 +92,9 @@ def _step(hessian: Array, gradient: Array, damping: float) -> Array:
     """Eq. 6 with Marquardt's damping in place of the constant delta."""
     damped = hessian + damping * np.diag(np.diag(hessian))
     try:
-        return -np.linalg.solve(damped, gradient)
+        return np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
     except np.linalg.LinAlgError:
-        return -np.linalg.lstsq(damped, gradient, rcond=None)[0]
+        return np.asarray(-np.linalg.lstsq(damped, gradient, rcond=None)[0], dtype=np.float64)
 
 
 def _settled(old: Array, new: Array, hessian: Array, cost: float, settings: Damping) -> bool:

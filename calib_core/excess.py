@@ -10,6 +10,7 @@ parameters here. Works on plain arrays; knows no sensor.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.samples import Array
 
@@ -38,7 +39,7 @@ def excess_variance(residuals: Array, design: Array, own: Array) -> float:
     return excess
 
 
-def within_variance(residuals: Array, groups: Array, own: Array) -> float:
+def within_variance(residuals: Array, groups: NDArray[np.intp], own: Array) -> float:
     """Return the excess variance of residuals that share a group, (n,) numbered from 0, about its mean."""
     counts = np.bincount(groups)
     shared = counts[groups] > 1

@@ -61,7 +61,7 @@ def force_uncertainties(rests: Sequence[RestState]) -> Array:
 
 
 def attitude_labels(raw: Array, angle: float) -> NDArray[np.intp]:
-    """Number the attitudes of raw forces (n, 3) from 0 in order of first appearance; returns (n,).
+    """Return the numbers (n,) of the attitudes of raw forces (n, 3), from 0 in order of appearance.
 
     Two share an attitude where their directions lie within `angle` (rad) of the first that had it.
     """
