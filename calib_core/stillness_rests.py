@@ -32,7 +32,7 @@ from stillcal.calib_core.stillness_windows import (
 
 # Student's t for a two-sided probability of 68.27 %, by degrees of freedom from 1 (JCGM 100:2008, Table G.2).
 _STUDENT = np.array([1.84, 1.32, 1.20, 1.14, 1.11, 1.09, 1.08, 1.07, 1.06, 1.05])
-_MIN_BATCHES = 8
+_MIN_BATCHES = 4
 _FEW_CODES = 2.5  # a range below this many steps: at most three neighbouring codes
 _HELD_SHARE = 0.9  # of windows that never changed, beyond which a rest is a stuck sensor's
 
@@ -104,11 +104,15 @@ def mean_uncertainty(rows: Array) -> Array:
     """Return the standard uncertainty of the mean of all samples, shape (3,), honest for coloured noise.
 
     The largest of: white noise inflated by the samples' lag-one correlation, and the scatter of batch means
-    at every batch length that leaves at least 8 batches (fewer, where the rest is that short), each widened
-    by Student's t for so few batches. Then the quantiser's own bias on top, where few codes were seen.
+    at every batch length that leaves at least 4 batches (fewer, where the rest is that short), each widened
+    by Student's t for so few batches. What the noise remembers for longer than about 1/25 of the rest cannot
+    be seen from inside it and is not in here: the scatter between rests of one attitude tells. Then the
+    quantiser's own bias on top, where few codes were seen.
     """
-    inflation = correlation_inflation(rows[:, M2].sum(axis=0), rows[:, D2].sum(axis=0), rows[:, N].sum())
-    variance = _sd(rows) ** 2 * inflation / rows[:, N].sum()
+    n = rows[:, N].sum()
+    between = rows[:, N : N + 1] * (rows[:, MEAN] - weighted_mean(rows)) ** 2
+    squares = (rows[:, M2] + between).sum(axis=0)
+    variance = squares / (n - 1) / n * correlation_inflation(squares, rows[:, D2].sum(axis=0), n)
     length = 1
     while length == 1 or rows.shape[0] // length >= _MIN_BATCHES:
         variance = np.maximum(variance, _batch_variance(rows, length))
@@ -137,12 +141,13 @@ def _quantisation(rows: Array) -> Array:
     """
     lsb = rows[:, LSB].min(axis=0)
     known = np.isfinite(lsb)
-    lsb = np.where(known, lsb, 1.0)
+    if not known.any():
+        return np.zeros(3)
+    lsb = np.where(known, lsb, lsb[known].max())  # an axis that never left its code: its step is the others'
     ratio = np.minimum(_sd(rows) / lsb, 10.0)
     dithered = lsb / (np.pi * np.sqrt(2.0)) * np.exp(-2.0 * np.pi**2 * ratio**2)
     few = rows[:, HIGH].max(axis=0) - rows[:, LOW].min(axis=0) < _FEW_CODES * lsb
-    floor = np.where(few, lsb / np.sqrt(12.0), dithered)
-    return np.where(known, floor, 0.0)
+    return np.where(few, lsb / np.sqrt(12.0), dithered)
 
 
 def tilt(rows: Array) -> tuple[float, float]:
