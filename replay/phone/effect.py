@@ -71,6 +71,8 @@ class Effect(Settings, frozen=True, kw_only=True, tag_field="name"):
     """Base of all effects: does nothing anywhere."""
 
     sensors: ClassVar[tuple[Sensor, ...]] = ()
+    of_whole_phone: ClassVar[bool] = False
+    """Whether the input disturbed is the whole phone's: the other sensor's cross-sensitivities feel it."""
     needs_samples: ClassVar[bool] = False
     """Whether the effect lives on consecutive samples, so that a rest's mean alone cannot show it."""
 

@@ -135,6 +135,7 @@ class LeverArm(OnAccel, frozen=True, kw_only=True, tag="lever_arm"):
 class VibrationTone(OnEither, frozen=True, kw_only=True, tag="vibration_tone"):
     """True vibration at one frequency in Hz, amplitude in the sensor's unit, from start_s for duration_s."""
 
+    of_whole_phone: ClassVar[bool] = True
     frequency: float
     amplitude: Vector
     sensor: Which = "accel"

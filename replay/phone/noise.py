@@ -96,7 +96,9 @@ class _Walk:
         self._last = np.zeros(3)
 
     def advance(self, n: int) -> Array:
-        values: Array = self._last + np.cumsum(self._rng.standard_normal((n, 3)) * self._step, axis=0)
+        steps = self._rng.standard_normal((n, 3)) * self._step
+        steps[0] += self._last
+        values: Array = np.cumsum(steps, axis=0)
         self._last = values[-1]
         return values
 

@@ -59,8 +59,14 @@ class Activity(Settings, frozen=True, kw_only=True, tag_field="activity"):
     suspended: bool = False
 
     def __post_init__(self) -> None:
-        spans = (self.duration_s,) if isinstance(self.duration_s, float) else tuple(self.duration_s)
-        require(0.0 < spans[0] <= spans[-1], "duration_s", self.duration_s, "above 0 s, a range rising")
+        for field in self.__struct_fields__:
+            if field.endswith("_s"):
+                span = getattr(self, field)
+                low, high = (span, span) if isinstance(span, float | int) else span
+                require(0.0 < low <= high, field, span, "above 0 s, or a rising range")
+        for name in getattr(self, "supports", ()):
+            support_named(name)
+        support_named(getattr(self, "support", "screen_up"))
         require(0.0 <= self.chance <= 1.0, "chance", self.chance, "from 0 to 1")
         require(0.0 <= self.use <= 1.0, "use", self.use, "from 0 to 1")
 

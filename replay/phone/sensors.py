@@ -9,6 +9,7 @@ what dithers it. White noise of one-sided density N at rate f has the standard d
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -63,12 +64,13 @@ class SensorChain:
         self._filter = None if settings.cutoff_hz is None else LowPass(settings.cutoff_hz, rate)
         self._hold = seeded(seed, sensor, "hold")
         self._last: Array | None = None
-        self._inputs: list[Term] = []
-        self._outputs: list[Term] = []
-        for i, effect in enumerate(e for e in effects if e.concerns(sensor)):
-            about = Circumstances(rate, surroundings, seeded(seed, sensor, "effect", effect.name, i))
-            self._inputs += [t for t in [effect.input_term(about)] if t is not None]
-            self._outputs += [t for t in [effect.output_term(sensor, about)] if t is not None]
+        about = [
+            Circumstances(rate, surroundings, seeded(seed, sensor, e.name, i)) for i, e in enumerate(effects)
+        ]
+        pairs = list(zip(effects, about, strict=True))
+        self._inputs = {felt: self._input_terms(felt, pairs) for felt in Sensor}
+        outputs = (e.output_term(sensor, a) for e, a in pairs if e.concerns(sensor))
+        self._outputs = [term for term in outputs if term is not None]
 
     def read(self, moment: Moment) -> Array:
         """Return what the sensor reports at the moment's n times, (n, 3)."""
@@ -87,12 +89,17 @@ class SensorChain:
             raw = raw + self._white.draw(moment.t.size)
         return self._held(self._digitised(raw if self._filter is None else self._filter(raw)))
 
+    def _input_terms(self, felt: Sensor, pairs: Sequence[tuple[Effect, Circumstances]]) -> list[Term]:
+        """Return what disturbs force or rate here: what is this sensor's own, and what shakes the phone."""
+        mine = felt is self._sensor
+        terms = (e.input_term(a) for e, a in pairs if e.concerns(felt) and (mine or e.of_whole_phone))
+        return [term for term in terms if term is not None]
+
     def _disturbed(self, moment: Moment) -> Moment:
-        if not self._inputs:
-            return moment
-        felt = moment.felt_by(self._sensor) + sum(term(moment) for term in self._inputs)
-        force, rate = (felt, moment.rate) if self._sensor is Sensor.ACCELEROMETER else (moment.force, felt)
-        return Moment(moment.t, force, rate, moment.rate_dot, moment.warmth, moment.charging)
+        force, rate = (
+            sum((term(moment) for term in self._inputs[felt]), start=moment.felt_by(felt)) for felt in Sensor
+        )
+        return dataclasses.replace(moment, force=force, rate=rate)
 
     def _digitised(self, raw: Array) -> Array:
         limit, lsb = self._settings.range, self._settings.lsb

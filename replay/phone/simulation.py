@@ -123,16 +123,18 @@ class Simulation:
     def chunks(self, seconds: float = BLOCK_S) -> Iterator[Chunk]:
         """Yield the recording in time order, cut every `seconds` of the phone's clock."""
         accel, gyro = Samples.empty(Sensor.ACCELEROMETER), Samples.empty(Sensor.GYROSCOPE)
-        has_gyro, events, t_end = self.phone.gyro is not None, list(self.events()), 0.0
+        has_gyro, events = self.phone.gyro is not None, list(self.events())
+        begin, t_end = -np.inf, 0.0
         for sure, more_accel, more_gyro in self._blocks():
             accel, gyro = _end_to_end([accel, more_accel]), _end_to_end([gyro, more_gyro])
             while t_end + seconds <= sure or (sure >= self.duration and t_end < self.duration):
                 t_end += seconds
                 now = tuple(e for e in events if e.t < t_end)
                 del events[: len(now)]
-                cut = (t_end - seconds, t_end)
+                cut = (begin, t_end if t_end < self.duration else np.inf)
+                begin = t_end
                 yield Chunk(t_end, accel.between(*cut), gyro.between(*cut) if has_gyro else None, now)
-            accel, gyro = accel.between(t_end, np.inf), gyro.between(t_end, np.inf)
+            accel, gyro = accel.between(begin, np.inf), gyro.between(begin, np.inf)
 
     def whole(self) -> Chunk:
         """Return the whole recording at once."""
