@@ -19,6 +19,7 @@ from stillcal.daemon.wire_frames import Frame, PayloadError, parse_payload
 from stillcal.daemon.wire_messages import (
     SEQUENCE_MASK,
     VERSION,
+    Claim,
     Command,
     Grant,
     Hello,
@@ -32,6 +33,7 @@ from stillcal.daemon.wire_text import MAX_LINE, LineError, MicrosClock, Row, par
 
 __all__ = [
     "VERSION",
+    "Claim",
     "Coding",
     "Command",
     "Form",

@@ -73,7 +73,7 @@ def _flags(part: Samples) -> int:
 
 def _exact(part: Samples) -> bytes:
     columns = (part.t, part.xyz, part.temperature, part.t_arrival)
-    return b"".join(column.tobytes() for column in columns if column is not None)
+    return b"".join(np.asarray(c, "<f8").tobytes() for c in columns if c is not None)
 
 
 def _compact(part: Samples, style: BlockStyle) -> bytes:
@@ -84,7 +84,7 @@ def _compact(part: Samples, style: BlockStyle) -> bytes:
         counts = np.rint(part.xyz / float(np.float32(unit)))
         values = np.clip(counts, -32_768, 32_767).astype("<i2")
     ticks = np.rint((part.t - part.t[0]) / (tick_ns * NANOSECOND))
-    steps = np.diff(ticks, prepend=0.0).astype("<u2")
+    steps: NDArray[np.uint16] = np.diff(ticks, prepend=0.0).astype("<u2")
     head = COMPACT.pack(round(float(part.t[0]) / NANOSECOND), tick_ns, unit)
     others = (part.temperature, part.t_arrival)
     tail = b"".join(
