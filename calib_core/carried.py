@@ -96,22 +96,24 @@ class Bundle:
     @classmethod
     def of(cls, turns: Sequence[Turn], biases: Sequence[Array], rests: Rests) -> Bundle:
         """Lay out `turns` with each one's bias, (3,) or (n, 3) for n samples, taken off."""
-        angles, cones, steps = [], [], []
-        for turn, bias in zip(turns, biases, strict=True):
-            rates = turn.rates - bias
-            angles += [np.zeros((1, 3)), rotation.mean_rate_angles(turn.t, rates)]
-            cones += [np.zeros((1, 3)), rotation.coning_angles(turn.t, rates)]
-            steps += [np.zeros((1, 1)), np.diff(turn.t)[:, None]]
-        angle, step = np.concatenate(angles), np.concatenate(steps)
-        rows = np.hstack((angle, step))
         lengths = np.array([t.t.size for t in turns])
         ends = np.cumsum(lengths) - 1
+        starts = ends + 1 - lengths
+        rates = [turn.rates - bias for turn, bias in zip(turns, biases, strict=True)]
+        opening = np.zeros((1, 3))
+        pieces = [(opening, rotation.mean_rate_angles(t.t, w)) for t, w in zip(turns, rates, strict=True)]
+        angles = np.concatenate([part for piece in pieces for part in piece])
+        stamps = np.concatenate([turn.t for turn in turns])
+        steps = np.diff(stamps, prepend=stamps[0])[:, None]
+        cones = np.concatenate((opening, rotation.coning_angles(stamps, np.concatenate(rates))))
+        steps[starts], cones[starts] = 0.0, 0.0
+        rows = np.hstack((angles, steps))
         return cls(
-            angles=angle,
-            cones=np.concatenate(cones),
-            steps=step,
+            angles=angles,
+            cones=cones,
+            steps=steps,
             nodes=0.5 * (rows + np.concatenate((rows[1:], np.zeros((1, 4))))),
-            starts=ends + 1 - lengths,
+            starts=starts,
             ends=ends,
             up_before=rests.up[rests.before],
             up_after=rests.up[rests.after],

@@ -30,7 +30,9 @@ NOMINAL = np.concatenate((np.eye(3).ravel(), np.zeros(3)))
 
 _MEDIAN_RAYLEIGH = np.sqrt(2.0 * np.log(2.0))  # median length of a standard normal 2-vector
 _SHRINK = 0.1  # of the allowance for a wrong start, per iteration
-_NEGLIGIBLE = 1e-4  # allowance below which there is none
+_NEGLIGIBLE = 2e-3  # allowance below which there is none
+_ROUGH = 1e-3  # step of the scale that ends the first search; force along the turns is not known better
+_IMPLAUSIBLE = 0.5  # of a scale element off its nominal value: the search went astray
 
 
 class Parameters(StrEnum):
@@ -57,12 +59,12 @@ _FREE = {
 class GyroscopeSettings:
     """How the fit is made and when it is refused.
 
-    nominal_error: how far the scale may be off at first. bias_shift: rad/s, typical difference
-    of the bias while turning from that at rest (what a 16-bit word over 2000 deg/s rounds off where no
-    noise dithers it). g_sensitivity: (rad/s)/(m/s^2), typical element of
-    the gyroscope's response to force (0.1 deg/s per g). max_uncertainty: largest
-    standard uncertainty of a scale element that still counts as observed. outlier: robust standard
-    deviations beyond which a turn is left out. tolerance: of the scale, ends the iteration.
+    nominal_error: how far the scale may be off at first. bias_shift: rad/s, typical difference of the
+    bias while turning from that at rest (what a 16-bit word over 2000 deg/s rounds off where no noise
+    dithers it). g_sensitivity: (rad/s)/(m/s^2), typical element of the gyroscope's response to force
+    (0.1 deg/s per g). max_uncertainty: largest standard uncertainty of a scale element that still counts
+    as observed. outlier: robust standard deviations beyond which a turn is left out. tolerance: of the
+    scale, ends the iteration.
     """
 
     nominal_error: float = 0.15
@@ -172,9 +174,11 @@ def solve(problem: Problem, choice: Parameters) -> tuple[Problem, Solution]:
     slopes, misfit = problem.at(NOMINAL, 0.0).whitened(np.full(len(problem.turns), True))
     normal, _ = _normal_equations(slopes, misfit, NOMINAL, problem.settings)
     _require_observed(_covariance(normal, free, 1.0), limit)
-    rough = _searched(problem, free, NOMINAL, problem.settings.nominal_error)
+    settings = problem.settings
+    rough = _searched(problem, free, NOMINAL, settings.nominal_error, _ROUGH)
     refined = problem.along(rough.theta)
-    solution = _searched(refined, free, rough.theta, 0.0)
+    solution = _searched(refined, free, rough.theta, 0.0, settings.tolerance)
+    _require_plausible(solution.theta)
     _require_observed(solution.covariance, limit)
     return refined, replace(solution, iterations=rough.iterations + solution.iterations)
 
@@ -204,22 +208,25 @@ def _rate_density(rests: Sequence[RestState]) -> float:
     return float(np.median([t * np.mean(u * u) for t, u in seen])) if seen else 0.0
 
 
-def _searched(problem: Problem, free: Mask, start: Array, allowance: float) -> Solution:
+def _searched(problem: Problem, free: Mask, start: Array, allowance: float, tolerance: float) -> Solution:
     """Gauss-Newton on Eq. 15, weighted, leaving out turns that nothing fits. free, start: (12,).
 
     A start wrong by `allowance` is allowed for by a variance that grows with the angle turned and shrinks
-    with every iteration, so that long turns, which may wrap around, speak last.
+    with every iteration, so that long turns, which may wrap around, speak last. Once there is none left,
+    a turn left out stays out, so that none can go in and out for ever.
     """
     settings = problem.settings
     theta = start.copy()
+    used = np.full(len(problem.turns), True)
     for _iteration in range(1, settings.max_iterations + 1):
         system = problem.at(theta, allowance)
-        used = _inliers(system.lengths(), int(free[:9].sum()), settings.outlier)
+        inside = _inliers(system.lengths(), int(free[:9].sum()), settings.outlier)
+        used = inside if allowance > 0.0 else inside & used
         slopes, misfit = system.whitened(used)
         normal, gradient = _normal_equations(slopes, misfit, theta, settings)
         step = np.linalg.solve(normal[np.ix_(free, free)], -gradient[free])
         theta[free] += step
-        if allowance == 0.0 and np.abs(step[:-3]).max(initial=0.0) < settings.tolerance:
+        if allowance == 0.0 and np.abs(step[:-3]).max(initial=0.0) < tolerance:
             break
         allowance = allowance * _SHRINK if allowance > _NEGLIGIBLE else 0.0
     else:
@@ -252,6 +259,16 @@ def _covariance(normal: Array, free: Mask, factor: float) -> Array:
     inside = np.ix_(free, free)
     out[inside] = max(1.0, factor) * np.linalg.inv((normal + weak)[inside])
     return out
+
+
+def _require_plausible(theta: Array) -> None:
+    """Raise NotSupported where the scale found is no correction of a working gyroscope."""
+    furthest = float(np.abs(theta - NOMINAL)[:9].max())
+    if not furthest < _IMPLAUSIBLE:
+        raise NotSupported(
+            f"the gyroscope's scale came out {furthest:.2g} off its nominal value",
+            ["rates in rad/s", "turns that end in rest"],
+        )
 
 
 def _require_observed(covariance: Array, limit: float) -> None:
