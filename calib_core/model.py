@@ -5,12 +5,12 @@ Grammenos et al. 2018, Eq. 2 (accelerometer) and Eq. 9 (gyroscope). Estimation l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillcal.calib_core.samples import Array, frozen
+from stillcal.calib_core.samples import Array, Samples, frozen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,3 +39,7 @@ class SensorModel:
     def apply(self, raw: Array) -> Array:
         """Correct raw readings, shape (..., 3), to calibrated ones of the same shape (Eq. 2)."""
         return (raw - self.bias) @ self.scale.T
+
+    def correct(self, samples: Samples) -> Samples:
+        """Correct a run of samples; stamps and temperature stay as they are."""
+        return replace(samples, xyz=self.apply(samples.xyz))

@@ -67,8 +67,10 @@ class Pool:
         """Return the pool with one turn more; the oldest goes where there are too many."""
         return replace(self, turns=(*self.turns, turn)[-settings.turns :])
 
-    def since(self, t: float) -> Pool:
-        """Return only what was taken from t (s) on."""
+    def since(self, t: float | None) -> Pool:
+        """Return only what was taken from t (s) on; all of it for None."""
+        if t is None:
+            return self
         return Pool(
             tuple(h for h in self.held if h.rest.t_start >= t),
             tuple(turn for turn in self.turns if turn.t_start >= t),

@@ -18,27 +18,33 @@ from stillcal.calib_core.pool import HeldRest
 from stillcal.calib_core.rests import force_uncertainties, forces
 from stillcal.calib_core.samples import Array
 
+_ALL_FLIPS = 12
+
 
 @dataclass(frozen=True, slots=True)
 class QualitySettings:
     """What counts as drift: larger than `significance` standard deviations and than the limits.
 
-    accel_limit: m/s^2 of the rest's norm. gyro_limit: rad/s. advantage: how many standard errors a new
-    calibration must be better by on held-out rests. held_out_rests: how many such rests it takes.
+    accel_limit: m/s^2 of the rest's norm. gyro_limit: rad/s. chance: of taking a new calibration that is
+    no better than the old one. held_out_rests: how many rests it takes to tell.
     """
 
     significance: float = 3.0
     accel_limit: float = 0.02
     gyro_limit: float = 0.001
-    advantage: float = 2.0
+    chance: float = 0.025
     held_out_rests: int = 6
 
     def __post_init__(self) -> None:
-        for name in ("significance", "accel_limit", "gyro_limit", "advantage"):
+        for name in ("significance", "accel_limit", "gyro_limit"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be positive")
-        if self.held_out_rests < 3:
-            raise ValueError(f"held_out_rests = {self.held_out_rests}: must be 3 or more")
+        if not 0 < self.chance < 0.5:
+            raise ValueError(f"chance = {self.chance}: must be within 0..0.5")
+        if 2.0**-self.held_out_rests > self.chance:
+            raise ValueError(
+                f"held_out_rests = {self.held_out_rests}: too few to tell at chance {self.chance}"
+            )
 
 
 class Drift(StrEnum):
@@ -154,13 +160,13 @@ def _drift(found: tuple[float, float] | None, significance: float, limit: float)
 class Comparison:
     """A new calibration against the old one on rests that neither was fitted to.
 
-    gain: mean log score per rest that the new one gains; standard_error: of that mean; rms_old, rms_new:
-    m/s^2 over the held-out rests. `better`: the gain is more than chance.
+    gain: mean log score per rest that the new one gains; chance: how often swapping the two at random
+    would gain as much; rms_old, rms_new: m/s^2 over the held-out rests. `better`: more than chance.
     """
 
     rests: int
     gain: float
-    standard_error: float
+    chance: float
     rms_old: float
     rms_new: float
     better: bool
@@ -170,13 +176,24 @@ def compare(old: Array, new: Array, sd: Array, settings: QualitySettings) -> Com
     """Compare held-out residuals of the old and the new calibration, (n,) each, m/s^2.
 
     sd: (n,) standard uncertainty of each residual, shared by both, so that a score cannot be won by
-    claiming certainty. The gain is a paired mean of Gaussian log scores; it must stand `advantage`
-    standard errors above zero.
+    claiming certainty. The gain is a paired mean of Gaussian log scores. Were the two equally good,
+    each rest might as well have had them the other way round: that is what the gain is held against
+    (a sign-flip test, Fisher 1935), whatever its distribution.
     """
     gains = (old**2 - new**2) / (2 * sd**2)
     n = gains.size
-    mean = float(gains.mean()) if n else 0.0
-    error = float(gains.std(ddof=1) / np.sqrt(n)) if n > 1 else float("inf")
-    better = n >= settings.held_out_rests and mean > settings.advantage * error
+    chance = _flipped_share(gains) if n else 1.0
     rms_old, rms_new = (float(np.sqrt(np.mean(r**2))) if n else 0.0 for r in (old, new))
-    return Comparison(n, mean, error, rms_old, rms_new, bool(better))
+    better = n >= settings.held_out_rests and chance <= settings.chance
+    return Comparison(n, float(gains.mean()) if n else 0.0, chance, rms_old, rms_new, better)
+
+
+def _flipped_share(gains: Array) -> float:
+    """Return the share of sign patterns, all or 4096 drawn ones, whose sum reaches that of `gains`."""
+    n = gains.size
+    if n <= _ALL_FLIPS:
+        signs = 1 - 2 * (np.arange(2**n)[:, None] >> np.arange(n) & 1)
+    else:
+        drawn = np.random.default_rng(n).integers(0, 2, (2**_ALL_FLIPS, n))
+        signs = np.vstack((np.ones(n, dtype=np.int64), 1 - 2 * drawn))
+    return float(np.mean(signs @ gains >= gains.sum() * (1 - 1e-12)))

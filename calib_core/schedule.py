@@ -87,24 +87,26 @@ class Occasion(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Where calibration stands. fresh: rests gathered since the last try to fit. since_fit: s since the
-    last fit that was accepted, inf where there was none.
+    """Where calibration stands.
+
+    fresh: rests gathered since the last try to fit. since_try: s since that try, inf where there was none.
     """
 
     has_record: bool
     degraded: bool
     fresh: int
-    since_fit: float
+    since_try: float
 
 
 def calibration_due(standing: Standing, occasion: Occasion, settings: ScheduleSettings) -> bool:
     """Say whether a full calibration is worth trying: never without rests gathered since the last try.
 
-    A phone without a calibration, or with one that failed its check, does not wait; nor does a
-    recording that ends, there being no later chance.
+    A phone without a calibration does not wait; one whose calibration failed its check waits for the
+    next. A recording that ends has no later chance.
     """
     if standing.fresh == 0:
         return False
-    if not standing.has_record or standing.degraded or occasion is Occasion.END:
+    if not standing.has_record or occasion is Occasion.END:
         return True
-    return standing.since_fit >= settings.recalibrate_interval_s
+    wait = settings.check_interval_s if standing.degraded else settings.recalibrate_interval_s
+    return standing.since_try >= wait

@@ -20,7 +20,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from stillcal.calib_core.engine import EngineSettings
+from stillcal.calib_core.engine_state import EngineSettings
 from stillcal.daemon.store import StoreSettings
 
 T = TypeVar("T")

@@ -1,0 +1,93 @@
+"""What the engine is told once, and what it remembers: plain records, no behaviour.
+
+`EngineState` is all there is to save; it packs and unpacks (codec) without loss.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from stillcal.calib_core.calibrate import CalibrateSettings
+from stillcal.calib_core.energy import Allowance, EnergySettings
+from stillcal.calib_core.events import Event
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.pool import Pool, PoolSettings
+from stillcal.calib_core.quality import QualitySettings
+from stillcal.calib_core.record import CalibrationRecord
+from stillcal.calib_core.rests import RestState
+from stillcal.calib_core.samples import Samples, Sensor
+from stillcal.calib_core.schedule import ScheduleSettings, Watch
+from stillcal.calib_core.stationary import DetectorState
+from stillcal.calib_core.stillness_settings import DetectorSettings
+from stillcal.calib_core.turns import TurnSettings
+
+
+@dataclass(frozen=True, slots=True)
+class EngineSettings:
+    """All that is chosen, by part."""
+
+    schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
+    energy: EnergySettings = field(default_factory=EnergySettings)
+    detector: DetectorSettings = field(default_factory=DetectorSettings)
+    pool: PoolSettings = field(default_factory=PoolSettings)
+    turns: TurnSettings = field(default_factory=TurnSettings)
+    calibrate: CalibrateSettings = field(default_factory=CalibrateSettings)
+    quality: QualitySettings = field(default_factory=QualitySettings)
+
+
+@dataclass(slots=True)
+class Counters:
+    """What the engine did since it first began."""
+
+    rests: int = 0
+    turns: int = 0
+    calibrations: int = 0
+    rejected: int = 0
+    refused: int = 0
+    checks: int = 0
+    zeroings: int = 0
+    degradations: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why a fit was refused, and what to gather; see NotSupported."""
+
+    reason: str
+    missing: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class EngineState:
+    """All that changes. Times in s; None where something has not happened yet.
+
+    waiting: samples not yet looked at; latest: each stream's newest stamp; heard: the clock's last tick.
+    check_due: a check waits for a rest; checked, tried: when the last check and the last try to fit were.
+    fresh: rests gathered since that try. gyro_tail: what the next turn may be cut from. sound_until: when
+    a calibration that now fails last passed a check. refusal: why the last try to fit came to nothing.
+    """
+
+    detector: DetectorState | None = None
+    waiting: dict[Sensor, Samples] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    latest: dict[Sensor, float] = field(default_factory=dict)
+    began: float | None = None
+    heard: float | None = None
+    next_check: float | None = None
+    next_review: float | None = None
+    check_due: bool = False
+    checked: float | None = None
+    tried: float | None = None
+    watch: Watch = Watch.IDLE
+    allowance: Allowance | None = None
+    charging: bool | None = None
+    degraded: bool = False
+    gravity: Gravity = field(default_factory=Gravity)
+    pool: Pool = field(default_factory=Pool)
+    fresh: int = 0
+    last_rest: RestState | None = None
+    gyro_tail: Samples | None = None
+    record: CalibrationRecord | None = None
+    sound_until: float | None = None
+    refusal: Refusal | None = None
+    counters: Counters = field(default_factory=Counters)

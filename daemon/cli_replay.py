@@ -1,0 +1,219 @@
+"""`stillcal replay` and `stillcal apply`: a recording through the engine, and through what was found."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from stillcal.calib_core.engine import Engine
+from stillcal.calib_core.engine_state import EngineSettings
+from stillcal.calib_core.events import Reject, Store
+from stillcal.calib_core.record import CalibrationRecord, NotCalibratedError
+from stillcal.calib_core.samples import Samples
+from stillcal.daemon import store as storage
+from stillcal.daemon.atomic import write_atomically
+from stillcal.daemon.cli_store import examples
+from stillcal.daemon.settings import Settings, load_settings
+from stillcal.daemon.store_document import calibration_json, pretty
+from stillcal.daemon.summary import print_outcome
+from stillcal.replay.formats.rest_table import read_rest_table
+from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.runner import Outcome, replay, replay_rests
+from stillcal.replay.trace import Chunk, Trace, open_trace
+
+UNSUPPORTED = 3
+
+_FORMAT_HELP = (
+    "Format of TRACE: csv, rest, hhar, imu_tk, mikoff, imucal, phyphox, sensorlogger, or a map.toml."
+)
+_existing = click.Path(path_type=Path)
+
+
+@click.command(
+    "replay",
+    epilog=examples(
+        "stillcal replay walk.csv --store store.json",
+        "stillcal replay esgi.csv --format rest --gravity 9.81 --json -",
+        "stillcal replay Phones_accelerometer.csv --format hhar",
+    ),
+)
+@click.argument("trace", type=_existing)
+@click.option("--store", "store_path", type=_existing, help="Keep the calibration in this store.")
+@click.option(
+    "--json", "json_path", type=_existing, help="Write the calibration as JSON ('-': standard output)."
+)
+@click.option("--format", "format_", default="csv", show_default=True, help=_FORMAT_HELP)
+@click.option("--gyro", type=_existing, help="The gyroscope's own file, for formats of two files.")
+@click.option("--config", type=_existing, help="Settings (TOML); see config/default.toml.")
+@click.option("--gravity", type=float, help="Local gravity in m/s^2, where it is known.")
+@click.option(
+    "--watch", type=click.Choice(["auto", "continuous", "probing"]), help="Override how the engine looks."
+)
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def replay_command(  # noqa: PLR0917 - click hands every option over by name
+    trace: Path,
+    store_path: Path | None,
+    json_path: Path | None,
+    format_: str,
+    gyro: Path | None,
+    config: Path | None,
+    gravity: float | None,
+    watch: str | None,
+    quiet: bool,
+) -> None:
+    """Run a recording through the daemon's own engine, as fast as it goes.
+
+    Leaves the store that a live run would leave. Exit code 3 where the recording cannot support a
+    calibration; why is said, and which attitude is missing.
+    """
+    settings = load_settings(config)
+    engine = Engine(_chosen(settings, gravity, watch))
+    kept: list[Store | Reject] = []
+    outcome = _run(_Source(trace, format_, gyro), engine, kept.append, quiet)
+    if store_path is not None and kept:
+        _keep(store_path, settings, kept, trace)
+    if json_path is not None:
+        _write_json(json_path, outcome)
+    if not quiet and json_path != Path("-"):
+        print_outcome(outcome, trace, store_path if kept else None, Console())
+    if outcome.record is None or outcome.record.accelerometer is None:
+        click.echo(f"stillcal: {trace}: no calibration: {_why(outcome)}", err=True)
+        sys.exit(UNSUPPORTED)
+
+
+@click.command("apply", epilog=examples("stillcal apply walk.csv --store store.json --out walk-true.csv"))
+@click.argument("trace", type=_existing)
+@click.option("--store", "store_path", type=_existing, required=True, help="The store with the calibration.")
+@click.option(
+    "--out", type=_existing, required=True, help="Where the calibrated recording goes (.csv, .csv.gz)."
+)
+@click.option("--format", "format_", default="csv", show_default=True, help=_FORMAT_HELP)
+@click.option("--gyro", type=_existing, help="The gyroscope's own file, for formats of two files.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def apply_command(  # noqa: PLR0917 - click hands every option over by name
+    trace: Path, store_path: Path, out: Path, format_: str, gyro: Path | None, quiet: bool
+) -> None:
+    """Write the recording as it would have been from true sensors: scale @ (raw - bias)."""
+    document = storage.Store(store_path).load()
+    record = None if document is None else document.current
+    if record is None:
+        raise storage.StoreError(
+            f"{store_path}: holds no calibration: run stillcal replay or the daemon first"
+        )
+    opened = _Source(trace, format_, gyro).open()
+    with _progress(opened, quiet) as step, _writer(opened, out, record) as write:
+        for chunk in opened.chunks():
+            write(chunk)
+            step()
+    if not quiet:
+        Console().print(f"{out}: corrected by calibration {record.id}")
+
+
+@contextmanager
+def _writer(opened: Trace, out: Path, record: CalibrationRecord) -> Iterator[Callable[[Chunk], None]]:
+    """Give a writer of corrected chunks; nothing is left behind where it ends in an error.
+
+    The first chunk says which optional columns there are. The maker's claims of noise and range stay
+    true to first order; those about raw counts do not.
+    """
+    first = next(iter(opened.chunks(max_rows=64)))
+    with TraceWriter(
+        out,
+        gyroscope=opened.has_gyroscope,
+        temperature=first.accelerometer.temperature is not None,
+        arrival=first.accelerometer.t_arrival is not None,
+        claims=opened.claims.without_counts(),
+    ) as writer:
+
+        def write(chunk: Chunk) -> None:
+            gyro = _corrected(chunk.gyroscope, record) if opened.has_gyroscope else None
+            writer.write(_corrected(chunk.accelerometer, record), gyro, chunk.events)
+
+        yield write
+
+
+def _corrected(samples: Samples, record: CalibrationRecord) -> Samples:
+    """Correct one sensor's samples; a sensor that the store knows nothing of stays as it is."""
+    try:
+        return record.model(samples.sensor).correct(samples)
+    except NotCalibratedError:
+        return samples
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """Which recording, in which format, with which second file."""
+
+    path: Path
+    format: str
+    gyro: Path | None
+
+    def open(self) -> Trace:
+        """Open it for reading."""
+        return open_trace(self.path, self.format, self.gyro)
+
+
+def _chosen(settings: Settings, gravity: float | None, watch: str | None) -> EngineSettings:
+    given: dict[str, Any] = {"gravity": gravity, "watch": watch}
+    schedule = replace(settings.engine.schedule, **{k: v for k, v in given.items() if v is not None})
+    return replace(settings.engine, schedule=schedule)
+
+
+def _run(recording: _Source, engine: Engine, keep: Callable[[Store | Reject], None], quiet: bool) -> Outcome:
+    if recording.format == "rest":
+        return replay_rests(read_rest_table(recording.path), engine, keep)
+    opened = recording.open()
+    with _progress(opened, quiet) as step:
+        return replay(opened.chunks(), engine, keep, step)
+
+
+@contextmanager
+def _progress(trace: Trace, quiet: bool) -> Iterator[Callable[[], None]]:
+    """Show how much of the recording has been read, on standard error, where somebody may look."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
+    console = Console(stderr=True)
+    with Progress(
+        *columns,
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=quiet or not console.is_terminal,
+    ) as bar:
+        task = bar.add_task(trace.path.name, total=trace.size_bytes)
+        yield lambda: bar.update(task, completed=trace.bytes_read)
+
+
+def _keep(path: Path, settings: Settings, kept: list[Store | Reject], source: Path) -> None:
+    with storage.Store(path, settings.store) as opened:
+        for action in kept:
+            record = replace(action.record, provenance=replace(action.record.provenance, source=source.name))
+            if isinstance(action, Store):
+                outcome = opened.publish(record, action.reason, action.t)
+            else:
+                outcome = opened.reject(record, action.reason, action.t)
+            for note in outcome.notes:
+                click.echo(f"stillcal: {note}", err=True)
+
+
+def _write_json(path: Path, outcome: Outcome) -> None:
+    text = pretty(calibration_json(outcome.record)) + "\n"
+    if path == Path("-"):
+        click.echo(text, nl=False)
+    else:
+        write_atomically(path, text.encode(), 0o644)
+
+
+def _why(outcome: Outcome) -> str:
+    if outcome.refusal is not None:
+        needed = ", ".join(outcome.refusal.missing)
+        return f"{outcome.refusal.reason}{f'; needed: {needed}' if needed else ''}"
+    rests = outcome.state.counters.rests if outcome.state else 0
+    return "no rest was found" if rests == 0 else f"{rests} rests were found, but no occasion to calibrate"

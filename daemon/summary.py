@@ -1,0 +1,111 @@
+"""What a replay found, as a person reads it in a terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
+from stillcal.calib_core.samples import Array
+from stillcal.replay.runner import Outcome
+
+G = 9.80665
+_DEG = 180 / np.pi
+
+
+def print_outcome(outcome: Outcome, trace: Path, store: Path | None, console: Console) -> None:
+    """Print what was read, what was found, and where it was kept."""
+    table = Table(
+        show_header=False, box=None, padding=(0, 2, 0, 0), title=str(trace.name), title_justify="left"
+    )
+    table.add_column(style="bold")
+    table.add_column()
+    for name, value in _rows(outcome, store):
+        table.add_row(name, value)
+    console.print(table)
+
+
+def _rows(outcome: Outcome, store: Path | None) -> list[tuple[str, str]]:
+    rows = [("Recording", _length(outcome)), ("Rests", _rests(outcome))]
+    record = outcome.record
+    if record is None:
+        return rows
+    if record.gravity is not None:
+        rows.append(("Gravity", _gravity(record.gravity)))
+    if record.accelerometer is not None:
+        rows += _accelerometer(record, record.accelerometer)
+    if record.gyroscope is not None:
+        rows += _gyroscope(record.gyroscope)
+    return rows if store is None else [*rows, ("Kept in", f"{store} as {record.id}")]
+
+
+def _length(outcome: Outcome) -> str:
+    return f"{_span(outcome.duration)}, {outcome.samples:,} samples"
+
+
+def _span(seconds: float) -> str:
+    hours, minutes = int(seconds // 3600), int(seconds % 3600 // 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds % 60:.0f} s"
+
+
+def _rests(outcome: Outcome) -> str:
+    state = outcome.state
+    if state is None:
+        return "none"
+    share = ""
+    if outcome.duration:
+        share = f", sensors on {100 * outcome.ledger.asked_s / outcome.duration:.1f} % of the time"
+    return f"{state.counters.rests} found, {state.counters.turns} turns between them{share}"
+
+
+def _gravity(gravity: Gravity) -> str:
+    sources = {
+        "default": "standard value: the location is unknown",
+        "location": "from the location",
+        "given": "as given",
+    }
+    common = f"; leaves {100 * gravity.scale_uncertainty:.2g} % on all scales alike"
+    return f"{gravity.value:.5f} m/s² ({sources[gravity.source]}{common if gravity.uncertainty else ''})"
+
+
+def _accelerometer(record: CalibrationRecord, part: AccelerometerRecord) -> list[tuple[str, str]]:
+    rows = [
+        (f"Accelerometer, {part.parameters} parameters", f"{part.n_rests} rests, {part.n_states} attitudes"),
+        ("  bias", f"{_vector(part.bias, '.4f')} m/s²"),
+        ("  scale", _vector(np.diag(part.scale), ".5f")),
+    ]
+    if part.parameters > 6:
+        rows.append(("  cross-axis", f"{_vector(part.scale[np.triu_indices(3, 1)], '.5f')} (xy, xz, yz)"))
+    before = _raw_rms(record, part.gravity)
+    if part.rms_residual is not None:
+        rows.append(
+            ("  |force| - g at rest", f"{_milli_g(before)} before, {_milli_g(part.rms_residual)} after (rms)")
+        )
+    return rows
+
+
+def _raw_rms(record: CalibrationRecord, gravity: float) -> float:
+    norms = np.array([np.linalg.norm(s.specific_force) for s in record.states])
+    return float(np.sqrt(np.mean((norms - gravity) ** 2))) if norms.size else float("nan")
+
+
+def _gyroscope(part: GyroscopeRecord) -> list[tuple[str, str]]:
+    rows = [
+        (f"Gyroscope, {part.parameters} parameters", f"{part.n_rests} rests"),
+        ("  bias", f"{_vector(part.bias * _DEG, '.4f')} °/s"),
+    ]
+    if part.parameters > 3:
+        rows.append(("  scale", _vector(np.diag(part.scale), ".5f")))
+    return rows
+
+
+def _milli_g(value: float) -> str:
+    return f"{1000 * value / G:.3g} mg"
+
+
+def _vector(values: Array, form: str) -> str:
+    return "  ".join(f"{v:{form}}" for v in values)

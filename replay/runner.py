@@ -1,0 +1,104 @@
+"""A recording through the daemon's own engine, on its own time, as fast as it goes.
+
+The runner does what the daemon does: it hands over what the engine's actions ask for and keeps the
+calibrations it accepts; it differs only in that time is the recording's and nobody waits.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from stillcal.calib_core.engine import Engine
+from stillcal.calib_core.engine_state import EngineState, Refusal
+from stillcal.calib_core.events import Action, End, Event, Level, Log, Reject, Store
+from stillcal.calib_core.record import CalibrationRecord
+from stillcal.calib_core.rests import RestState
+from stillcal.calib_core.samples import Samples
+from stillcal.calib_core.stillness_settings import Ledger
+from stillcal.replay.trace import Chunk
+
+KEPT_LOG_LINES = 1000
+"""How many log lines an outcome keeps; a replay of months must not grow without end."""
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What a replay left behind. duration: s of sample time; samples: of both sensors."""
+
+    record: CalibrationRecord | None = None
+    refusal: Refusal | None = None
+    rejected: int = 0
+    samples: int = 0
+    t_start: float | None = None
+    t_end: float | None = None
+    log: deque[Log] = field(default_factory=lambda: deque(maxlen=KEPT_LOG_LINES))
+    state: EngineState | None = None
+    ledger: Ledger = field(default_factory=Ledger)
+
+    @property
+    def duration(self) -> float:
+        """Span of the samples' stamps, s; 0 where there were none."""
+        return 0.0 if self.t_start is None or self.t_end is None else self.t_end - self.t_start
+
+
+Keep = Callable[[Store | Reject], None]
+
+
+def replay(
+    chunks: Iterable[Chunk], engine: Engine, keep: Keep, progress: Callable[[], None] | None = None
+) -> Outcome:
+    """Feed a recording to `engine` chunk by chunk and return what came of it.
+
+    keep: is handed every calibration that was accepted or rejected, in order. progress: called after
+    each chunk. Errors of the recording pass through; what `keep` was given before them stays given.
+    """
+    outcome = Outcome()
+    for chunk in chunks:
+        items = _items(chunk)
+        _note(outcome, items)
+        _act(outcome, engine.feed(*items), keep)
+        if progress is not None:
+            progress()
+    return _closed(outcome, engine, keep)
+
+
+def replay_rests(rests: Iterable[RestState], engine: Engine, keep: Keep) -> Outcome:
+    """Hand a rest table's rows to `engine` as gathered rests, and let it calibrate."""
+    outcome = Outcome()
+    table = list(rests)
+    engine.adopt(table)
+    outcome.samples = sum(r.n for r in table)
+    outcome.t_start, outcome.t_end = (table[0].t_start, table[-1].t_end) if table else (None, None)
+    return _closed(outcome, engine, keep)
+
+
+def _items(chunk: Chunk) -> list[Samples | Event]:
+    return [chunk.gyroscope, chunk.accelerometer, *chunk.events]
+
+
+def _note(outcome: Outcome, items: Iterable[Samples | Event]) -> None:
+    for item in items:
+        if isinstance(item, Samples) and len(item):
+            first, last = float(item.t[0]), float(item.t[-1])
+            outcome.t_start = first if outcome.t_start is None else min(first, outcome.t_start)
+            outcome.t_end = last if outcome.t_end is None else max(last, outcome.t_end)
+            outcome.samples += len(item)
+
+
+def _closed(outcome: Outcome, engine: Engine, keep: Keep) -> Outcome:
+    _act(outcome, engine.feed(End(outcome.t_end or 0.0)), keep)
+    outcome.state, outcome.ledger = engine.state, engine.ledger
+    outcome.record, outcome.refusal = engine.state.record, engine.state.refusal
+    return outcome
+
+
+def _act(outcome: Outcome, actions: Iterable[Action], keep: Keep) -> None:
+    for action in actions:
+        if isinstance(action, Log):
+            if action.level is not Level.DEBUG:
+                outcome.log.append(action)
+        elif isinstance(action, Store | Reject):
+            outcome.rejected += isinstance(action, Reject)
+            keep(action)
