@@ -124,7 +124,8 @@ def _wander(rates: Array, variances: Array) -> Array:
     """Scatter of the rests beyond their own uncertainty, per axis, rad/s."""
     if len(rates) < 2:
         return np.zeros(3)
-    return np.sqrt(np.maximum(rates.var(axis=0, ddof=1) - variances.mean(axis=0), 0.0))
+    scatter: Array = rates.var(axis=0, ddof=1) - variances.mean(axis=0)
+    return np.sqrt(np.maximum(scatter, 0.0))
 
 
 def _admitted(rests: Sequence[RestState], variances: Array) -> Array:
