@@ -298,9 +298,8 @@ class Engine:
         if s.record is None or s.record.accelerometer is None:
             s.check_due = False
             return
-        self._withdraw()
         since = s.checked
-        recent = s.pool.since(since)
+        recent = s.pool.since(since).where(self._detector.still_valid)
         found = calibrate.checked(s.record, recent, self.settings.quality)
         if found.verdict is Verdict.WAIT:
             return
@@ -312,10 +311,6 @@ class Engine:
         else:
             s.degraded = False
             self._zero_gyro(t, recent)
-
-    def _withdraw(self) -> None:
-        """Drop rests that a lower noise floor, found since, shows to have been none."""
-        self._s.pool = self._s.pool.where(self._detector.still_valid)
 
     def _degrade(self, t: float, since: float | None) -> None:
         """Gather again; `since` (s) is when the calibration last passed a check."""
@@ -346,7 +341,6 @@ class Engine:
         if not calibration_due(standing, occasion, self.settings.schedule):
             return
         s.fresh, s.tried = 0, t
-        self._withdraw()
         try:
             candidate = self._candidate(t)
         except NotSupported as refusal:
@@ -364,16 +358,33 @@ class Engine:
         After a failed check, what was gathered before it is only kept as long as one calibration
         explains both: otherwise the sensor has changed, and the older rests go.
         """
-        s, settings = self._s, self.settings
-        angle = settings.pool.attitude_angle
-        found = calibrate.candidate(s.pool, s.gravity, t, settings.calibrate, angle)
+        s = self._s
+        found = self._fit(s.pool, t)
         recent = s.pool.since(s.sound_until)
         if not s.degraded or len(recent.held) == len(s.pool.held):
             return found
-        if calibrate.checked(found.record, recent, settings.quality).verdict is not Verdict.RECALIBRATE:
+        if calibrate.checked(found.record, recent, self.settings.quality).verdict is not Verdict.RECALIBRATE:
             return found
         s.pool = recent
-        return calibrate.candidate(recent, s.gravity, t, settings.calibrate, angle)
+        return self._fit(recent, t)
+
+    def _fit(self, pool: Pool, t: float) -> calibrate.Candidate:
+        """Fit the rests that the noise floor, as known by now, confirms; all of them where that shows more."""
+        sure = pool.where(self._detector.still_valid)
+        if len(sure.held) == len(pool.held):
+            return self._fitted(pool, t)
+        try:
+            found = self._fitted(sure, t)
+        except NotSupported:
+            return self._fitted(pool, t)
+        if found.accelerometer.parameters >= 9:
+            return found
+        wider = self._fitted(pool, t)
+        return wider if wider.accelerometer.parameters > found.accelerometer.parameters else found
+
+    def _fitted(self, pool: Pool, t: float) -> calibrate.Candidate:
+        angle = self.settings.pool.attitude_angle
+        return calibrate.candidate(pool, self._s.gravity, t, self.settings.calibrate, angle)
 
     def _decide(self, t: float, candidate: calibrate.Candidate, occasion: Occasion) -> None:
         s = self._s
