@@ -35,8 +35,8 @@ class AccelerometerFit:
     put in by the methods. degrees_of_freedom: of the scatter that the covariance rests on: attitudes beyond
     parameters where these scatter more than their rests explain, else rests beyond attitudes where rests
     repeat worse than declared, else infinite: the declared uncertainties are taken as they are. coverage:
-    what the attitudes support. residuals: (n,) calibrated norm less gravity, of all rests; rms_residual: over all of them,
-    dropped or not. dropped: rests left out, with reasons. n_states: distinct attitudes.
+    what the attitudes support. residuals: (n,) calibrated norm less gravity, of all rests; rms_residual: over
+    all of them, dropped or not. dropped: rests left out, with reasons. n_states: distinct attitudes.
     repeatability: sd of the norm between rests of one attitude, None where none was held twice.
     excess_rest, excess_attitude: sd beyond declared uncertainty, between rests of one attitude and between
     attitudes. gravity: mean local g that the norm was fitted to. iterations: Gauss-Newton steps tried.

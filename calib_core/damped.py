@@ -75,12 +75,14 @@ def minimise(function: Residuals, start: Array, settings: Damping) -> Minimum:
         trial = v + step
         new_residuals, new_jacobian = function(trial)
         new_cost = float(new_residuals @ new_residuals)
+        settled = damping <= settings.start and _settled(v, trial, hessian, cost, settings)
+        if settled and not new_cost < cost:
+            return Minimum(v, residuals, jacobian, iteration, True)
         if new_cost > cost * (1.0 + 1e-12) or not np.isfinite(new_cost):
             damping = max(damping, 1e-12) * settings.grow
             if damping > settings.most:
                 return Minimum(v, residuals, jacobian, iteration, True)
             continue
-        settled = damping <= settings.start and _settled(v, trial, hessian, cost, settings)
         v, residuals, jacobian, cost = trial, new_residuals, new_jacobian, new_cost
         if settled:
             return Minimum(v, residuals, jacobian, iteration, True)
