@@ -1,6 +1,6 @@
 """Likelihood of an effect with the noise refitted under it: averaged over covariance shapes, scale integrated out.
 
-A view is reduced once to the few sums that every hypothesis needs; a hypothesis is then judged in
+Parameters are in units of their physical size and have a standard normal prior. A view is reduced once to the few sums that every hypothesis needs; a hypothesis is then judged in
 milliseconds. docs/misfit.md, 3, has the formulas.
 """
 
@@ -164,7 +164,7 @@ def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> Fit:
         previous, beta = beta, _solve(views, h, weights)
         if np.allclose(previous, beta, rtol=1e-5, atol=0.0):
             break
-    value = float(sum(_log_sum(_log_terms(v, _residuals(v, h, beta))) for v in views))
+    value = float(sum(_log_sum(_log_terms(v, _residuals(v, h, beta))) for v in views) - 0.5 * beta @ beta)
     return Fit(beta, _covariance(views, h, beta), value)
 
 
@@ -177,15 +177,7 @@ def _residuals(view: Reduced, h: int, beta: Array) -> Array:
 def _solve(views: Sequence[Reduced], h: int, weights: list[Array]) -> Array:
     information = sum(np.einsum("g,gij->ij", w, v.blocks[h]) for v, w in zip(views, weights, strict=True))
     target = sum(w @ v.xy[:, v.columns[h]] for v, w in zip(views, weights, strict=True))
-    return np.asarray(_bounded_inverse(np.asarray(information)) @ target)
-
-
-def _bounded_inverse(information: Array) -> Array:
-    """Inverse of an information matrix in which directions that the data do not see stay at nothing."""
-    size = np.sqrt(np.maximum(information.diagonal(), 1e-300))
-    values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    inverse = np.where(values > 1e-6, 1.0 / np.maximum(values, 1e-6), 0.0)
-    return np.asarray((vectors * inverse) @ vectors.T / np.outer(size, size))
+    return np.linalg.solve(np.asarray(information) + np.eye(len(target)), np.asarray(target))
 
 
 def _covariance(views: Sequence[Reduced], h: int, beta: Array) -> Array:
@@ -203,4 +195,5 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array) -> Array:
         total -= np.einsum("g,gi,gj->ij", weight * (1.0 + 2.0 / v.dof), score, score) - np.outer(mean, mean)
     observed = expected + total
     # Where the shapes disagree so much that the curvature is lost, the expected information is all there is.
-    return _bounded_inverse(observed if np.linalg.eigvalsh(observed).min() > 0 else expected)
+    curvature = observed if np.linalg.eigvalsh(observed).min() > 0 else expected
+    return np.linalg.inv(curvature + np.eye(beta.size))

@@ -9,7 +9,7 @@ from stillcal.calib_core.misfit.catalogue.entry import Scene
 
 def scenes(bins: Bins, gravity: float) -> list[Scene]:
     """Return the accelerometer's scene and, where there is a gyroscope, its own."""
-    baseline = views.fit_baseline(bins.force, bins.force_variance, gravity)
+    baseline = views.fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
     norm = views.norm_view(bins, baseline, gravity)
     tangent = views.tangent_view(bins, baseline)
     force_views = (norm,) if tangent is None else (norm, tangent)

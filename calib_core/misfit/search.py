@@ -23,8 +23,6 @@ from stillcal.calib_core.misfit.evidence import (
 )
 from stillcal.calib_core.samples import Array
 
-VISIBLE = 1e-5
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
@@ -72,7 +70,7 @@ def compete(
         trials[id(h.entry)] = trials.get(id(h.entry), 0) + 1
     scored: dict[int, list[Scored]] = {}
     for index, h in enumerate(hypotheses):
-        rank = visible(reduced, scene, h, index)
+        rank = visible(reduced, index)
         if rank == 0:
             continue
         bound = score(gain_bound(reduced, index) - null, rank, dof, trials[id(h.entry)])
@@ -101,8 +99,8 @@ def reduce_scene(
     index = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     reduced = []
     for i, view in enumerate(scene.views):
-        design = np.concatenate([h.columns[i] for h in hypotheses], axis=2)
-        extra = np.concatenate([f.columns[i] for f in found], axis=2) if found else None
+        design = np.concatenate([h.columns[i] * h.sizes for h in hypotheses], axis=2)
+        extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2) if found else None
         reduced.append(reduce_view(view, design, index, _nonzero(extra)))
     return reduced
 
@@ -115,14 +113,10 @@ def _nonzero(extra: Array | None) -> Array | None:
     return extra[:, :, seen] if seen.any() else None
 
 
-def visible(reduced: Sequence[Reduced], scene: Scene, hypothesis: Hypothesis, h: int) -> int:
-    """Return how many directions of a hypothesis survive the projection of the baseline (white noise)."""
-    raw = sum(
-        np.einsum("bnk,n->k", c**2, 1.0 / v.variance) for c, v in zip(hypothesis.columns, scene.views, strict=True)
-    )
-    size = np.sqrt(np.maximum(np.asarray(raw), 1e-300))
-    left = sum(v.blocks[h][0] for v in reduced) / np.outer(size, size)
-    return int((np.linalg.eigvalsh(np.asarray(left)) > VISIBLE).sum())
+def visible(reduced: Sequence[Reduced], h: int) -> int:
+    """Return how many directions of hypothesis `h` would show above white noise at their physical size."""
+    information = sum(v.blocks[h][0] for v in reduced)
+    return int((np.linalg.eigvalsh(np.asarray(information)) > 1.0).sum())
 
 
 def forward(scene: Scene, entries: Sequence[Entry], threshold: float = thresholds.SCORE) -> list[Step]:

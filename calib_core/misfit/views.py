@@ -6,7 +6,7 @@ effect would do in each view is the catalogue's business; how noise looks is `sh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,10 +56,12 @@ class Baseline:
     jacobian: Array
 
 
-def fit_baseline(force: Array, variance: Array, gravity: float, steps: int = 8) -> Baseline:
+def fit_baseline(force: Array, variance: Array, rest: Array, gravity: float, steps: int = 8) -> Baseline:
     """Fit the nine parameters of |S (m - b)| = g by damped Gauss-Newton with priors of physical size.
 
-    force, variance: (n, 3). Norm of gravity alone leaves a common rotation free, so S is symmetric.
+    force, variance: (n, 3); rest: (n,). Norm of gravity alone leaves a common rotation free, so S is
+    symmetric. Directions and columns are those of the rest's mean: a bin's own noise in the columns would
+    be regressed on itself.
     """
     weight = 1.0 / np.sqrt(variance.mean(axis=1))
     prior = np.diag(1.0 / np.array([BIAS_SIZE] * 3 + [SCALE_SIZE] * 6))
@@ -69,7 +71,15 @@ def fit_baseline(force: Array, variance: Array, gravity: float, steps: int = 8) 
         design = np.vstack([fit.jacobian * weight[:, None], prior])
         target = np.concatenate([(gravity - fit.norm) * weight, -prior @ x])
         x = x + np.linalg.lstsq(design, target, rcond=None)[0]
-    return _linearised(force, x)
+    steady = _linearised(rest_means(force, rest), x)
+    return replace(steady, norm=_linearised(force, x).norm)
+
+
+def rest_means(values: Array, rest: Array) -> Array:
+    """Replace each bin's values (n, k) by the mean over its rest."""
+    count = np.maximum(np.bincount(rest), 1)
+    means = np.stack([np.bincount(rest, weights=c) / count for c in values.T], axis=1)
+    return np.asarray(means[rest])
 
 
 def _linearised(force: Array, x: Array) -> Baseline:

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 from stillcal.calib_core.misfit.catalogue import drivers
-from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Scene, bias_columns, curves
+from stillcal.calib_core.misfit.catalogue.entry import (
+    Entry,
+    Hypothesis,
+    Linear,
+    Scene,
+    bias_columns,
+    curves,
+)
 
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
+SIZE = {"accel": 0.3, "gyro": 0.02}
+PER_KELVIN = {"accel": 0.02, "gyro": 2e-3}
 NAME = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 
@@ -17,38 +26,38 @@ def _step(entry: Entry, scene: Scene) -> list[Hypothesis]:
 
 def entries(sensor: str) -> list[Entry]:
     """Return the bias entries of one sensor, "accel" or "gyro"."""
-    unit, name = UNIT[sensor], NAME[sensor]
+    unit, name, size = UNIT[sensor], NAME[sensor], SIZE[sensor]
     own = [f"{sensor}_{x}" for x in ("bias_temperature", "warmup", "bias_drift", "bias_step", "charging_bias")]
     thermal, warmup, drift, step, charging = own
     return [
         Entry(
-            thermal, sensor, "temperature", curves(drivers.temperature), (("slope", f"{unit}/K", 3),),
+            thermal, sensor, "temperature", curves(drivers.temperature), (Linear("slope", f"{unit}/K", 3, PER_KELVIN[sensor]),),
             f"The {name}'s bias follows temperature on {{axes}}.",
             (warmup, drift, f"{sensor}_scale_temperature"),
             "let the phone warm and cool twice, in several attitudes",
         ),
         Entry(
-            warmup, sensor, "time since start", curves(drivers.warmup), (("amplitude", unit, 3),),
+            warmup, sensor, "time since start", curves(drivers.warmup), (Linear("amplitude", unit, 3, size),),
             f"The {name}'s bias settles after the start of the recording on {{axes}}.",
             (thermal, drift, "thermal_latent"), "switch on cold once more, or record temperature", {"tau_s": "s"},
         ),
         Entry(
-            drift, sensor, "time", curves(drivers.drift), (("rate", f"{unit}/s", 3),),
+            drift, sensor, "time", curves(drivers.drift), (Linear("rate", f"{unit}/s", 3, size / 3600.0),),
             f"The {name}'s bias drifts steadily on {{axes}}.",
             (warmup, thermal, f"{sensor}_bias_random_walk"), "record for several times as long",
         ),
         Entry(
-            step, sensor, "time", _step, (("step", unit, 3),),
+            step, sensor, "time", _step, (Linear("step", unit, 3, size),),
             f"The {name}'s bias jumped once on {{axes}}.",
             (charging, f"{sensor}_bias_random_walk"), "knock the phone again, or repeat with the plug untouched",
         ),
         Entry(
-            charging, sensor, "charging", curves(drivers.charging), (("step", unit, 3),),
+            charging, sensor, "charging", curves(drivers.charging), (Linear("step", unit, 3, size),),
             f"The {name}'s bias switches with the charger on {{axes}}.",
             (thermal, step, "thermal_latent"), "plug in and out several times, some minutes apart",
         ),
         Entry(
-            "thermal_latent", sensor, "charging and use", curves(drivers.latent_heat), (("amplitude", unit, 3),),
+            "thermal_latent", sensor, "charging and use", curves(drivers.latent_heat), (Linear("amplitude", unit, 3, size),),
             f"The {name}'s bias on {{axes}} follows a slow curve like heat from charging and use.",
             (warmup, charging, drift), "record temperature, or let the phone cool unplugged", {"tau_s": "s"},
         ),

@@ -33,13 +33,28 @@ class Hypothesis:
     grid: dict[str, float]
     columns: tuple[Array, ...]
 
+    @property
+    def sizes(self) -> Array:
+        """Physical size (k,) of each parameter: its prior's standard deviation."""
+        return np.concatenate([np.full(p.count, p.size) for p in self.entry.parameters])
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """`count` linear parameters of one name. size: what physics makes of them at most, their prior's sd."""
+
+    name: str
+    unit: str
+    count: int
+    size: float
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Entry:
     """An effect of the catalogue.
 
-    propose: all its hypotheses in a scene, none where the recording lacks what drives it. parameters: name,
-    unit and row lengths of its linear parameters in order. look_alikes: effects that can imitate it; decides:
+    propose: all its hypotheses in a scene, none where the recording lacks what drives it. parameters:
+    its linear parameters in the columns' order. look_alikes: effects that can imitate it; decides:
     the recording that tells them apart. sentence: one plain sentence, `{axes}` filled in. follows: driver.
     """
 
@@ -47,7 +62,7 @@ class Entry:
     sensor: str
     follows: str
     propose: Callable[[Entry, Scene], list[Hypothesis]]
-    parameters: tuple[tuple[str, str, int], ...]
+    parameters: tuple[Linear, ...]
     sentence: str
     look_alikes: tuple[str, ...] = ()
     decides: str = ""

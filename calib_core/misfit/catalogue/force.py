@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.misfit.catalogue import drivers
-from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Scene
+from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Linear, Scene
 from stillcal.calib_core.samples import Array
 
 ATTITUDES = 4
@@ -73,16 +73,16 @@ def accelerometer_entries() -> list[Entry]:
     return [
         Entry(
             "accel_scale_temperature", "accel", "temperature x own force", _scale_temperature,
-            (("slope", "1/K", 3),), "The accelerometer's scale follows temperature on {axes}.",
+            (Linear("slope", "1/K", 3, 1e-3),), "The accelerometer's scale follows temperature on {axes}.",
             ("accel_bias_temperature",), "turn the phone over while it is warm",
         ),
         Entry(
-            "accel_nonlinearity", "accel", "own force", _quadratic, (("quadratic", "1/(m/s^2)", 3),), sentence,
+            "accel_nonlinearity", "accel", "own force", _quadratic, (Linear("quadratic", "1/(m/s^2)", 3, 1e-3),), sentence,
             ("accel_saturation",), "rest in more attitudes, edges and corners",
         ),
         Entry(
             "accel_nonlinearity", "accel", "own force", _nonlinearity,
-            (("quadratic", "1/(m/s^2)", 3), ("cubic", "1/(m/s^2)^2", 3)), sentence,
+            (Linear("quadratic", "1/(m/s^2)", 3, 1e-3), Linear("cubic", "1/(m/s^2)^2", 3, 1e-4)), sentence,
             ("accel_saturation",), "rest in more attitudes, edges and corners",
         ),
     ]  # fmt: skip
@@ -92,7 +92,7 @@ def gyroscope_entries() -> list[Entry]:
     """Return the gyroscope's entries that follow gravity."""
     return [
         Entry(
-            "gyro_g_sensitivity", "gyro", "attitude", _g_sensitivity, (("matrix", "(rad/s)/(m/s^2)", 9),),
+            "gyro_g_sensitivity", "gyro", "attitude", _g_sensitivity, (Linear("matrix", "(rad/s)/(m/s^2)", 9, 1e-3),),
             "The gyroscope's bias on {axes} follows gravity's direction and comes back with it.",
             ("gyro_bias_temperature",), "return to the same attitudes at another temperature",
         )

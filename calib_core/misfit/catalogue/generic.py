@@ -8,8 +8,16 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.misfit.catalogue import drivers
-from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Scene, bias_columns, curves, moves
-from stillcal.calib_core.misfit.catalogue.bias import UNIT
+from stillcal.calib_core.misfit.catalogue.entry import (
+    Entry,
+    Hypothesis,
+    Linear,
+    Scene,
+    bias_columns,
+    curves,
+    moves,
+)
+from stillcal.calib_core.misfit.catalogue.bias import SIZE, UNIT
 from stillcal.calib_core.misfit.catalogue.force import distinct
 from stillcal.calib_core.samples import Array
 
@@ -17,18 +25,23 @@ PULSE_CUTS = 13
 PERIODS = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 
 
+def unit_range(curve: Array) -> Array:
+    """Return a curve about its mean, scaled so that it spans one."""
+    return np.asarray((curve - curve.mean()) / max(float(np.ptp(curve)), 1e-12))
+
+
 def _temperature_curvature(scene: Scene) -> list[drivers.Driver]:
-    return [({}, c**2 - np.mean(c**2)) for _, c in drivers.temperature(scene)]
+    return [({}, unit_range(c**2)) for _, c in drivers.temperature(scene)]
 
 
 def _temperature_rate(scene: Scene) -> list[drivers.Driver]:
-    return [({}, np.gradient(c, scene.bins.t)) for _, c in drivers.temperature(scene) if len(c) > 3]
+    return [({}, unit_range(np.gradient(c, scene.bins.t))) for _, c in drivers.temperature(scene) if len(c) > 3]
 
 
 def _vibration(scene: Scene) -> list[drivers.Driver]:
     power = scene.bins.vibration
     size = float(np.median(power)) if power.size else 1.0
-    return [({}, power / size)] if moves(power / size, 1.0) else []
+    return [({}, unit_range(power))] if moves(power / size, 1.0) else []
 
 
 def _pulses(scene: Scene) -> list[drivers.Driver]:
@@ -44,7 +57,8 @@ def _kinks(scene: Scene) -> list[drivers.Driver]:
     """A ramp that begins at a time."""
     start, end = scene.bins.span
     return [
-        ({"t_start": float(a)}, np.maximum(scene.bins.t - a, 0.0)) for a in np.linspace(start, end, 10)[1:-1]
+        ({"t_start": float(a)}, np.maximum(scene.bins.t - a, 0.0) / (end - start))
+        for a in np.linspace(start, end, 10)[1:-1]
     ]
 
 
@@ -79,16 +93,16 @@ def entries(sensor: str) -> list[Entry]:
     unit = UNIT[sensor]
     say = "Something outside the catalogue moves the bias on {axes}: it follows "
     table = [
-        ("curvature in temperature", curves(_temperature_curvature), "coefficient", f"{unit}/K^2", 3),
-        ("rate of temperature", curves(_temperature_rate), "coefficient", f"{unit} s/K", 3),
-        ("vibration power", curves(_vibration), "coefficient", unit, 3),
-        ("a stretch of time", curves(_pulses), "amplitude", unit, 3),
-        ("time from a moment on", curves(_kinks), "rate", f"{unit}/s", 3),
-        ("a period in time", _periodic, "amplitude", unit, 6),
-        ("attitude, nonlinearly", _gravity_squared, "coefficient", unit, 15),
+        ("curvature in temperature", curves(_temperature_curvature), "amplitude", 3),
+        ("rate of temperature", curves(_temperature_rate), "amplitude", 3),
+        ("vibration power", curves(_vibration), "amplitude", 3),
+        ("a stretch of time", curves(_pulses), "amplitude", 3),
+        ("time from a moment on", curves(_kinks), "amplitude", 3),
+        ("a period in time", _periodic, "amplitude", 6),
+        ("attitude, nonlinearly", _gravity_squared, "amplitude", 15),
     ]
     grid = {"t_start": "s", "t_end": "s", "period_s": "s"}
     return [
-        Entry("unknown", sensor, f, propose, ((name, u, k),), say + f + ".", grid_units=grid)
-        for f, propose, name, u, k in table
+        Entry("unknown", sensor, f, propose, (Linear(name, unit, k, SIZE[sensor]),), say + f + ".", grid_units=grid)
+        for f, propose, name, k in table
     ]
