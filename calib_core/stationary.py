@@ -35,7 +35,7 @@ __all__ = [
     "Want",
 ]
 
-_FIRST_EPOCH, _LAST_EPOCH = BLOCK, 16 * BLOCK  # cells between renewals of the floors, doubling
+_FIRST_EPOCH, _LAST_EPOCH = BLOCK, 64 * BLOCK  # cells between renewals of the floors, doubling
 
 
 @dataclass(slots=True)

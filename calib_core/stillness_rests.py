@@ -128,8 +128,9 @@ def _batch_variance(rows: Array, length: int) -> Array:
     kept = rows[: batches * length]
     n = kept[:, N].reshape(batches, length, 1)
     means = (n * kept[:, MEAN].reshape(batches, length, 3)).sum(axis=1) / n.sum(axis=1)
+    off = means - means.sum(axis=0) / batches
     student = _STUDENT[min(batches - 2, _STUDENT.size - 1)]
-    return np.asarray(means.var(axis=0, ddof=1) / batches * student**2)
+    return np.asarray((off * off).sum(axis=0) * (student**2 / (batches * (batches - 1))))
 
 
 def _quantisation(rows: Array) -> Array:
@@ -147,7 +148,7 @@ def _quantisation(rows: Array) -> Array:
     ratio = np.minimum(_sd(rows) / lsb, 10.0)
     dithered = lsb / (np.pi * np.sqrt(2.0)) * np.exp(-2.0 * np.pi**2 * ratio**2)
     few = rows[:, HIGH].max(axis=0) - rows[:, LOW].min(axis=0) < _FEW_CODES * lsb
-    return np.where(few, lsb / np.sqrt(12.0), dithered)
+    return np.asarray(np.where(few, lsb / np.sqrt(12.0), dithered))
 
 
 def tilt(rows: Array) -> tuple[float, float]:

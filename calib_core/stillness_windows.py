@@ -38,11 +38,14 @@ def no_rows(columns: int = COLUMNS) -> Array:
 
 @dataclass(slots=True)
 class Stream:
-    """One sensor's samples of the cell that is not complete yet, and the rows not judged yet."""
+    """One sensor's samples of the cell that is not complete yet, and the rows not judged yet.
+
+    temperature: degC, NaN where unknown; None where no sample of the cell has one.
+    """
 
     t: Array = field(default_factory=lambda: frozen(np.empty(0)))
     xyz: Array = field(default_factory=lambda: frozen(np.empty((0, 3))))
-    temperature: Array = field(default_factory=lambda: frozen(np.empty(0)))
+    temperature: Array | None = None
     rows: Array = field(default_factory=no_rows)
 
     def reshaped(self) -> Stream:
@@ -50,40 +53,40 @@ class Stream:
         return Stream(self.t, self.xyz.reshape(-1, 3), self.temperature, self.rows.reshape(-1, COLUMNS))
 
 
-def _cells(t: Array, window: float) -> NDArray[np.float64]:
-    return np.floor(t / window)
+def _temperatures(stream: Stream, block: Samples) -> Array | None:
+    if stream.temperature is None and block.temperature is None:
+        return None
+    parts = ((stream.temperature, stream.t), (block.temperature, block.t))
+    return np.concatenate([np.full(t.size, np.nan) if x is None else x for x, t in parts])
 
 
 def take(stream: Stream, block: Samples, window: float, *, close: bool = False) -> Stream:
     """Add a block to a stream: complete cells become rows, the rest waits. `close`: nothing waits."""
-    temperature = np.full(len(block), np.nan) if block.temperature is None else block.temperature
-    t = np.concatenate((stream.t, block.t)) if stream.t.size else block.t
-    xyz = np.concatenate((stream.xyz, block.xyz)) if stream.t.size else block.xyz
-    temperature = np.concatenate((stream.temperature, temperature)) if stream.t.size else temperature
+    waiting = stream.t.size > 0
+    t = np.concatenate((stream.t, block.t)) if waiting else block.t
+    xyz = np.concatenate((stream.xyz, block.xyz)) if waiting else block.xyz
+    warmth = _temperatures(stream, block)
     if t.size == 0:
         return stream
-    cells = _cells(t, window)
+    cells = np.floor(t / window)
     whole = t.size if close else int(np.searchsorted(cells, cells[-1], side="left"))
     if whole == 0:
-        return Stream(frozen(t), frozen(xyz), frozen(temperature), stream.rows)
+        return Stream(frozen(t), frozen(xyz), None if warmth is None else frozen(warmth), stream.rows)
     norm = block.sensor is Sensor.ACCELEROMETER
-    rows = reduce_cells(t[:whole], xyz[:whole], temperature[:whole], window, norm=norm)
-    return Stream(
-        frozen(t[whole:].copy()),
-        frozen(xyz[whole:].copy()),
-        frozen(temperature[whole:].copy()),
-        frozen(np.concatenate((stream.rows, rows))),
-    )
+    part, tail = slice(0, whole), slice(whole, None)
+    warm, warm_tail = (None, None) if warmth is None else (warmth[part], frozen(warmth[tail].copy()))
+    rows = reduce_cells(t[part], xyz[part], warm, cells[part], window, norm=norm)
+    rows = np.concatenate((stream.rows, rows)) if stream.rows.shape[0] else rows
+    return Stream(frozen(t[tail].copy()), frozen(xyz[tail].copy()), warm_tail, frozen(rows))
 
 
 def reduce_cells(
-    t: Array, xyz: Array, temperature: Array | None, window: float, *, norm: bool = True
+    t: Array, xyz: Array, temperature: Array | None, cells: Array, window: float, *, norm: bool
 ) -> Array:
-    """Return one row per cell that holds a sample. t: (n,) s; xyz: (n, 3); result (cells, COLUMNS).
+    """Return one row per cell that holds a sample. t: (n,) s; xyz: (n, 3); result (rows, COLUMNS).
 
-    The norm's columns stay 0 unless `norm`. All n samples count as whole cells.
+    cells: (n,) the cell of each sample. The norm's columns stay 0 unless `norm`.
     """
-    cells = _cells(t, window)
     starts = np.flatnonzero(np.concatenate(([True], cells[1:] != cells[:-1])))
     counts = np.diff(starts, append=t.size)
     rows = np.zeros((starts.size, COLUMNS))
@@ -92,16 +95,12 @@ def reduce_cells(
     rows[:, N] = counts
     rows[:, T0] = t[starts]
     rows[:, T1] = t[starts + counts - 1]
-    warm = temperature is not None and bool(np.isfinite(temperature).any())
-    if not warm:
-        rows[:, TEMP] = np.nan
+    rows[:, TEMP] = np.nan if temperature is None else np.add.reduceat(temperature, starts) / counts
     for first, last in _chunks(starts, t.size):
         span = slice(starts[first], starts[last] if last < starts.size else t.size)
         local, out, n = starts[first:last] - span.start, rows[first:last], counts[first:last]
         _gaps(t[span], local, window, out)
         _moments(np.ascontiguousarray(xyz[span].T), local, n, out, norm=norm)
-        if warm and temperature is not None:
-            out[:, TEMP] = np.add.reduceat(temperature[span], local) / n
     return rows
 
 
@@ -190,10 +189,14 @@ def paired(accel: Array, gyro: Array) -> Array:
 
     Cells without gyroscope get a row of zeros, N = 0.
     """
-    both = np.zeros((accel.shape[0], 2 * COLUMNS))
+    both = np.empty((accel.shape[0], 2 * COLUMNS))
     both[:, :COLUMNS] = accel
     at, found = matched(gyro[:, K], accel[:, K])
-    both[found, COLUMNS:] = gyro[at[found]]
+    if found.all():
+        both[:, COLUMNS:] = gyro[at]
+    else:
+        both[:, COLUMNS:] = 0.0
+        both[found, COLUMNS:] = gyro[at[found]]
     return both
 
 
