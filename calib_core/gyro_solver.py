@@ -32,6 +32,7 @@ _MEDIAN_RAYLEIGH = np.sqrt(2.0 * np.log(2.0))  # median length of a standard nor
 _SHRINK = 0.1  # of the allowance for a wrong start, per iteration
 _NEGLIGIBLE = 2e-3  # allowance below which there is none
 _ROUGH = 1e-3  # step of the scale that ends the first search; force along the turns is not known better
+_FINEST = 1e-6  # rad; no turn is integrated better, however little noise the rests claim
 _IMPLAUSIBLE = 0.5  # of a scale element off its nominal value: the search went astray
 
 
@@ -198,7 +199,7 @@ def _posed(
     walk, covariance = bias.between(rests.before, rests.after, mean_force)
     biases = [w + force @ bias.sensitivity.T for w, force in zip(walk, along, strict=True)]
     bundle = Bundle.of(turns, biases, rests)
-    random_walk = bundle.durations() * _rate_density(rests.rests)
+    random_walk = bundle.durations() * _rate_density(rests.rests) + _FINEST**2
     return Problem(turns, rests, bundle, bias, covariance, random_walk, settings)
 
 

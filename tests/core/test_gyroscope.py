@@ -307,6 +307,32 @@ def test_the_largest_supported_model_is_taken() -> None:
         few.fit(parameters=Parameters.FULL9)
 
 
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_few_turns_give_a_bias_and_say_what_is_missing(n: int) -> None:
+    fitted = recording(22, n=n).fit()
+    assert fitted.missing
+    assert np.isfinite(fitted.model.bias).all()
+
+
+def test_rests_that_claim_no_noise_do_not_break_the_fit() -> None:
+    """Coarse steps can make a rest's samples all alike: its claimed uncertainty is then zero."""
+    trip = recording(23, n=16, density=1e-9, force_density=1e-9)
+    none = np.zeros(3)
+
+    def silent(rest: RestState) -> RestState:
+        return replace(rest, force_uncertainty=none, rate_uncertainty=none, force_sd=none, rate_sd=none)
+
+    turns = [replace(turn, before=silent(turn.before), after=silent(turn.after)) for turn in trip.turns]
+    np.testing.assert_allclose(gyroscope.fit(turns, ACCEL, G).model.scale, trip.phone.scale, atol=2e-5)
+
+
+def test_a_gyroscope_that_measures_nothing_is_refused() -> None:
+    trip = recording(24, n=16)
+    dead = [replace(turn, rates=turn.rates * 0.02 + trip.phone.bias) for turn in trip.turns]
+    with pytest.raises(NotSupported):
+        gyroscope.fit(dead, ACCEL, G, parameters=Parameters.FULL9)
+
+
 def test_without_turns_there_is_the_bias() -> None:
     trip = recording(20, n=5)
     fitted = gyroscope.fit([], ACCEL, G, rests=trip.rests)

@@ -45,7 +45,7 @@ def test_bias_is_recovered_as_closely_as_it_says() -> None:
 
 
 def test_wander_between_rests_is_told_from_noise() -> None:
-    """Of 200 rests the scatter is known to 5 %, so wander shows from 0.45 of the noise (two standard errors)."""
+    """Of 200 rests the scatter is known to 5 %: two standard errors are a wander of 0.45 of the noise."""
     rng = np.random.default_rng(1)
     np.testing.assert_allclose(bias_from_rests(rests(rng, 200, wander=1e-4)).wander, 1e-4, rtol=0.15)
     assert (bias_from_rests(rests(rng, 200)).wander < 0.45e-5).all()
