@@ -55,6 +55,8 @@ class Plan:
 
     def motion(self, t: Array) -> Motion:
         """Return the true motion at rising times (n,) s; before 0 the phone is where it is at 0."""
+        if not t.size:
+            return Motion(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)))
         parts = [motion_of(piece, t[rows]) for piece, rows in self._cut(t)]
         if len(parts) == 1:
             return parts[0]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -91,11 +92,11 @@ class Simulation:
         """Return the phone's clock at a true time, both s."""
         return t * (1.0 + self._clock.skew)
 
-    def temperature(self, t: Array) -> Array:
-        """Return the true temperature in degC at stamps (n,) s."""
-        return self._heat.at(t / (1.0 + self._clock.skew))
+    def temperature_at(self, t: Array) -> Array:
+        """Return the true temperature in degC at true times (n,) s."""
+        return self._heat.at(t)
 
-    @property
+    @cached_property
     def truth(self) -> Truth:
         """What the recording does not say."""
         gyro = self.phone.gyro
@@ -154,10 +155,13 @@ class Simulation:
         shared, end = self._clock.shared, self.plan.duration
         for index in range(int(np.ceil(end / BLOCK_S))):
             ticks = accel.clock.block(index, end)
-            block = accel.read(ticks)
-            other = Samples.empty(Sensor.GYROSCOPE)
-            if gyro is not None:
-                other = gyro.read(ticks if shared else gyro.clock.block(index, end))
+            moment = accel.moment(ticks)
+            block, other = accel.read(ticks, moment), Samples.empty(Sensor.GYROSCOPE)
+            if gyro is not None and shared:
+                other = gyro.read(ticks, moment if self._clock.gyro_delay_s == 0.0 else gyro.moment(ticks))
+            elif gyro is not None:
+                ticks = gyro.clock.block(index, end)
+                other = gyro.read(ticks, gyro.moment(ticks))
             done = (index + 1) * BLOCK_S
             sure = self.duration if done >= end else self.stamp(done) - 1.0 / self.phone.accel.rate_hz
             yield sure, block, other
@@ -184,13 +188,12 @@ class _Stream:
         self._chain = SensorChain(sensor, settings, phone.effects, plan.surroundings, simulation.seed)
         self._thermometer = seeded(simulation.seed, sensor, "thermometer")
 
-    def read(self, ticks: Ticks) -> Samples:
+    def read(self, ticks: Ticks, moment: Moment) -> Samples:
+        """Return what is delivered of one block."""
         if not ticks.t.size:
             return Samples.empty(self._sensor)
-        temperature = self._simulation._heat.at(ticks.t)
-        raw = self._chain.read(self._moment(ticks.t, temperature))
-        rows = ticks.rows
-        reported = self._reported(temperature)
+        raw, rows = self._chain.read(moment), ticks.rows
+        reported = self._reported(moment.warmth + self._simulation.phone.heat.reference_c)
         return Samples(
             self._sensor,
             frozen(ticks.stamp[rows]),
@@ -199,10 +202,11 @@ class _Stream:
             frozen(ticks.arrival[rows]),
         )
 
-    def _moment(self, t: Array, temperature: Array) -> Moment:
-        plan = self._simulation.plan
+    def moment(self, ticks: Ticks) -> Moment:
+        """Return what the sensor can feel at the ticks, its delay allowed for."""
+        plan, t = self._simulation.plan, ticks.t
         motion = plan.motion(t - self._delay)
-        warmth = temperature - self._simulation.phone.heat.reference_c
+        warmth = self._simulation.temperature_at(t) - self._simulation.phone.heat.reference_c
         return Moment(t, motion.force, motion.rate, motion.rate_dot, warmth, plan.surroundings.charging.at(t))
 
     def _reported(self, temperature: Array) -> Array | None:

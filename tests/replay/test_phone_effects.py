@@ -56,7 +56,7 @@ class Truth:
     def __init__(self, simulation: Simulation, t: np.ndarray) -> None:
         motion = simulation.plan.motion(t)
         self.t, self.force, self.rate, self.rate_dot = t, motion.force, motion.rate, motion.rate_dot
-        self.warmth = simulation.temperature(t) - 25.0
+        self.warmth = simulation.temperature_at(t) - 25.0
         self.charging = simulation.plan.surroundings.charging.at(t)
         self.use = simulation.plan.surroundings.use.at(t)
 
