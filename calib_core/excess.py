@@ -29,8 +29,8 @@ def excess_variance(residuals: Array, design: Array, own: Array) -> float:
     excess = float("inf")
     for _ in range(_ROUNDS):
         weights = np.ones(n) if np.isinf(excess) else 1.0 / np.maximum(own + excess, 1e-300)
-        free = 1.0 - _leverage(design, weights)
-        left = _left(residuals, design, weights)
+        left, leverage = _fitted_out(residuals, design, weights)
+        free = 1.0 - leverage
         found = float((weights @ left**2 - weights @ (own * free)) / (weights @ free))
         found = max(found, 0.0)
         if abs(found - excess) <= 1e-3 * found or (found == 0.0 and excess == 0.0):
@@ -81,21 +81,17 @@ def outliers(residuals: Array, design: Array, variances: Array, most: int, level
 def _studentised(residuals: Array, design: Array) -> Array:
     """Return each residual over its standard error as the other rows alone give it."""
     free = len(residuals) - design.shape[1] - 1
-    ones = np.ones(len(residuals))
-    left = _left(residuals, design, ones)
-    room = np.maximum(1.0 - _leverage(design, ones), 1e-9)
+    left, leverage = _fitted_out(residuals, design, np.ones(len(residuals)))
+    room = np.maximum(1.0 - leverage, 1e-9)
     rest = np.maximum(left @ left - left**2 / room, 0.0) / free
     tiny = 1e-24 * max(float(residuals @ residuals), 1e-280)
     values = np.abs(left) / np.sqrt(np.maximum(rest, tiny) * room)
     return np.asarray(np.where(room > 1e-6, values, 0.0))
 
 
-def _leverage(design: Array, weights: Array) -> Array:
-    q = np.linalg.qr(design * np.sqrt(weights)[:, None])[0]
-    return np.asarray((q**2).sum(axis=1))
-
-
-def _left(residuals: Array, design: Array, weights: Array) -> Array:
+def _fitted_out(residuals: Array, design: Array, weights: Array) -> tuple[Array, Array]:
+    """Return what a weighted linear fit leaves of the residuals, and each row's leverage on it; (n,) both."""
     root = np.sqrt(weights)
-    taken = np.linalg.lstsq(design * root[:, None], residuals * root, rcond=None)[0]
-    return np.asarray(residuals - design @ taken)
+    q = np.linalg.qr(design * root[:, None])[0]
+    white = root * residuals
+    return np.asarray((white - q @ (white @ q)) / root), np.asarray((q**2).sum(axis=1))

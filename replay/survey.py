@@ -81,9 +81,9 @@ def _outcome(device: Recordings, gravity: float) -> Outcome:
 
 _PAGE = """# How far phones are off
 
-{total} devices lay still on their faces (Stisen et al. 2015): {done} calibrated, {refused} refused for want of
-a face, {broken} broken. Local gravity is not known and taken as {gravity} m/s², so all scales share its error,
-up to 0.3 %. Made by `python -m stillcal.replay.survey FOLDER`.
+{total} devices lay still on their faces (Stisen et al. 2015): {done} calibrated, {refused} refused for want
+of a face, {broken} broken. Local gravity is not known and taken as {gravity} m/s², so all scales share its
+error, up to 0.3 %. Made by `python -m stillcal.replay.survey FOLDER`.
 
 ![Bias and scale of each device](figures/hhar_still.png)
 
