@@ -6,9 +6,9 @@ import bisect
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
+from stillcal.calib_core.events import Charging, Location
 from stillcal.calib_core.samples import Array
 from stillcal.replay.phone.attitudes import SUPPORTS, lying
 from stillcal.replay.phone.clock import Interval
@@ -21,23 +21,6 @@ from stillcal.replay.phone.resting import Activity, Place
 from stillcal.replay.phone.scenario import Scenario
 from stillcal.replay.phone.setting_effects import TiltCreep
 from stillcal.replay.phone.timeline import Steps
-
-
-class Charging(msgspec.Struct, frozen=True, tag_field="event", tag="charging"):
-    """The plug went in or out at t s."""
-
-    t: float
-    on: bool
-
-
-class Location(msgspec.Struct, frozen=True, tag_field="event", tag="location"):
-    """The phone was located at t s. latitude, longitude: degrees; altitude: m."""
-
-    t: float
-    latitude: float
-    longitude: float
-    altitude: float
-
 
 Event = Charging | Location
 
