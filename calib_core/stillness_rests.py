@@ -113,24 +113,25 @@ def mean_uncertainty(rows: Array) -> Array:
     between = rows[:, N : N + 1] * (rows[:, MEAN] - weighted_mean(rows)) ** 2
     squares = (rows[:, M2] + between).sum(axis=0)
     variance = squares / (n - 1) / n * correlation_inflation(squares, rows[:, D2].sum(axis=0), n)
-    length = 1
-    while length == 1 or rows.shape[0] // length >= _MIN_BATCHES:
-        variance = np.maximum(variance, _batch_variance(rows, length))
-        length *= 2
+    variance = np.maximum(variance, _batch_variance(rows[:, N], rows[:, MEAN]))
     return np.asarray(np.sqrt(variance + _quantisation(rows) ** 2))
 
 
-def _batch_variance(rows: Array, length: int) -> Array:
-    """Variance of the mean from the scatter of means over `length` windows, times Student's t squared."""
-    batches = rows.shape[0] // length
-    if batches < 2:
-        return np.zeros(3)
-    kept = rows[: batches * length]
-    n = kept[:, N].reshape(batches, length, 1)
-    means = (n * kept[:, MEAN].reshape(batches, length, 3)).sum(axis=1) / n.sum(axis=1)
-    off = means - means.sum(axis=0) / batches
-    student = _STUDENT[min(batches - 2, _STUDENT.size - 1)]
-    return np.asarray((off * off).sum(axis=0) * (student**2 / (batches * (batches - 1))))
+def _batch_variance(n: Array, means: Array) -> Array:
+    """Variance of the mean by the scatter of batch means, the largest over lengths of 1, 2, 4, ... rows."""
+    totals, largest = n[:, None] * means, np.zeros(3)
+    while n.size >= 2:
+        means = totals / n[:, None]
+        off = means - means.sum(axis=0) / n.size
+        student = _STUDENT[min(n.size - 2, _STUDENT.size - 1)]
+        scatter = (off * off).sum(axis=0) * (student**2 / (n.size * (n.size - 1)))
+        largest = np.maximum(largest, scatter)
+        pairs = n.size // 2
+        if pairs < _MIN_BATCHES:
+            break
+        n = n[0 : 2 * pairs : 2] + n[1 : 2 * pairs : 2]
+        totals = totals[0 : 2 * pairs : 2] + totals[1 : 2 * pairs : 2]
+    return largest
 
 
 def _quantisation(rows: Array) -> Array:
