@@ -29,6 +29,7 @@ EMPTY = -9.87654321e22
 """Stands for an empty cell in a block of numbers: no sensor's value, and quick to read (few digits)."""
 
 BLOCK_BYTES = 1 << 20
+_LONGEST_LINE = 1 << 24
 _COMMA, _NEWLINE = ord(","), ord("\n")
 _BLANKS = "space"
 _numbers = msgspec.json.Decoder(list[float])
@@ -118,6 +119,8 @@ class TextTable:
                 cut = read.rfind(b"\n") + 1
                 if not cut:
                     tail += read
+                    if len(tail) > _LONGEST_LINE:
+                        raise TraceError(self.path, "a line does not end", _TEXT_REMEDY, line)
                     continue
                 text, tail = tail + read[:cut], read[cut:]
                 yield text, line, False

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillcal.replay.formats.columns import builtin_formats, load_map
+from stillcal.replay.formats.columns import builtin_formats, load_map, parse_map
 from stillcal.replay.trace import TraceError, open_trace, read_all
 
 OWN = """
@@ -36,6 +36,12 @@ def test_the_formats_of_the_contract_are_there_and_valid() -> None:
     assert builtin_formats() == ["csv", "hhar", "imu_tk", "imucal", "mikoff", "phyphox", "sensorlogger"]
     for name in builtin_formats():
         assert load_map(name).description
+
+
+def test_the_map_printed_in_the_docs_is_valid() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+    example = page.split("```toml\n")[1].split("```")[0]
+    assert parse_map(example.encode(), Path("example.toml")).time.unit == "ms"
 
 
 def test_an_unknown_format_names_the_known_ones(tmp_path: Path) -> None:

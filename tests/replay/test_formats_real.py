@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stillcal.calib_core.samples import Samples, Sensor
+from stillcal.replay.formats.units import UnitCheck
 from stillcal.replay.trace import Recording, TraceError, read_all
 
 SUNSIDED = """
@@ -96,3 +98,29 @@ def test_hhar_stamps_are_put_in_order_and_a_sleeping_clock_is_noted(data_dir: Pa
     assert any("287 rows stood out of time order" in note for note in phone.notes)
     watch = read_all(data_dir / "hhar/Watch_accelerometer.csv.gz", "hhar")
     assert any("135.595 s while 538.567 s passed" in note for note in watch.notes)
+
+
+def judged(force: np.ndarray, rate: np.ndarray) -> bool:
+    """Whether windows (n, 128, 3) at 50 Hz, in m/s^2 and rad/s, are refused for their units."""
+    check = UnitCheck(Path("windows"))
+    try:
+        for i in range(len(force)):
+            t = 10.0 * i + np.arange(128) / 50
+            check.see(Samples(Sensor.ACCELEROMETER, t, force[i]), Samples(Sensor.GYROSCOPE, t, rate[i]))
+        check.finish()
+    except TraceError:
+        return True
+    return False
+
+
+def test_thirty_people_with_a_phone_raise_no_alarm_and_degrees_show_at_rest(data_dir: Path) -> None:
+    """UCI HAR (Anguita et al. 2013): walking, stairs, sitting, standing, lying, phone at the waist."""
+    windows = np.load(data_dir / "ucihar/ucihar_subset.npz")
+    force = windows["train_total_acc"] * 9.80665
+    rate = windows["train_body_gyro"].astype(np.float64)
+    kinds = windows["train_y"].astype(int) * 100 + windows["train_subject"]
+    chosen = [np.flatnonzero(kinds == kind) for kind in np.unique(kinds)]
+    assert len(chosen) > 100
+    assert sum(judged(force[w], rate[w]) for w in chosen) == 0
+    assert all(judged(force[w], np.rad2deg(rate[w])) for w in chosen if kinds[w[0]] >= 400)
+    assert all(judged(force[w] / 9.80665, rate[w]) for w in chosen)

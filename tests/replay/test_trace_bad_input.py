@@ -131,6 +131,12 @@ def test_bytes_that_are_not_text_in_a_cell_are_named(tmp_path: Path) -> None:
     assert error.row == 2001 and "\\xe9" in error.what
 
 
+def test_a_line_without_end_is_refused_before_it_fills_the_memory(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_bytes(b"t,ax,ay,az\n0,0,0,9.8\n" + b"1," * 10_000_000)
+    assert refused(path).what == "a line does not end"
+
+
 @pytest.mark.parametrize("keep", [5, 700])
 def test_a_truncated_gzip_is_refused(tmp_path: Path, keep: int) -> None:
     path = tmp_path / "r.csv.gz"

@@ -102,6 +102,18 @@ def test_tumbling_in_free_fall_and_thrust_raise_no_alarm(tmp_path: Path) -> None
     read(tmp_path / "r.csv", rows)
 
 
+@pytest.mark.parametrize("rate", [5, 20, 100])
+def test_shaking_faster_than_can_be_followed_raises_no_alarm(tmp_path: Path, rate: int) -> None:
+    """A pocket's shaking at 3 and 4.1 Hz, 0.15 rad wide, sampled at 5 Hz too: the rates do not add up."""
+    t = np.arange(60 * rate) / rate
+    phase = 2 * np.pi * np.outer(t, [3.0, 4.1, 0.2])
+    angle = np.sin(phase) * [0.15, 0.1, 0.2]
+    rates = np.cos(phase) * [0.15, 0.1, 0.2] * (2 * np.pi * np.array([3.0, 4.1, 0.2]))
+    force = Rotation.from_rotvec(-angle).apply([0.0, 0.0, 9.81])
+    noise = np.random.default_rng(0).normal(0, 1, (len(t), 6)) * np.repeat([0.02, 0.002], 3)
+    read(tmp_path / "r.csv", np.column_stack([t, np.column_stack([force, rates]) + noise]))
+
+
 def test_a_turntable_about_the_vertical_raises_no_alarm(tmp_path: Path) -> None:
     rows = phone("still", 3000)
     rows[500:, 6] += 3.5
