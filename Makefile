@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 .PHONY: run test check clean
 
 run: $(READY)
-	$(BIN)/python -m stillcal.replay.demo
+	$(BIN)/python -m stillcal.daemon.demo
 
 test: $(READY)
 	$(BIN)/python -m pytest -q

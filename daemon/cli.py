@@ -13,6 +13,7 @@ import click
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.calib_core.samples import SampleError
 from stillcal.daemon.cli_replay import apply_command, replay_command
+from stillcal.daemon.cli_simulate import simulate_command
 from stillcal.daemon.cli_store import examples, store_group
 from stillcal.daemon.settings import SettingsError
 from stillcal.daemon.store import StoreError
@@ -34,7 +35,7 @@ def cli() -> None:
     """Keep a phone's accelerometer and gyroscope true, with nobody helping."""
 
 
-for command in (replay_command, apply_command, store_group):
+for command in (replay_command, apply_command, simulate_command, store_group):
     cli.add_command(command)
 
 

@@ -44,6 +44,8 @@ def _rows(outcome: Outcome, store: Path | None) -> list[tuple[str, str]]:
 
 
 def _length(outcome: Outcome) -> str:
+    if outcome.ledger.accel_samples == 0:
+        return f"{outcome.state.counters.rests if outcome.state else 0} rows of a rest table"
     return f"{_span(outcome.duration)}, {outcome.samples:,} samples"
 
 
@@ -53,13 +55,12 @@ def _span(seconds: float) -> str:
 
 
 def _rests(outcome: Outcome) -> str:
-    state = outcome.state
-    if state is None:
-        return "none"
-    share = ""
-    if outcome.duration:
-        share = f", sensors on {100 * outcome.ledger.asked_s / outcome.duration:.1f} % of the time"
-    return f"{state.counters.rests} found, {state.counters.turns} turns between them{share}"
+    state, ledger = outcome.state, outcome.ledger
+    if state is None or ledger.accel_samples == 0:
+        return "as the table gives them"
+    share = 100 * min(1.0, ledger.asked_s / outcome.duration) if outcome.duration else 100.0
+    found = f"{state.counters.rests} found, {state.counters.turns} turns between them"
+    return f"{found}, sensors on {share:.1f} % of the time"
 
 
 def _gravity(gravity: Gravity) -> str:
