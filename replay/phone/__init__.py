@@ -1,10 +1,11 @@
 """The simulated phone: motion, heat, sensors, clock.
 
-A forward model that shares no formula with calib_core, of which it uses the sample blocks only.
+A forward model that shares no formula with calib_core, of which it uses the sample blocks and events only.
 """
 
+from stillcal.calib_core.events import Charging, Location
 from stillcal.replay.phone.phone import Phone, dump_phone, load_phone
-from stillcal.replay.phone.plan import Charging, Event, Location
+from stillcal.replay.phone.plan import Event
 from stillcal.replay.phone.population import population
 from stillcal.replay.phone.restdraws import RestDraws, draw_rests
 from stillcal.replay.phone.scenario import Scenario, load_scenario

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from stillcal.replay.phone.attitudes import SUPPORTS, Support, lying, poses
+from stillcal.replay.phone.attitudes import SUPPORTS, Support, attitude_with, lying, poses
 from stillcal.replay.phone.motion import Sway, Turn, Waves
 from stillcal.replay.phone.planner import Planner, Span, any_direction, drawn, log_drawn, tilted
-from stillcal.replay.phone.settings import Settings, require
+from stillcal.replay.phone.settings import Settings, Vector, require
 
 TABLE_WEIGHTS: Mapping[str, float] = {
     "screen_up": 0.50,
@@ -137,14 +137,20 @@ def look_at(planner: Planner, duration: float) -> None:
 
 
 class Poses(Activity, frozen=True, kw_only=True, tag="poses"):
-    """A calibration by hand: `count` attitudes spread over the sphere, each held still for rest_s."""
+    """A calibration by hand: attitudes held still for rest_s one after another.
+
+    count: so many, spread over the sphere and shuffled; or ups: up directions in body axes, held in order.
+    """
 
     count: int = 24
     rest_s: Span = (18.0, 22.0)
+    ups: tuple[Vector, ...] = ()
 
     def perform(self, planner: Planner) -> None:
         """Turn and hold, attitude after attitude; ends when all are done, whatever duration_s says."""
-        for attitude in poses(self.count, planner.rng):
+        rng = planner.rng
+        given = [attitude_with(np.array(up), rng.uniform(-math.pi, math.pi)) for up in self.ups]
+        for attitude in given or poses(self.count, rng):
             planner.turn_to(attitude)
             planner.rest(drawn(self.rest_s, planner.rng), self.name)
 

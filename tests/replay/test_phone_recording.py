@@ -6,6 +6,7 @@ import math
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 import numpy as np
@@ -25,9 +26,11 @@ from stillcal.replay.phone import (
     population,
     simulate,
 )
+from stillcal.replay.phone.effects import EFFECTS
 from stillcal.replay.phone.gravity import gravity_at
 from stillcal.replay.phone.heat import Heat, Surroundings
 from stillcal.replay.phone.population import FACE_RANGE, MODELS, face_deviations
+from stillcal.replay.phone.scenario import Segment
 from stillcal.replay.phone.settings import HeatSettings
 from stillcal.replay.phone.timeline import Steps
 
@@ -305,3 +308,18 @@ def test_bad_scenarios_are_refused(tmp_path: Path) -> None:
         file.write_text(text, encoding="utf-8")
         with pytest.raises(ValueError, match=said):
             load_scenario(file)
+
+
+def test_poses_can_be_told_one_by_one() -> None:
+    ups = np.array([[0.0, 0.6, 0.8], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    segment = {"activity": "poses", "ups": ups.tolist(), "rest_s": 5.0}
+    simulation = simulate(msgspec.convert({"segment": [segment]}, type=Scenario), load_phone("ideal"), seed=1)
+    assert np.array([r.up for r in simulation.truth.rests]) == pytest.approx(ups, abs=1e-12)
+    assert [r.t_end - r.t_start for r in simulation.truth.rests] == pytest.approx([5.0] * 3)
+
+
+def test_the_guide_names_every_effect_phone_scenario_and_activity() -> None:
+    guide = (Path(__file__).resolve().parents[2] / "docs" / "phone.md").read_text(encoding="utf-8")
+    activities = [k.__struct_config__.tag for k in get_args(Segment)]
+    missing = [n for n in [*EFFECTS, *PHONES, *SCENARIOS, *activities] if f"`{n}`" not in guide]
+    assert not missing
