@@ -6,7 +6,7 @@ Holds the open run and the probe under way; knows nothing of samples, streams or
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -158,11 +158,13 @@ class Gatherer:
         """Skip broken windows while the sensors start up; the probe begins at the first whole one."""
         probe = self.due(rows[0, K])
         late = probe.asked + cells_of(self.settings.startup_s, self.settings.window_s)
-        skip = ((codes == GAPPED) | (codes == SPARSE)) & (rows[:, K_END] <= late)
+        skip = np.isin(codes, (GAPPED, SPARSE)) & (rows[:, K_END] <= late)
         first = rows.shape[0] if skip.all() else int(skip.argmin())
-        begins = rows[-1, K_END] if first == rows.shape[0] else rows[first, K]
-        if begins <= late:
-            self.state.probe = probe.begun_at(int(begins), int(rows[0, K_END] - rows[0, K]))
+        if first:
+            probe = replace(probe, start=int(rows[first - 1, K_END]))
+        if first < rows.shape[0] and rows[first, K] <= late:
+            probe = probe.begun_at(int(rows[first, K]), int(rows[first, K_END] - rows[first, K]))
+        self.state.probe = probe
         return first
 
     def _asked_end(self, probe: Probe) -> int:
