@@ -153,20 +153,36 @@ def _accelerometer_record(fit: AccelerometerFit) -> AccelerometerRecord:
         n_rests=fit.n_rests,
         n_states=fit.n_states,
         gravity=fit.gravity,
+        repeatability=fit.repeatability,
+        observability=fit.coverage.observability,
+        unobservable=fit.coverage.unobservable,
+        most_helpful_attitude=fit.coverage.weakest.words,
+        n_dropped=len(fit.dropped),
+        iterations=fit.iterations,
     )
 
 
 def _gyroscope_record(fit: GyroscopeFit, t: float) -> GyroscopeRecord:
+    turns = len(fit.after) - len(fit.rejected)
     return GyroscopeRecord(
         scale=fit.model.scale,
         bias=fit.model.bias,
         parameters=_PARAMETER_COUNT[fit.parameters],
         names=_GYRO_NAMES,
         covariance=fit.covariance,
-        rms_residual=fit.rms_after if np.isfinite(fit.rms_after) else None,
+        rms_residual=fit.rms_after if turns else None,
+        rms_nominal=fit.rms_before if turns else None,
         n_rests=fit.bias.n_rests,
+        n_turns=turns,
+        rotation_admitted=_bounded(fit.bias.admitted),
+        missing=fit.missing,
         zeroed_at=t,
     )
+
+
+def _bounded(values: Array) -> Array:
+    """Return values with NaN, for unknown, where nothing bounds them."""
+    return frozen(np.where(np.isfinite(values), values, np.nan))
 
 
 def _validity(rests: Sequence[RestState]) -> Validity:
@@ -256,11 +272,9 @@ def zeroed(record: CalibrationRecord, recent: Pool, t: float) -> CalibrationReco
     except NotSupported:
         return None
     known = record.gyroscope or GyroscopeRecord(scale=model.scale, bias=model.bias, parameters=3)
-    part = replace(known, bias=new_model.bias, zeroed_at=t)
+    part = replace(known, bias=new_model.bias, rotation_admitted=_bounded(estimate.admitted), zeroed_at=t)
     reason = f"gyroscope zeroed on {estimate.n_rests} rests"
-    admitted = float(np.max(estimate.admitted))
-    evidence: Evidence = {"rotation_admitted": admitted if np.isfinite(admitted) else None}
-    acceptance = Acceptance(how="zeroing", reason=reason, evidence=evidence)
+    acceptance = Acceptance(how="zeroing", reason=reason)
     return replace(record, gyroscope=part, acceptance=acceptance)
 
 

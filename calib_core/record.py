@@ -80,9 +80,21 @@ class SensorRecord:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AccelerometerRecord(SensorRecord):
-    """The accelerometer's calibration. gravity: m/s^2, the norm that its rests were fitted to."""
+    """The accelerometer's calibration. gravity: m/s^2, the norm that its rests were fitted to.
+
+    repeatability: m/s^2, sd of the norm between rests of one attitude, None where none was held twice.
+    observability: (p,) how well the attitudes show each parameter, 1 as evenly spread ones would, 0 not at
+    all. unobservable: what no rest can show. most_helpful_attitude: which to add, in words. n_dropped:
+    rests left out for not agreeing with the others. iterations: of the fit.
+    """
 
     gravity: float
+    repeatability: float | None = None
+    observability: Array | None = None
+    unobservable: tuple[str, ...] = ()
+    most_helpful_attitude: str | None = None
+    n_dropped: int = 0
+    iterations: int | None = None
     unit: Literal["m/s^2"] = "m/s^2"
     residual_unit: Literal["m/s^2"] = "m/s^2"
 
@@ -95,9 +107,16 @@ class AccelerometerRecord(SensorRecord):
 class GyroscopeRecord(SensorRecord):
     """The gyroscope's calibration. rms_residual: rad between gravity as turned and as measured.
 
-    zeroed_at: s, when the bias was last measured at rest; None where it came from the fit.
+    rms_nominal: rad, the same with the nominal scale, the rests' bias taken off in both. n_turns: turns
+    from rest to rest that it stands on. rotation_admitted: (3,) rad/s, error of the bias that slow rotation
+    in the rests may have put there unseen, NaN where nothing bounds it. missing: which turns a larger
+    model needs. zeroed_at: s, when the bias was last measured at rest; None where it came from the fit.
     """
 
+    rms_nominal: float | None = None
+    n_turns: int = 0
+    rotation_admitted: Array | None = None
+    missing: tuple[str, ...] = ()
     zeroed_at: float | None = None
     unit: Literal["rad/s"] = "rad/s"
     residual_unit: Literal["rad"] = "rad"

@@ -24,6 +24,7 @@ from stillcal.daemon.cli_store import examples
 from stillcal.daemon.settings import Settings, load_settings
 from stillcal.daemon.store_document import calibration_json, pretty
 from stillcal.daemon.summary import print_outcome
+from stillcal.replay.formats.claims import beside
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.runner import Outcome, replay, replay_rests
@@ -74,6 +75,8 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     Leaves the store that a live run would leave. Exit code 3 where the recording cannot support a
     calibration; why is said, and which attitude is missing.
     """
+    for path in (store_path, json_path):
+        _refuse_to_overwrite(path, trace)
     settings = load_settings(config)
     engine = Engine(_chosen(settings, gravity, watch))
     kept: list[Store | Reject] = []
@@ -108,6 +111,7 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
         raise storage.StoreError(
             f"{store_path}: holds no calibration: run stillcal replay or the daemon first"
         )
+    _refuse_to_overwrite(out, trace)
     opened = _Source(trace, format_, gyro).open()
     with _progress(opened, quiet) as step, _writer(opened, out, record) as write:
         for chunk in opened.chunks():
@@ -146,6 +150,15 @@ def _corrected(samples: Samples, record: CalibrationRecord) -> Samples:
         return record.model(samples.sensor).correct(samples)
     except NotCalibratedError:
         return samples
+
+
+def _refuse_to_overwrite(path: Path | None, trace: Path) -> None:
+    """Refuse to write over the recording, or over what stands beside it under its name."""
+    if path is None or path == Path("-"):
+        return
+    belonging = (trace, beside(trace, ".json"), beside(trace, ".events.jsonl"))
+    if any(path.resolve() == b.resolve() for b in belonging):
+        raise click.UsageError(f"{path} belongs to the recording {trace}: choose another name")
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,8 +50,8 @@ def _length(outcome: Outcome) -> str:
 
 
 def _span(seconds: float) -> str:
-    hours, minutes = int(seconds // 3600), int(seconds % 3600 // 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds % 60:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min {rest} s"
 
 
 def _rests(outcome: Outcome) -> str:
@@ -101,6 +101,13 @@ def _gyroscope(part: GyroscopeRecord) -> list[tuple[str, str]]:
     ]
     if part.parameters > 3:
         rows.append(("  scale", _vector(np.diag(part.scale), ".5f")))
+    if part.rms_nominal is not None and part.rms_residual is not None:
+        before, after = _DEG * part.rms_nominal, _DEG * part.rms_residual
+        rows.append(
+            ("  gravity over a turn", f"{before:.3g}° before, {after:.3g}° after (rms), {part.n_turns} turns")
+        )
+    if part.missing:
+        rows.append(("  to learn more", "; ".join(part.missing)))
     return rows
 
 
