@@ -91,17 +91,15 @@ class Decision:
     evidence: Evidence = field(default_factory=dict)
 
 
-def candidate(
-    pool: Pool, gravity: Gravity, t: float, settings: CalibrateSettings, attitude_angle: float
-) -> Candidate:
-    """Fit both sensors to the pool. t: s, sample time; attitude_angle: rad within which rests share one.
+def candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSettings) -> Candidate:
+    """Fit both sensors to the pool. t: s, sample time.
 
     Raises NotSupported where the rests do not allow it. The gyroscope may fall short without harm: it
     then has its bias only, or no part in the record.
     """
     fit = _fit_accelerometer(pool.held, gravity, settings.accelerometer)
     gyro = _fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
-    labels = attitude_labels(forces(pool.rests), attitude_angle)
+    labels = attitude_labels(forces(pool.rests), settings.accelerometer.attitude_angle)
     record = CalibrationRecord(
         accelerometer=_accelerometer_record(fit),
         gyroscope=None if gyro is None else _gyroscope_record(gyro, t),

@@ -369,7 +369,7 @@ class Engine:
         return self._fit(recent, t)
 
     def _fit(self, pool: Pool, t: float) -> calibrate.Candidate:
-        """Fit the rests that the noise floor, as known by now, confirms; all of them where that shows more."""
+        """Fit the rests that the noise floor, known by now, confirms; all of them where that shows more."""
         sure = pool.where(self._detector.still_valid)
         if len(sure.held) == len(pool.held):
             return self._fitted(pool, t)
@@ -383,8 +383,7 @@ class Engine:
         return wider if wider.accelerometer.parameters > found.accelerometer.parameters else found
 
     def _fitted(self, pool: Pool, t: float) -> calibrate.Candidate:
-        angle = self.settings.pool.attitude_angle
-        return calibrate.candidate(pool, self._s.gravity, t, self.settings.calibrate, angle)
+        return calibrate.candidate(pool, self._s.gravity, t, self.settings.calibrate)
 
     def _decide(self, t: float, candidate: calibrate.Candidate, occasion: Occasion) -> None:
         s = self._s

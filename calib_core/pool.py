@@ -23,7 +23,7 @@ class PoolSettings:
     rests_per_attitude, attitudes, turns: how many are kept. max_age_s: s after which a rest is too old.
     """
 
-    attitude_angle: float = 0.09
+    attitude_angle: float = 0.0872665  # 5 degrees
     rests_per_attitude: int = 12
     attitudes: int = 96
     turns: int = 64
