@@ -222,9 +222,17 @@ def _robust(task: _Task) -> tuple[NDArray[np.bool_], Solution]:
 
 
 def _suspects(task: _Task, solution: Solution) -> list[int]:
+    """Return the rests that do not belong, worst first.
+
+    Where the attitudes determine nine parameters, a rest that nine would explain is not a bad one, though
+    six be fitted: what a smaller model leaves over is its own want, not the rest's.
+    """
     if task.settings.outlier_level == 0.0:
         return []
     residuals, jacobian = task.norms.residuals(solution.v)
+    if np.isfinite(attitudes.amplification(task.norms.directions(), 9)):
+        richer = replace(task.norms, matrix=basis(9, task.form))
+        jacobian = richer.residuals(np.linalg.pinv(richer.matrix) @ task.norms.matrix @ solution.v)[1]
     most = int(task.settings.max_outliers * len(residuals))
     variances = solution.variances(task.norms)
     return excess.outliers(residuals, jacobian, variances, most, task.settings.outlier_level)
