@@ -114,27 +114,29 @@ class Fit:
 
 def null_log_likelihood(views: Sequence[Reduced]) -> float:
     """Return the log likelihood of the views with no effect."""
-    return float(sum(_log_sum(_log_terms(v, v.yy)) for v in views))
+    return float(sum(log_sum(log_terms(v, v.yy)) for v in views))
 
 
-def _log_terms(view: Reduced, residual: Array) -> Array:
+def log_terms(view: Reduced, residual: Array) -> Array:
+    """Return log prior plus log likelihood (G,) of every shape at sums of squares `residual` (G,)."""
     return np.asarray(view.constant - 0.5 * view.dof * np.log(PRIOR_DOF + residual))
 
 
-def _log_sum(terms: Array) -> float:
+def log_sum(terms: Array) -> float:
+    """Return the logarithm of the sum of exponentials."""
     top = float(terms.max())
     return top + float(np.log(np.exp(terms - top).sum()))
 
 
 def posterior_weights(view: Reduced) -> Array:
     """Return the posterior probability (G,) of each shape with no further effect."""
-    terms = _log_terms(view, view.yy)
-    return np.asarray(np.exp(terms - _log_sum(terms)))
+    terms = log_terms(view, view.yy)
+    return np.asarray(np.exp(terms - log_sum(terms)))
 
 
 def gain_bound(views: Sequence[Reduced], h: int) -> float:
     """Return an upper bound of the log likelihood of hypothesis `h`: every shape at its own best parameters."""
-    return float(sum(_log_sum(_log_terms(v, _least(v, h))) for v in views))
+    return float(sum(log_sum(log_terms(v, _least(v, h))) for v in views))
 
 
 def _least(view: Reduced, h: int) -> Array:
@@ -158,17 +160,18 @@ def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> Fit:
     for _ in range(ITERATIONS):
         weights = []
         for v in views:
-            residual = _residuals(v, h, beta)
-            terms = _log_terms(v, residual)
-            weights.append(np.exp(terms - _log_sum(terms)) * v.dof / (PRIOR_DOF + residual))
+            residual = residuals(v, h, beta)
+            terms = log_terms(v, residual)
+            weights.append(np.exp(terms - log_sum(terms)) * v.dof / (PRIOR_DOF + residual))
         previous, beta = beta, _solve(views, h, weights)
         if np.allclose(previous, beta, rtol=1e-5, atol=0.0):
             break
-    value = float(sum(_log_sum(_log_terms(v, _residuals(v, h, beta))) for v in views) - 0.5 * beta @ beta)
+    value = float(sum(log_sum(log_terms(v, residuals(v, h, beta))) for v in views) - 0.5 * beta @ beta)
     return Fit(beta, _covariance(views, h, beta), value)
 
 
-def _residuals(view: Reduced, h: int, beta: Array) -> Array:
+def residuals(view: Reduced, h: int, beta: Array) -> Array:
+    """Return the whitened sum of squares (G,) under every shape with hypothesis `h` at `beta`."""
     linear = view.xy[:, view.columns[h]] @ beta
     quadratic = np.einsum("i,gij,j->g", beta, view.blocks[h], beta)
     return np.asarray(np.maximum(view.yy - 2.0 * linear + quadratic, 0.0))
@@ -185,9 +188,9 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array) -> Array:
     total = np.zeros((beta.size, beta.size))
     expected = np.zeros_like(total)
     for v in views:
-        residual = _residuals(v, h, beta)
-        terms = _log_terms(v, residual)
-        weight = np.exp(terms - _log_sum(terms))
+        residual = residuals(v, h, beta)
+        terms = log_terms(v, residual)
+        weight = np.exp(terms - log_sum(terms))
         rate = v.dof / (PRIOR_DOF + residual)
         score = rate[:, None] * (v.xy[:, v.columns[h]] - v.blocks[h] @ beta)
         mean = weight @ score

@@ -50,7 +50,7 @@ def score(gain: float, parameters: int, dof: float, trials: int) -> float:
     explained = -np.expm1(-2.0 * max(gain, 0.0) / dof)
     ratio = (explained / parameters) / (max(1.0 - explained, 1e-15) / max(dof - parameters, 1.0))
     log_tail = float(f_distribution.logsf(ratio, parameters, max(dof - parameters, 1.0)))
-    return -log_tail / np.log(10.0) - float(np.log10(trials))
+    return float(-log_tail / np.log(10.0) - np.log10(trials))
 
 
 def proposals(scene: Scene, entries: Sequence[Entry]) -> list[Hypothesis]:
@@ -79,7 +79,7 @@ def compete(
         fit = fit_hypothesis(reduced, index)
         gain = fit.log_likelihood - null
         scored.setdefault(id(h.entry), []).append(
-            Scored(h, fit, score(gain, rank, dof, trials[id(h.entry)]), gain)
+            Scored(h, fit, score(gain, rank, dof, trials[id(h.entry)]) - h.entry.handicap, gain)
         )
     return sorted((_best(group) for group in scored.values()), key=lambda s: -s.score), reduced
 

@@ -19,3 +19,37 @@ MAX_FINDINGS = 3
 
 LEAST_BINS = 12
 """Fewer still bins than this carry no slow diagnosis."""
+
+CLOCK_TOLERANCE = 2e-4
+"""Relative error of a crystal that is no finding: 200 ppm, twice what cheap ones are sold with."""
+
+RATE_TOLERANCE = 2e-3
+"""The same against a nominal rate only, which is a round number."""
+
+JITTER_TOLERANCE = 0.03
+"""Part of the period that stamps may scatter by (Android compatibility definition, 7.3)."""
+
+LEAST_GAPS = 10
+DROP_TOLERANCE = 5e-4
+"""Gaps, and part of the samples missing, below which drops are no finding."""
+
+BURST_TOLERANCE = 0.01
+"""Part of the samples that may arrive on the heels of another."""
+
+LEAST_PILE = 8
+"""Samples that must lie on a limit."""
+
+LEVEL_TOLERANCE = 0.15
+"""Relative difference of noise densities, from the claim or between axes, that is no finding."""
+
+KURTOSIS_TOLERANCE = 0.3
+"""Excess kurtosis of single samples that is no finding."""
+
+RANDOM_WALK = {"accel": 30e-6 * 9.80665, "gyro": 1.745e-5}
+"""Bias random walk that Android allows (7.3): 30 ug sqrt(Hz), 0.001 deg/s sqrt(Hz); per sqrt(s)."""
+
+DELAY_TOLERANCE = 2.5e-3
+"""s between the sensors that Android allows for high fidelity (7.3)."""
+
+BANDWIDTH_LIMIT = 0.38
+"""Part of the sample rate below which a low-pass is a finding: parts come with 0.40 to 0.44 (BMI270)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from stillcal.calib_core.misfit.catalogue import drivers
 from stillcal.calib_core.misfit.catalogue.entry import (
     Entry,
@@ -11,6 +13,10 @@ from stillcal.calib_core.misfit.catalogue.entry import (
     bias_columns,
     curves,
 )
+from stillcal.calib_core.samples import Array
+
+DRIFT_HANDICAP = 1.0
+"""A ramp is what a random walk looks like: steady drift must be ten times less likely by chance."""
 
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 SIZE = {"accel": 0.3, "gyro": 0.02}
@@ -22,6 +28,25 @@ def _step(entry: Entry, scene: Scene) -> list[Hypothesis]:
     """Propose steps: a nudged phone steps across gravity too, so the tangent view is left out."""
     found = drivers.steps(scene)
     return [Hypothesis(entry, grid, bias_columns(scene, curve, ("tangent",))) for grid, curve in found]
+
+
+def _near_step(entry: Entry, scene: Scene, grid: dict[str, float]) -> list[Hypothesis]:
+    found = drivers.steps_near(scene, grid["t_start"])
+    return [Hypothesis(entry, g, bias_columns(scene, curve, ("tangent",))) for g, curve in found]
+
+
+def _near_tau(entry: Entry, scene: Scene, grid: dict[str, float]) -> list[Hypothesis]:
+    """Propose time constants within a factor of four."""
+    taus = grid["tau_s"] * np.geomspace(0.25, 4.0, 17)
+    found = [(grid | {"tau_s": float(tau)}, _settling(scene, grid | {"tau_s": float(tau)})) for tau in taus]
+    return [Hypothesis(entry, g, bias_columns(scene, curve)) for g, curve in found]
+
+
+def _settling(scene: Scene, grid: dict[str, float]) -> Array:
+    if "plug" not in grid:
+        return drivers.relaxation(scene.bins, grid["tau_s"])
+    curve = drivers.heat(scene.bins, grid["tau_s"], grid["plug"], grid["use"], grid["start"])
+    return np.asarray(curve / np.ptp(curve))
 
 
 def entries(sensor: str) -> list[Entry]:
@@ -39,17 +64,18 @@ def entries(sensor: str) -> list[Entry]:
         Entry(
             warmup, sensor, "time since start", curves(drivers.warmup), (Linear("amplitude", unit, 3, size),),
             f"The {name}'s bias settles after the start of the recording on {{axes}}.",
-            (thermal, drift, "thermal_latent"), "switch on cold once more, or record temperature", {"tau_s": "s"},
+            (thermal, drift, "thermal_latent"), "switch on cold once more, or record temperature", {"tau_s": "s"}, _near_tau,
         ),
         Entry(
             drift, sensor, "time", curves(drivers.drift), (Linear("rate", f"{unit}/s", 3, size / 3600.0),),
             f"The {name}'s bias drifts steadily on {{axes}}.",
-            (warmup, thermal, f"{sensor}_bias_random_walk"), "record for several times as long",
+            (warmup, thermal, f"{sensor}_bias_random_walk"), "record for several times as long", handicap=DRIFT_HANDICAP,
         ),
         Entry(
             step, sensor, "time", _step, (Linear("step", unit, 3, size),),
             f"The {name}'s bias jumped once on {{axes}}.",
             (charging, f"{sensor}_bias_random_walk"), "knock the phone again, or repeat with the plug untouched",
+            {"t_start": "s"}, _near_step,
         ),
         Entry(
             charging, sensor, "charging", curves(drivers.charging), (Linear("step", unit, 3, size),),
@@ -59,6 +85,6 @@ def entries(sensor: str) -> list[Entry]:
         Entry(
             "thermal_latent", sensor, "charging and use", curves(drivers.latent_heat), (Linear("amplitude", unit, 3, size),),
             f"The {name}'s bias on {{axes}} follows a slow curve like heat from charging and use.",
-            (warmup, charging, drift), "record temperature, or let the phone cool unplugged", {"tau_s": "s"},
+            (warmup, charging, drift), "record temperature, or let the phone cool unplugged", {"tau_s": "s"}, _near_tau,
         ),
     ]  # fmt: skip

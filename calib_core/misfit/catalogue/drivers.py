@@ -50,7 +50,19 @@ def steps(scene: Scene) -> list[Driver]:
     if t.size < 6:
         return []
     borders = np.unique(np.linspace(2, t.size - 2, STEPS).round().astype(int))
-    return [({"t_start": float(_border(scene.bins, i))}, (np.arange(t.size) >= i).astype(float)) for i in borders]
+    return [_step_at(scene.bins, int(i)) for i in borders]
+
+
+def steps_near(scene: Scene, t_start: float) -> list[Driver]:
+    """Return steps at every border of bins within two grid distances of `t_start`, s."""
+    n = scene.bins.t.size
+    reach = 2 * max(1, n // STEPS) + 1
+    middle = int(np.searchsorted(scene.bins.t, t_start))
+    return [_step_at(scene.bins, i) for i in range(max(2, middle - reach), min(n - 1, middle + reach))]
+
+
+def _step_at(bins: Bins, i: int) -> Driver:
+    return {"t_start": _border(bins, i)}, (np.arange(bins.t.size) >= i).astype(float)
 
 
 def _border(bins: Bins, i: int) -> float:

@@ -56,6 +56,7 @@ class Entry:
     propose: all its hypotheses in a scene, none where the recording lacks what drives it. parameters:
     its linear parameters in the columns' order. look_alikes: effects that can imitate it; decides:
     the recording that tells them apart. sentence: one plain sentence, `{axes}` filled in. follows: driver.
+    refine: hypotheses on a finer grid about a grid point. handicap: score that the entry must give away.
     """
 
     effect: str
@@ -67,6 +68,8 @@ class Entry:
     look_alikes: tuple[str, ...] = ()
     decides: str = ""
     grid_units: dict[str, str] = field(default_factory=dict)
+    refine: Callable[[Entry, Scene, dict[str, float]], list[Hypothesis]] | None = None
+    handicap: float = 0.0
 
 
 def bias_columns(scene: Scene, curve: Array, views: tuple[str, ...] = ()) -> tuple[Array, ...]:

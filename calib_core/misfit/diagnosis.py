@@ -1,0 +1,77 @@
+"""The whole diagnosis of one recording: arrays in, findings out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stillcal.calib_core.events import Charging
+from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.bins import Bins, cut
+from stillcal.calib_core.misfit.motion import motion_findings
+from stillcal.calib_core.misfit.records import Claims, Diagnosis, Finding, Where, verdict_of
+from stillcal.calib_core.misfit.scenes import scenes
+from stillcal.calib_core.misfit.slow import slow_findings
+from stillcal.calib_core.misfit.spectrum import noise_findings, noise_levels, quiet, tone
+from stillcal.calib_core.misfit.timing import timing_findings
+from stillcal.calib_core.misfit.values import quantisation, saturation
+from stillcal.calib_core.refusals import NotSupported
+from stillcal.calib_core.samples import Samples
+
+
+def diagnose(
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    events: Sequence[Charging] = (),
+    claims: Claims | None = None,
+    recording: str = "",
+) -> Diagnosis:
+    """Say where a recording and its simulated twin differ, and what physics was left out.
+
+    Raises NotSupported where not even the stamps can be judged (fewer than 200 samples).
+    """
+    if len(accelerometer) < 200:
+        raise NotSupported(f"{len(accelerometer)} samples of the accelerometer", ("at least 200",))
+    claims = claims or Claims()
+    bins = cut(accelerometer, gyroscope, events)
+    found = timing_findings(accelerometer, claims)
+    for sensor, samples in (("accel", accelerometer), ("gyro", gyroscope)):
+        if samples is not None and len(samples) >= 200:
+            found += _sample_findings(sensor, samples, bins, claims)
+    slow = [f for scene in scenes(bins, claims.gravity) for f in slow_findings(scene)] if len(bins) else []
+    found += slow
+    if gyroscope is not None:
+        found += motion_findings(accelerometer, gyroscope, bins, claims)
+    return Diagnosis(1, recording, verdict_of(found), found, limits(bins))
+
+
+def _sample_findings(sensor: str, samples: Samples, bins: Bins, claims: Claims) -> list[Finding]:
+    still = quiet(samples, bins)
+    if len(still.pieces) < 3:
+        return []
+    levels = noise_levels(still)
+    span = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, still.rate / 2.0), "noise at rest")
+    found = noise_findings(still, levels, sensor, claims, span)
+    lsb = claims.accel_lsb if sensor == "accel" else claims.gyro_lsb
+    declared = claims.accel_range if sensor == "accel" else claims.gyro_range
+    extra = (
+        quantisation(samples, sensor, levels.sd, lsb),
+        saturation(samples, sensor, np.maximum(levels.sd, 1e-9), declared),
+        tone(samples, sensor) if sensor == "accel" else None,
+    )
+    return [*found, *(f for f in extra if f is not None)]
+
+
+def limits(bins: Bins) -> list[str]:
+    """Say what this recording cannot show."""
+    said = []
+    if len(bins) < thresholds.LEAST_BINS:
+        said.append(f"{len(bins)} still bins of 10 s: slow effects need {thresholds.LEAST_BINS}; let the phone lie")
+    if bins.rate is None:
+        said.append("no gyroscope: nothing is said of it, nor of the time between the sensors")
+    if bins.temperature is None:
+        said.append("no temperature: thermal effects are only seen through charging and use")
+    if len(np.unique(bins.rest)) < 6:
+        said.append("fewer than six rests: scale, nonlinearity and g-sensitivity are not separable from bias")
+    return said

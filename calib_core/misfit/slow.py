@@ -1,0 +1,147 @@
+"""The slow diagnosis of one sensor: forward search, joint parameters, held-out evidence, findings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.catalogue import slow_entries
+from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene
+from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
+from stillcal.calib_core.misfit.evidence import fit_hypothesis
+from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
+from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
+from stillcal.calib_core.misfit.search import Scored, Step, forward, reduce_scene
+from stillcal.calib_core.samples import Array
+
+SLOW_BAND = (0.0, 0.05)
+"""Frequencies that means over bins of 10 s and more can show, Hz."""
+
+ALTERNATIVES = 3
+"""How many other effects are reported beside a finding."""
+
+
+def slow_findings(scene: Scene) -> list[Finding]:
+    """Return what the still bins of one sensor show, in the order it was found."""
+    if len(scene.bins) < thresholds.LEAST_BINS:
+        return []
+    entries = slow_entries(scene.sensor)
+    steps = [prefer_named(step) for step in forward(scene, entries)]
+    found = [step.winner.hypothesis for step in steps]
+    return [
+        _finding(scene, step, [f for f in found if f is not step.winner.hypothesis], len(entries)) for step in steps
+    ]
+
+
+def prefer_named(step: Step) -> Step:
+    """Let a catalogue effect win over a generic one that is better by less than the margin."""
+    if step.winner.hypothesis.entry.effect != "unknown":
+        return step
+    near = [
+        s
+        for s in step.others
+        if s.hypothesis.entry.effect != "unknown" and step.winner.score - s.score < thresholds.MARGIN
+    ]
+    if not near:
+        return step
+    return Step(near[0], (step.winner, *(s for s in step.others if s is not near[0])))
+
+
+def _finding(scene: Scene, step: Step, others: list[Hypothesis], entries: int) -> Finding:
+    found = estimate(scene, step.winner.hypothesis, others)
+    before = _evidence(scene, None, others)
+    after = _evidence(scene, found.hypothesis, others)
+    alternatives = [_alternative(scene, s, step.winner, others, before) for s in _shown(step)]
+    axes = named_axes(found)
+    return Finding(
+        effect=found.hypothesis.entry.effect,
+        sensor=scene.sensor,
+        axes=axes,
+        where=_where(scene, found.hypothesis),
+        parameters=parameters(found),
+        evidence=Evidence(
+            p_value=min(1.0, entries * 10.0 ** -max(step.winner.score, 0.0)),
+            heldout_rmse_before=before.rmse,
+            heldout_rmse_after=after.rmse,
+            heldout_log_score_gain=after.log_score - before.log_score,
+            folds=FOLDS,
+        ),
+        alternatives=alternatives,
+        statement=_statement(found, axes, alternatives),
+    )
+
+
+def _shown(step: Step) -> list[Scored]:
+    """Return the best other effects, one a name."""
+    shown: dict[str, Scored] = {}
+    for s in step.others:
+        effect = s.hypothesis.entry.effect
+        if effect != step.winner.hypothesis.entry.effect:
+            shown.setdefault(effect, s)
+    return list(shown.values())[:ALTERNATIVES]
+
+
+def _evidence(scene: Scene, hypothesis: Hypothesis | None, others: Sequence[Hypothesis]) -> HeldOut:
+    """Return held-out scores with `others` and, if given, one more effect; the covariance is refitted for it."""
+    candidates = [hypothesis] if hypothesis is not None else list(others[:1])
+    rest = list(others) if hypothesis is not None else list(others[1:])
+    if not candidates:
+        reduced = reduce_scene(scene, [_nothing(scene)])
+        pairs = zip(scene.views, reduced, strict=True)
+        return held_out(scene, [best_covariance(v, r, None, np.zeros(0)) for v, r in pairs], [])
+    reduced = reduce_scene(scene, candidates, rest)
+    beta = fit_hypothesis(reduced, 0).beta
+    covariances = [best_covariance(v, r, 0, beta) for v, r in zip(scene.views, reduced, strict=True)]
+    return held_out(scene, covariances, [*candidates, *rest])
+
+
+def _nothing(scene: Scene) -> Hypothesis:
+    """Return a hypothesis whose column is nothing."""
+    entry = slow_entries(scene.sensor)[0]
+    return Hypothesis(entry, {}, tuple(np.zeros((*v.y.shape, 3)) for v in scene.views))
+
+
+def _alternative(
+    scene: Scene, other: Scored, winner: Scored, found: list[Hypothesis], before: HeldOut
+) -> Alternative:
+    after = _evidence(scene, other.hypothesis, found)
+    return Alternative(
+        other.hypothesis.entry.effect,
+        after.log_score - before.log_score,
+        bool(winner.score - other.score < thresholds.MARGIN),
+    )
+
+
+def named_axes(found: Estimate) -> list[str]:
+    """Return the axes whose parameters stand out of their own errors, at least the one that does most."""
+    owner = _axis_of(found)
+    strength = np.abs(found.value) / np.maximum(found.sigma, 1e-300)
+    by_axis = [float(strength[owner == a].max(initial=0.0)) for a in range(3)]
+    least = min(thresholds.AXIS_SIGMA, max(by_axis))
+    return [AXES[a] for a in range(3) if by_axis[a] >= least]
+
+
+def _axis_of(found: Estimate) -> Array:
+    """Return which axis (k,) each parameter belongs to: rows of a matrix, or axes in turn."""
+    count = found.value.size
+    if found.hypothesis.entry.effect == "gyro_g_sensitivity" or count == 15:
+        return np.repeat(np.arange(3), count // 3)
+    return np.tile(np.arange(3), count // 3)
+
+
+def _where(scene: Scene, hypothesis: Hypothesis) -> Where:
+    start, end = scene.bins.span
+    t_start = hypothesis.grid.get("t_start", start)
+    return Where(t_start, hypothesis.grid.get("t_end", end), SLOW_BAND, hypothesis.entry.follows)
+
+
+def _statement(found: Estimate, axes: list[str], alternatives: list[Alternative]) -> str:
+    entry = found.hypothesis.entry
+    text = entry.sentence.format(axes=", ".join(axes))
+    alike = [a.effect for a in alternatives if a.indistinguishable]
+    if not alike:
+        return text
+    decides = f" To decide: {entry.decides}." if entry.decides else ""
+    return f"{text} This recording cannot tell it from {' or '.join(alike)}.{decides}"

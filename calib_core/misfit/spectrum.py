@@ -1,0 +1,248 @@
+"""What single samples inside rests say: noise density, its equality, tails, bandwidth, and lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.quick import SIGNIFICANT, Measured, direct_finding, mean_of
+from stillcal.calib_core.misfit.records import Claims, Finding, Parameter, Where
+from stillcal.calib_core.misfit.values import UNIT
+from stillcal.calib_core.samples import Array, Samples
+
+SEGMENT = 256
+LOWEST = 0.02
+CUTOFFS = 60
+LINE_SECONDS = 20.0
+LEAST_LINE_HZ = 4.0
+LINE_P = 1e-7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quiet:
+    """Samples inside rests: pieces of (n_i, 3), each free of its mean; rate in Hz; t_start of each piece, s."""
+
+    pieces: tuple[Array, ...]
+    t_start: tuple[float, ...]
+    rate: float
+
+
+def quiet(samples: Samples, bins: Bins) -> Quiet:
+    """Cut the bins' samples out of a stream."""
+    first = np.searchsorted(samples.t, bins.t - bins.duration / 2)
+    last = np.searchsorted(samples.t, bins.t + bins.duration / 2)
+    period = float(np.median(np.diff(samples.t)))
+    keep = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= 64]
+    pieces = tuple(samples.xyz[a:b] - samples.xyz[a:b].mean(axis=0) for a, b in keep)
+    return Quiet(pieces, tuple(float(samples.t[a]) for a, _ in keep), 1.0 / period)
+
+
+def spectra(still: Quiet) -> tuple[Array, Array]:
+    """Return frequencies (F,) Hz and one-sided densities (pieces, F, 3) by Welch's method, Hann, half overlap."""
+    from scipy.signal import welch
+
+    length = int(min(SEGMENT, min(len(p) for p in still.pieces)))
+    out = [welch(p, fs=still.rate, nperseg=length, axis=0)[1] for p in still.pieces]
+    return np.fft.rfftfreq(length, 1.0 / still.rate), np.array(out)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseLevels:
+    """density: (pieces, 3) unit/sqrt(Hz) below the cutoff; sd: (3,) of single samples; cutoff: Hz or None."""
+
+    density: Array
+    sd: Array
+    cutoff: Measured | None
+
+
+def noise_levels(still: Quiet) -> NoiseLevels:
+    """Measure density and bandwidth; lines and slow wander are kept out by medians and a lowest frequency."""
+    f, power = spectra(still)
+    band = (f > max(LOWEST * still.rate, 1.0)) & (f < 0.48 * still.rate)
+    typical = np.median(power, axis=0)
+    whole = np.log(typical / typical[band].mean(axis=0)).mean(axis=1)
+    cutoff = _cutoff(f[band], whole[band], still, len(f))
+    top = 0.4 * still.rate if cutoff is None else 0.5 * cutoff.value
+    flat = band & (f < max(top, f[band][3]))
+    density = np.sqrt(np.median(power[:, flat], axis=1) / _median_bias(len(still.pieces[0]), len(f)))
+    return NoiseLevels(density, np.sqrt(np.median([p.var(axis=0) for p in still.pieces], axis=0)), cutoff)
+
+
+def _median_bias(samples: int, frequencies: int) -> float:
+    """Median over mean of a Welch estimate with about `averages` independent segments (chi-squared)."""
+    averages = max(1.0, samples / frequencies / 1.9)
+    return float((1.0 - 1.0 / (9.0 * averages)) ** 3)
+
+
+def _cutoff(f: Array, log_power: Array, still: Quiet, frequencies: int) -> Measured | None:
+    """Fit 1 / (1 + (f / fc)^2n), n = 1, 2, to the typical log spectrum; None where flat does as well."""
+    grid = np.geomspace(f[2], 4.0 * f[-1], CUTOFFS)
+    misfits = []
+    for order in (1, 2):
+        model = -np.log1p((f[None, :] / grid[:, None]) ** (2 * order))
+        residual = log_power - model
+        misfits.append(((residual - residual.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))
+    misfit = np.minimum(*misfits)
+    best, flat = int(np.argmin(misfit)), float(log_power.var())
+    gain = f.size * (flat - misfit[best]) / max(float(misfit[best]), 1e-12)
+    if grid[best] > thresholds.BANDWIDTH_LIMIT * still.rate or gain < 60.0:
+        return None
+    near = np.flatnonzero(f.size * (misfit - misfit[best]) / misfit[best] < 4.0)
+    spread = (grid[min(near[-1] + 1, CUTOFFS - 1)] - grid[max(near[0] - 1, 0)]) / 4.0
+    return Measured(float(grid[best]), float(spread))
+
+
+def noise_findings(still: Quiet, levels: NoiseLevels, sensor: str, claims: Claims, where: Where) -> list[Finding]:
+    """Return what noise densities, tails and bandwidth show."""
+    found = [_unequal(levels, sensor, claims, where), _level(levels, sensor, claims, still.rate, where)]
+    found.append(_tails(still, sensor, where))
+    if levels.cutoff is not None:
+        say = f"The {sensor} sensor's output is low-passed at {levels.cutoff.value:.2g} Hz, below half its rate."
+        parameter = {"cutoff": levels.cutoff.parameter("Hz")}
+        found.append(direct_finding("bandwidth", sensor, [0, 1, 2], where, parameter, say, 8.0))
+    return [f for f in found if f is not None]
+
+
+def _claimed(sensor: str, claims: Claims, rate: float) -> float | None:
+    """Return the declared density with the declared step's own noise in it, unit/sqrt(Hz)."""
+    density = claims.accel_noise_density if sensor == "accel" else claims.gyro_noise_density
+    lsb = (claims.accel_lsb if sensor == "accel" else claims.gyro_lsb) or 0.0
+    return None if density is None else float(np.hypot(density, lsb / np.sqrt(6.0 * rate)))
+
+
+def _level(levels: NoiseLevels, sensor: str, claims: Claims, rate: float, where: Where) -> Finding | None:
+    claim = _claimed(sensor, claims, rate)
+    if claim is None:
+        return None
+    ratio = mean_of(np.median(levels.density, axis=1) / claim, 2e-3)
+    tolerance = thresholds.LEVEL_TOLERANCE
+    sigmas = ratio.beyond(1.0 / (1.0 + tolerance), 1.0 + tolerance)
+    if sigmas < SIGNIFICANT:
+        return None
+    say = f"The {sensor} sensor's white noise is {ratio.value:.2f} times what is declared."
+    return direct_finding("noise_level", sensor, [0, 1, 2], where, {"ratio": ratio.parameter("1")}, say, sigmas)
+
+
+def _unequal(levels: NoiseLevels, sensor: str, claims: Claims, where: Where) -> Finding | None:
+    """Find axes whose density differs from the middle axis of the same piece."""
+    relative = levels.density / np.median(levels.density, axis=1, keepdims=True)
+    ratios = [mean_of(relative[:, a], 2e-3) for a in range(3)]
+    tolerance = thresholds.LEVEL_TOLERANCE
+    sigmas = [r.beyond(1.0 / (1.0 + tolerance), 1.0 + tolerance) for r in ratios]
+    axes = [a for a in range(3) if sigmas[a] >= SIGNIFICANT]
+    if not axes:
+        return None
+    value, error = [r.value for r in ratios], [r.error for r in ratios]
+    ci = [[v - 1.96 * e, v + 1.96 * e] for v, e in zip(value, error, strict=True)]
+    text = ", ".join(f"{v:.2f}" for v in value)
+    say = f"The {sensor} sensor's white noise is not alike on its axes: {text} of the middle one."
+    return direct_finding(
+        "noise_unequal_axes", sensor, axes, where, {"ratio": Parameter(value, ci, "1")}, say, max(sigmas)
+    )
+
+
+def _tails(still: Quiet, sensor: str, where: Where) -> Finding | None:
+    """Find single samples that fall too far out: excess kurtosis in the differences' scale, piece by piece."""
+    scaled = [_standardised(p) for p in still.pieces]
+    kurtosis = mean_of(np.array([float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0) for z in scaled]), 1e-3)
+    sigmas = kurtosis.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE)
+    everything = np.concatenate(scaled)
+    if sigmas < SIGNIFICANT or _clustered(everything):
+        return None
+    ratio, fraction = contaminated(everything.ravel())
+    error = ratio.error
+    say = f"{fraction:.1%} of the {sensor} sensor's samples scatter {ratio.value:.1f} times wider than the rest."
+    parameter = {
+        "ratio": Measured(ratio.value, error).parameter("1"),
+        "fraction": Parameter(fraction, [0.7 * fraction, 1.3 * fraction], "1"),
+        "excess_kurtosis": kurtosis.parameter("1"),
+    }
+    return direct_finding("noise_heavy_tailed", sensor, [0, 1, 2], where, parameter, say, sigmas)
+
+
+def _standardised(piece: Array) -> Array:
+    """A piece free of what is slower than five samples, in units of its own middle spread."""
+    kernel = np.ones(5) / 5.0
+    slow = np.stack([np.convolve(piece[:, a], kernel, mode="same") for a in range(3)], axis=1)
+    fast = (piece - slow)[3:-3]
+    spread = 1.4826 * np.median(np.abs(fast), axis=0)
+    return np.asarray(fast / np.maximum(spread, 1e-300))
+
+
+def _clustered(z: Array) -> bool:
+    """Whether far samples come with far samples on other axes: a knock, not noise of the sensor."""
+    far = np.abs(z) > 4.0
+    if not far.any():
+        return False
+    together = (far.sum(axis=1) > 1).sum() / max((far.any(axis=1)).sum(), 1)
+    return bool(together > 0.3)
+
+
+def contaminated(z: Array, steps: int = 60) -> tuple[Measured, float]:
+    """Fit (1-f) N(0, s^2) + f N(0, (r s)^2) to values (n,) by expectation maximisation; return r and f."""
+    s2, r2, f = 1.0, 16.0, 0.02
+    for _ in range(steps):
+        wide = f * np.exp(-0.5 * z**2 / (r2 * s2)) / np.sqrt(r2)
+        share = wide / (wide + (1.0 - f) * np.exp(-0.5 * z**2 / s2) + 1e-300)
+        f = float(np.clip(share.mean(), 1e-5, 0.5))
+        s2 = float(((1.0 - share) * z**2).sum() / (1.0 - share).sum())
+        r2 = max(float((share * z**2).sum() / share.sum() / s2), 1.0)
+    error = float(np.sqrt(r2) / np.sqrt(2.0 * max(f * z.size, 1.0))) * 2.0
+    return Measured(float(np.sqrt(r2)), error), f
+
+
+def tone(samples: Samples, sensor: str) -> Finding | None:
+    """Find a line in the spectrum of steady stretches, all along the recording or for a while.
+
+    Powers are judged against the running median over frequency, so that broad motion raises no line.
+    """
+    rate = 1.0 / float(np.median(np.diff(samples.t)))
+    length = int(LINE_SECONDS * rate)
+    count = len(samples) // length
+    if count < 3:
+        return None
+    blocks = samples.xyz[: count * length].reshape(count, length, 3)
+    f, power, ratio = _line_ratios(blocks, rate)
+    high = (f > LEAST_LINE_HZ) & (f < 0.49 * rate)
+    stacked = np.median(ratio[:, high], axis=0) / np.log(2.0)
+    single = ratio[:, high].max(axis=(0, 2))
+    threshold = np.log(count * high.sum() * 3 / LINE_P)
+    lasting = 1.0 + 6.5 * 1.2 / np.sqrt(count)
+    k = int(np.argmax(stacked.max(axis=1))) if stacked.max() > max(lasting, 2.0) else int(np.argmax(single))
+    strong = ratio[:, high][:, k].max(axis=1) > threshold
+    if strong.sum() < 2 and stacked.max() <= max(lasting, 2.0):
+        return None
+    rows = strong if strong.any() else np.ones(count, dtype=bool)
+    return _tone_finding(samples, sensor, f[high][k], power[rows][:, np.flatnonzero(high)[k]], rows, length)
+
+
+def _line_ratios(blocks: Array, rate: float) -> tuple[Array, Array, Array]:
+    from scipy.ndimage import median_filter
+
+    window = np.hanning(blocks.shape[1])[None, :, None]
+    spectrum = np.fft.rfft((blocks - blocks.mean(axis=1, keepdims=True)) * window, axis=1)
+    power = np.abs(spectrum) ** 2
+    background = median_filter(power, size=(1, 61, 1), mode="nearest") / np.log(2.0)
+    return np.fft.rfftfreq(blocks.shape[1], 1.0 / rate), power, power / np.maximum(background, 1e-300)
+
+
+def _tone_finding(
+    samples: Samples, sensor: str, frequency: float, power: Array, rows: Array, length: int
+) -> Finding:
+    amplitude = 4.0 * np.sqrt(np.median(power, axis=0)) / length
+    scatter = 4.0 * np.sqrt(power).std(axis=0) / length / np.sqrt(max(len(power), 1)) + 0.02 * amplitude
+    axes = [a for a in range(3) if amplitude[a] > 0.3 * amplitude.max()]
+    on = np.flatnonzero(rows)
+    t_start, t_end = float(samples.t[on[0] * length]), float(samples.t[(on[-1] + 1) * length - 1])
+    half = 0.5 / LINE_SECONDS
+    ci = np.stack([amplitude - 1.96 * scatter, amplitude + 1.96 * scatter], axis=1)
+    parameters = {
+        "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),
+        "amplitude": Parameter(amplitude.tolist(), ci.tolist(), UNIT[sensor]),
+    }
+    where = Where(t_start, t_end, (frequency - half, frequency + half), "time")
+    say = f"A vibration at {frequency:.2f} Hz, {amplitude.max():.3g} {UNIT[sensor]}, is in the {sensor} sensor's data."
+    return direct_finding("vibration_tone", sensor, axes, where, parameters, say, 10.0)
