@@ -176,26 +176,26 @@ class Engine:
     # Samples
 
     def _look(self, stop: float) -> None:
-        """Pass the samples before `stop` to the detector and gather the rests it finds.
-
-        The gyroscope goes first: the detector never waits for what is already here.
-        """
+        """Pass the samples before `stop` to the detector and gather the rests it finds."""
         s = self._s
-        rests: list[RestState] = []
-        for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER):
-            waiting = s.waiting.get(sensor)
-            if waiting is None or not len(waiting) or waiting.t[0] >= stop:
-                continue
-            cut = int(np.searchsorted(waiting.t, stop, side="left"))
-            due, s.waiting[sensor] = waiting[:cut], waiting[cut:]
-            if s.watch is Watch.IDLE:
-                continue
-            if sensor is Sensor.GYROSCOPE:
-                s.gyro_tail = due if s.gyro_tail is None else Samples.joined([s.gyro_tail, due])
-            rests += self._detector.feed(due)
-        for rest in rests:
+        due = [block for sensor in Sensor if len(block := self._taken(sensor, stop))]
+        if not due or s.watch is Watch.IDLE:
+            return
+        for block in due:
+            if block.sensor is Sensor.GYROSCOPE:
+                s.gyro_tail = block if s.gyro_tail is None else Samples.joined([s.gyro_tail, block])
+        for rest in self._detector.feed(*due):
             self._gather(rest)
         self._trim_tail()
+
+    def _taken(self, sensor: Sensor, stop: float) -> Samples:
+        """Take the samples before `stop` off those that wait."""
+        waiting = self._s.waiting.get(sensor)
+        if waiting is None or not len(waiting) or waiting.t[0] >= stop:
+            return Samples.empty(sensor)
+        cut = int(np.searchsorted(waiting.t, stop, side="left"))
+        self._s.waiting[sensor] = waiting[cut:]
+        return waiting[:cut]
 
     def _trim_tail(self) -> None:
         """Keep of the gyroscope what a turn may still need: its own length and the rest that ends it."""

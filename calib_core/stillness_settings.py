@@ -82,7 +82,6 @@ _ALLOWED = {
     "half_life_s": Range(60.0, 1e7),
     "cluster_windows": Range(2, 1000),
     "cluster_share": Range(0.0, 0.5),
-    "merge_angle": Range(0.0, 1.6),
     "seed": Range(0, 2**63),
 }
 
@@ -115,7 +114,6 @@ class DetectorSettings:
     Rests. w_min_s: shortest rest (the paper: never below 1 s). w_spread_s: the paper's b, w_max is
     drawn from [w_min_s, w_min_s + w_spread_s]. settle_s: a rest that ends or begins by drifting off
     rather than by motion must be this long. max_rest_s: longest rest in scan mode.
-    merge_angle: rests closer than this share one attitude.
 
     Probing. probe_min_s, probe_max_s: pause between probes, drawn uniformly. startup_s: how long the
     sensors may take to deliver the first whole window. seed: of all draws.
@@ -143,7 +141,6 @@ class DetectorSettings:
     w_spread_s: float = 9.0
     settle_s: float = 5.0
     max_rest_s: float = 300.0
-    merge_angle: float = 0.1
     probe_min_s: float = 30.0
     probe_max_s: float = 300.0
     startup_s: float = 2.0

@@ -30,7 +30,7 @@ def imu_tk(data_dir):
 
 def test_imu_tk_gives_at_least_35_rests_in_12_attitudes(data_dir):
     rests, detector = detect(*imu_tk(data_dir))
-    attitudes = group_attitudes(rests, detector.settings.merge_angle)
+    attitudes = group_attitudes(rests, 0.1)
     print(f"\nimu_tk: {len(rests)} rests in {len(attitudes)} attitudes; {detector.ledger.windows}")
     assert len(rests) >= 35
     assert len(attitudes) >= 12
