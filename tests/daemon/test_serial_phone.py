@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -91,6 +92,7 @@ def drained(stream: PhoneStream, answer: Callable[[float], Iterable[Any]]) -> li
 
 
 @given(st.lists(st.floats(0, 10), max_size=6), st.floats(0.05, 20), st.booleans())
+@hypothesis.settings(deadline=None)
 def test_a_stream_is_sent_whole_and_in_step_however_it_is_cut(
     cuts: list[float], step: float, credit: bool
 ) -> None:
@@ -167,7 +169,7 @@ def test_time_stands_at_every_event_so_that_its_answer_takes_effect_there() -> N
 def test_a_rate_thins_both_streams_evenly_however_they_are_cut() -> None:
     a, g = whole(10.0)
     kept = []
-    for cuts in ([], [1.0, 1.005, 3.3, 7.0]):
+    for cuts in ([], [1.237, 1.25, 3.512, 7.0]):
         stream = PhoneStream(pieces(a, g, cuts), credit=False)
         stream.obey(Rate(20.0))
         kept.append(drained(stream, lambda t: []))

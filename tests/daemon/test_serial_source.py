@@ -203,6 +203,17 @@ def test_garbage_at_connect_costs_nothing_that_follows(tmp_path: Path) -> None:
     within_reason(test())
 
 
+def test_silence_is_no_hang_up(tmp_path: Path) -> None:
+    async def test() -> None:
+        device = Device(tmp_path / "tty")
+        async with SerialSource(quick(device.path)) as source:
+            await device.read()
+            source._read()  # as after a wake-up for nothing
+            assert source.connected
+
+    within_reason(test())
+
+
 def test_a_full_queue_stops_reading_and_holds_the_sender_back(tmp_path: Path) -> None:
     async def test() -> None:
         device = Device(tmp_path / "tty")
