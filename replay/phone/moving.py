@@ -58,17 +58,18 @@ class Pocket(Activity, frozen=True, kw_only=True, tag="pocket"):
 
 
 class Walk(Activity, frozen=True, kw_only=True, tag="walk"):
-    """On foot. cadence_hz: steps a second; vigour: acceleration relative to a level walk.
+    """On foot. cadence_hz: steps a second; vigour: acceleration relative to the figures below.
 
     Harmonics of the step frequency as fractions of g: upwards 0.4, 0.1, 0.1; forwards 0.2, 0.1;
     sideways 0.1 at half the step frequency (Bachmann and Ammann 1987, Vibrations in Structures Induced by
     Man and Machines, IABSE SED 3e, Table 2.2). Cadence 1.8 Hz, sd 0.1 Hz (Pachi and Ji 2005, Frequency and
-    velocity of people walking, The Structural Engineer 83).
+    velocity of people walking, The Structural Engineer 83). Those are of the body's centre over hard ground;
+    a vigour of 0.6 to 1 gives what phones at the waist record (docs/phone.md).
     """
 
     cadence_hz: Span = (1.6, 2.0)
     carry: Carry = "pocket"
-    vigour: float = 1.0
+    vigour: Span = (0.6, 1.0)
     stretch_s: Span = (8.0, 60.0)
 
     def perform(self, planner: Planner) -> None:
@@ -76,17 +77,17 @@ class Walk(Activity, frozen=True, kw_only=True, tag="walk"):
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
         planner.turn_to(lying(CARRIED[self.carry], rng))
-        own_pace = drawn(self.cadence_hz, rng)
+        own_pace, vigour = drawn(self.cadence_hz, rng), drawn(self.vigour, rng)
         while planner.t < end:
             duration = log_drawn(self.stretch_s, rng)
             pace = own_pace * rng.normal(1.0, 0.02)
             course = Glide(rng.normal(0.0, 0.8), min(duration, 3.0), max(0.0, duration - 4.0) * rng.random())
-            planner.move(duration, self.name, turns=self._swing(planner, pace, duration),
-                         sways=self._steps(planner, pace, duration), heading=course)  # fmt: skip
+            planner.move(duration, self.name, turns=self._swing(planner, pace, vigour, duration),
+                         sways=self._steps(planner, pace, vigour, duration), heading=course)  # fmt: skip
             planner.turn_to(tilted(planner.attitude, 0.1, rng), self.name, lift=0.05)
 
-    def _steps(self, planner: Planner, pace: float, duration: float) -> tuple[Sway, ...]:
-        g = planner.gravity * self.vigour
+    def _steps(self, planner: Planner, pace: float, vigour: float, duration: float) -> tuple[Sway, ...]:
+        g = planner.gravity * vigour
         courses = (
             (UPWARD, (1, 2, 3), (0.4, 0.1, 0.1)),
             (FORWARD, (1, 2), (0.2, 0.1)),
@@ -96,10 +97,10 @@ class Walk(Activity, frozen=True, kw_only=True, tag="walk"):
             Sway(axis, self._harmonics(planner, pace, orders, g * np.array(share), duration), order=0)
             for axis, orders, share in courses
         )
-        return sways + planner.shake(0.5 * self.vigour, (5.0, 20.0), 8, duration)
+        return sways + planner.shake(0.5 * vigour, (5.0, 20.0), 8, duration)
 
-    def _swing(self, planner: Planner, pace: float, duration: float) -> tuple[Turn, ...]:
-        size = SWING[self.carry] * self.vigour
+    def _swing(self, planner: Planner, pace: float, vigour: float, duration: float) -> tuple[Turn, ...]:
+        size = SWING[self.carry] * vigour
         shares = ((size, 0.3 * size), (0.3 * size, 0.2 * size), (0.2 * size, 0.1 * size))
         return tuple(
             Turn(axis, self._harmonics(planner, pace, (0.5, 1.0), np.array(share), duration))
@@ -118,7 +119,7 @@ class Stairs(Walk, frozen=True, kw_only=True, tag="stairs"):
     """On stairs: slower and harder than the level, to another altitude if a place says so."""
 
     cadence_hz: Span = (1.4, 1.9)
-    vigour: float = 1.4
+    vigour: Span = (0.8, 1.4)
     stretch_s: Span = (4.0, 9.0)
 
 

@@ -96,6 +96,13 @@ class Planner:
         turns = (Turn(any_direction(self.rng), waver), Turn(axis, Glide(angle, duration)))
         self.move(duration, activity, turns=turns, sways=self._carried(lift, duration))
 
+    def put_down(self, attitude: Array, activity: str = "handling") -> None:
+        """Turn by hand to an attitude on a hard support, and set the phone down with a thud."""
+        self.turn_to(attitude, activity)
+        duration = self.rng.uniform(0.15, 0.35)
+        thud = self.shake(math.exp(self.rng.uniform(math.log(0.3), math.log(3.0))), (10.0, 40.0), 4, duration)
+        self.move(duration, activity, turns=self.tremble(3e-4, (10.0, 40.0), 2, duration), sways=thud)
+
     def waves(self, rms: float, band: tuple[float, float], k: int, duration: float, fade: float) -> Waves:
         """Draw k sinusoids of a total root-mean-square value, frequencies in Hz log-even over a band."""
         rng = self.rng

@@ -100,7 +100,7 @@ class Rest(Activity, frozen=True, kw_only=True, tag="rest"):
     def perform(self, planner: Planner) -> None:
         """Put it down, leave it."""
         end = planner.t + drawn(self.duration_s, planner.rng)
-        planner.turn_to(lying(support_named(self.support), planner.rng))
+        planner.put_down(lying(support_named(self.support), planner.rng))
         planner.rest(max(end - planner.t, 1.0), self.name)
 
 
@@ -123,7 +123,7 @@ class Table(Activity, frozen=True, kw_only=True, tag="table"):
         while planner.t < end:
             if rng.random() < self.look:
                 look_at(planner, drawn(self.look_s, rng))
-            planner.turn_to(lying(drawn_support(self.supports, rng), rng))
+            planner.put_down(lying(drawn_support(self.supports, rng), rng))
             planner.rest(max(min(log_drawn(self.rest_s, rng), end - planner.t), 2.0), self.name)
 
 
@@ -151,7 +151,7 @@ class Poses(Activity, frozen=True, kw_only=True, tag="poses"):
         rng = planner.rng
         given = [attitude_with(np.array(up), rng.uniform(-math.pi, math.pi)) for up in self.ups]
         for attitude in given or poses(self.count, rng):
-            planner.turn_to(attitude)
+            planner.put_down(attitude)
             planner.rest(drawn(self.rest_s, planner.rng), self.name)
 
 
@@ -167,7 +167,7 @@ class Desk(Activity, frozen=True, kw_only=True, tag="desk"):
         """Alternate quiet and typing."""
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
-        planner.turn_to(lying(support_named(self.support), rng))
+        planner.put_down(lying(support_named(self.support), rng))
         while planner.t < end:
             planner.rest(log_drawn(self.quiet_s, rng), self.name)
             duration = log_drawn(self.typing_s, rng)
@@ -187,7 +187,7 @@ class Washer(Activity, frozen=True, kw_only=True, tag="washer"):
         """Alternate pauses, tumbling and spinning."""
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
-        planner.turn_to(lying(support_named(self.support), rng))
+        planner.put_down(lying(support_named(self.support), rng))
         while planner.t < end:
             planner.rest(rng.uniform(5.0, 20.0), self.name)
             duration = rng.uniform(20.0, 90.0)
