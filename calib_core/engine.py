@@ -113,7 +113,7 @@ class Engine:
             raise SampleError(0, f"{sensor} at {samples.t[0]:.6f} s comes after {s.latest[sensor]:.6f} s")
         s.waiting[sensor] = Samples.joined([s.waiting[sensor], samples]) if sensor in s.waiting else samples
         s.latest[sensor] = float(samples.t[-1])
-        if s.began is None:
+        if s.began is None and sensor is Sensor.ACCELEROMETER:
             self._begin(float(samples.t[0]))
 
     def _hear(self, event: Event) -> None:
@@ -170,8 +170,12 @@ class Engine:
         return max([event.t, *(float(np.nextafter(t, np.inf)) for t in self._s.latest.values())])
 
     def _quiet_until(self, t: float) -> float:
-        """Return the stamp of the first sample that still waits, or t where none does."""
-        return max(t, min((float(w.t[0]) for w in self._s.waiting.values() if len(w)), default=t))
+        """Return the stamp of the accelerometer's first sample that still waits, or t where none does.
+
+        Up to the horizon its stream is always known; the gyroscope's may still be on its way.
+        """
+        waiting = self._s.waiting.get(Sensor.ACCELEROMETER)
+        return t if waiting is None else max(t, float(waiting.t[0]))
 
     # Samples
 
@@ -191,9 +195,11 @@ class Engine:
     def _taken(self, sensor: Sensor, stop: float) -> Samples:
         """Take the samples before `stop` off those that wait."""
         waiting = self._s.waiting.get(sensor)
-        if waiting is None or not len(waiting) or waiting.t[0] >= stop:
+        if waiting is None or waiting.t[0] >= stop:
             return Samples.empty(sensor)
         cut = int(np.searchsorted(waiting.t, stop, side="left"))
+        if cut == len(waiting):
+            return self._s.waiting.pop(sensor)
         self._s.waiting[sensor] = waiting[cut:]
         return waiting[:cut]
 
@@ -207,6 +213,7 @@ class Engine:
     def _gather(self, rest: RestState) -> None:
         s = self._s
         s.pool = s.pool.with_rest(HeldRest(rest, s.gravity), self.settings.pool)
+        s.attitudes = len(s.pool.attitudes(self.settings.pool))
         s.fresh += 1
         s.counters.rests += 1
         if s.last_rest is not None and s.gyro_tail is not None:
@@ -267,7 +274,8 @@ class Engine:
     def _plan(self, t: float) -> None:
         """Decide how to look until the next review."""
         s, settings = self._s, self.settings
-        assert s.allowance is not None
+        if s.allowance is None:
+            return
         s.allowance = s.allowance.at(t, self._detector.ledger.asked_s, settings.energy)
         lasts = s.allowance.lasts(settings.energy)
         need = Need(rests=not self._supported_well() or s.degraded, check=s.check_due)
@@ -289,7 +297,7 @@ class Engine:
 
     def _supported_well(self) -> bool:
         """Say whether as many attitudes have been gathered as were wanted."""
-        return len(self._s.pool.attitudes(self.settings.pool)) >= self.settings.schedule.attitudes_wanted
+        return self._s.attitudes >= self.settings.schedule.attitudes_wanted
 
     # The check of 4.7
 
@@ -365,7 +373,7 @@ class Engine:
             return found
         if calibrate.checked(found.record, recent, self.settings.quality).verdict is not Verdict.RECALIBRATE:
             return found
-        s.pool = recent
+        s.pool, s.attitudes = recent, len(recent.attitudes(self.settings.pool))
         return self._fit(recent, t)
 
     def _fit(self, pool: Pool, t: float) -> calibrate.Candidate:

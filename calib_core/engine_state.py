@@ -63,8 +63,9 @@ class EngineState:
 
     waiting: samples not yet looked at; latest: each stream's newest stamp; heard: the clock's last tick.
     check_due: a check waits for a rest; checked, tried: when the last check and the last try to fit were.
-    fresh: rests gathered since that try. gyro_tail: what the next turn may be cut from. sound_until: when
-    a calibration that now fails last passed a check. refusal: why the last try to fit came to nothing.
+    attitudes: distinct ones in the pool. fresh: rests gathered since the last try. gyro_tail: what the next
+    turn may be cut from. sound_until: when a calibration that now fails last passed a check. refusal: why
+    the last try to fit came to nothing.
     """
 
     detector: DetectorState | None = None
@@ -84,6 +85,7 @@ class EngineState:
     degraded: bool = False
     gravity: Gravity = field(default_factory=Gravity)
     pool: Pool = field(default_factory=Pool)
+    attitudes: int = 0
     fresh: int = 0
     last_rest: RestState | None = None
     gyro_tail: Samples | None = None
