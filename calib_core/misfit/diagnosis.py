@@ -15,7 +15,7 @@ from stillcal.calib_core.misfit.scenes import scenes
 from stillcal.calib_core.misfit.slow import slow_findings
 from stillcal.calib_core.misfit.spectrum import noise_findings, noise_levels, quiet, tone
 from stillcal.calib_core.misfit.timing import timing_findings
-from stillcal.calib_core.misfit.values import quantisation, saturation
+from stillcal.calib_core.misfit.values import comb_step, quantisation, saturation
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.calib_core.samples import Samples
 
@@ -52,11 +52,13 @@ def _sample_findings(sensor: str, samples: Samples, bins: Bins, claims: Claims) 
         return []
     levels = noise_levels(still)
     span = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, still.rate / 2.0), "noise at rest")
-    found = noise_findings(still, levels, sensor, claims, span)
     lsb = claims.accel_lsb if sensor == "accel" else claims.gyro_lsb
     declared = claims.accel_range if sensor == "accel" else claims.gyro_range
+    comb = quantisation(samples, sensor, levels.sd, lsb)
+    # Noise that hides in a coarse step has no level, tails or bandwidth of its own.
+    step = max(comb_step(samples.xyz[:, a]) or 0.0 for a in range(3))
+    found = noise_findings(still, levels, sensor, claims, span, step) if comb is None else [comb]
     extra = (
-        quantisation(samples, sensor, levels.sd, lsb),
         saturation(samples, sensor, np.maximum(levels.sd, 1e-9), declared),
         tone(samples, sensor) if sensor == "accel" else None,
     )

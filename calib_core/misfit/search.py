@@ -7,7 +7,7 @@ baseline and the search is repeated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,10 +37,20 @@ class Scored:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One forward step: the winner and the best of every other entry, best first."""
+    """One forward step: the winner and the best of every other entry, best first.
+
+    shadows: the winner's neighbours on its fine grid. They are projected out with it in later steps, so that
+    what a time constant slightly off leaves behind is not taken for another effect.
+    """
 
     winner: Scored
     others: tuple[Scored, ...]
+    shadows: tuple[Hypothesis, ...] = ()
+
+    @property
+    def explained(self) -> tuple[Hypothesis, ...]:
+        """What later steps project out."""
+        return (self.winner.hypothesis, *self.shadows)
 
 
 def score(gain: float, parameters: int, dof: float, trials: int) -> float:
@@ -124,8 +134,43 @@ def forward(scene: Scene, entries: Sequence[Entry], threshold: float = threshold
     hypotheses = proposals(scene, entries)
     steps: list[Step] = []
     while hypotheses and len(steps) < thresholds.MAX_FINDINGS:
-        ranked, _ = compete(scene, hypotheses, [s.winner.hypothesis for s in steps])
+        before = [h for s in steps for h in s.explained]
+        ranked, _ = compete(scene, hypotheses, before)
         if not ranked or ranked[0].score < threshold:
             break
-        steps.append(Step(ranked[0], tuple(ranked[1:])))
+        step = refined(scene, prefer_named(Step(ranked[0], tuple(ranked[1:]))), before)
+        steps.append(step)
+        hypotheses = [h for h in hypotheses if not _spent(h.entry, step.winner.hypothesis.entry)]
     return steps
+
+
+def _spent(entry: Entry, winner: Entry) -> bool:
+    """Whether a winner rules an entry out of later steps: all that name one effect, unless it can recur."""
+    return not winner.recurs and (entry is winner or (entry.effect == winner.effect != "unknown"))
+
+
+def prefer_named(step: Step) -> Step:
+    """Let a catalogue effect win over a generic one that is better by less than the margin."""
+    if step.winner.hypothesis.entry.effect != "unknown":
+        return step
+    near = [
+        s
+        for s in step.others
+        if s.hypothesis.entry.effect != "unknown" and step.winner.score - s.score < thresholds.MARGIN
+    ]
+    if not near:
+        return step
+    return Step(near[0], (step.winner, *(s for s in step.others if s is not near[0])))
+
+
+def refined(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
+    """Move the winner to the best point of its entry's fine grid."""
+    winner = step.winner.hypothesis
+    if winner.entry.refine is None:
+        return step
+    candidates = winner.entry.refine(winner.entry, scene, winner.grid)
+    reduced = reduce_scene(scene, candidates, before)
+    gains = [fit_hypothesis(reduced, i).log_likelihood for i in range(len(candidates))]
+    best = int(np.argmax(gains))
+    near = [candidates[i] for i in (best - 1, best + 1) if 0 <= i < len(candidates)]
+    return replace(step, winner=replace(step.winner, hypothesis=candidates[best]), shadows=tuple(near))

@@ -8,12 +8,13 @@ import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.catalogue import slow_entries
-from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene
+from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
 from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
 from stillcal.calib_core.misfit.evidence import fit_hypothesis
 from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
 from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
 from stillcal.calib_core.misfit.search import Scored, Step, forward, reduce_scene
+from stillcal.calib_core.misfit.walk import random_walk
 from stillcal.calib_core.samples import Array
 
 SLOW_BAND = (0.0, 0.05)
@@ -28,25 +29,12 @@ def slow_findings(scene: Scene) -> list[Finding]:
     if len(scene.bins) < thresholds.LEAST_BINS:
         return []
     entries = slow_entries(scene.sensor)
-    steps = [prefer_named(step) for step in forward(scene, entries)]
+    steps = forward(scene, entries)
     found = [step.winner.hypothesis for step in steps]
-    return [
+    named = [
         _finding(scene, step, [f for f in found if f is not step.winner.hypothesis], len(entries)) for step in steps
     ]
-
-
-def prefer_named(step: Step) -> Step:
-    """Let a catalogue effect win over a generic one that is better by less than the margin."""
-    if step.winner.hypothesis.entry.effect != "unknown":
-        return step
-    near = [
-        s
-        for s in step.others
-        if s.hypothesis.entry.effect != "unknown" and step.winner.score - s.score < thresholds.MARGIN
-    ]
-    if not near:
-        return step
-    return Step(near[0], (step.winner, *(s for s in step.others if s is not near[0])))
+    return [*named, *random_walk(scene, [h for step in steps for h in step.explained])]
 
 
 def _finding(scene: Scene, step: Step, others: list[Hypothesis], entries: int) -> Finding:
@@ -88,19 +76,13 @@ def _evidence(scene: Scene, hypothesis: Hypothesis | None, others: Sequence[Hypo
     candidates = [hypothesis] if hypothesis is not None else list(others[:1])
     rest = list(others) if hypothesis is not None else list(others[1:])
     if not candidates:
-        reduced = reduce_scene(scene, [_nothing(scene)])
+        reduced = reduce_scene(scene, [nothing(scene)])
         pairs = zip(scene.views, reduced, strict=True)
         return held_out(scene, [best_covariance(v, r, None, np.zeros(0)) for v, r in pairs], [])
     reduced = reduce_scene(scene, candidates, rest)
     beta = fit_hypothesis(reduced, 0).beta
     covariances = [best_covariance(v, r, 0, beta) for v, r in zip(scene.views, reduced, strict=True)]
     return held_out(scene, covariances, [*candidates, *rest])
-
-
-def _nothing(scene: Scene) -> Hypothesis:
-    """Return a hypothesis whose column is nothing."""
-    entry = slow_entries(scene.sensor)[0]
-    return Hypothesis(entry, {}, tuple(np.zeros((*v.y.shape, 3)) for v in scene.views))
 
 
 def _alternative(

@@ -19,6 +19,8 @@ CUTOFFS = 60
 LINE_SECONDS = 20.0
 LEAST_LINE_HZ = 4.0
 LINE_P = 1e-7
+COARSE = 0.5
+MOST_WIDE = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,10 +97,13 @@ def _cutoff(f: Array, log_power: Array, still: Quiet, frequencies: int) -> Measu
     return Measured(float(grid[best]), float(spread))
 
 
-def noise_findings(still: Quiet, levels: NoiseLevels, sensor: str, claims: Claims, where: Where) -> list[Finding]:
-    """Return what noise densities, tails and bandwidth show."""
-    found = [_unequal(levels, sensor, claims, where), _level(levels, sensor, claims, still.rate, where)]
-    found.append(_tails(still, sensor, where))
+def noise_findings(
+    still: Quiet, levels: NoiseLevels, sensor: str, claims: Claims, where: Where, step: float = 0.0
+) -> list[Finding]:
+    """Return what noise densities, tails and bandwidth show. step: unit, of the values; a coarse one has no tails."""
+    tails = _tails(still, sensor, where) if step < COARSE * float(levels.sd.min()) else None
+    found = [_unequal(levels, sensor, where), tails]
+    found.append(_level(levels, sensor, claims, still.rate, where) if tails is None else None)
     if levels.cutoff is not None:
         say = f"The {sensor} sensor's output is low-passed at {levels.cutoff.value:.2g} Hz, below half its rate."
         parameter = {"cutoff": levels.cutoff.parameter("Hz")}
@@ -126,7 +131,7 @@ def _level(levels: NoiseLevels, sensor: str, claims: Claims, rate: float, where:
     return direct_finding("noise_level", sensor, [0, 1, 2], where, {"ratio": ratio.parameter("1")}, say, sigmas)
 
 
-def _unequal(levels: NoiseLevels, sensor: str, claims: Claims, where: Where) -> Finding | None:
+def _unequal(levels: NoiseLevels, sensor: str, where: Where) -> Finding | None:
     """Find axes whose density differs from the middle axis of the same piece."""
     relative = levels.density / np.median(levels.density, axis=1, keepdims=True)
     ratios = [mean_of(relative[:, a], 2e-3) for a in range(3)]
@@ -153,6 +158,8 @@ def _tails(still: Quiet, sensor: str, where: Where) -> Finding | None:
     if sigmas < SIGNIFICANT or _clustered(everything):
         return None
     ratio, fraction = contaminated(everything.ravel())
+    if fraction > MOST_WIDE:
+        return None
     error = ratio.error
     say = f"{fraction:.1%} of the {sensor} sensor's samples scatter {ratio.value:.1f} times wider than the rest."
     parameter = {
@@ -164,12 +171,11 @@ def _tails(still: Quiet, sensor: str, where: Where) -> Finding | None:
 
 
 def _standardised(piece: Array) -> Array:
-    """A piece free of what is slower than five samples, in units of its own middle spread."""
-    kernel = np.ones(5) / 5.0
+    """A piece free of what is slower than 25 samples, in units of its own spread."""
+    kernel = np.ones(25) / 25.0
     slow = np.stack([np.convolve(piece[:, a], kernel, mode="same") for a in range(3)], axis=1)
-    fast = (piece - slow)[3:-3]
-    spread = 1.4826 * np.median(np.abs(fast), axis=0)
-    return np.asarray(fast / np.maximum(spread, 1e-300))
+    fast = (piece - slow)[12:-12]
+    return np.asarray(fast / np.maximum(fast.std(axis=0), 1e-300))
 
 
 def _clustered(z: Array) -> bool:
@@ -183,7 +189,7 @@ def _clustered(z: Array) -> bool:
 
 def contaminated(z: Array, steps: int = 60) -> tuple[Measured, float]:
     """Fit (1-f) N(0, s^2) + f N(0, (r s)^2) to values (n,) by expectation maximisation; return r and f."""
-    s2, r2, f = 1.0, 16.0, 0.02
+    s2, r2, f = 0.7, 16.0, 0.02
     for _ in range(steps):
         wide = f * np.exp(-0.5 * z**2 / (r2 * s2)) / np.sqrt(r2)
         share = wide / (wide + (1.0 - f) * np.exp(-0.5 * z**2 / s2) + 1e-300)

@@ -75,7 +75,7 @@ def entries(sensor: str) -> list[Entry]:
             step, sensor, "time", _step, (Linear("step", unit, 3, size),),
             f"The {name}'s bias jumped once on {{axes}}.",
             (charging, f"{sensor}_bias_random_walk"), "knock the phone again, or repeat with the plug untouched",
-            {"t_start": "s"}, _near_step,
+            {"t_start": "s"}, _near_step, recurs=True,
         ),
         Entry(
             charging, sensor, "charging", curves(drivers.charging), (Linear("step", unit, 3, size),),

@@ -81,7 +81,7 @@ def latent_heat(scene: Scene) -> list[Driver]:
     Only where no thermometer was recorded. All sources share one time constant; their shares are gridded.
     """
     bins = scene.bins
-    if bins.temperature is not None and moves(bins.temperature, LEAST_SPAN):
+    if bins.temperature is not None:
         return []
     sources = [(1.0, 0.0, 0.0), (1.0, 0.0, -0.7), (1.0, 0.0, 0.7), (1.0, 0.5, 0.0)]
     plugged = bins.charging_switches is not None and moves(bins.charging_switches[:, 1])

@@ -57,6 +57,7 @@ class Entry:
     its linear parameters in the columns' order. look_alikes: effects that can imitate it; decides:
     the recording that tells them apart. sentence: one plain sentence, `{axes}` filled in. follows: driver.
     refine: hypotheses on a finer grid about a grid point. handicap: score that the entry must give away.
+    recurs: whether it may be found more than once.
     """
 
     effect: str
@@ -70,6 +71,7 @@ class Entry:
     grid_units: dict[str, str] = field(default_factory=dict)
     refine: Callable[[Entry, Scene, dict[str, float]], list[Hypothesis]] | None = None
     handicap: float = 0.0
+    recurs: bool = False
 
 
 def bias_columns(scene: Scene, curve: Array, views: tuple[str, ...] = ()) -> tuple[Array, ...]:
@@ -91,3 +93,9 @@ def curves(drivers: Callable[[Scene], list[tuple[dict[str, float], Array]]]) -> 
 def moves(curve: Array, least: float = 1e-9) -> bool:
     """Whether a driver changes at all."""
     return curve.size > 0 and float(np.ptp(curve)) > least
+
+
+def nothing(scene: Scene) -> Hypothesis:
+    """Return a hypothesis with one column of nothing: the baseline phone itself."""
+    entry = Entry("nothing", scene.sensor, "nothing", lambda _entry, _scene: [], (Linear("none", "1", 1, 1.0),), "")
+    return Hypothesis(entry, {}, tuple(np.zeros((*v.y.shape, 1)) for v in scene.views))
