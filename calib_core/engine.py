@@ -16,6 +16,7 @@ import numpy as np
 
 from stillcal.calib_core import calibrate
 from stillcal.calib_core import gravity as local_gravity
+from stillcal.calib_core.accelerometer import AccelerometerFit
 from stillcal.calib_core.energy import Allowance
 from stillcal.calib_core.engine_state import EngineSettings, EngineState, Refusal
 from stillcal.calib_core.events import (
@@ -377,21 +378,24 @@ class Engine:
         return self._fit(recent, t)
 
     def _fit(self, pool: Pool, t: float) -> calibrate.Candidate:
-        """Fit the rests that the noise floor, known by now, confirms; all of them where that shows more."""
-        sure = pool.where(self._detector.still_valid)
-        if len(sure.held) == len(pool.held):
-            return self._fitted(pool, t)
-        try:
-            found = self._fitted(sure, t)
-        except NotSupported:
-            return self._fitted(pool, t)
-        if found.accelerometer.parameters >= 9:
-            return found
-        wider = self._fitted(pool, t)
-        return wider if wider.accelerometer.parameters > found.accelerometer.parameters else found
+        """Fit the rests that the noise floor, as known by now, confirms, or all: whichever leaves less open.
 
-    def _fitted(self, pool: Pool, t: float) -> calibrate.Candidate:
-        return calibrate.candidate(pool, self._s.gravity, t, self.settings.calibrate)
+        A doubtful rest that is one adds an attitude; one that is none adds scatter.
+        """
+        sure = pool.where(self._detector.still_valid)
+        everything = self._fitted_or_refused(pool, t)
+        if len(sure.held) == len(pool.held) or isinstance(everything, NotSupported):
+            return _taken(everything)
+        confirmed = self._fitted_or_refused(sure, t)
+        if isinstance(confirmed, NotSupported):
+            return everything
+        return min(confirmed, everything, key=lambda c: _left_open(c.accelerometer))
+
+    def _fitted_or_refused(self, pool: Pool, t: float) -> calibrate.Candidate | NotSupported:
+        try:
+            return calibrate.candidate(pool, self._s.gravity, t, self.settings.calibrate)
+        except NotSupported as refusal:
+            return refusal
 
     def _decide(self, t: float, candidate: calibrate.Candidate, occasion: Occasion) -> None:
         s = self._s
@@ -409,6 +413,18 @@ class Engine:
 
     def _log(self, t: float, level: Level, what: str, why: str, **fields: object) -> None:
         self._actions.append(Log(t, level, what, why, fields))
+
+
+def _taken(found: calibrate.Candidate | NotSupported) -> calibrate.Candidate:
+    """Return the candidate, or raise the refusal."""
+    if isinstance(found, NotSupported):
+        raise found
+    return found
+
+
+def _left_open(fit: AccelerometerFit) -> tuple[int, float]:
+    """Order fits: more parameters first, then the smaller uncertainty along the worst direction."""
+    return -fit.parameters, fit.worst_norm_uncertainty
 
 
 def _first_gravity(schedule: ScheduleSettings) -> Gravity:
