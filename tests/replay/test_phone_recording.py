@@ -40,6 +40,7 @@ PHONES = sorted(
 SCENARIOS = sorted(
     p.name[:-5] for p in (files("stillcal.config") / "scenarios").iterdir() if p.name.endswith(".toml")
 )
+LENGTHS = {"day": (86_400.0, 1), "week": (604_800.0, 7)}
 SHORT = """
 {"duration_s": 200.0, "segment": [
   {"activity": "table", "duration_s": 100.0, "rest_s": [4.0, 20.0]},
@@ -113,14 +114,26 @@ def test_ready_phones_load_survive_a_dump_and_record_valid_samples(name: str, tm
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_ready_scenarios_play(name: str) -> None:
-    simulation = simulate(load_scenario(name), load_phone("ideal"), seed=1)
+    scenario = load_scenario(name)
+    once = msgspec.structs.replace(scenario, repeat=1, duration_s=None)
+    simulation = simulate(once, load_phone("ideal"), seed=1)
     pieces = simulation.plan.pieces
     assert pieces[0].t_start == 0.0
     assert pieces[-1].t_end >= simulation.plan.duration
     assert all(a.t_end == b.t_start for a, b in pairwise(pieces))
     assert len(simulation.truth.rests) >= 1
-    length = {"day": 86_400.0, "week": 604_800.0}.get(name, simulation.duration)
-    assert simulation.duration == length
+    assert (scenario.duration_s, scenario.repeat) == LENGTHS.get(name, (None, 1))
+
+
+def test_a_course_is_repeated_drawn_anew_and_cut_or_rested_to_length() -> None:
+    twice = msgspec.structs.replace(short(), repeat=2, duration_s=None)
+    pieces = simulate(twice, load_phone("ideal"), seed=1).plan.pieces
+    cut = simulate(msgspec.structs.replace(twice, duration_s=150.0), load_phone("ideal"), seed=1)
+    rested = simulate(msgspec.structs.replace(twice, duration_s=900.0), load_phone("ideal"), seed=1)
+    assert sum(p.activity == "walk" for p in pieces) > 1
+    assert cut.whole().accelerometer.t[-1] < 150.0 <= cut.plan.pieces[-1].t_end
+    assert rested.plan.pieces[-1].t_end == 900.0
+    assert rested.plan.pieces[-1].still
 
 
 def test_shared_clock_gives_common_stamps_and_separate_clocks_do_not() -> None:
