@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.engine_state import EngineSettings
-from stillcal.calib_core.events import Reject, Store
+from stillcal.calib_core.events import Location, Reject, Store
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.samples import Samples
 from stillcal.daemon import store as storage
@@ -78,9 +79,13 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     for path in (store_path, json_path):
         _refuse_to_overwrite(path, trace)
     settings = load_settings(config)
-    engine = Engine(_chosen(settings, gravity, watch))
     kept: list[Store | Reject] = []
-    outcome = _run(_Source(trace, format_, gyro), engine, kept.append, quiet)
+    if format_ == "rest":
+        outcome = replay_rests(read_rest_table(trace), Engine(_chosen(settings, gravity, watch)), kept.append)
+    else:
+        opened = open_trace(trace, format_, gyro)
+        engine = Engine(_chosen(settings, gravity or _claimed_gravity(opened), watch))
+        outcome = _replayed(opened, engine, kept.append, quiet)
     if store_path is not None and kept:
         _keep(store_path, settings, kept, trace)
     if json_path is not None:
@@ -112,7 +117,7 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
             f"{store_path}: holds no calibration: run stillcal replay or the daemon first"
         )
     _refuse_to_overwrite(out, trace)
-    opened = _Source(trace, format_, gyro).open()
+    opened = open_trace(trace, format_, gyro)
     with _progress(opened, quiet) as step, _writer(opened, out, record) as write:
         for chunk in opened.chunks():
             write(chunk)
@@ -154,24 +159,11 @@ def _corrected(samples: Samples, record: CalibrationRecord) -> Samples:
 
 def _refuse_to_overwrite(path: Path | None, trace: Path) -> None:
     """Refuse to write over the recording, or over what stands beside it under its name."""
-    if path is None or path == Path("-"):
+    if path is None or not path.exists():
         return
     belonging = (trace, beside(trace, ".json"), beside(trace, ".events.jsonl"))
     if any(path.resolve() == b.resolve() for b in belonging):
         raise click.UsageError(f"{path} belongs to the recording {trace}: choose another name")
-
-
-@dataclass(frozen=True, slots=True)
-class _Source:
-    """Which recording, in which format, with which second file."""
-
-    path: Path
-    format: str
-    gyro: Path | None
-
-    def open(self) -> Trace:
-        """Open it for reading."""
-        return open_trace(self.path, self.format, self.gyro)
 
 
 def _chosen(settings: Settings, gravity: float | None, watch: str | None) -> EngineSettings:
@@ -180,12 +172,23 @@ def _chosen(settings: Settings, gravity: float | None, watch: str | None) -> Eng
     return replace(settings.engine, schedule=schedule)
 
 
-def _run(recording: _Source, engine: Engine, keep: Callable[[Store | Reject], None], quiet: bool) -> Outcome:
-    if recording.format == "rest":
-        return replay_rests(read_rest_table(recording.path), engine, keep)
-    opened = recording.open()
+def _claimed_gravity(opened: Trace) -> float | None:
+    """Return the local gravity that the maker claims, unless the recording itself says where it was taken.
+
+    The standard value is what people write who do not know.
+    """
+    claimed = opened.claims.gravity
+    located = any(isinstance(event, Location) for event in opened.events)
+    return None if located or claimed == STANDARD else claimed
+
+
+def _replayed(opened: Trace, engine: Engine, keep: Callable[[Store | Reject], None], quiet: bool) -> Outcome:
     with _progress(opened, quiet) as step:
-        return replay(opened.chunks(), engine, keep, step)
+        outcome = replay(opened.chunks(), engine, keep, step)
+    if not quiet:
+        for note in opened.notes:
+            click.echo(f"stillcal: {note}", err=True)
+    return outcome
 
 
 @contextmanager

@@ -34,7 +34,7 @@ from stillcal.replay.phone.simulation import TrueModel
     "--out", type=click.Path(path_type=Path), required=True, help="The recording (.csv or .csv.gz)."
 )
 @click.option("--seed", default=0, show_default=True, help="The same seed gives the same recording.")
-@click.option("--phone", default="consumer", show_default=True, help="A ready phone, or a phone.toml.")
+@click.option("--phone", default="typical", show_default=True, help="A ready phone, or a phone.toml.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the true sensor errors there (JSON).")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate_command(  # noqa: PLR0917 - click hands every option over by name

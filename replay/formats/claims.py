@@ -47,6 +47,12 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         return self.gyro_unit, self.gyro_zero
 
 
+class _Written(msgspec.Struct):
+    """What marks a file that stillcal wrote, and no maker."""
+
+    schema: int | None = None
+
+
 Event: TypeAlias = Charging | Location
 _KNOWN: dict[str, type[Charging] | type[Location]] = {"charging": Charging, "location": Location}
 
@@ -58,12 +64,17 @@ def beside(path: Path, suffix: str) -> Path:
 
 
 def read_claims(path: Path) -> Claims:
-    """Read NAME.json beside the recording `path`; no claims where there is none. Raises TraceError."""
+    """Read NAME.json beside the recording `path`; no claims where there is none. Raises TraceError.
+
+    A calibration that was written there under that name claims nothing of the device.
+    """
     file = beside(path, ".json")
     text = _bytes_of(file)
     if text is None:
         return Claims()
     try:
+        if msgspec.json.decode(text, type=_Written).schema is not None:
+            return Claims()
         return msgspec.json.decode(text, type=Claims)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise TraceError(file, f"not the maker's claims: {error}", "correct the field it names") from None
