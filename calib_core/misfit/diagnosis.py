@@ -12,7 +12,7 @@ from stillcal.calib_core.misfit.bins import Bins, cut
 from stillcal.calib_core.misfit.motion import motion_findings
 from stillcal.calib_core.misfit.records import Claims, Diagnosis, Finding, Where, verdict_of
 from stillcal.calib_core.misfit.scenes import scenes
-from stillcal.calib_core.misfit.slow import slow_findings
+from stillcal.calib_core.misfit.slow import slow_findings, turn_findings
 from stillcal.calib_core.misfit.spectrum import noise_findings, noise_levels, quiet, tone
 from stillcal.calib_core.misfit.timing import timing_findings
 from stillcal.calib_core.misfit.values import comb_step, quantisation, saturation
@@ -39,10 +39,13 @@ def diagnose(
     for sensor, samples in (("accel", accelerometer), ("gyro", gyroscope)):
         if samples is not None and len(samples) >= 200:
             found += _sample_findings(sensor, samples, bins, claims)
-    slow = [f for scene in scenes(bins, claims.gravity) for f in slow_findings(scene)] if len(bins) else []
-    found += slow
+    made = scenes(bins, claims.gravity) if len(bins) else []
+    found += [f for scene in made for f in slow_findings(scene)]
     if gyroscope is not None:
         found += motion_findings(accelerometer, gyroscope, bins, claims)
+        up = made[0].up if made else None
+        found += turn_findings(gyroscope, bins, up, claims.gravity) if up is not None else []
+    found = without_group_delay(found)
     return Diagnosis(1, recording, verdict_of(found), found, limits(bins))
 
 
@@ -63,6 +66,22 @@ def _sample_findings(sensor: str, samples: Samples, bins: Bins, claims: Claims) 
         tone(samples, sensor) if sensor == "accel" else None,
     )
     return [*found, *(f for f in extra if f is not None)]
+
+
+def without_group_delay(found: list[Finding]) -> list[Finding]:
+    """Drop a time offset that a low-pass found on one sensor explains: sqrt(2) / (2 pi fc), within a half.
+
+    A second-order filter delays slow motion by that much; a first-order one by 1 / (2 pi fc).
+    """
+    cutoffs = [f for f in found if f.effect == "bandwidth"]
+    offsets = [f for f in found if f.effect == "accel_gyro_time_offset"]
+    if len(cutoffs) != 1 or not offsets:
+        return found
+    cutoff, delay = cutoffs[0].parameters["cutoff"].value, offsets[0].parameters["delay"].value
+    assert isinstance(cutoff, float) and isinstance(delay, float)
+    expected = (-1.0 if cutoffs[0].sensor == "accel" else 1.0) / (2.0 * np.pi * cutoff)
+    explained = 0.5 < delay / expected < 2.1
+    return [f for f in found if f is not offsets[0]] if explained else found
 
 
 def limits(bins: Bins) -> list[str]:

@@ -129,9 +129,8 @@ def visible(reduced: Sequence[Reduced], h: int) -> int:
     return int((np.linalg.eigvalsh(np.asarray(information)) > 1.0).sum())
 
 
-def forward(scene: Scene, entries: Sequence[Entry], threshold: float = thresholds.SCORE) -> list[Step]:
+def forward(scene: Scene, hypotheses: list[Hypothesis], threshold: float = thresholds.SCORE) -> list[Step]:
     """Return the forward steps whose winner passes the threshold, at most `thresholds.MAX_FINDINGS`."""
-    hypotheses = proposals(scene, entries)
     steps: list[Step] = []
     while hypotheses and len(steps) < thresholds.MAX_FINDINGS:
         before = [h for s in steps for h in s.explained]

@@ -30,7 +30,12 @@ class Shape:
 
 
 def kinds(view: View) -> dict[str, tuple[Array, float]]:
-    """Return unit wander covariances (n, n) of each family and the random walk's variance rate in them, 1/s."""
+    """Return unit wander covariances (n, n) of each family and the random walk's variance rate in them, 1/s.
+
+    Turns have none: each begins anew.
+    """
+    if view.name == "turn":
+        return {}
     walk = random_walk_covariance(view.t, view.duration)
     raw = {"flicker": flicker_covariance(view.t, view.duration), "walk": walk}
     raw |= {f"gauss_markov_{tau:.0f}": gauss_markov_covariance(view.t, view.duration, tau) for tau in TAUS}

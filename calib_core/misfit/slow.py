@@ -7,18 +7,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.catalogue import slow_entries
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
 from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
 from stillcal.calib_core.misfit.evidence import fit_hypothesis
 from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
 from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
-from stillcal.calib_core.misfit.search import Scored, Step, forward, reduce_scene
+from stillcal.calib_core.misfit.search import Scored, Step, forward, proposals, reduce_scene
+from stillcal.calib_core.misfit.turns import turn_hypotheses, turn_scene
 from stillcal.calib_core.misfit.walk import random_walk
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.samples import Array, Samples
 
 SLOW_BAND = (0.0, 0.05)
 """Frequencies that means over bins of 10 s and more can show, Hz."""
+
+ENTRIES = 20
+"""How many entries compete, to make one p value of the best one's."""
 
 ALTERNATIVES = 3
 """How many other effects are reported beside a finding."""
@@ -28,16 +33,26 @@ def slow_findings(scene: Scene) -> list[Finding]:
     """Return what the still bins of one sensor show, in the order it was found."""
     if len(scene.bins) < thresholds.LEAST_BINS:
         return []
-    entries = slow_entries(scene.sensor)
-    steps = forward(scene, entries)
+    steps = forward(scene, proposals(scene, slow_entries(scene.sensor)))
+    return [*findings_of(scene, steps), *random_walk(scene, [h for step in steps for h in step.explained])]
+
+
+def turn_findings(gyroscope: Samples, bins: Bins, up: Array, gravity: float) -> list[Finding]:
+    """Return what gravity carried by the gyroscope from rest to rest shows."""
+    made = turn_scene(gyroscope, bins, up, gravity)
+    if made is None:
+        return []
+    scene, found = made
+    return findings_of(scene, forward(scene, turn_hypotheses(found, scene)))
+
+
+def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
+    """Turn forward steps into findings, each estimated with the others beside it."""
     found = [step.winner.hypothesis for step in steps]
-    named = [
-        _finding(scene, step, [f for f in found if f is not step.winner.hypothesis], len(entries)) for step in steps
-    ]
-    return [*named, *random_walk(scene, [h for step in steps for h in step.explained])]
+    return [_finding(scene, step, [f for f in found if f is not step.winner.hypothesis]) for step in steps]
 
 
-def _finding(scene: Scene, step: Step, others: list[Hypothesis], entries: int) -> Finding:
+def _finding(scene: Scene, step: Step, others: list[Hypothesis]) -> Finding:
     found = estimate(scene, step.winner.hypothesis, others)
     before = _evidence(scene, None, others)
     after = _evidence(scene, found.hypothesis, others)
@@ -50,7 +65,7 @@ def _finding(scene: Scene, step: Step, others: list[Hypothesis], entries: int) -
         where=_where(scene, found.hypothesis),
         parameters=parameters(found),
         evidence=Evidence(
-            p_value=min(1.0, entries * 10.0 ** -max(step.winner.score, 0.0)),
+            p_value=min(1.0, ENTRIES * 10.0 ** -max(step.winner.score, 0.0)),
             heldout_rmse_before=before.rmse,
             heldout_rmse_after=after.rmse,
             heldout_log_score_gain=after.log_score - before.log_score,

@@ -66,7 +66,7 @@ def noise_levels(still: Quiet) -> NoiseLevels:
     band = (f > max(LOWEST * still.rate, 1.0)) & (f < 0.48 * still.rate)
     typical = np.median(power, axis=0)
     whole = np.log(typical / typical[band].mean(axis=0)).mean(axis=1)
-    cutoff = _cutoff(f[band], whole[band], still, len(f))
+    cutoff = _cutoff(f[band], whole[band], still.rate)
     top = 0.4 * still.rate if cutoff is None else 0.5 * cutoff.value
     flat = band & (f < max(top, f[band][3]))
     density = np.sqrt(np.median(power[:, flat], axis=1) / _median_bias(len(still.pieces[0]), len(f)))
@@ -79,18 +79,24 @@ def _median_bias(samples: int, frequencies: int) -> float:
     return float((1.0 - 1.0 / (9.0 * averages)) ** 3)
 
 
-def _cutoff(f: Array, log_power: Array, still: Quiet, frequencies: int) -> Measured | None:
-    """Fit 1 / (1 + (f / fc)^2n), n = 1, 2, to the typical log spectrum; None where flat does as well."""
-    grid = np.geomspace(f[2], 4.0 * f[-1], CUTOFFS)
+def _cutoff(f: Array, log_power: Array, rate: float) -> Measured | None:
+    """Fit 1 / (1 + (f / fc)^2n), n = 1, 2, to the typical log spectrum; None where flat does as well.
+
+    Filters are tried as built in analogue and as by the bilinear transform, whose frequency is tan(pi f / rate).
+    Only what is above -15 dB counts: below lie the floor of the steps and what aliases.
+    """
+    used = log_power > np.quantile(log_power, 0.9) - 3.5
+    f, log_power = f[used], log_power[used]
+    grid = np.geomspace(f[2], 0.49 * rate, CUTOFFS)
     misfits = []
-    for order in (1, 2):
-        model = -np.log1p((f[None, :] / grid[:, None]) ** (2 * order))
-        residual = log_power - model
-        misfits.append(((residual - residual.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))
-    misfit = np.minimum(*misfits)
+    for warp in (lambda x: x, lambda x: np.tan(np.pi * x / rate)):
+        for order in (1, 2):
+            residual = log_power + np.log1p((warp(f)[None, :] / warp(grid)[:, None]) ** (2 * order))
+            misfits.append(((residual - residual.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))
+    misfit = np.min(misfits, axis=0)
     best, flat = int(np.argmin(misfit)), float(log_power.var())
     gain = f.size * (flat - misfit[best]) / max(float(misfit[best]), 1e-12)
-    if grid[best] > thresholds.BANDWIDTH_LIMIT * still.rate or gain < 60.0:
+    if grid[best] > thresholds.BANDWIDTH_LIMIT * rate or gain < thresholds.BANDWIDTH_GAIN:
         return None
     near = np.flatnonzero(f.size * (misfit - misfit[best]) / misfit[best] < 4.0)
     spread = (grid[min(near[-1] + 1, CUTOFFS - 1)] - grid[max(near[0] - 1, 0)]) / 4.0
@@ -171,10 +177,10 @@ def _tails(still: Quiet, sensor: str, where: Where) -> Finding | None:
 
 
 def _standardised(piece: Array) -> Array:
-    """A piece free of what is slower than 25 samples, in units of its own spread."""
-    kernel = np.ones(25) / 25.0
-    slow = np.stack([np.convolve(piece[:, a], kernel, mode="same") for a in range(3)], axis=1)
-    fast = (piece - slow)[12:-12]
+    """A piece free of its slow course (a cubic in time), in units of its own spread."""
+    x = np.linspace(-1.0, 1.0, len(piece))
+    course = np.polynomial.legendre.legvander(x, 3)
+    fast = piece - course @ np.linalg.lstsq(course, piece, rcond=None)[0]
     return np.asarray(fast / np.maximum(fast.std(axis=0), 1e-300))
 
 
@@ -196,7 +202,7 @@ def contaminated(z: Array, steps: int = 60) -> tuple[Measured, float]:
         f = float(np.clip(share.mean(), 1e-5, 0.5))
         s2 = float(((1.0 - share) * z**2).sum() / (1.0 - share).sum())
         r2 = max(float((share * z**2).sum() / share.sum() / s2), 1.0)
-    error = float(np.sqrt(r2) / np.sqrt(2.0 * max(f * z.size, 1.0))) * 2.0
+    error = float(np.sqrt(r2) * np.hypot(0.03, np.sqrt(2.0 / max(f * z.size, 1.0))))
     return Measured(float(np.sqrt(r2)), error), f
 
 

@@ -56,3 +56,6 @@ BANDWIDTH_LIMIT = 0.38
 
 CERTAIN = 0.9
 """Posterior probability of a random walk beyond the limit that makes it a finding."""
+
+BANDWIDTH_GAIN = 60.0
+"""Least reduction of chi-squared by a cutoff over a flat spectrum."""
