@@ -97,6 +97,8 @@ class Engine:
     def wants(self) -> Sense | Sleep:
         """Say what the sensors are needed for from here on."""
         s = self._s
+        if s.began is None:
+            return Sense(np.inf)
         until = min(t for t in (s.next_review, s.next_check, np.inf) if t is not None)
         if s.watch is Watch.IDLE:
             return Sleep(until)
@@ -242,7 +244,8 @@ class Engine:
             self._calibrate(t, Occasion.END)
             self._s.next_review = self._s.next_check = None
             return
-        self._plan(t)
+        if self._s.began is not None and t >= self._s.began:
+            self._plan(t)
 
     def _move_to(self, place: Location) -> None:
         if self.settings.schedule.gravity is not None:
