@@ -13,6 +13,7 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from stillcal.calib_core.codec import plain
 from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.engine_state import EngineSettings
 from stillcal.calib_core.events import Location, Reject, Store
@@ -220,11 +221,23 @@ def _keep(path: Path, settings: Settings, kept: list[Store | Reject], source: Pa
 
 
 def _write_json(path: Path, outcome: Outcome) -> None:
-    text = pretty(calibration_json(outcome.record)) + "\n"
+    text = pretty(calibration_json(outcome.record) | {"run": _run_figures(outcome)}) + "\n"
     if path == Path("-"):
         click.echo(text, nl=False)
     else:
         write_atomically(path, text.encode(), 0o644)
+
+
+def _run_figures(outcome: Outcome) -> dict[str, Any]:
+    """Return what the engine did and what it cost: the sensors' on-time is the energy."""
+    counters = {} if outcome.state is None else plain(outcome.state.counters)
+    return {
+        "duration": outcome.duration,
+        "samples": outcome.samples,
+        "refusal": None if outcome.refusal is None else plain(outcome.refusal),
+        "counters": counters,
+        "ledger": plain(outcome.ledger),
+    }
 
 
 def _why(outcome: Outcome) -> str:

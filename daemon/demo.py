@@ -60,15 +60,15 @@ def _beside_truth(found: dict[str, Any], true: dict[str, Any]) -> Table:
     table = Table(title="Found, beside the truth", title_justify="left", title_style="bold", box=None)
     for column in ("", "found", "truth", "worst error"):
         table.add_column(column, no_wrap=True)
-    for sensor, unit, gain, form in (
-        ("accelerometer", "mg", 1000 / G, ".1f"),
-        ("gyroscope", "°/s", 180 / np.pi, ".3f"),
+    for sensor, label, unit, gain, form in (
+        ("accelerometer", "accel.", "mg", 1000 / G, ".1f"),
+        ("gyroscope", "gyro.", "°/s", 180 / np.pi, ".3f"),
     ):
         bias, scale = (_pair(found, true, sensor, name) for name in ("bias", "scale"))
         biases = (_vector(gain * v, form) for v in bias)
-        table.add_row(f"{sensor} bias", *biases, _errors(bias, gain, unit))
+        table.add_row(f"{label} bias", *biases, _errors(bias, gain, unit))
         diagonals = (_vector(np.diag(v), ".4f") for v in scale)
-        table.add_row("  and scale", *diagonals, _errors(scale, 100, "%"))
+        table.add_row(f"{label} scale", *diagonals, _errors(scale, 100, "%"))
     return table
 
 
