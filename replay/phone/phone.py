@@ -9,24 +9,15 @@ from typing import Any
 import msgspec
 
 from stillcal.calib_core.samples import Sensor
+from stillcal.replay.formats import claims as formats
 from stillcal.replay.phone.effects import AnyEffect
 from stillcal.replay.phone.scenario import read_settings
 from stillcal.replay.phone.setting_effects import TiltCreep
 from stillcal.replay.phone.settings import ClockSettings, HeatSettings, SensorSettings, Settings, per_axis
 
 
-class Claims(Settings, frozen=True, kw_only=True):
-    """What the maker says of the phone, right or wrong. SI; noise densities per sqrt(Hz)."""
-
-    device: str | None = None
-    nominal_rate_hz: float | None = None
-    gravity: float | None = None
-    accel_range: float | None = None
-    gyro_range: float | None = None
-    accel_lsb: float | None = None
-    gyro_lsb: float | None = None
-    accel_noise_density: float | None = None
-    gyro_noise_density: float | None = None
+class Claims(formats.Claims, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the maker says of the phone, right or wrong; a phone file may not misspell it."""
 
 
 class Phone(Settings, frozen=True, kw_only=True, rename={"effects": "effect"}):
