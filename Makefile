@@ -20,6 +20,8 @@ check: $(READY)
 	$(BIN)/lint-imports
 
 $(READY): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "stillcal needs Python 3.11 or later: make PYTHON=python3.11 (or newer) ..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
