@@ -19,6 +19,10 @@ CUTOFFS = 60
 LINE_SECONDS = 20.0
 LEAST_LINE_HZ = 4.0
 LINE_P = 1e-7
+LEAST_STRETCHES = 5
+STEADY = 0.1
+STACK_ALLOWANCE = 1.3
+LOUDEST = 6.0
 COARSE = 0.5
 MOST_WIDE = 0.25
 
@@ -209,47 +213,73 @@ def contaminated(z: Array, steps: int = 60) -> tuple[Measured, float]:
 def tone(samples: Samples, sensor: str) -> Finding | None:
     """Find a line in the spectrum of steady stretches, all along the recording or for a while.
 
-    Powers are judged against the running median over frequency, so that broad motion raises no line.
+    A line stands in the same place in several stretches of `LINE_SECONDS` and above the median of its own
+    neighbourhood, which a hand's tremor, typing or a road do not.
     """
     rate = 1.0 / float(np.median(np.diff(samples.t)))
     length = int(LINE_SECONDS * rate)
     count = len(samples) // length
-    if count < 3:
-        return None
     blocks = samples.xyz[: count * length].reshape(count, length, 3)
-    f, power, ratio = _line_ratios(blocks, rate)
-    high = (f > LEAST_LINE_HZ) & (f < 0.49 * rate)
-    stacked = np.median(ratio[:, high], axis=0) / np.log(2.0)
-    single = ratio[:, high].max(axis=(0, 2))
-    threshold = np.log(count * high.sum() * 3 / LINE_P)
-    lasting = 1.0 + 6.5 * 1.2 / np.sqrt(count)
-    k = int(np.argmax(stacked.max(axis=1))) if stacked.max() > max(lasting, 2.0) else int(np.argmax(single))
-    strong = ratio[:, high][:, k].max(axis=1) > threshold
-    if strong.sum() < 2 and stacked.max() <= max(lasting, 2.0):
+    steady = _steady(blocks, round(rate)) if count else np.empty(0, dtype=int)
+    if steady.size < 3:
         return None
-    rows = strong if strong.any() else np.ones(count, dtype=bool)
-    return _tone_finding(samples, sensor, f[high][k], power[rows][:, np.flatnonzero(high)[k]], rows, length)
+    f, power, ratio = _line_ratios(blocks[steady], rate)
+    high = np.flatnonzero((f > LEAST_LINE_HZ) & (f < 0.49 * rate))
+    best = ratio[:, high].max(axis=2)
+    threshold = float(np.log(best.size * 3 / LINE_P))
+    near = np.maximum(best, np.maximum(np.roll(best, 1, axis=1), np.roll(best, -1, axis=1)))
+    hits = (near > threshold).sum(axis=0)
+    weak = _stacked(ratio[:, high])
+    if hits.max() < LEAST_STRETCHES and weak is None:
+        return None
+    k = int(np.argmax(hits + best.sum(axis=0) / best.sum())) if weak is None or hits.max() >= LEAST_STRETCHES else weak
+    rows = near[:, k] > threshold if hits[k] >= LEAST_STRETCHES else np.ones(steady.size, dtype=bool)
+    line = power[rows][:, high[k] - 3 : high[k] + 4]
+    return _tone_finding(samples, sensor, float(f[1]), line, int(high[k]), steady[rows], length)
+
+
+def _steady(blocks: Array, second: int) -> Array:
+    """Return the blocks whose means over a second stay where they are: rests, shaken or not."""
+    count, length = len(blocks), blocks.shape[1] // second * second
+    means = blocks[:, :length].reshape(count, -1, second, 3).mean(axis=2)
+    return np.flatnonzero(np.ptp(means, axis=1).max(axis=1) < STEADY)
+
+
+def _stacked(ratio: Array) -> int | None:
+    """Return the frequency at which the mean power of all stretches stands out, no few of them alone; or None."""
+    from scipy.stats import gamma
+
+    count = len(ratio)
+    mean = np.minimum(ratio, LOUDEST).mean(axis=0).max(axis=1)
+    # The background of 34 lines scatters by a sixth: the mean of powers is widened by as much and more.
+    limit = float(gamma.isf(LINE_P / mean.size, count, scale=1.0 / count)) * STACK_ALLOWANCE
+    return int(np.argmax(mean)) if mean.max() > limit and count >= 10 else None
 
 
 def _line_ratios(blocks: Array, rate: float) -> tuple[Array, Array, Array]:
-    from scipy.ndimage import median_filter
+    """Return frequencies, powers and their ratio to the mean power within 1 Hz, the line's own bins left out."""
+    from scipy.ndimage import uniform_filter1d
 
     window = np.hanning(blocks.shape[1])[None, :, None]
     spectrum = np.fft.rfft((blocks - blocks.mean(axis=1, keepdims=True)) * window, axis=1)
     power = np.abs(spectrum) ** 2
-    background = median_filter(power, size=(1, 61, 1), mode="nearest") / np.log(2.0)
+    around, own = 41 * uniform_filter1d(power, 41, axis=1), 7 * uniform_filter1d(power, 7, axis=1)
+    background = np.maximum((around - own) / 34.0, 1e-6 * power.mean(axis=1, keepdims=True))
     return np.fft.rfftfreq(blocks.shape[1], 1.0 / rate), power, power / np.maximum(background, 1e-300)
 
 
 def _tone_finding(
-    samples: Samples, sensor: str, frequency: float, power: Array, rows: Array, length: int
+    samples: Samples, sensor: str, resolution: float, power: Array, middle: int, rows: Array, length: int
 ) -> Finding:
-    amplitude = 4.0 * np.sqrt(np.median(power, axis=0)) / length
-    scatter = 4.0 * np.sqrt(power).std(axis=0) / length / np.sqrt(max(len(power), 1)) + 0.02 * amplitude
+    """Measure a line from the seven bins (stretches, 7, 3) about it: a Hann window spreads its energy on three."""
+    energy = power.sum(axis=1)
+    amplitude = np.sqrt(32.0 / 3.0 * np.median(energy, axis=0)) / length
+    scatter = np.sqrt(32.0 / 3.0 * energy).std(axis=0) / length / np.sqrt(len(energy)) + 0.02 * amplitude
+    profile = power.sum(axis=(0, 2))
+    frequency = float((middle + profile @ np.arange(-3, 4) / profile.sum()) * resolution)
     axes = [a for a in range(3) if amplitude[a] > 0.3 * amplitude.max()]
-    on = np.flatnonzero(rows)
-    t_start, t_end = float(samples.t[on[0] * length]), float(samples.t[(on[-1] + 1) * length - 1])
-    half = 0.5 / LINE_SECONDS
+    t_start, t_end = float(samples.t[rows[0] * length]), float(samples.t[(rows[-1] + 1) * length - 1])
+    half = 0.2 * resolution
     ci = np.stack([amplitude - 1.96 * scatter, amplitude + 1.96 * scatter], axis=1)
     parameters = {
         "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),
