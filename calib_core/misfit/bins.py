@@ -86,7 +86,9 @@ def still_windows(force: Windows, rate: Windows | None) -> Array:
     floor = float(np.quantile(spread[enough], 0.1)) if enough.any() else 0.0
     still = enough & (spread < 3.0 * floor + STILL_FORCE)
     jump = np.abs(np.diff(force.mean, axis=0)).max(axis=1)
-    steady = jump < 0.03 + 6.0 * np.sqrt(np.minimum(spread[1:], spread[:-1]) ** 2 / np.maximum(force.count[1:], 1))
+    steady = jump < 0.03 + 6.0 * np.sqrt(
+        np.minimum(spread[1:], spread[:-1]) ** 2 / np.maximum(force.count[1:], 1)
+    )
     still[1:] &= steady
     still[:-1] &= steady
     if rate is not None and still.any():

@@ -43,8 +43,7 @@ def diagnose(
     found += [f for scene in made for f in slow_findings(scene)]
     if gyroscope is not None:
         found += motion_findings(accelerometer, gyroscope, bins, claims)
-        up = made[0].up if made else None
-        found += turn_findings(gyroscope, bins, up, claims.gravity) if up is not None else []
+        found += turn_findings(accelerometer, gyroscope, bins, claims.gravity) if len(bins) else []
     found = without_group_delay(found)
     return Diagnosis(1, recording, verdict_of(found), found, limits(bins))
 
@@ -88,7 +87,9 @@ def limits(bins: Bins) -> list[str]:
     """Say what this recording cannot show."""
     said = []
     if len(bins) < thresholds.LEAST_BINS:
-        said.append(f"{len(bins)} still bins of 10 s: slow effects need {thresholds.LEAST_BINS}; let the phone lie")
+        said.append(
+            f"{len(bins)} still bins of 10 s: slow effects need {thresholds.LEAST_BINS}; let the phone lie"
+        )
     if bins.rate is None:
         said.append("no gyroscope: nothing is said of it, nor of the time between the sensors")
     if bins.temperature is None:

@@ -71,7 +71,11 @@ def _quantiles(candidates: list[Hypothesis], name: str, weight: Array) -> tuple[
     low, median, high = np.interp((0.025, 0.5, 0.975), middle, values)
     k = int(np.argmax(weight))
     floor, ceiling = values[max(k - 1, 0)], values[min(k + 1, values.size - 1)]
-    return float(median), float(min(low, (floor + values[k]) / 2)), float(max(high, (ceiling + values[k]) / 2))
+    return (
+        float(median),
+        float(min(low, (floor + values[k]) / 2)),
+        float(max(high, (ceiling + values[k]) / 2)),
+    )
 
 
 def parameters(found: Estimate) -> dict[str, Parameter]:

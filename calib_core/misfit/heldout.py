@@ -36,9 +36,7 @@ def best_covariance(view: View, reduced: Reduced, h: int | None, beta: Array) ->
     return np.asarray(shape.covariance * (PRIOR_DOF + residual[top]) / reduced.dof)
 
 
-def held_out(
-    scene: Scene, covariances: Sequence[Array], effects: Sequence[Hypothesis]
-) -> HeldOut:
+def held_out(scene: Scene, covariances: Sequence[Array], effects: Sequence[Hypothesis]) -> HeldOut:
     """Predict each of `FOLDS` blocks of time from the others, given the views' covariances and effects."""
     start, end = scene.bins.span
     edges = np.linspace(start, end, FOLDS + 1)
@@ -59,7 +57,9 @@ def _design(view: View, block: int, effects: list[Array]) -> tuple[Array, Array]
     """Baseline and effect columns (n, p + k) of one block, and their prior precision (p + k,)."""
     baseline = view.baseline[block] / np.maximum(np.abs(view.baseline[block]).max(axis=0), 1e-300)
     columns = np.column_stack([baseline, *effects])
-    precision = np.concatenate([np.full(baseline.shape[1], DIFFUSE), np.ones(columns.shape[1] - baseline.shape[1])])
+    precision = np.concatenate(
+        [np.full(baseline.shape[1], DIFFUSE), np.ones(columns.shape[1] - baseline.shape[1])]
+    )
     return columns, precision
 
 
@@ -74,8 +74,12 @@ def _predict(y: Array, design: tuple[Array, Array], covariance: Array, test: Arr
     carry = covariance[np.ix_(test, train)] @ inverse
     left = columns[test] - carry @ columns[train]
     residual = y[test] - columns[test] @ beta - carry @ (y[train] - columns[train] @ beta)
-    predicted = covariance[np.ix_(test, test)] - carry @ covariance[np.ix_(train, test)] + left @ spread @ left.T
+    predicted = (
+        covariance[np.ix_(test, test)] - carry @ covariance[np.ix_(train, test)] + left @ spread @ left.T
+    )
     factor = np.linalg.cholesky((predicted + predicted.T) / 2.0)
     white = np.linalg.solve(factor, residual)
-    density = -0.5 * (white @ white) - np.log(factor.diagonal()).sum() - 0.5 * white.size * np.log(2.0 * np.pi)
+    density = (
+        -0.5 * (white @ white) - np.log(factor.diagonal()).sum() - 0.5 * white.size * np.log(2.0 * np.pi)
+    )
     return float(density), y[test] - columns[test] @ beta

@@ -74,7 +74,9 @@ def lag_misfits(motion: Turning) -> tuple[Array, Array]:
     where, up, dot = stretch[rows], motion.up[rows], motion.up_dot[rows]
     misfits = []
     for lag in lags:
-        rate = np.stack([np.interp(motion.t[rows] + lag, motion.t, motion.rate[:, a]) for a in range(3)], axis=1)
+        rate = np.stack(
+            [np.interp(motion.t[rows] + lag, motion.t, motion.rate[:, a]) for a in range(3)], axis=1
+        )
         left = np.minimum(((dot + np.cross(rate, up)) ** 2).sum(axis=1), 1.0)
         misfits.append(np.bincount(where, weights=left, minlength=stretch[-1] + 1))
     count = np.bincount(where, minlength=stretch[-1] + 1)

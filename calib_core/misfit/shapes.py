@@ -45,7 +45,7 @@ def kinds(view: View) -> dict[str, tuple[Array, float]]:
     rate = 1.0 / spread["walk"]
     families = {name: (c, rate if name == "walk" else 0.0) for name, c in unit.items()}
     families["walk+gauss_markov"] = (0.5 * (unit["walk"] + unit["gauss_markov_240"]), 0.5 * rate)
-    if 3 <= len(np.unique(view.rest)) and view.name != "tangent":
+    if len(np.unique(view.rest)) >= 3 and view.name != "tangent":
         between = scatter / _spread(scatter)
         families["scatter"] = (between, 0.0)
         families["flicker+scatter"] = (0.5 * (unit["flicker"] + between), 0.0)

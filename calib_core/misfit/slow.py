@@ -13,9 +13,11 @@ from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, 
 from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
 from stillcal.calib_core.misfit.evidence import fit_hypothesis
 from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
+from stillcal.calib_core.misfit.lever import lever_arm
 from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
 from stillcal.calib_core.misfit.search import Scored, Step, forward, proposals, reduce_scene
 from stillcal.calib_core.misfit.turns import turn_hypotheses, turn_scene
+from stillcal.calib_core.misfit.views import fit_baseline
 from stillcal.calib_core.misfit.walk import random_walk
 from stillcal.calib_core.samples import Array, Samples
 
@@ -37,13 +39,18 @@ def slow_findings(scene: Scene) -> list[Finding]:
     return [*findings_of(scene, steps), *random_walk(scene, [h for step in steps for h in step.explained])]
 
 
-def turn_findings(gyroscope: Samples, bins: Bins, up: Array, gravity: float) -> list[Finding]:
+def turn_findings(accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float) -> list[Finding]:
     """Return what gravity carried by the gyroscope from rest to rest shows."""
-    made = turn_scene(gyroscope, bins, up, gravity)
+    baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
+    made = turn_scene(gyroscope, bins, baseline.up, gravity)
     if made is None:
         return []
     scene, found = made
-    return findings_of(scene, forward(scene, turn_hypotheses(found, scene)))
+    arm = lever_arm(accelerometer, baseline, found, gravity)
+    return [
+        *findings_of(scene, forward(scene, turn_hypotheses(found, scene))),
+        *([] if arm is None else [arm]),
+    ]
 
 
 def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:

@@ -138,7 +138,9 @@ def _level(levels: NoiseLevels, sensor: str, claims: Claims, rate: float, where:
     if sigmas < SIGNIFICANT:
         return None
     say = f"The {sensor} sensor's white noise is {ratio.value:.2f} times what is declared."
-    return direct_finding("noise_level", sensor, [0, 1, 2], where, {"ratio": ratio.parameter("1")}, say, sigmas)
+    return direct_finding(
+        "noise_level", sensor, [0, 1, 2], where, {"ratio": ratio.parameter("1")}, say, sigmas
+    )
 
 
 def _unequal(levels: NoiseLevels, sensor: str, where: Where) -> Finding | None:
@@ -232,7 +234,11 @@ def tone(samples: Samples, sensor: str) -> Finding | None:
     weak = _stacked(ratio[:, high])
     if hits.max() < LEAST_STRETCHES and weak is None:
         return None
-    k = int(np.argmax(hits + best.sum(axis=0) / best.sum())) if weak is None or hits.max() >= LEAST_STRETCHES else weak
+    k = (
+        int(np.argmax(hits + best.sum(axis=0) / best.sum()))
+        if weak is None or hits.max() >= LEAST_STRETCHES
+        else weak
+    )
     rows = near[:, k] > threshold if hits[k] >= LEAST_STRETCHES else np.ones(steady.size, dtype=bool)
     line = power[rows][:, high[k] - 3 : high[k] + 4]
     return _tone_finding(samples, sensor, float(f[1]), line, int(high[k]), steady[rows], length)

@@ -59,3 +59,6 @@ CERTAIN = 0.9
 
 BANDWIDTH_GAIN = 60.0
 """Least reduction of chi-squared by a cutoff over a flat spectrum."""
+
+LEVER_GAIN = 0.04
+"""Part of the motion's power, in turns left out of the fit, that a lever arm must explain."""

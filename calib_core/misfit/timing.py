@@ -20,7 +20,12 @@ def timing_findings(samples: Samples, claims: Claims) -> list[Finding]:
     period = float(np.median(np.diff(samples.t)))
     if period <= 0.0:
         return []
-    found = (_skew(samples, claims), _jitter(samples.t, period), _drops(samples.t, period), _bursts(samples, period))
+    found = (
+        _skew(samples, claims),
+        _jitter(samples.t, period),
+        _drops(samples.t, period),
+        _bursts(samples, period),
+    )
     return [f for f in found if f is not None]
 
 
@@ -91,7 +96,9 @@ def _drops(t: Array, period: float) -> Finding | None:
     low, high = max(fraction - 1.96 * error, 0.0), fraction + 1.96 * error
     say = f"{fraction:.2%} of the samples are missing, in {gaps.size} gaps; do not integrate across them as if even."
     parameter = {"fraction": Parameter(fraction, [low, high], "1")}
-    return direct_finding("dropped_samples", "timing", [], _where(t, period), parameter, say, fraction / error)
+    return direct_finding(
+        "dropped_samples", "timing", [], _where(t, period), parameter, say, fraction / error
+    )
 
 
 def _bursts(samples: Samples, period: float) -> Finding | None:
@@ -106,7 +113,9 @@ def _bursts(samples: Samples, period: float) -> Finding | None:
         return None
     error = max(float(pieces.std(ddof=1)) / np.sqrt(PIECES), 1e-6)
     measured = Measured(fraction, error)
-    say = f"{fraction:.1%} of the samples were delivered in bursts; take the sensor's stamps, not the arrival."
+    say = (
+        f"{fraction:.1%} of the samples were delivered in bursts; take the sensor's stamps, not the arrival."
+    )
     where = _where(samples.t, period)
     return direct_finding(
         "arrival_bursts", "timing", [], where, {"fraction": measured.parameter("1")}, say, fraction / error

@@ -27,15 +27,23 @@ MARGIN = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """One turn. end: s; rate: (n, 3) rad/s, bias taken off; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,)."""
+    """One turn. end: s; t: (n,) s; rate: (n, 3) rad/s, bias taken off; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,)."""
 
     end: float
     duration: float
+    t: Array
     rate: Array
     carried: Array
     up: Array
     miss: Array
     temperature: float
+
+    def gravity(self) -> Array:
+        """Return gravity's direction (n, 3) on the way, the miss at the end spread evenly over the turn."""
+        back = self.carried / np.gradient(self.t)[:, None, None]
+        way = np.einsum("nij,i->nj", back, self.up - self.miss)
+        share = (self.t - self.t[0]) / (self.t[-1] - self.t[0])
+        return np.asarray(way + share[:, None] * np.einsum("nij,i->nj", back, self.miss))
 
     def column(self, term: Array) -> Array:
         """Return what an error of the rate `term` (n, 3) does to gravity's direction at the end, (3,) rad."""
@@ -65,7 +73,7 @@ def _turn(gyroscope: Samples, bins: Bins, up: Array, i: int) -> Turn | None:
         return None
     carried = np.einsum("ki,nkj->nij", R[-1], R) * np.gradient(part.t)[:, None, None]
     warm = 0.0 if bins.temperature is None else float(bins.temperature[i] + bins.temperature[i + 1]) / 2.0
-    return Turn(end, end - start, rate, carried, up[i + 1], up[i + 1] - R[-1].T @ up[i], warm)
+    return Turn(end, end - start, part.t, rate, carried, up[i + 1], up[i + 1] - R[-1].T @ up[i], warm)
 
 
 def _columns(found: list[Turn], term: Callable[[Turn], Array]) -> Array:
@@ -155,5 +163,7 @@ def turn_hypotheses(found: list[Turn], scene: Scene) -> list[Hypothesis]:
     warm = np.array([t.temperature for t in found])
     if scene.bins.temperature is not None and moves(warm, LEAST_SPAN):
         middle = float(warm.mean())
-        proposed.append(Hypothesis(SCALE, {}, (seen(lambda t: _axiswise(t.rate * (t.temperature - middle))),)))
+        proposed.append(
+            Hypothesis(SCALE, {}, (seen(lambda t: _axiswise(t.rate * (t.temperature - middle))),))
+        )
     return proposed

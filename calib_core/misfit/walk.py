@@ -39,7 +39,11 @@ class Walk:
         logs = np.log(self.density)
         middle = float(share @ logs)
         spread = float(np.hypot(np.sqrt(share @ (logs - middle) ** 2), LEAST_SPREAD))
-        return float(np.exp(middle)), float(np.exp(middle - 1.96 * spread)), float(np.exp(middle + 1.96 * spread))
+        return (
+            float(np.exp(middle)),
+            float(np.exp(middle - 1.96 * spread)),
+            float(np.exp(middle + 1.96 * spread)),
+        )
 
 
 def walk_of(reduced: Reduced) -> Walk:
@@ -77,4 +81,15 @@ def random_walk(scene: Scene, explained: Sequence[Hypothesis]) -> list[Finding]:
     say = f"The {NAME[scene.sensor]}'s bias walks at random, {worst:.2g} {unit}, more than a phone's may; zero it often."
     where = Where(*scene.bins.span, (0.0, 0.05), "nothing")
     evidence = Evidence(max(1.0 - sure, 1e-12), 0.0, 0.0, 0.0, 0)
-    return [Finding(f"{scene.sensor}_bias_random_walk", scene.sensor, axes, where, {"density": density}, evidence, [], say)]
+    return [
+        Finding(
+            f"{scene.sensor}_bias_random_walk",
+            scene.sensor,
+            axes,
+            where,
+            {"density": density},
+            evidence,
+            [],
+            say,
+        )
+    ]

@@ -52,7 +52,9 @@ def _settling(scene: Scene, grid: dict[str, float]) -> Array:
 def entries(sensor: str) -> list[Entry]:
     """Return the bias entries of one sensor, "accel" or "gyro"."""
     unit, name, size = UNIT[sensor], NAME[sensor], SIZE[sensor]
-    own = [f"{sensor}_{x}" for x in ("bias_temperature", "warmup", "bias_drift", "bias_step", "charging_bias")]
+    own = [
+        f"{sensor}_{x}" for x in ("bias_temperature", "warmup", "bias_drift", "bias_step", "charging_bias")
+    ]
     thermal, warmup, drift, step, charging = own
     return [
         Entry(

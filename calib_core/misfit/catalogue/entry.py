@@ -81,7 +81,9 @@ def bias_columns(scene: Scene, curve: Array, views: tuple[str, ...] = ()) -> tup
     )
 
 
-def curves(drivers: Callable[[Scene], list[tuple[dict[str, float], Array]]]) -> Callable[[Entry, Scene], list[Hypothesis]]:
+def curves(
+    drivers: Callable[[Scene], list[tuple[dict[str, float], Array]]],
+) -> Callable[[Entry, Scene], list[Hypothesis]]:
     """Return the proposal of a bias on each axis that follows any of the drivers' curves."""
 
     def propose(entry: Entry, scene: Scene) -> list[Hypothesis]:
@@ -97,5 +99,7 @@ def moves(curve: Array, least: float = 1e-9) -> bool:
 
 def nothing(scene: Scene) -> Hypothesis:
     """Return a hypothesis with one column of nothing: the baseline phone itself."""
-    entry = Entry("nothing", scene.sensor, "nothing", lambda _entry, _scene: [], (Linear("none", "1", 1, 1.0),), "")
+    entry = Entry(
+        "nothing", scene.sensor, "nothing", lambda _entry, _scene: [], (Linear("none", "1", 1, 1.0),), ""
+    )
     return Hypothesis(entry, {}, tuple(np.zeros((*v.y.shape, 1)) for v in scene.views))

@@ -27,7 +27,8 @@ def _scale_temperature(entry: Entry, scene: Scene) -> list[Hypothesis]:
         return []
     force = _own_force(scene)
     return [
-        Hypothesis(entry, grid, _per_axis(scene, force * t[:, None])) for grid, t in drivers.temperature(scene)
+        Hypothesis(entry, grid, _per_axis(scene, force * t[:, None]))
+        for grid, t in drivers.temperature(scene)
     ]
 
 

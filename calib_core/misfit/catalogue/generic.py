@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.misfit.catalogue import drivers
+from stillcal.calib_core.misfit.catalogue.bias import SIZE, UNIT
 from stillcal.calib_core.misfit.catalogue.entry import (
     Entry,
     Hypothesis,
@@ -17,7 +18,6 @@ from stillcal.calib_core.misfit.catalogue.entry import (
     curves,
     moves,
 )
-from stillcal.calib_core.misfit.catalogue.bias import SIZE, UNIT
 from stillcal.calib_core.misfit.catalogue.force import distinct
 from stillcal.calib_core.samples import Array
 
@@ -35,7 +35,9 @@ def _temperature_curvature(scene: Scene) -> list[drivers.Driver]:
 
 
 def _temperature_rate(scene: Scene) -> list[drivers.Driver]:
-    return [({}, unit_range(np.gradient(c, scene.bins.t))) for _, c in drivers.temperature(scene) if len(c) > 3]
+    return [
+        ({}, unit_range(np.gradient(c, scene.bins.t))) for _, c in drivers.temperature(scene) if len(c) > 3
+    ]
 
 
 def _vibration(scene: Scene) -> list[drivers.Driver]:
@@ -79,7 +81,9 @@ def _gravity_squared(entry: Entry, scene: Scene) -> list[Hypothesis]:
     if scene.up is None or scene.sensor != "gyro" or distinct(scene.up) < 8:
         return []
     u = scene.up
-    terms = np.stack([u[:, 0] ** 2, u[:, 1] ** 2, u[:, 0] * u[:, 1], u[:, 0] * u[:, 2], u[:, 1] * u[:, 2]], axis=1)
+    terms = np.stack(
+        [u[:, 0] ** 2, u[:, 1] ** 2, u[:, 0] * u[:, 1], u[:, 0] * u[:, 2], u[:, 1] * u[:, 2]], axis=1
+    )
     return [Hypothesis(entry, {}, tuple(_outer(v.project, terms[v.bins]) for v in scene.views))]
 
 
@@ -103,6 +107,14 @@ def entries(sensor: str) -> list[Entry]:
     ]
     grid = {"t_start": "s", "t_end": "s", "period_s": "s"}
     return [
-        Entry("unknown", sensor, f, propose, (Linear(name, unit, k, SIZE[sensor]),), say + f + ".", grid_units=grid)
+        Entry(
+            "unknown",
+            sensor,
+            f,
+            propose,
+            (Linear(name, unit, k, SIZE[sensor]),),
+            say + f + ".",
+            grid_units=grid,
+        )
         for f, propose, name, k in table
     ]
