@@ -47,7 +47,7 @@ def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis])
     weight /= weight.sum()
     mean, covariance = _averaged(fits, weight, hypothesis.sizes)
     top = candidates[int(gains.argmax())]
-    grid = {name: _quantiles(candidates, name, weight) for name in hypothesis.entry.grid_units}
+    grid = {name: _quantiles(candidates, name, weight) for name in hypothesis.grid if name in hypothesis.entry.grid_units}
     return Estimate(top, mean, covariance, grid, float(gains.max() - null_log_likelihood(reduced)))
 
 

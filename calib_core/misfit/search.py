@@ -39,7 +39,7 @@ class Scored:
 class Step:
     """One forward step: the winner and the best of every other entry, best first.
 
-    shadows: the winner's neighbours on its fine grid. They are projected out with it in later steps, so that
+    shadows: the winner's neighbours on its fine grid, and its kin. They are projected out with it in later steps, so that
     what a time constant slightly off leaves behind is not taken for another effect.
     """
 
@@ -165,11 +165,12 @@ def prefer_named(step: Step) -> Step:
 def refined(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
     """Move the winner to the best point of its entry's fine grid."""
     winner = step.winner.hypothesis
+    kin = () if winner.entry.kin is None else tuple(winner.entry.kin(winner.entry, scene))
     if winner.entry.refine is None:
-        return step
+        return replace(step, shadows=kin)
     candidates = winner.entry.refine(winner.entry, scene, winner.grid)
     reduced = reduce_scene(scene, candidates, before)
     gains = [fit_hypothesis(reduced, i).log_likelihood for i in range(len(candidates))]
     best = int(np.argmax(gains))
     near = [candidates[i] for i in (best - 1, best + 1) if 0 <= i < len(candidates)]
-    return replace(step, winner=replace(step.winner, hypothesis=candidates[best]), shadows=tuple(near))
+    return replace(step, winner=replace(step.winner, hypothesis=candidates[best]), shadows=(*near, *kin))

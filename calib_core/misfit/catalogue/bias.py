@@ -15,8 +15,8 @@ from stillcal.calib_core.misfit.catalogue.entry import (
 )
 from stillcal.calib_core.samples import Array
 
-DRIFT_HANDICAP = 1.0
-"""A ramp is what a random walk looks like: steady drift must be ten times less likely by chance."""
+DRIFT_HANDICAP = 1.5
+"""A ramp is what a random walk looks like: steady drift must be thirty times less likely by chance."""
 
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 SIZE = {"accel": 0.3, "gyro": 0.02}
@@ -47,6 +47,12 @@ def _settling(scene: Scene, grid: dict[str, float]) -> Array:
         return drivers.relaxation(scene.bins, grid["tau_s"])
     curve = drivers.heat(scene.bins, grid["tau_s"], grid["plug"], grid["use"], grid["start"])
     return np.asarray(curve / np.ptp(curve))
+
+
+def _other_lags(entry: Entry, scene: Scene) -> list[Hypothesis]:
+    """A phone's heat has several lags and a start of its own: all of one cause."""
+    curves = drivers.other_lags(scene.bins)
+    return [Hypothesis(entry, {}, bias_columns(scene, curve)) for curve in curves]
 
 
 def entries(sensor: str) -> list[Entry]:
@@ -87,6 +93,6 @@ def entries(sensor: str) -> list[Entry]:
         Entry(
             "thermal_latent", sensor, "charging and use", curves(drivers.latent_heat), (Linear("amplitude", unit, 3, size),),
             f"The {name}'s bias on {{axes}} follows a slow curve like heat from charging and use.",
-            (warmup, charging, drift), "record temperature, or let the phone cool unplugged", {"tau_s": "s"}, _near_tau,
+            (warmup, charging, drift), "record temperature, or let the phone cool unplugged", {"tau_s": "s"}, _near_tau, _other_lags,
         ),
     ]  # fmt: skip

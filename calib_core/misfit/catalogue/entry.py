@@ -56,7 +56,8 @@ class Entry:
     propose: all its hypotheses in a scene, none where the recording lacks what drives it. parameters:
     its linear parameters in the columns' order. look_alikes: effects that can imitate it; decides:
     the recording that tells them apart. sentence: one plain sentence, `{axes}` filled in. follows: driver.
-    refine: hypotheses on a finer grid about a grid point. handicap: score that the entry must give away.
+    refine: hypotheses on a finer grid about a grid point. kin: what else
+    belongs to the same cause and must not be named again once this is found. handicap: score that the entry must give away.
     recurs: whether it may be found more than once.
     """
 
@@ -70,6 +71,7 @@ class Entry:
     decides: str = ""
     grid_units: dict[str, str] = field(default_factory=dict)
     refine: Callable[[Entry, Scene, dict[str, float]], list[Hypothesis]] | None = None
+    kin: Callable[[Entry, Scene], list[Hypothesis]] | None = None
     handicap: float = 0.0
     recurs: bool = False
 

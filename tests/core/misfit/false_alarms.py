@@ -27,7 +27,11 @@ def noise(rng: np.random.Generator, family: str, own: Noise, sensor: str) -> Noi
     white = float(np.max(own.white))
     size = white * 10 ** rng.uniform(-1.0, 0.5)
     flicker = size * 0.5 if family in ("flicker", "mixture") else 0.0
-    gm = (Wandering(sigma=size, tau_s=float(10 ** rng.uniform(1.3, 3.3))),) if family in ("gauss_markov", "mixture") else ()
+    gm = (
+        (Wandering(sigma=size, tau_s=float(10 ** rng.uniform(1.3, 3.3))),)
+        if family in ("gauss_markov", "mixture")
+        else ()
+    )
     walk = WALK[sensor] * float(rng.uniform(0.1, 1.0)) if family in ("random_walk", "mixture") else 0.0
     return Noise(white=own.white, flicker=flicker, gauss_markov=gm, random_walk=walk)
 
@@ -54,10 +58,14 @@ def main() -> None:
             scenario = str(rng.choice(options.scenarios.split(",")))
             rate, thermometer = float(rng.choice([25.0, 50.0])), bool(rng.random() < 0.5)
             phone = drawn_phone(rng, family)
-            answer, seconds = trials.run(scenario, phone, options.minutes, rate, int(rng.integers(1 << 31)), thermometer)
+            answer, seconds = trials.run(
+                scenario, phone, options.minutes, rate, int(rng.integers(1 << 31)), thermometer
+            )
             alarms += bool(answer.findings)
             if answer.findings:
-                trials.show(f"  {family} {trial} {scenario} {rate} thermometer={thermometer}", answer, seconds)
+                trials.show(
+                    f"  {family} {trial} {scenario} {rate} thermometer={thermometer}", answer, seconds
+                )
         upper = beta.ppf(0.975, alarms + 1, options.trials - alarms) if alarms < options.trials else 1.0
         print(f"{family:14s} {alarms} of {options.trials}, upper bound {upper:.3f}", flush=True)
 

@@ -59,7 +59,11 @@ def wander(rng: np.random.Generator, family: str, n: int, white: float) -> Array
     if family.startswith("walk"):
         density = white * (0.003 if family == "walk_weak" else 0.05)
         return np.cumsum(rng.normal(size=(n, 3)) * density, axis=0)
-    return pink(rng, n) * size * 0.1 + gm(200.0, size * 0.3) + np.cumsum(rng.normal(size=(n, 3)), axis=0) * size * 0.004
+    return (
+        pink(rng, n) * size * 0.1
+        + gm(200.0, size * 0.3)
+        + np.cumsum(rng.normal(size=(n, 3)), axis=0) * size * 0.004
+    )
 
 
 def schedule(rng: np.random.Generator, seconds: int = 3600) -> Day:
@@ -101,7 +105,9 @@ def bins_of(
     scale = np.eye(3) + rng.normal(0, 0.01, (3, 3))
     force = G * day.up @ scale.T + rng.normal(0, 0.1, 3) + wander(rng, family, n, WHITE["accel"])
     force = force + rng.normal(0, WHITE["accel"], (n, 3)) + (zero if accel_error is None else accel_error)
-    rate = rng.normal(0, 0.01, 3) + wander(rng, family, n, WHITE["gyro"]) + rng.normal(0, WHITE["gyro"], (n, 3))
+    rate = (
+        rng.normal(0, 0.01, 3) + wander(rng, family, n, WHITE["gyro"]) + rng.normal(0, WHITE["gyro"], (n, 3))
+    )
     rate = rate + (zero if gyro_error is None else gyro_error)
     edges, owner = [], []
     for r in range(day.rest.max() + 1):

@@ -63,7 +63,9 @@ def claims_of(phone: Phone) -> Claims:
     return Claims(**fields)
 
 
-def run(scenario: str, phone: Phone, minutes: float, rate: float, seed: int, thermometer: bool) -> tuple[Diagnosis, float]:
+def run(
+    scenario: str, phone: Phone, minutes: float, rate: float, seed: int, thermometer: bool
+) -> tuple[Diagnosis, float]:
     """Simulate one recording and diagnose it; return the answer and its time in s."""
     day = msgspec.structs.replace(load_scenario(scenario), duration_s=60.0 * minutes)
     phone = msgspec.structs.replace(
@@ -75,7 +77,9 @@ def run(scenario: str, phone: Phone, minutes: float, rate: float, seed: int, the
     made = simulate(day, phone, seed).whole()
     events = [Charging(e.t, e.on) for e in made.events if type(e).__name__ == "Charging"]
     began = time.perf_counter()
-    answer = diagnose(made.accelerometer, made.gyroscope, events, claims_of(msgspec.structs.replace(phone, effects=())))
+    answer = diagnose(
+        made.accelerometer, made.gyroscope, events, claims_of(msgspec.structs.replace(phone, effects=()))
+    )
     return answer, time.perf_counter() - began
 
 
@@ -83,9 +87,14 @@ def show(label: str, answer: Diagnosis, seconds: float) -> None:
     """Print one line a finding."""
     print(f"{label}: {answer.verdict}, {seconds:.1f} s", flush=True)
     for f in answer.findings:
-        values = {k: p.value if not isinstance(p.value, float) else round(p.value, 6) for k, p in f.parameters.items()}
+        values = {
+            k: p.value if not isinstance(p.value, float) else round(p.value, 6)
+            for k, p in f.parameters.items()
+        }
         alike = [a.effect for a in f.alternatives if a.indistinguishable]
-        print(f"      {f.effect} {f.sensor} {f.axes} p={f.evidence.p_value:.1e} {f.where.driver} {values} ~{alike}")
+        print(
+            f"      {f.effect} {f.sensor} {f.axes} p={f.evidence.p_value:.1e} {f.where.driver} {values} ~{alike}"
+        )
 
 
 def main() -> None:
