@@ -32,26 +32,55 @@ class SettingsError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class SourceSettings:
-    """Where the samples come from. port: the serial device's path. baud: symbols per s on a real line."""
+    """Where the samples come from.
+
+    port: the serial device's path, or a pattern of such paths. baud: symbols per s on a real line.
+    retry_max_s: longest pause between two attempts to open it. rate_hz: what the phone is asked to sample
+    at, 0 for its own rate.
+    """
 
     port: str = ""
     baud: int = 115200
+    retry_max_s: float = 5.0
+    rate_hz: float = 0.0
 
     def __post_init__(self) -> None:
         if not 1200 <= self.baud <= 4_000_000:
             raise ValueError(f"baud = {self.baud}: must be within 1200..4000000")
+        if not 0.1 <= self.retry_max_s <= 3600:
+            raise ValueError(f"retry_max_s = {self.retry_max_s}: must be within 0.1..3600 s")
+        if not 0 <= self.rate_hz <= 10_000:
+            raise ValueError(f"rate_hz = {self.rate_hz}: must be within 0..10000 Hz")
 
 
 @dataclass(frozen=True, slots=True)
 class SocketSettings:
-    """Where questions are answered. path: "" for the service's runtime folder. mode: permissions."""
+    """Where questions are answered, and how much anybody may ask.
+
+    path: "" for the service's runtime folder. mode: permissions. connections: open at once; a further one
+    takes the place of the one that has been idle longest. message_bytes: of one question. calls_per_s: of
+    one client, above which it waits. stall_s: a client that takes so long to finish a question or to take
+    an answer is dropped.
+    """
 
     path: str = ""
     mode: int = 0o660
+    connections: int = 128
+    message_bytes: int = 262_144
+    calls_per_s: float = 100.0
+    stall_s: float = 10.0
 
     def __post_init__(self) -> None:
         if not 0o600 <= self.mode <= 0o666 or self.mode & 0o111:
             raise ValueError(f"mode = 0o{self.mode:o}: must be within 0o600..0o666, not executable")
+        if not 1 <= self.connections <= 4096:
+            raise ValueError(f"connections = {self.connections}: must be within 1..4096")
+        if not 1024 <= self.message_bytes <= 2**24:
+            raise ValueError(f"message_bytes = {self.message_bytes}: must be within 1024..16777216")
+        if not 1 <= self.calls_per_s <= 1e6:
+            raise ValueError(f"calls_per_s = {self.calls_per_s}: must be within 1..1e6")
+        if not 0.1 <= self.stall_s <= 3600:
+            raise ValueError(f"stall_s = {self.stall_s}: must be within 0.1..3600 s")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,154 @@
+"""What the socket's answers are made of. Field names carry their unit; sensors are SI.
+
+The interface's description is made from these annotations, so this module must not postpone their
+evaluation, and it names only what varlink has: no `from __future__ import annotations`, no arrays.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+SensorName = Literal["accelerometer", "gyroscope"]
+Confidence = Literal["unchecked", "confirmed", "failing"]
+
+
+@dataclass(frozen=True)
+class SensorCalibration:
+    """One sensor: calibrated = scale @ (raw - bias). unit: of bias and its uncertainty (1 sd).
+
+    rms_residual: m/s^2 of rests' norms, or rad of turns. zeroed_age_s: since the bias was measured alone.
+    """
+
+    scale: list[list[float]]
+    bias: list[float]
+    unit: str
+    parameters: int
+    n_rests: int
+    n_states: int
+    bias_uncertainty: list[float] | None = None
+    rms_residual: float | None = None
+    zeroed_age_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The current calibration. Times in s of the sensors' own clock; ages in s of the same.
+
+    confidence: unchecked (no check since it was fitted), confirmed (passed its last check), failing.
+    temperature_min_c, temperature_max_c: where it was measured; outside it is extrapolation.
+    """
+
+    id: str
+    how: str
+    reason: str
+    confidence: Confidence
+    stored: bool
+    gravity: float | None = None
+    gravity_uncertainty: float | None = None
+    fitted_at_s: float | None = None
+    age_s: float | None = None
+    checked_age_s: float | None = None
+    temperature_min_c: float | None = None
+    temperature_max_c: float | None = None
+    accelerometer: SensorCalibration | None = None
+    gyroscope: SensorCalibration | None = None
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A calibration of the history, newest first. what: current, replaced, rejected or rolled_back."""
+
+    id: str
+    what: str
+    reason: str
+    at_s: float | None = None
+    rms_residual: float | None = None
+    n_states: int | None = None
+
+
+@dataclass(frozen=True)
+class Wire:
+    """The phone's line since the daemon started, counted."""
+
+    connections: int
+    disconnections: int
+    bytes: int
+    samples: int
+    lost_samples: int
+    bad_frames: int
+    bad_lines: int
+    resynchronisations: int
+    invalid_samples: int
+    commands_sent: int
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What the engine has done since it first began."""
+
+    rests: int
+    turns: int
+    calibrations: int
+    rejected: int
+    refused: int
+    checks: int
+    zeroings: int
+    degradations: int
+
+
+@dataclass(frozen=True)
+class Status:
+    """How things are. watch: how the sensors are looked at (continuous, probing, idle).
+
+    sensing: whether they are wanted on now; decides_in_s: until the engine decides anew. trouble: why the
+    last write to the disk failed, empty where it did not. missing: what a refused calibration still needs.
+    """
+
+    version: str
+    uptime_s: float
+    connected: bool
+    device: str
+    phone: str
+    watch: str
+    sensing: bool
+    degraded: bool
+    rests_held: int
+    refusal: str
+    missing: list[str]
+    trouble: str
+    store: str
+    restarts: int
+    leaps: int
+    disordered_samples: int
+    counts: Counts
+    wire: Wire
+    calibration: str | None = None
+    charging: bool | None = None
+    time_s: float | None = None
+    decides_in_s: float | None = None
+    gravity: float | None = None
+
+
+@dataclass(frozen=True)
+class EnergyDay:
+    """What a day cost (86400 s of sensor time from the first sample on; number from 0).
+
+    sensors_on_s, wakeups: as the phone tells; asked_s: what the engine asked for. cpu_s: of the daemon.
+    """
+
+    number: int
+    observed_s: float
+    sensors_on_s: float
+    asked_s: float
+    samples: int
+    wakeups: int
+    cpu_s: float
+
+
+@dataclass(frozen=True)
+class Event:
+    """News. what: current (how things stood at first), calibrated, zeroed, rejected or rolled_back."""
+
+    what: str
+    reason: str
+    at_s: float | None = None
+    calibration: Calibration | None = None

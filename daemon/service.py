@@ -1,0 +1,333 @@
+"""`stillcal run`: the daemon put together, from its start to its clean end.
+
+One event loop holds the phone's line, the socket and the signals. The engine thinks in one thread and
+the disk is written in another (service_mind.py, service_storage.py), so that neither delays the loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import copy
+import os
+import signal
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from socket import socket as Socket  # noqa: N812 - `socket` is a setting here
+from typing import Any, TypeVar
+
+from stillcal.calib_core.engine_state import EngineState
+from stillcal.calib_core.events import Action, Log, Reject
+from stillcal.calib_core.events import Store as Keep
+from stillcal.calib_core.record import CalibrationRecord
+from stillcal.daemon import log
+from stillcal.daemon.api_server import serving
+from stillcal.daemon.log import say
+from stillcal.daemon.notify import Notifier
+from stillcal.daemon.saved_state import SavedState
+from stillcal.daemon.serial_source import SerialSettings, SerialSource
+from stillcal.daemon.service_mind import Mind, View
+from stillcal.daemon.service_news import Item, News
+from stillcal.daemon.service_pump import Pump, host_time
+from stillcal.daemon.service_storage import Storage, sourced
+from stillcal.daemon.settings import (
+    Settings,
+    SettingsError,
+    SocketSettings,
+    SourceSettings,
+    load_settings,
+    store_path,
+)
+from stillcal.daemon.store import Store, StoreSettings
+from stillcal.daemon.store_document import StoreDocument
+
+Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings)
+
+SAVE_EVERY_S = 10.0
+"""At most so often is the state written for new rests, s."""
+
+SAVE_AT_LEAST_S = 600.0
+"""So often it is written anyway, s."""
+
+PATIENCE_S = 0.5
+"""How long a clean stop waits for what is being thought, s; twice at most."""
+
+HEARTBEAT_S = 10.0
+"""How often the manager hears of the service where its watchdog does not ask for more, s."""
+
+STUCK = 0.5
+"""A thought that takes longer than this share of the watchdog's time counts as stuck."""
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What was given from outside. config: the settings file, read again on SIGHUP.
+
+    port, store, socket: stand in for the file's, where they are given. passed: sockets systemd opened.
+    """
+
+    config: Path | None = None
+    port: str | None = None
+    store: str | None = None
+    socket: str | None = None
+    passed: Sequence[Socket] = ()
+
+    def settings(self) -> Settings:
+        """Read the settings. Raises SettingsError where they cannot serve."""
+        found = load_settings(self.config)
+        settings = replace(
+            found,
+            source=_with(found.source, port=self.port),
+            store=_with(found.store, path=self.store),
+            socket=_with(found.socket, path=self.socket),
+        )
+        serial_settings(settings)
+        return settings
+
+
+class Service:
+    """The daemon. `open` first, then `run`."""
+
+    mind: Mind
+    pump: Pump
+
+    def __init__(self, settings: Settings, given: Given, notifier: Notifier) -> None:
+        self.settings, self._given, self._notifier = settings, given, notifier
+        store = Store(store_path(settings.store, os.environ), settings.store)
+        self.storage = Storage(store, lambda note: say("warning", "store", note))
+        self.saved = SavedState(EngineState())
+        self.news = News()
+        self._began = host_time()
+        self._stop = asyncio.Event()
+        self._unsaved = asyncio.Event()
+        self._hurry = asyncio.Event()
+
+    def open(self) -> None:
+        """Lock the store and take up the state where it was left. Raises StoreError."""
+        loaded = self.storage.open()
+        if loaded.note:
+            say("warning", "state", loaded.note)
+        if loaded.state is not None:
+            self.saved = loaded.state
+            self.saved.clock.host = None
+            self.saved.energy.restarted()
+        engine = loaded.state.engine if loaded.state else None
+        self.mind = Mind(self.settings.engine, engine, self.storage.document.current)
+        rests = self.mind.view.rests_held
+        say("info", "opened", store=self.storage.path, rests=rests, calibration=self.current_id)
+
+    # What is known, for those who ask
+
+    @property
+    def view(self) -> View:
+        """What the engine thinks."""
+        return self.mind.view
+
+    @property
+    def document(self) -> StoreDocument:
+        """What the store holds."""
+        return self.storage.document
+
+    @property
+    def source(self) -> SerialSource:
+        """The phone's line."""
+        return self.pump.source
+
+    @property
+    def trouble(self) -> str:
+        """Why the last write to the disk failed, empty where it did not."""
+        return self.storage.trouble
+
+    @property
+    def store_name(self) -> str:
+        """The store's path."""
+        return str(self.storage.path)
+
+    @property
+    def uptime_s(self) -> float:
+        """For how long the daemon has been running, s."""
+        return host_time() - self._began
+
+    @property
+    def now(self) -> float | None:
+        """The engine's time, s; None before the first sample since the start."""
+        return self.pump.now
+
+    @property
+    def current_id(self) -> str | None:
+        """Id of the calibration in the store."""
+        current = self.storage.document.current
+        return None if current is None else current.id
+
+    # Running
+
+    async def run(self) -> None:
+        """Serve until a signal says to stop, or something fails that must not; then it is raised."""
+        self._listen_to_signals()
+        self.pump = self._new_pump()
+        async with serving(self, self.settings.socket, self._given.passed):
+            jobs = [asyncio.create_task(job) for job in (self._pumping(), self._writing(), self._beating())]
+            self._notifier.ready(self.describe())
+            say("info", "ready", "waiting for the phone", port=self.settings.source.port)
+            stop = asyncio.create_task(self._stop.wait())
+            await asyncio.wait([stop, *jobs], return_when=asyncio.FIRST_COMPLETED)
+            failed = [job.exception() for job in jobs if job.done()]
+            self._notifier.stopping("saving")
+        await self._end(*jobs)
+        for error in failed:
+            raise error or RuntimeError("a part of the service has ended by itself")
+
+    def stop(self) -> None:
+        """Begin a clean end."""
+        self._stop.set()
+
+    # Jobs
+
+    async def _pumping(self) -> None:
+        """Serve the phone's line, and the next one where the settings come to name another."""
+        served: Pump | None = None
+        while served is not self.pump:
+            served = self.pump
+            async with served.source:
+                await served.run()
+        await self._stop.wait()
+
+    async def _writing(self) -> None:
+        """Write what changes: calibrations at once, the state now and then."""
+        saved_at = -SAVE_EVERY_S
+        while True:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._unsaved.wait(), SAVE_AT_LEAST_S)
+            self._unsaved.clear()
+            await self.storage.flush()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._hurry.wait(), max(saved_at + SAVE_EVERY_S - host_time(), 0.0))
+            self._hurry.clear()
+            await self.save()
+            saved_at = host_time()
+
+    async def _beating(self) -> None:
+        """Tell the manager that the loop lives, as long as the engine's thread does too."""
+        watchdog = self._notifier.watchdog_s
+        while True:
+            self._notifier.status(self.describe())
+            if watchdog is None or self.mind.thinking_for() < STUCK * watchdog:
+                self._notifier.alive()
+            await asyncio.sleep(HEARTBEAT_S if watchdog is None else min(watchdog / 4, HEARTBEAT_S))
+
+    async def save(self) -> bool:
+        """Write the state; say whether it is on the disk."""
+        saved = replace(self.saved, clock=copy.deepcopy(self.saved.clock), energy=self.saved.energy.copy())
+        return await self.storage.save(await self.mind.encoded(saved))
+
+    async def _end(self, pumping: asyncio.Task[None], *others: asyncio.Task[None]) -> None:
+        """Take what has arrived, save, and let go of everything."""
+        self.pump.source.close()
+        await asyncio.wait([pumping], timeout=PATIENCE_S)
+        for job in (pumping, *others):
+            job.cancel()
+        await asyncio.gather(pumping, *others, return_exceptions=True)
+        if await self.mind.idle(PATIENCE_S):
+            await self.save()
+        else:
+            say("warning", "stopping", "a thought took too long: the state stays as it was last written")
+        self.mind.close()
+        self.storage.close()
+        say("info", "stopped", "state saved", calibration=self.current_id)
+
+    # What the engine wants done
+
+    def act(self, actions: list[Action]) -> None:
+        """Do what the engine wants done; nothing here waits."""
+        for action in actions:
+            if isinstance(action, Log):
+                say(str(action.level), action.what, action.why, t=action.t, **action.fields)
+                self._unsaved.set()
+            elif isinstance(action, Keep | Reject):
+                self._keep(action)
+
+    def _keep(self, action: Keep | Reject) -> None:
+        sourced_action = sourced(action, self.settings.source.port, self.saved.device)
+        self.storage.keep(sourced_action)
+        self._unsaved.set()
+        self.news.tell(action)
+
+    async def rollback(self, target: int | str) -> CalibrationRecord | None:
+        """Make an earlier calibration current. Raises ValueError where there is none such."""
+        document = await self.storage.rollback(target)
+        await self.mind.adopt(document.current)
+        self._unsaved.set()
+        if document.current is not None:
+            say("info", "rollback", "an earlier calibration is current again", calibration=self.current_id)
+            self.news.spread(
+                Item("rolled_back", self.now or 0.0, "as asked over the socket", document.current)
+            )
+        return document.current
+
+    # Signals
+
+    def _listen_to_signals(self) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self.stop)
+        loop.add_signal_handler(signal.SIGHUP, lambda: loop.create_task(self.reload()))
+
+    async def reload(self) -> str:
+        """Read the settings again. Bad ones are refused, the reason logged and returned, the old kept."""
+        self._notifier.reloading()
+        try:
+            await self._apply(self._given.settings())
+        except SettingsError as error:
+            say("error", "reload", f"refused, the old settings stay: {error}")
+            return str(error)
+        finally:
+            self._notifier.ready(self.describe())
+        say("info", "reload", "settings read again")
+        return ""
+
+    async def _apply(self, settings: Settings) -> None:
+        old, self.settings = self.settings, settings
+        for name in _fixed(old, settings):
+            say("warning", "reload", f"{name} has changed: that takes a restart")
+        log.set_level(settings.log.level)
+        self.storage.configure(settings.store)
+        if settings.engine != old.engine:
+            await self.mind.change(settings.engine)
+        if settings.source != old.source:
+            self.pump, last = self._new_pump(), self.pump
+            last.source.close()
+
+    def _new_pump(self) -> Pump:
+        source = SerialSource(serial_settings(self.settings))
+        return Pump(source, self.mind, self.saved, self.settings.source.rate_hz, self.act)
+
+    def describe(self) -> str:
+        """Say in a sentence how things are."""
+        view, device = self.mind.view, self.pump.source.device
+        phone = f"phone on {device}" if device else "no phone"
+        held = f"calibration {self.current_id}" if self.current_id else "no calibration yet"
+        state = " that no longer fits" if view.degraded else ""
+        return f"{phone}; {held}{state}; {view.watch} watch; {view.rests_held} rests held"
+
+
+def serial_settings(settings: Settings) -> SerialSettings:
+    """Return the line's settings. Raises SettingsError where no device is named or they make no sense."""
+    source = settings.source
+    if not source.port:
+        raise SettingsError("[source] port is not set: name the phone's serial device, such as /dev/ttyACM0")
+    return SerialSettings(source.port, source.baud, retry_max_s=source.retry_max_s)
+
+
+def _with(part: Part, **given: Any) -> Part:
+    return replace(part, **{name: value for name, value in given.items() if value is not None})
+
+
+def _fixed(old: Settings, new: Settings) -> list[str]:
+    """Return the names of what has changed and cannot change while running."""
+    changed = {
+        "[store] path": (old.store.path, new.store.path),
+        "[socket] path": (old.socket.path, new.socket.path),
+        "[socket] mode": (old.socket.mode, new.socket.mode),
+    }
+    return [name for name, (before, after) in changed.items() if before != after]

@@ -1,0 +1,178 @@
+"""The engine in a thread of its own, so that a fit of 0.1 s delays neither samples nor answers.
+
+One thread, jobs in order; the engine is touched nowhere else. What other code may see of it comes as
+frozen views. The interpreter changes threads within SWITCH_S, and numpy lets go of it in long calls, so
+the event loop waits for no whole fit.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from stillcal.calib_core import gravity
+from stillcal.calib_core.engine import Engine
+from stillcal.calib_core.engine_state import Counters, EngineSettings, EngineState, Refusal
+from stillcal.calib_core.events import Action, End, Event
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.record import CalibrationRecord
+from stillcal.calib_core.samples import SampleError, Samples
+from stillcal.calib_core.schedule import Watch, next_on_grid
+from stillcal.calib_core.stillness_settings import Ledger, Sense, Sleep
+from stillcal.daemon.saved_state import SavedState, encode
+
+T = TypeVar("T")
+
+SWITCH_S = 0.001
+"""How long one thread may keep the interpreter from another that waits for it, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What the engine thinks at one moment. decides: when it decides anew, s, inf where it does not."""
+
+    want: Sense | Sleep
+    decides: float
+    watch: Watch
+    record: CalibrationRecord | None
+    refusal: Refusal | None
+    gravity: Gravity
+    counters: Counters
+    ledger: Ledger
+    charging: bool | None
+    degraded: bool
+    check_due: bool
+    checked: float | None
+    next_check: float | None
+    rests_held: int
+
+
+@dataclass(frozen=True, slots=True)
+class Thought:
+    """What came of feeding: what is to be done, what the engine thinks now, and samples it refused."""
+
+    actions: list[Action]
+    view: View
+    refused: tuple[str, ...] = ()
+
+
+class Mind:
+    """The engine behind a thread. Every coroutine here waits for the jobs before it."""
+
+    def __init__(
+        self, settings: EngineSettings, state: EngineState | None, record: CalibrationRecord | None
+    ) -> None:
+        self._engine = Engine(settings, state)
+        if _identity(record) != _identity(self._engine.state.record):
+            self._adopt(record)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="engine")
+        self.view = _view(self._engine)
+        self._jobs, self._since = 0, 0.0
+        sys.setswitchinterval(SWITCH_S)
+
+    async def feed(self, items: Sequence[Samples | Event]) -> Thought:
+        """Feed the engine in order; what it refuses is named and left out."""
+        thought = await self._run(self._feed, items)
+        self.view = thought.view
+        return thought
+
+    async def encoded(self, saved: SavedState) -> bytes:
+        """Return the state file's contents: the engine as it is now, the rest as given."""
+        return await self._run(lambda: encode(replace(saved, engine=self._engine.state)))
+
+    async def change(self, settings: EngineSettings) -> None:
+        """Go on with other settings."""
+        self.view = await self._run(self._change, settings)
+
+    async def adopt(self, record: CalibrationRecord | None) -> None:
+        """Take `record` for the current calibration, as after a rollback."""
+        self.view = await self._run(self._adopt, record)
+
+    def thinking_for(self) -> float:
+        """Return for how long (s) the job at hand has been going on; 0 where there is none."""
+        return time.monotonic() - self._since if self._jobs else 0.0
+
+    async def idle(self, patience_s: float) -> bool:
+        """Wait for the jobs at hand; say whether they were over within `patience_s`."""
+        done, _ = await asyncio.wait([asyncio.ensure_future(self._run(lambda: None))], timeout=patience_s)
+        return bool(done)
+
+    def close(self) -> None:
+        """Take no more jobs."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _feed(self, items: Sequence[Samples | Event]) -> Thought:
+        actions: list[Action] = []
+        refused: list[str] = []
+        for item in items:
+            try:
+                actions += self._engine.feed(item)
+            except SampleError as error:
+                refused.append(str(error))
+            if isinstance(item, End):
+                self._go_on(item.t)
+        return Thought(actions, _view(self._engine), tuple(refused))
+
+    def _go_on(self, t: float) -> None:
+        """Make plans again after a stream's end, t (s): the phone may come back."""
+        state = self._engine.state
+        if state.began is not None:
+            state.next_review = t
+            state.next_check = next_on_grid(state.began, self._engine.settings.schedule.check_interval_s, t)
+            self._engine = Engine(self._engine.settings, state)
+
+    def _change(self, settings: EngineSettings) -> View:
+        state = self._engine.state
+        if settings.schedule.gravity is not None:
+            state.gravity = gravity.given(settings.schedule.gravity)
+        self._engine = Engine(settings, state)
+        return _view(self._engine)
+
+    def _adopt(self, record: CalibrationRecord | None) -> View:
+        state = self._engine.state
+        state.record, state.degraded, state.checked, state.sound_until = record, False, None, None
+        self._engine = Engine(self._engine.settings, state)
+        return _view(self._engine)
+
+    async def _run(self, job: Callable[..., T], *arguments: object) -> T:
+        """Do a job in the thread, after those before it."""
+        if not self._jobs:
+            self._since = time.monotonic()
+        self._jobs += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._thread, job, *arguments)
+        finally:
+            self._jobs -= 1
+            self._since = time.monotonic()
+
+
+def _identity(record: CalibrationRecord | None) -> str:
+    return "" if record is None else record.id
+
+
+def _view(engine: Engine) -> View:
+    s = engine.state
+    begun = s.began is not None
+    times = [t for t in (s.next_review, s.next_check, *(e.t for e in s.events)) if t is not None]
+    return View(
+        want=engine.wants() if begun else Sense(math.inf),
+        decides=min(times, default=math.inf),
+        watch=s.watch if begun else Watch.CONTINUOUS,
+        record=s.record,
+        refusal=s.refusal,
+        gravity=s.gravity,
+        counters=replace(s.counters),
+        ledger=engine.ledger,
+        charging=s.charging,
+        degraded=s.degraded,
+        check_due=s.check_due,
+        checked=s.checked,
+        next_check=s.next_check,
+        rests_held=len(s.pool.held),
+    )

@@ -1,0 +1,227 @@
+"""From the wire to the engine and back: records in, time mapped, the engine fed, the phone told.
+
+One coroutine; it never waits for a disk or a client. What the engine wants done is handed on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.events import Action, Charging, End, Event, Location, Tick
+from stillcal.calib_core.samples import Samples, frozen
+from stillcal.calib_core.stillness_settings import Sleep
+from stillcal.daemon.log import say
+from stillcal.daemon.saved_state import SavedState
+from stillcal.daemon.serial_source import LinkDown, LinkUp, Record, SerialSource
+from stillcal.daemon.service_mind import Mind
+from stillcal.daemon.service_orders import Orders, grant
+from stillcal.daemon.wire_messages import Hello, Identify, Rate, Status, Temperature
+
+BATCH_S = 0.2
+"""How long samples of a phone in real time gather before the engine is woken for them, s."""
+
+LATE_S = 0.3
+"""How much later than its time a sleeping phone's decision is taken, for what is still on the wire, s."""
+
+SILENCE_S = 10.0
+"""A phone that should be sensing and says nothing for so long is asked again, s."""
+
+
+Act = Callable[[list[Action]], None]
+
+
+class Pump:
+    """One phone's line and what is known of the phone. `saved` holds what is kept over a restart."""
+
+    def __init__(
+        self,
+        source: SerialSource,
+        mind: Mind,
+        saved: SavedState,
+        rate_hz: float,
+        act: Callable[[list[Action]], None],
+    ) -> None:
+        self.source = source
+        self.rate_hz = rate_hz
+        self._mind, self._saved, self._act = mind, saved, act
+        self._orders = Orders()
+        self._items: list[Samples | Event] = []
+        self._celsius: float | None = None
+        self._in_step = False
+        self._heard = host_time()
+        self.hello: Hello | None = None
+        self.refused = 0
+
+    async def run(self) -> None:
+        """Serve the line until its source is closed."""
+        while (records := await self._take()) is not None:
+            for record in records:
+                await self._handle(record)
+            await self._think()
+            if not self._in_step:
+                await asyncio.sleep(BATCH_S if records else 0.0)
+
+    async def _take(self) -> list[Record] | None:
+        """Return what came; nothing where it is time to look up without, None once the source is closed."""
+        try:
+            records = await asyncio.wait_for(self.source.take(), self._patience())
+        except TimeoutError:
+            self._look_up()
+            return []
+        self._heard = host_time()
+        return records or None
+
+    @property
+    def now(self) -> float | None:
+        """The engine's time, s: the newest stamp's, or later where the phone sleeps in real time."""
+        clock = self._saved.clock
+        if self._in_step or not self.source.connected:
+            return clock.newest if math.isfinite(clock.newest) else None
+        return clock.now(host_time())
+
+    # Time without samples
+
+    def _patience(self) -> float | None:
+        """Return for how long (s) there is nothing to do unless something comes."""
+        if not self.source.connected or self._in_step:
+            return None
+        clock = self._saved.clock
+        if not self._orders.asleep(clock.newest):
+            return SILENCE_S
+        if clock.host is None or math.isinf(self._mind.view.decides):
+            return None
+        due = clock.host + self._mind.view.decides - clock.newest + LATE_S
+        return max(due - host_time(), 0.0)
+
+    def _look_up(self) -> None:
+        """Tell the engine the time while the phone sleeps; ask a phone that should not be silent."""
+        clock, host = self._saved.clock, host_time()
+        now = clock.now(host)
+        if self._orders.asleep(clock.newest) and now is not None:
+            self._items.append(Tick(min(now, max(self._mind.view.decides, clock.newest))))
+        elif host - self._heard >= SILENCE_S:
+            say("warning", "silent", "the phone says nothing: asking it", device=self.source.device)
+            self._heard = host
+            self._orders.forget()
+            self.source.send(Identify())
+
+    # Records
+
+    async def _handle(self, record: Record) -> None:
+        if isinstance(record, Samples | Charging | Location | Tick | End):
+            self._queue(record)
+            if isinstance(record, Tick | End) and self._in_step:
+                await self._think()
+                self._answer(record)
+        elif isinstance(record, Status):
+            self._account(record)
+        elif isinstance(record, Temperature):
+            self._celsius = record.celsius
+        elif isinstance(record, Hello):
+            self._meet(record)
+        elif isinstance(record, LinkUp | LinkDown):
+            self._link(record)
+
+    def _queue(self, record: Samples | Event) -> None:
+        item = self._saved.clock.mapped(record, host_time())
+        if isinstance(item, Samples):
+            self._saved.energy.samples(float(item.t[-1]), len(item))
+            item = self._warm(item)
+        if item is not None:
+            self._items.append(item)
+
+    def _warm(self, samples: Samples) -> Samples:
+        """Give samples the thermometer's last reading where they bring none."""
+        if samples.temperature is not None or self._celsius is None:
+            return samples
+        return replace(samples, temperature=frozen(np.full(len(samples), self._celsius)))
+
+    def _account(self, status: Status) -> None:
+        t = status.t + self._saved.clock.offset
+        self._saved.energy.status(t, status)
+        if status.sensing and self._orders.asleep(t):
+            self._orders.forget()
+
+    def _meet(self, hello: Hello) -> None:
+        self.hello, self._in_step = hello, hello.flow == "credit"
+        self._orders.forget()
+        self._saved.device = str(hello.claims.get("device") or "")
+        if self._saved.clock.meet(hello.session):
+            self._saved.energy.told = None
+            say(
+                "warning",
+                "restarted",
+                "the phone has restarted: its time is carried on",
+                session=hello.session,
+            )
+        say(
+            "info",
+            "phone",
+            "the phone said hello",
+            device=self._saved.device,
+            flow=hello.flow,
+            session=hello.session,
+        )
+        if self.rate_hz > 0:
+            self.source.send(Rate(self.rate_hz))
+
+    def _link(self, record: LinkUp | LinkDown) -> None:
+        self._orders.forget()
+        self._in_step = False
+        if isinstance(record, LinkUp):
+            say(
+                "info",
+                "connected",
+                "the phone's line is open",
+                device=record.device,
+                attempts=record.attempts,
+            )
+        else:
+            say("warning", "disconnected", record.reason, device=record.device or None)
+
+    # The engine and its orders
+
+    async def _think(self) -> None:
+        """Feed what has gathered, hand on what is to be done, and tell the phone what is wanted now."""
+        items, self._items = self._items, []
+        if items:
+            thought = await self._mind.feed(items)
+            self._account_for_thinking()
+            for reason in thought.refused:
+                self.refused += 1
+                say("warning", "refused", reason)
+            if thought.actions:
+                self._act(thought.actions)
+        self._order()
+
+    def _account_for_thinking(self) -> None:
+        clock, energy = self._saved.clock, self._saved.energy
+        energy.totals(clock.newest, self._mind.view.ledger.asked_s, time.process_time())
+
+    def _order(self) -> None:
+        if not self.source.connected or self.hello is None:
+            return
+        clock, view = self._saved.clock, self._mind.view
+        for command in self._orders.due(view.want, view.decides, clock.newest):
+            self.source.send(type(command)(clock.phone(command.until)))
+
+    def _answer(self, record: Tick | End) -> None:
+        """Let a phone in step go on, or let it go where it has come to its end."""
+        clock, view = self._saved.clock, self._mind.view
+        if isinstance(record, End):
+            self._orders.forget()
+            self.source.send(Sleep(math.inf))
+            return
+        go = grant(view.want, view.decides, record.t + clock.offset)
+        self.source.send(replace(go, until=clock.phone(go.until)))
+
+
+def host_time() -> float:
+    """Return the host's steady clock, s; it goes on while the host is suspended."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
