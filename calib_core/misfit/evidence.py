@@ -21,10 +21,11 @@ ITERATIONS = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """A view under G shapes with M candidate columns. constant: (G,) log prior and determinants; yy: (G,);
+    """A view under G shapes with M candidate columns. prior: (G,) log; constant: (G,) and determinants; yy: (G,);
     xy: (G, M); blocks: one (G, k, k) a hypothesis; dof: nu0 + n - p; columns: list of column indices.
     """  # noqa: D205 - one quantity, many sums
 
+    prior: Array
     constant: Array
     yy: Array
     xy: Array
@@ -40,7 +41,7 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
 
     extra: (b, n, q) columns of effects already found, projected out with the baseline over all blocks.
     """
-    constant, yy, xy, family, walk = [], [], [], [], []
+    prior, constant, yy, xy, family, walk = [], [], [], [], [], []
     grams = []
     seen = np.abs(design).max(axis=(0, 1)) > 0.0
     for shape, weight in shapes(view):
@@ -49,6 +50,7 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
         x = np.zeros((y.size, seen.size))
         x[:, seen] = visible
         log_det = 2.0 * len(view.y) * float(np.log(factor.diagonal()).sum())
+        prior.append(np.log(weight))
         constant.append(np.log(weight) - 0.5 * (log_det + determinant))
         yy.append(y @ y)
         xy.append(y @ x)
@@ -57,6 +59,7 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
         walk.append(shape.walk)
     baseline = view.parameters + (0 if extra is None else extra.shape[2])
     return Reduced(
+        np.array(prior),
         np.array(constant),
         np.array(yy),
         np.array(xy).reshape(len(yy), -1),
@@ -114,7 +117,25 @@ class Fit:
 
 def null_log_likelihood(views: Sequence[Reduced]) -> float:
     """Return the log likelihood of the views with no effect."""
-    return float(sum(log_sum(log_terms(v, v.yy)) for v in views))
+    return joint(views, [log_terms(v, v.yy) for v in views])[0]
+
+
+def joint(views: Sequence[Reduced], terms: list[Array]) -> tuple[float, list[Array]]:
+    """Return the log likelihood of all views and each view's shape probabilities (G,), from their log terms.
+
+    The axes of a sensor are made alike: with probability one half they share one shape, else each has its
+    own. Views that do not have the same shapes are independent.
+    """
+    own = [log_sum(t) for t in terms]
+    apart, weights = float(sum(own)), [np.exp(t - s) for t, s in zip(terms, own, strict=True)]
+    if len(views) < 2 or any(v.family != views[0].family for v in views):
+        return apart, weights
+    shared = sum((t - v.prior for t, v in zip(terms, views, strict=True)), views[0].prior)
+    together = log_sum(np.asarray(shared))
+    value = float(np.logaddexp(together, apart) - np.log(2.0))
+    alike = float(np.exp(together - np.log(2.0) - value))
+    common = np.exp(shared - together)
+    return value, [alike * common + (1.0 - alike) * w for w in weights]
 
 
 def log_terms(view: Reduced, residual: Array) -> Array:
@@ -136,7 +157,7 @@ def posterior_weights(view: Reduced) -> Array:
 
 def gain_bound(views: Sequence[Reduced], h: int) -> float:
     """Return an upper bound of the log likelihood of hypothesis `h`: every shape at its own best parameters."""
-    return float(sum(log_sum(log_terms(v, _least(v, h))) for v in views))
+    return joint(views, [log_terms(v, _least(v, h)) for v in views])[0]
 
 
 def _least(view: Reduced, h: int) -> Array:
@@ -148,26 +169,26 @@ def _least(view: Reduced, h: int) -> Array:
 
 def fit_hypothesis(views: Sequence[Reduced], h: int) -> Fit:
     """Fit hypothesis `h` to all views at once; the better of two starts (likely shapes, and white noise)."""
-    informed = [posterior_weights(v) * v.dof / (PRIOR_DOF + v.yy) for v in views]
+    _, likely = joint(views, [log_terms(v, v.yy) for v in views])
+    informed = [w * v.dof / (PRIOR_DOF + v.yy) for v, w in zip(views, likely, strict=True)]
     plain = [np.eye(len(v.yy))[0] for v in views]
     fits = [_climb(views, h, start) for start in (informed, plain)]
     return max(fits, key=lambda f: f.log_likelihood)
 
 
 def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> Fit:
-    """Expectation maximisation over shapes and scales: every step is a weighted least squares."""
+    """Climb by expectation maximisation over shapes and scales: every step is a weighted least squares."""
     beta = _solve(views, h, weights)
     for _ in range(ITERATIONS):
-        weights = []
-        for v in views:
-            residual = residuals(v, h, beta)
-            terms = log_terms(v, residual)
-            weights.append(np.exp(terms - log_sum(terms)) * v.dof / (PRIOR_DOF + residual))
+        left = [residuals(v, h, beta) for v in views]
+        _, likely = joint(views, [log_terms(v, r) for v, r in zip(views, left, strict=True)])
+        weights = [w * v.dof / (PRIOR_DOF + r) for v, w, r in zip(views, likely, left, strict=True)]
         previous, beta = beta, _solve(views, h, weights)
-        if np.allclose(previous, beta, rtol=1e-5, atol=0.0):
+        if np.allclose(previous, beta, rtol=1e-5, atol=1e-9):
             break
-    value = float(sum(log_sum(log_terms(v, residuals(v, h, beta))) for v in views) - 0.5 * beta @ beta)
-    return Fit(beta, _covariance(views, h, beta), value)
+    terms = [log_terms(v, residuals(v, h, beta)) for v in views]
+    value, likely = joint(views, terms)
+    return Fit(beta, _covariance(views, h, beta, likely), value - 0.5 * float(beta @ beta))
 
 
 def residuals(view: Reduced, h: int, beta: Array) -> Array:
@@ -183,20 +204,17 @@ def _solve(views: Sequence[Reduced], h: int, weights: list[Array]) -> Array:
     return np.linalg.solve(np.asarray(information) + np.eye(len(target)), np.asarray(target))
 
 
-def _covariance(views: Sequence[Reduced], h: int, beta: Array) -> Array:
-    """Inverse observed information of the shape-averaged likelihood (Louis, JRSS B 44, 1982)."""
-    total = np.zeros((beta.size, beta.size))
-    expected = np.zeros_like(total)
-    for v in views:
-        residual = residuals(v, h, beta)
-        terms = log_terms(v, residual)
-        weight = np.exp(terms - log_sum(terms))
-        rate = v.dof / (PRIOR_DOF + residual)
+def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Array]) -> Array:
+    """Return the inverse observed information of the shape-averaged likelihood (Louis, JRSS B 44, 1982)."""
+    expected = np.zeros((beta.size, beta.size))
+    missing = np.zeros_like(expected)
+    for v, weight in zip(views, likely, strict=True):
+        rate = v.dof / (PRIOR_DOF + residuals(v, h, beta))
         score = rate[:, None] * (v.xy[:, v.columns[h]] - v.blocks[h] @ beta)
         mean = weight @ score
         expected += np.einsum("g,gij->ij", weight * rate, v.blocks[h])
-        total -= np.einsum("g,gi,gj->ij", weight * (1.0 + 2.0 / v.dof), score, score) - np.outer(mean, mean)
-    observed = expected + total
+        missing += np.einsum("g,gi,gj->ij", weight * (1.0 + 2.0 / v.dof), score, score) - np.outer(mean, mean)
+    observed = expected - missing
     # Where the shapes disagree so much that the curvature is lost, the expected information is all there is.
     curvature = observed if np.linalg.eigvalsh(observed).min() > 0 else expected
     return np.linalg.inv(curvature + np.eye(beta.size))
