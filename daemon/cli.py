@@ -1,30 +1,38 @@
 """The command line: one command a verb, mounted here; every refusal is one line and an exit code.
 
-Exit codes: 0 done, 1 a bar not met, 2 bad input, 3 the recording cannot support a calibration,
-130 interrupted. Nothing is computed here.
+Exit codes: 0 done, 1 a bar not met, 2 bad input, 3 the recording cannot support a calibration, 4 no
+daemon answers, 130 interrupted. Nothing is computed here, and nothing is imported but click until a
+command is called: the daemon starts in a third of a second and never holds what only a replay needs.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 
 import click
 
-from stillcal.calib_core.refusals import NotSupported
-from stillcal.calib_core.samples import SampleError
-from stillcal.daemon.cli_replay import apply_command, replay_command
-from stillcal.daemon.cli_simulate import simulate_command
-from stillcal.daemon.cli_store import examples, store_group
-from stillcal.daemon.settings import SettingsError
-from stillcal.daemon.store import StoreError
-from stillcal.replay.formats.errors import TraceError
+from stillcal.daemon.cli_lazy import LazyGroup, examples
 
 BAD_INPUT, INTERRUPTED = 2, 130
 
+COMMANDS = {
+    "run": "stillcal.daemon.cli_run:run_command",
+    "query": "stillcal.daemon.cli_query:query_command",
+    "replay": "stillcal.daemon.cli_replay:replay_command",
+    "apply": "stillcal.daemon.cli_replay:apply_command",
+    "simulate": "stillcal.daemon.cli_simulate:simulate_command",
+    "store": "stillcal.daemon.cli_store:store_group",
+}
+
 
 @click.group(
+    cls=LazyGroup,
+    places=COMMANDS,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog=examples(
+        "stillcal run --config stillcal.toml",
+        "stillcal query GetCalibration",
         "stillcal replay walk.csv --store store.json",
         "stillcal apply walk.csv --store store.json --out walk-true.csv",
         "stillcal store history store.json",
@@ -35,12 +43,9 @@ def cli() -> None:
     """Keep a phone's accelerometer and gyroscope true, with nobody helping."""
 
 
-for command in (replay_command, apply_command, simulate_command, store_group):
-    cli.add_command(command)
-
-
 def main() -> None:
     """Run the command line; turn every expected error into one line on standard error."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its idle threads spin, and fits here are small
     try:
         sys.exit(cli.main(standalone_mode=False))
     except click.ClickException as error:
@@ -49,6 +54,20 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt):
         click.echo("stillcal: interrupted; nothing half-written", err=True)
         sys.exit(INTERRUPTED)
-    except (TraceError, SettingsError, StoreError, SampleError, NotSupported) as error:
+    except ValueError as error:
+        if not isinstance(error, _refusals()):
+            raise
         click.echo(f"stillcal: {error}", err=True)
         sys.exit(BAD_INPUT)
+
+
+def _refusals() -> tuple[type[Exception], ...]:
+    """Return the errors that are a user's to mend; imported only when one may have happened."""
+    from stillcal.calib_core.gravity import LocationError
+from stillcal.calib_core.refusals import NotSupported  # noqa: PLC0415
+    from stillcal.calib_core.samples import SampleError  # noqa: PLC0415
+    from stillcal.daemon.settings import SettingsError  # noqa: PLC0415
+    from stillcal.daemon.store import StoreError  # noqa: PLC0415
+    from stillcal.replay.formats.errors import TraceError  # noqa: PLC0415
+
+    return NotSupported, SampleError, SettingsError, StoreError, TraceError

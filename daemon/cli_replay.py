@@ -17,16 +17,17 @@ from stillcal.calib_core.codec import plain
 from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.engine_state import EngineSettings
 from stillcal.calib_core.events import Location, Reject, Store
-from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.gravity import STANDARD, LocationError, given
 from stillcal.calib_core.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.samples import Samples
 from stillcal.daemon import store as storage
 from stillcal.daemon.atomic import write_atomically
-from stillcal.daemon.cli_store import examples
+from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.settings import Settings, load_settings
 from stillcal.daemon.store_document import calibration_json, pretty
 from stillcal.daemon.summary import print_outcome
 from stillcal.replay.formats.claims import beside
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.runner import Outcome, replay, replay_rests
@@ -180,7 +181,12 @@ def _claimed_gravity(opened: Trace) -> float | None:
     """
     claimed = opened.claims.gravity
     located = any(isinstance(event, Location) for event in opened.events)
-    return None if located or claimed == STANDARD else claimed
+    if claimed is None or located or claimed == STANDARD:
+        return None
+    try:
+        return given(claimed).value
+    except LocationError as error:
+        raise TraceError(beside(opened.path, ".json"), str(error), "correct it or leave it out") from error
 
 
 def _replayed(opened: Trace, engine: Engine, keep: Callable[[Store | Reject], None], quiet: bool) -> Outcome:

@@ -60,7 +60,7 @@ _KNOWN: dict[str, type[Charging] | type[Location]] = {"charging": Charging, "loc
 def beside(path: Path, suffix: str) -> Path:
     """Return the path of what stands beside a recording: NAME.csv or NAME.csv.gz -> NAME + `suffix`."""
     plain = path.with_suffix("") if path.suffix == ".gz" else path
-    return plain.with_name(plain.stem + suffix)
+    return plain.parent / (plain.stem + suffix)
 
 
 def read_claims(path: Path) -> Claims:
