@@ -11,6 +11,7 @@ save; an engine built from it goes on as if nothing had happened.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -51,7 +52,9 @@ from stillcal.calib_core.stationary import StationaryDetector
 from stillcal.calib_core.stillness_settings import Ledger, Mode, Sense, Sleep
 from stillcal.calib_core.turns import Turn, make_turn
 
-_MODES = {Watch.CONTINUOUS: Mode.SCAN, Watch.PROBING: Mode.PROBE}
+_MODES = {Watch.CONTINUOUS: Mode.SCAN, Watch.PROBING: Mode.PROBE, Watch.IDLE: Mode.SCAN}
+_LEAST_REVIEW_S = 1.0  # two windows: what was spent is known no finer
+_LONGEST_GAP_S = 86400.0
 
 
 class Engine:
@@ -95,7 +98,10 @@ class Engine:
             self._gather(rest)
 
     def wants(self) -> Sense | Sleep:
-        """Say what the sensors are needed for from here on."""
+        """Say whether samples are wanted, until when to go by that, and to tick or ask again.
+
+        What comes in while the engine wants none changes nothing; it may as well not be delivered.
+        """
         s = self._s
         if s.began is None:
             return Sense(np.inf)
@@ -104,7 +110,8 @@ class Engine:
             return Sleep(until)
         if s.watch is Watch.CONTINUOUS:
             return Sense(until)
-        return self._detector.wants(self._horizon())
+        want = self._detector.wants(self._horizon())
+        return replace(want, until=min(want.until, until))
 
     # What comes in
 
@@ -152,6 +159,7 @@ class Engine:
             self._look(min(t, horizon))
             if t > horizon or act is None:
                 return
+            self._detector.wants(t)  # gives up probes that nothing came for, as it would have live
             act(t)
             horizon = min(horizon, self._horizon())
 
@@ -172,13 +180,14 @@ class Engine:
             return event.t
         return max([event.t, *(float(np.nextafter(t, np.inf)) for t in self._s.latest.values())])
 
-    def _quiet_until(self, t: float) -> float:
-        """Return the stamp of the accelerometer's first sample that still waits, or t where none does.
+    def _resumed(self, t: float) -> float:
+        """Return from when (s) on deadlines count: `t`, or a day before a longer gap in the samples ends.
 
-        Up to the horizon its stream is always known; the gyroscope's may still be on its way.
+        Through gaps of a day deadlines fall as they would live; years between two stamps cost no more.
+        The gyroscope's next sample may still be on its way; the accelerometer's is known.
         """
         waiting = self._s.waiting.get(Sensor.ACCELEROMETER)
-        return t if waiting is None else max(t, float(waiting.t[0]))
+        return t if waiting is None else max(t, float(waiting.t[0]) - _LONGEST_GAP_S)
 
     # Samples
 
@@ -189,7 +198,7 @@ class Engine:
         if not due or s.watch is Watch.IDLE:
             return
         for block in due:
-            if block.sensor is Sensor.GYROSCOPE:
+            if block.sensor is Sensor.GYROSCOPE and s.watch is Watch.CONTINUOUS:
                 s.gyro_tail = block if s.gyro_tail is None else Samples.joined([s.gyro_tail, block])
         for rest in self._detector.feed(*due):
             self._gather(rest)
@@ -262,7 +271,7 @@ class Engine:
     def _do_check(self, t: float) -> None:
         s, interval = self._s, self.settings.schedule.check_interval_s
         s.check_due = s.record is not None
-        s.next_check = next_on_grid(s.began or t, interval, self._quiet_until(t))
+        s.next_check = next_on_grid(s.began or t, interval, self._resumed(t))
         self._check(t)
         self._plan(t)
 
@@ -286,18 +295,24 @@ class Engine:
         watch = watch_for(need, s.watch, lasts, settings.energy.burst_s, settings.schedule)
         if watch is not s.watch:
             self._turn_to(watch, t)
-        spend = lasts if watch is Watch.CONTINUOUS and settings.schedule.watch == "auto" else np.inf
-        s.next_review = max(t + min(settings.schedule.review_interval_s, spend), self._quiet_until(t))
+        step = settings.schedule.review_interval_s
+        if watch is Watch.CONTINUOUS and settings.schedule.watch == "auto":
+            step = min(step, max(lasts, _LEAST_REVIEW_S))
+        s.next_review = self._resumed(t) + step
 
     def _turn_to(self, watch: Watch, t: float) -> None:
-        closed = self._detector.finish() if watch is Watch.IDLE else self._detector.set_mode(_MODES[watch])
-        for rest in closed:
+        for rest in [*(self._detector.finish() if watch is Watch.IDLE else ()), *self._switch(watch, t)]:
             self._gather(rest)
-        if watch is Watch.IDLE:
-            self._s.last_rest = self._s.gyro_tail = None
+        self._s.last_rest = self._s.gyro_tail = None
         self._s.watch = watch
         level = Level.INFO if watch is Watch.CONTINUOUS else Level.DEBUG
         self._log(t, level, "watch", f"the sensors are watched: {watch}")
+
+    def _switch(self, watch: Watch, t: float) -> list[RestState]:
+        """Switch the detector over, its first probe drawn from now on, whoever asks for it and when."""
+        closed = self._detector.set_mode(_MODES[watch])
+        self._detector.next_probe(t)
+        return closed
 
     def _supported_well(self) -> bool:
         """Say whether as many attitudes have been gathered as were wanted."""

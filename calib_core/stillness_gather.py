@@ -75,7 +75,7 @@ class Gatherer:
         looked = np.zeros(rows.shape[0], dtype=bool)
         at = 0
         while at < rows.shape[0]:
-            probe = self.due(rows[at, K])
+            probe = self._awaited(rows[at, K])
             if rows[at, K] < probe.start:
                 at += int(np.searchsorted(rows[at:, K], probe.start))
                 continue
@@ -88,12 +88,20 @@ class Gatherer:
     def wants(self, now: float) -> Want:
         """Say what the probe under way or due wants at time `now`, s, giving up one that nothing came for."""
         window, cell = self.settings.window_s, now / self.settings.window_s
-        probe = self.due(cell)
-        overdue = cell > self._asked_end(probe) + self.settings.max_lag_s / window
-        if overdue and self.state.run.rows.shape[0] == 0:
-            self._end_probe(Fate.GAP, cell)
-            probe = self.due(cell)
+        probe = self._awaited(cell)
         return Sleep(probe.start * window) if cell < probe.start else Sense(self._asked_end(probe) * window)
+
+    def _awaited(self, cell: float) -> Probe:
+        """Return the probe due at `cell`, giving up those before it that nothing came for.
+
+        Each is given up at a time of its own, whoever asks and when: a gap lived through and a gap found
+        in a recording leave the same probes.
+        """
+        probe, lag = self.due(cell), self.settings.max_lag_s / self.settings.window_s
+        while not self.state.run.rows.shape[0] and cell > (last := self._asked_end(probe) + lag):
+            self._end_probe(Fate.GAP, last)
+            probe = self.due(last)
+        return probe
 
     def due(self, cell: float) -> Probe:
         """Return the probe that is under way or due, drawing the first one after `cell`."""
