@@ -16,8 +16,8 @@ from stillcal.calib_core.record import NotCalibratedError
 from stillcal.calib_core.samples import Sensor
 from stillcal.daemon import api_types as api
 from stillcal.daemon import api_views as views
+from stillcal.daemon.api_place import NAME as INTERFACE
 
-INTERFACE = "io.stillcal.Calibration"
 MAX_ROWS = 1000
 """Samples that one call corrects; more take more calls."""
 
@@ -132,7 +132,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
             done()
         if listener.lost:
             raise TooSlow()
-        raise LastResult({"event": api.Event("ended", "the daemon is stopping")})
+        raise LastResult(api.Event("ended", "the daemon is stopping"))
 
     @varlinkmethod(return_parameter="calibration")
     async def Rollback(self, *, to: str = "") -> api.Calibration:  # noqa: N802

@@ -29,6 +29,9 @@ from stillcal.daemon.settings import SocketSettings
 TURN_S = 0.01
 """How long clients are answered before the loop looks after everything else, s."""
 
+GOODBYE_S = 0.02
+"""How long those who listen have for the last news, s."""
+
 UNSENT_BYTES = 262_144
 """Of answers that a client has not taken, above which it is asked nothing more and may stall."""
 
@@ -72,7 +75,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
     def eof_received(self) -> bool:  # type: ignore[override]  # asyncio's, whose True keeps our side open
         """Answer what was asked, then hang up; who listens for news has stopped."""
         self._ended = True
-        self._quit_listening()
+        self.quit_listening()
         self._look()
         return True
 
@@ -81,7 +84,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         self._line = None
         self._buffer.clear()
         self._patient()
-        self._quit_listening()
+        self.quit_listening()
         self._sent()
         self._server.leave(self)
 
@@ -188,7 +191,8 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
             self._stall.cancel()
             self._stall = None
 
-    def _quit_listening(self) -> None:
+    def quit_listening(self) -> None:
+        """End what the client listens for."""
         if self._listener is not None:
             self._listener.close()
             self._listener = None
@@ -242,8 +246,11 @@ class Server:
         else:
             self._line_up(client)
 
-    def close(self) -> None:
-        """Hang up on everybody."""
+    async def close(self) -> None:
+        """Say goodbye to those who listen for news, and hang up on everybody."""
+        for client in list(self._clients):
+            client.quit_listening()
+        await asyncio.sleep(GOODBYE_S)
         for client in list(self._clients):
             client.hang_up()
 
@@ -277,8 +284,7 @@ async def serving(
         finally:
             for one in listening:
                 one.close()
-            server.close()
-            await asyncio.sleep(0)
+            await server.close()
 
 
 def _registry(daemon: Daemon) -> VarlinkInterfaceRegistry:

@@ -1,38 +1,19 @@
-"""Where the socket is, for those who answer and those who ask; making it, and taking it away again."""
+"""Making the socket, with its permissions from its first moment, and taking it away again."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import socket
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from stillcal.daemon.api_place import socket_path
 from stillcal.daemon.settings import SettingsError, SocketSettings
-
-NAME = "io.stillcal.Calibration"
-SYSTEM = Path("/run/stillcal") / NAME
 
 
 class SocketInUseError(SettingsError):
     """Another daemon answers there."""
-
-
-def socket_path(path: str, environ: Mapping[str, str] = os.environ) -> Path:
-    """Return where a daemon of this environment answers: as set, else in its runtime folder."""
-    if path:
-        return Path(path)
-    if service := environ.get("RUNTIME_DIRECTORY"):
-        return Path(service.split(":")[0]) / NAME
-    if user := environ.get("XDG_RUNTIME_DIR"):
-        return Path(user) / "stillcal" / NAME
-    return SYSTEM
-
-
-def answering_path(path: str, environ: Mapping[str, str] = os.environ) -> Path:
-    """Return where to ask: as given, else the user's own daemon where there is one, else the system's."""
-    own = socket_path(path, environ)
-    return own if path or own.exists() else SYSTEM
 
 
 @contextlib.contextmanager

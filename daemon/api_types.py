@@ -33,6 +33,7 @@ class SensorCalibration:
 class Calibration:
     """The current calibration. Times in s of the sensors' own clock; ages in s of the same.
 
+    checked_age_s: since it was last checked or fitted.
     confidence: unchecked (no check since it was fitted), confirmed (passed its last check), failing.
     temperature_min_c, temperature_max_c: where it was measured; outside it is extrapolation.
     """

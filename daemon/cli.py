@@ -7,7 +7,6 @@ command is called: the daemon starts in a third of a second and never holds what
 
 from __future__ import annotations
 
-import os
 import sys
 
 import click
@@ -45,7 +44,6 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; turn every expected error into one line on standard error."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its idle threads spin, and fits here are small
     try:
         sys.exit(cli.main(standalone_mode=False))
     except click.ClickException as error:
@@ -59,15 +57,19 @@ def main() -> None:
             raise
         click.echo(f"stillcal: {error}", err=True)
         sys.exit(BAD_INPUT)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        click.echo(f"stillcal: {where}{error.strerror or error}", err=True)
+        sys.exit(BAD_INPUT)
 
 
 def _refusals() -> tuple[type[Exception], ...]:
     """Return the errors that are a user's to mend; imported only when one may have happened."""
-    from stillcal.calib_core.gravity import LocationError
-from stillcal.calib_core.refusals import NotSupported  # noqa: PLC0415
+    from stillcal.calib_core.gravity import LocationError  # noqa: PLC0415
+    from stillcal.calib_core.refusals import NotSupported  # noqa: PLC0415
     from stillcal.calib_core.samples import SampleError  # noqa: PLC0415
     from stillcal.daemon.settings import SettingsError  # noqa: PLC0415
     from stillcal.daemon.store import StoreError  # noqa: PLC0415
     from stillcal.replay.formats.errors import TraceError  # noqa: PLC0415
 
-    return NotSupported, SampleError, SettingsError, StoreError, TraceError
+    return LocationError, NotSupported, SampleError, SettingsError, StoreError, TraceError

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from stillcal.daemon.atomic import write_atomically
-from stillcal.daemon.cli_store import examples
+from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.store_document import pretty
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.writer import TraceWriter

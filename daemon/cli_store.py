@@ -18,15 +18,11 @@ from rich.console import Console
 from rich.table import Table
 
 from stillcal.calib_core.record import CalibrationRecord, SensorRecord
+from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.store import Reading, Store
 from stillcal.daemon.store_document import HistoryEntry, StoreDocument, calibration_json
 
 BAD_INPUT, DAMAGED = 2, 1
-
-
-def examples(*lines: str) -> str:
-    """Return an epilog that click does not rewrap."""
-    return "\n".join(["\b", "Examples:", *(f"  {line}" for line in lines)])
 
 
 path_argument = click.argument("path", type=click.Path(path_type=Path))

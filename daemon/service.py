@@ -101,7 +101,6 @@ class Service:
         self._began = host_time()
         self._stop = asyncio.Event()
         self._unsaved = asyncio.Event()
-        self._hurry = asyncio.Event()
 
     def open(self) -> None:
         """Lock the store and take up the state where it was left. Raises StoreError."""
@@ -195,17 +194,16 @@ class Service:
 
     async def _writing(self) -> None:
         """Write what changes: calibrations at once, the state now and then."""
-        saved_at = -SAVE_EVERY_S
+        saved_at, changed = host_time() - SAVE_EVERY_S, False
         while True:
+            pause = SAVE_EVERY_S if changed or self.storage.trouble else SAVE_AT_LEAST_S
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._unsaved.wait(), SAVE_AT_LEAST_S)
+                await asyncio.wait_for(self._unsaved.wait(), max(saved_at + pause - host_time(), 0.0))
+            changed = changed or self._unsaved.is_set()
             self._unsaved.clear()
             await self.storage.flush()
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._hurry.wait(), max(saved_at + SAVE_EVERY_S - host_time(), 0.0))
-            self._hurry.clear()
-            await self.save()
-            saved_at = host_time()
+            if host_time() - saved_at >= (SAVE_EVERY_S if changed else SAVE_AT_LEAST_S):
+                saved_at, changed = host_time(), not await self.save()
 
     async def _beating(self) -> None:
         """Tell the manager that the loop lives, as long as the engine's thread does too."""

@@ -182,8 +182,10 @@ class Pump:
                 device=record.device,
                 attempts=record.attempts,
             )
+        elif record.device:
+            say("warning", "disconnected", record.reason, device=record.device)
         else:
-            say("warning", "disconnected", record.reason, device=record.device or None)
+            say("info", "waiting", f"no phone: {record.reason}")
 
     # The engine and its orders
 
