@@ -23,6 +23,7 @@ LEAST_STRETCHES = 5
 STEADY = 0.1
 STACK_ALLOWANCE = 1.3
 LOUDEST = 6.0
+FLANK = 0.15
 COARSE = 0.5
 MOST_WIDE = 0.25
 
@@ -240,8 +241,19 @@ def tone(samples: Samples, sensor: str) -> Finding | None:
         else weak
     )
     rows = near[:, k] > threshold if hits[k] >= LEAST_STRETCHES else np.ones(steady.size, dtype=bool)
+    if not _narrow(power[rows][:, max(high[k] - 20, 0) : high[k] + 21].sum(axis=(0, 2))):
+        return None
     line = power[rows][:, high[k] - 3 : high[k] + 4]
     return _tone_finding(samples, sensor, float(f[1]), line, int(high[k]), steady[rows], length)
+
+
+def _narrow(profile: Array) -> bool:
+    """Whether the power (41,) about a line falls off as a Hann window's own does, within three bins."""
+    middle = profile.size // 2
+    away = np.abs(np.arange(profile.size) - middle)
+    floor = float(np.median(profile[away > 12]))
+    flank = float(profile[(away >= 4) & (away <= 6)].mean()) - floor
+    return flank < FLANK * (float(profile[away <= 1].mean()) - floor)
 
 
 def _steady(blocks: Array, second: int) -> Array:

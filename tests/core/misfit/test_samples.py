@@ -1,0 +1,111 @@
+"""What single samples and stamps show, on synthetic streams of known truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.misfit.quick import Measured, mean_of
+from stillcal.calib_core.misfit.records import Claims
+from stillcal.calib_core.misfit.spectrum import contaminated, tone
+from stillcal.calib_core.misfit.timing import clock_rate, timing_findings
+from stillcal.calib_core.misfit.values import comb_step, quantisation, saturation
+from stillcal.calib_core.samples import Samples, Sensor
+
+N = 20000
+
+
+def stream(t: np.ndarray, xyz: np.ndarray | None = None, arrival: np.ndarray | None = None) -> Samples:
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0, 0.01, (t.size, 3)) + (0, 0, 9.81)
+    return Samples.checked(Sensor.ACCELEROMETER, t, noise if xyz is None else xyz, None, arrival)
+
+
+def even(rate: float = 50.0) -> np.ndarray:
+    return np.arange(N) / rate
+
+
+def latency(seed: int = 1) -> np.ndarray:
+    return 0.002 + np.random.default_rng(seed).exponential(0.001, N)
+
+
+def effects(samples: Samples, claims: Claims | None = None) -> dict[str, object]:
+    return {f.effect: next(iter(f.parameters.values())) for f in timing_findings(samples, claims or Claims())}
+
+
+def test_an_even_clock_is_silent() -> None:
+    t = even()
+    assert effects(stream(t, arrival=np.maximum.accumulate(t + latency())), Claims(nominal_rate_hz=50.0)) == {}
+
+
+@pytest.mark.parametrize("skew", [0.004, -0.001])
+def test_clock_rate_from_the_quickest_deliveries(skew: float) -> None:
+    host = even()
+    rate = clock_rate(host * (1 + skew), host + latency())
+    assert rate.value == pytest.approx(skew, abs=4 * rate.error + 1e-6)
+    assert rate.error < 1e-5
+
+
+def test_jitter_drops_and_bursts() -> None:
+    rng = np.random.default_rng(3)
+    jittered = np.sort(even() + rng.normal(0, 0.002, N))
+    assert effects(stream(jittered))["timestamp_jitter"].value == pytest.approx(0.002, rel=0.05)  # type: ignore[attr-defined]
+    kept = even()[rng.random(N) > 0.02]
+    assert effects(stream(kept))["dropped_samples"].value == pytest.approx(0.02, rel=0.15)  # type: ignore[attr-defined]
+    t = even()
+    held = np.where((t % 5.0) < 0.5, np.ceil(t / 5.0) * 5.0 - 4.5, t) + 0.002
+    assert effects(stream(t, arrival=held))["arrival_bursts"].value == pytest.approx(0.1, abs=0.02)  # type: ignore[attr-defined]
+
+
+def test_steps_of_the_values() -> None:
+    rng = np.random.default_rng(4)
+    raw = rng.normal(0, 0.02, (N, 3)) + (0, 0, 9.81)
+    assert comb_step(raw[:, 0]) is None
+    coarse = np.rint(raw / 0.04) * 0.04
+    assert comb_step(coarse[:, 2]) is None or comb_step(coarse[:, 2]) == pytest.approx(0.04)
+    walk = np.rint(np.cumsum(rng.normal(0, 0.05, N)) / 0.04) * 0.04
+    assert comb_step(walk) == pytest.approx(0.04, rel=1e-6)
+    fine = np.rint(raw / 0.001) * 0.001
+    declared = stream(even(), fine)
+    assert quantisation(declared, "accel", np.full(3, 0.02), 0.001) is None
+    assert quantisation(stream(even(), np.column_stack([walk] * 3)), "accel", np.full(3, 0.02), 0.001) is not None
+
+
+def test_a_flat_top_is_a_limit_and_a_sine_is_not() -> None:
+    swing = 18.0 * np.sin(np.arange(N)[:, None] * 0.05 + np.array([0.0, 1.0, 2.0]))
+    noise = np.random.default_rng(5).normal(0, 0.01, (N, 3))
+    assert saturation(stream(even(), swing + noise), "accel", np.full(3, 0.01), None) is None
+    clipped = saturation(stream(even(), np.clip(swing, -14, 14) + noise), "accel", np.full(3, 0.01), None)
+    assert clipped is not None
+    assert clipped.parameters["limit"].value == pytest.approx(14.0, abs=0.02)
+    declared = saturation(stream(even(), np.clip(swing, -14, 14) + noise), "accel", np.full(3, 0.01), 14.0)
+    assert declared is None
+
+
+def test_a_line_is_found_and_broad_shaking_is_not() -> None:
+    t = even()
+    rng = np.random.default_rng(6)
+    quiet = rng.normal(0, 0.01, (N, 3))
+    assert tone(stream(t, quiet), "accel") is None
+    humming = quiet + np.outer(np.sin(2 * np.pi * 17.0 * t), [0.0, 0.0, 0.01])
+    line = tone(stream(t, humming), "accel")
+    assert line is not None
+    assert line.parameters["frequency"].value == pytest.approx(17.0, abs=0.02)
+    assert line.parameters["amplitude"].value[2] == pytest.approx(0.01, rel=0.05)  # type: ignore[index]
+    assert line.axes == ["z"]
+    phase = np.cumsum(rng.normal(0, 0.25, N)) + 2 * np.pi * 9.0 * t
+    assert tone(stream(t, quiet + 0.02 * np.sin(phase)[:, None]), "accel") is None
+
+
+def test_contamination_is_measured() -> None:
+    rng = np.random.default_rng(7)
+    z = rng.normal(size=60000) * np.where(rng.random(60000) < 0.03, 5.0, 1.0)
+    ratio, fraction = contaminated(z / z.std())
+    assert ratio.value == pytest.approx(5.0, rel=0.08)
+    assert fraction == pytest.approx(0.03, rel=0.2)
+
+
+def test_a_number_is_beyond_only_outside_its_tolerance() -> None:
+    assert Measured(1.1, 0.01).beyond(0.8, 1.2) == 0.0
+    assert Measured(1.3, 0.01).beyond(0.8, 1.2) == pytest.approx(10.0)
+    assert mean_of(np.array([1.0, 1.1, 0.9, 50.0])).value == pytest.approx(1.0)
