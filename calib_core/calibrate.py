@@ -46,11 +46,11 @@ OMITTED_CROSS_AXIS = 0.05
 
 @dataclass(frozen=True, slots=True)
 class CalibrateSettings:
-    """The estimators' settings. folds: how many parts the rests are held out in."""
+    """The estimators' settings. folds: into how many parts, at most, attitudes are held out."""
 
     accelerometer: AccelerometerSettings = field(default_factory=AccelerometerSettings)
     gyroscope: GyroscopeSettings = field(default_factory=GyroscopeSettings)
-    folds: int = 5
+    folds: int = 30
 
     def __post_init__(self) -> None:
         if self.folds < 2:
@@ -216,10 +216,11 @@ def held_out(new: Candidate, old: SensorModel, since: float | None, settings: Qu
     are not independent.
     """
     held = new.pool.held
-    refitted = _left_out(new)
+    fresh = np.array([since is None or h.rest.t_start >= since for h in held])
+    refitted = _left_out(new, fresh)
+    fresh &= np.isfinite(refitted)
     old_residuals, own = quality.norm_residuals(old, held)
     sd = np.hypot(own, new.accelerometer.rms_residual)
-    fresh = np.array([since is None or h.rest.t_start >= since for h in held]) & np.isfinite(refitted)
     attitudes = [fresh & (new.labels == k) for k in np.unique(new.labels[fresh])]
     old_means, new_means, sd_means = (
         np.array([float(values[a].mean()) for a in attitudes]) for values in (old_residuals, refitted, sd)
@@ -227,21 +228,24 @@ def held_out(new: Candidate, old: SensorModel, since: float | None, settings: Qu
     return quality.compare(old_means, new_means, sd_means, settings)
 
 
-def _left_out(new: Candidate) -> Array:
-    """Return each rest's residual (n,) under a fit without its fold of attitudes; NaN where none is had."""
+def _left_out(new: Candidate, asked: NDArray[np.bool_]) -> Array:
+    """Return residuals (n,) of the rests asked for, each under a fit without its fold of attitudes.
+
+    NaN where the other attitudes do not support a fit, and where none was asked for.
+    """
     held, residuals = new.pool.held, np.full(len(new.pool.held), np.nan)
-    for fold in range(new.settings.folds):
-        out = new.labels % new.settings.folds == fold
+    folds = new.labels % new.settings.folds
+    for fold in np.unique(folds[asked]):
+        out = folds == fold
         kept = [h for h, left in zip(held, out, strict=True) if not left]
+        tested = [h for h, left in zip(held, out, strict=True) if left]
         try:
             fit = _fit_accelerometer(
                 kept, new.gravity, new.settings.accelerometer, new.accelerometer.parameters
             )
         except NotSupported:
             continue
-        tested = [h for h, left in zip(held, out, strict=True) if left]
-        if tested:
-            residuals[out] = quality.norm_residuals(fit.model, tested)[0]
+        residuals[out] = quality.norm_residuals(fit.model, tested)[0]
     return residuals
 
 

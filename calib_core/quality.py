@@ -12,11 +12,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.pool import HeldRest
 from stillcal.calib_core.rests import force_uncertainties, forces
 from stillcal.calib_core.samples import Array
+
+Number = float | Array
 
 _ALL_FLIPS = 12
 
@@ -82,13 +85,15 @@ VERDICTS: dict[tuple[Drift, Drift], Verdict] = {
 class Check:
     """One check. accel_residual: m/s^2, mean norm less gravity; gyro_residual: rad/s, largest axis.
 
-    Each with its standard uncertainty; None where no rest told. rests: how many took part.
+    Each with its standard uncertainty; None where no rest told. rests: how many took part; rests_off: of
+    these, how many are off by themselves.
     """
 
     accelerometer: Drift
     gyroscope: Drift
     verdict: Verdict
     rests: int
+    rests_off: int = 0
     accel_residual: float | None = None
     accel_uncertainty: float | None = None
     gyro_residual: float | None = None
@@ -118,17 +123,26 @@ def check(
     """Hold rests taken since the last check against the current calibration.
 
     norm_uncertainty: m/s^2, what the calibration itself leaves open in a norm, the repeatability of
-    rests included. gyro_bias: (3,) rad/s or None.
+    rests included. gyro_bias: (3,) rad/s or None. The accelerometer has drifted where the mean of the
+    norms is off, or two of them are: a change of bias lengthens one norm and shortens another, and their
+    mean does not show it. One rest alone may be a bad one and settles nothing but that nothing is amiss.
     """
     if not held:
         return Check(Drift.UNKNOWN, Drift.UNKNOWN, Verdict.WAIT, 0)
     residual, own = norm_residuals(accelerometer, held)
     accel = _weighted_mean(residual, own, norm_uncertainty)
-    accel_drift = _drift(accel, settings.significance, settings.accel_limit)
+    off = _off(residual, np.hypot(own, norm_uncertainty), settings.significance, settings.accel_limit)
     gyro = _rate_residual(gyro_bias, held)
+    accel_drift = _accel_drift(accel, int(off.sum()), len(held), settings)
     gyro_drift = _drift(gyro, settings.significance, settings.gyro_limit)
     verdict = VERDICTS[accel_drift, gyro_drift]
-    return Check(accel_drift, gyro_drift, verdict, len(held), *accel, *(gyro or (None, None)))
+    return Check(accel_drift, gyro_drift, verdict, len(held), int(off.sum()), *accel, *(gyro or (None, None)))
+
+
+def _accel_drift(mean: tuple[float, float], off: int, rests: int, settings: QualitySettings) -> Drift:
+    if off >= 2 or (rests >= 2 and _off(*mean, settings.significance, settings.accel_limit)):
+        return Drift.DRIFTED
+    return Drift.UNKNOWN if rests == off == 1 else Drift.NONE
 
 
 def _weighted_mean(values: Array, own: Array, common: float) -> tuple[float, float]:
@@ -152,8 +166,12 @@ def _rate_residual(bias: Array | None, held: Sequence[HeldRest]) -> tuple[float,
 def _drift(found: tuple[float, float] | None, significance: float, limit: float) -> Drift:
     if found is None:
         return Drift.UNKNOWN
-    residual, uncertainty = found
-    return Drift.DRIFTED if abs(residual) > max(limit, significance * uncertainty) else Drift.NONE
+    return Drift.DRIFTED if _off(*found, significance, limit) else Drift.NONE
+
+
+def _off(residual: Number, uncertainty: Number, significance: float, limit: float) -> NDArray[np.bool_]:
+    """Tell whether residuals are larger than their uncertainty explains, and large enough to matter."""
+    return np.asarray(np.abs(residual) > np.maximum(limit, significance * np.asarray(uncertainty)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,16 +53,36 @@ def test_nothing_seen_is_nothing_said() -> None:
 def test_drift_of_either_sensor_is_told_apart(
     force: list[float], rate: list[float] | None, verdict: Verdict
 ) -> None:
-    found = check(IDENTITY, 0.002, np.zeros(3), [held(force, rate)], SETTINGS)
+    found = check(IDENTITY, 0.002, np.zeros(3), [held(force, rate)] * 2, SETTINGS)
     assert found.verdict is verdict
     assert found.accel_residual == pytest.approx(np.linalg.norm(force) - 9.8)
 
 
 def test_a_drift_within_its_uncertainty_is_none() -> None:
     far = [0, 0, 9.85]
-    assert check(IDENTITY, 0.001, None, [held(far)], SETTINGS).accelerometer is Drift.DRIFTED
-    assert check(IDENTITY, 0.050, None, [held(far)], SETTINGS).accelerometer is Drift.NONE
-    assert check(IDENTITY, 0.001, None, [held(far, uncertainty=0.05)], SETTINGS).accelerometer is Drift.NONE
+
+    def found(norm_uncertainty: float, own: float = 1e-3) -> Drift:
+        return check(
+            IDENTITY, norm_uncertainty, None, [held(far, uncertainty=own)] * 2, SETTINGS
+        ).accelerometer
+
+    assert found(0.001) is Drift.DRIFTED
+    assert found(0.050) is Drift.NONE
+    assert found(0.001, own=0.05) is Drift.NONE
+
+
+def test_a_change_of_bias_shows_though_its_norms_cancel() -> None:
+    """0.1 m/s^2 more on x: the norm grows with x up and shrinks with x down."""
+    moved = [held([9.9, 0, 0]), held([-9.7, 0, 0]), held([0, 0, 9.8]), held([0, 0, -9.8])]
+    found = check(IDENTITY, 0.002, None, moved, SETTINGS)
+    assert found.accel_residual == pytest.approx(0, abs=1e-9)
+    assert (found.accelerometer, found.rests_off) == (Drift.DRIFTED, 2)
+
+
+def test_one_rest_off_waits_for_another_and_is_outvoted_by_many() -> None:
+    bad, good = held([0, 0, 9.9]), held([0, 9.8, 0])
+    assert check(IDENTITY, 0.002, None, [bad], SETTINGS).verdict is Verdict.WAIT
+    assert check(IDENTITY, 0.002, None, [bad, *[good] * 9], SETTINGS).verdict is Verdict.KEEP
 
 
 def test_a_better_calibration_wins_and_an_equal_one_seldom() -> None:
