@@ -23,7 +23,9 @@ def allan_deviation(values: Array, m: int) -> float:
     NIST SP1065, Eq. 10 (overlapping, from phase). Raises ValueError where n < 2 m + 1 or m < 1.
     """
     if m < 1 or values.size < 2 * m + 1:
-        raise ValueError(f"averaging factor {m}: needs 1 <= m and at least {2 * m + 1} values, have {values.size}")
+        raise ValueError(
+            f"averaging factor {m}: needs 1 <= m and at least {2 * m + 1} values, have {values.size}"
+        )
     phase = np.concatenate([[0.0], np.cumsum(values - values.mean())])
     second = phase[2 * m :] - 2.0 * phase[m:-m] + phase[: -2 * m]
     return float(np.sqrt(np.mean(second**2) / 2.0) / m)
@@ -61,14 +63,16 @@ def flicker_covariance(t: Array, duration: Array) -> Array:
     """Covariance (n, n) of bin means of flicker noise whose Allan variance's floor is one.
 
     A sum of equal Gauss-Markov processes, `FLICKER_TIMES_PER_DECADE` correlation times a decade, from the
-    thirtieth of the shortest bin to ten times the span (Keshner 1982). The floor of flicker noise is 2 ln 2 h (SP1065 T. 6),
-    h the variance per e-fold of correlation time over two.
+    thirtieth of the shortest bin to ten times the span (Keshner 1982). The floor of flicker noise is 2 ln 2 h
+    (SP1065, Table 6), h the variance per e-fold of correlation time over two.
     """
     span = float(np.ptp(t) + duration.max())
     low, high = np.log10(float(duration.min()) / 30.0), np.log10(10.0 * span)
     taus = np.logspace(low, high, max(2, round((high - low) * FLICKER_TIMES_PER_DECADE) + 1))
     step = np.log(taus[1] / taus[0])
-    total = sum((gauss_markov_covariance(t, duration, float(tau)) for tau in taus), np.zeros((t.size, t.size)))
+    total = sum(
+        (gauss_markov_covariance(t, duration, float(tau)) for tau in taus), np.zeros((t.size, t.size))
+    )
     return np.asarray(total * step / (2.0 * np.log(2.0)), dtype=np.float64)
 
 
@@ -114,7 +118,7 @@ def restricted_log_likelihood(covariance: Array, y: Array, design: Array) -> tup
     projected = inverse - weighted @ np.linalg.solve(information, weighted.T)
     py = projected @ y
     log_determinant = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(information)[1]
-    return float(-0.5 * (log_determinant + y @ py)), py, projected
+    return float(-0.5 * (log_determinant + y @ py)), np.asarray(py), np.asarray(projected, dtype=np.float64)
 
 
 def fit_noise(
@@ -133,7 +137,7 @@ def fit_noise(
 
 def _fit_components(parts: tuple[Array, ...], values: Array, tau: float) -> NoiseModel:
     """Fit the amplitudes of given unit covariances, in units of the values' own scatter."""
-    from scipy.optimize import minimize
+    from scipy.optimize import minimize  # noqa: PLC0415 - the daemon stays light
 
     scatter = max(float(values.std()), 1e-300)
     design = np.ones((values.size, 1))

@@ -9,9 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.events import Charging
 from stillcal.calib_core.samples import Array, Samples
+
+Index = NDArray[np.int64]
 
 WINDOW = 1.0
 SHORTEST_REST = 5
@@ -34,17 +37,17 @@ class Windows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bins:
-    """Still bins. t, duration: (n,) s; rest: (n,) index; force, rate: (n, 3) means, rate None without gyroscope.
+    """Still bins. t, duration: (n,) s; rest: (n,) index; force, rate: (n, 3) means.
 
     force_variance, rate_variance: (n, 3) of the means, white noise only. temperature: (n,) degC or None;
-    charging: (n,) part of the bin on the charger, None without events; use: (n,) activity since the start
-    up to the bin is in `activity`: (m, 2) s and 0..1 per window. vibration: (n,) (m/s^2)^2.
-    span: (start, end) s of the recording.
+    charging: (n,) part of the bin on the charger, None without events; charging_switches: (m, 2) s and state.
+    activity: (w, 2) s and 1 where the phone moved, per window. vibration: (n,) (m/s^2)^2. span: (start, end)
+    s of the recording. Columns that were not recorded are None.
     """
 
     t: Array
     duration: Array
-    rest: Array
+    rest: Index
     force: Array
     force_variance: Array
     vibration: Array
@@ -70,16 +73,18 @@ def windows(samples: Samples, t_start: float, t_end: float) -> Windows:
     safe = np.maximum(count, 1.0)[:, None]
     center = np.median(xyz, axis=0) if len(xyz) else np.zeros(3)
     total = _sums(index, xyz - center, n)
-    mean = total / safe
-    variance = _sums(index, (xyz - center - mean[index]) ** 2, n) / np.maximum(safe - 1.0, 1.0)
-    return Windows(t_start + (np.arange(n) + 0.5) * WINDOW, count, mean + center, variance)
+    mean: Array = total / safe
+    variance: Array = _sums(index, (xyz - center - mean[index]) ** 2, n) / np.maximum(safe - 1.0, 1.0)
+    return Windows(
+        t_start + (np.arange(n) + 0.5) * WINDOW, count, np.asarray(mean + center, dtype=np.float64), variance
+    )
 
 
-def _sums(index: Array, xyz: Array, n: int) -> Array:
+def _sums(index: Index, xyz: Array, n: int) -> Array:
     return np.stack([np.bincount(index, weights=xyz[:, a], minlength=n) for a in range(3)], axis=1)
 
 
-def still_windows(force: Windows, rate: Windows | None) -> Array:
+def still_windows(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
     """Return which windows (n,) are still: quiet for this recording, and mean force and rate that stay."""
     enough = force.count >= max(3.0, 0.5 * float(np.median(force.count)))
     spread = np.sqrt(force.variance.sum(axis=1))
@@ -96,7 +101,7 @@ def still_windows(force: Windows, rate: Windows | None) -> Array:
     return np.asarray(still)
 
 
-def _not_turning(rate: Windows, still: Array) -> Array:
+def _not_turning(rate: Windows, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
     turn = np.sqrt(rate.variance.sum(axis=1))
     floor = float(np.quantile(turn[still], 0.1))
     rest = np.median(rate.mean[still], axis=0)
@@ -105,7 +110,7 @@ def _not_turning(rate: Windows, still: Array) -> Array:
     return np.asarray(slow & (turn < 3.0 * floor + 2.0 * STILL_RATE) & (rate.count >= 3))
 
 
-def rest_runs(still: Array) -> list[tuple[int, int]]:
+def rest_runs(still: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return [first, last) windows of runs of stillness, one window trimmed at either end."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
     runs = [(int(a) + 1, int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
@@ -142,11 +147,11 @@ def cut(
     )
 
 
-def _bin_edges(runs: list[tuple[int, int]], length: float) -> tuple[Array, Array, Array]:
+def _bin_edges(runs: list[tuple[int, int]], length: float) -> tuple[Array, Array, Index]:
     parts = [np.linspace(a, b, max(1, round((b - a) * WINDOW / length)) + 1).round() for a, b in runs]
     if not parts:
         return np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)
-    rest = np.repeat(np.arange(len(parts)), [p.size - 1 for p in parts])
+    rest = np.repeat(np.arange(len(parts), dtype=np.int64), [p.size - 1 for p in parts])
     return np.concatenate([p[:-1] for p in parts]), np.concatenate([p[1:] for p in parts]), rest
 
 
@@ -179,7 +184,7 @@ def _bin_temperatures(samples: Samples, t_start: float, first: Array, last: Arra
 def _charging(
     events: Sequence[Charging], span: tuple[float, float], first: Array, last: Array
 ) -> dict[str, Array | None]:
-    """Part of each bin on the charger and (m, 2) switching times and states; before the first event its opposite."""
+    """Return charging per bin and (m, 2) switching times; before the first event its opposite held."""
     plugs = sorted((e for e in events if isinstance(e, Charging)), key=lambda e: e.t)
     if not plugs:
         return {"charging": None, "charging_switches": None}

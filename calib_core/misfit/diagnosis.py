@@ -19,6 +19,8 @@ from stillcal.calib_core.misfit.values import comb_step, quantisation, saturatio
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.calib_core.samples import Samples
 
+__all__ = ["Claims", "Diagnosis", "diagnose", "limits"]
+
 
 def diagnose(
     accelerometer: Samples,
@@ -59,7 +61,7 @@ def _sample_findings(sensor: str, samples: Samples, bins: Bins, claims: Claims) 
     comb = quantisation(samples, sensor, levels.sd, lsb)
     # Noise that hides in a coarse step has no level, tails or bandwidth of its own.
     step = max(comb_step(samples.xyz[:, a]) or 0.0 for a in range(3))
-    found = noise_findings(still, levels, sensor, claims, span, step) if comb is None else [comb]
+    found = noise_findings(still, levels, sensor, claims, span, step=step) if comb is None else [comb]
     extra = (
         saturation(samples, sensor, np.maximum(levels.sd, 1e-9), declared),
         tone(samples, sensor) if sensor == "accel" else None,

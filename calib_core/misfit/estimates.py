@@ -22,7 +22,7 @@ GRID_PARAMETERS = ("tau_s", "period_s")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """A hypothesis at its best grid point with mean (k,) and covariance (k, k) in SI, grid quantiles, gain."""
+    """A hypothesis at its best grid point: mean (k,), covariance (k, k) in SI, grid quantiles, gain."""
 
     hypothesis: Hypothesis
     value: Array
@@ -47,7 +47,11 @@ def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis])
     weight /= weight.sum()
     mean, covariance = _averaged(fits, weight, hypothesis.sizes)
     top = candidates[int(gains.argmax())]
-    grid = {name: _quantiles(candidates, name, weight) for name in hypothesis.grid if name in hypothesis.entry.grid_units}
+    grid = {
+        name: _quantiles(candidates, name, weight)
+        for name in hypothesis.grid
+        if name in hypothesis.entry.grid_units
+    }
     return Estimate(top, mean, covariance, grid, float(gains.max() - null_log_likelihood(reduced)))
 
 

@@ -1,7 +1,8 @@
-"""Likelihood of an effect with the noise refitted under it: averaged over covariance shapes, scale integrated out.
+"""Likelihood of an effect with the noise refitted under it: averaged over covariance shapes.
 
-Parameters are in units of their physical size and have a standard normal prior. A view is reduced once to the few sums that every hypothesis needs; a hypothesis is then judged in
-milliseconds. docs/misfit.md, 3, has the formulas.
+Parameters are in units of their physical size and have a standard normal prior. A view is reduced once to
+the few sums that every hypothesis needs; a hypothesis is then judged in milliseconds. docs/misfit.md, 3,
+has the formulas.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ ITERATIONS = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """A view under G shapes with M candidate columns. prior: (G,) log; constant: (G,) and determinants; yy: (G,);
-    xy: (G, M); blocks: one (G, k, k) a hypothesis; dof: nu0 + n - p; columns: list of column indices.
-    """  # noqa: D205 - one quantity, many sums
+    """A view under G shapes with M candidate columns.
+
+    prior: (G,) log; constant: (G,) prior and determinants; yy: (G,); xy: (G, M); blocks: one (G, k, k) a
+    hypothesis; columns: its column indices; dof: nu0 + n - p; walk: (G,) variance rate, 1/s, of random walks.
+    """
 
     prior: Array
     constant: Array
@@ -37,7 +40,7 @@ class Reduced:
 
 
 def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | None = None) -> Reduced:
-    """Whiten, project the baseline out and keep the sums. design: (b, n, M); columns[h]: (k,) of hypothesis h.
+    """Whiten, project the baseline out, keep the sums. design: (b, n, M); columns[h]: (k,) of hypothesis h.
 
     extra: (b, n, q) columns of effects already found, projected out with the baseline over all blocks.
     """
@@ -46,7 +49,9 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
     seen = np.abs(design).max(axis=(0, 1)) > 0.0
     for shape, weight in shapes(view):
         factor = np.linalg.cholesky(shape.covariance)
-        y, visible, determinant = _whitened(factor, view, design[:, :, seen], extra)
+        y, visible, determinant = _whitened(
+            np.asarray(factor, dtype=np.float64), view, design[:, :, seen], extra
+        )
         x = np.zeros((y.size, seen.size))
         x[:, seen] = visible
         log_det = 2.0 * len(view.y) * float(np.log(factor.diagonal()).sum())
@@ -84,7 +89,7 @@ def _grams(x: Array, columns: list[Array]) -> list[Array]:
 
 def _whitened(factor: Array, view: View, design: Array, extra: Array | None) -> tuple[Array, Array, float]:
     """Return y (b n,) and design (b n, M), whitened and free of the baseline, and log|B' C^-1 B|."""
-    from scipy.linalg import solve_triangular
+    from scipy.linalg import solve_triangular  # noqa: PLC0415 - the daemon stays light
 
     blocks_y, blocks_x, blocks_e, determinant = [], [], [], 0.0
     for b in range(len(view.y)):
@@ -156,7 +161,7 @@ def posterior_weights(view: Reduced) -> Array:
 
 
 def gain_bound(views: Sequence[Reduced], h: int) -> float:
-    """Return an upper bound of the log likelihood of hypothesis `h`: every shape at its own best parameters."""
+    """Return an upper bound of the log likelihood of hypothesis `h`: every shape at its own best."""
     return joint(views, [log_terms(v, _least(v, h)) for v in views])[0]
 
 
@@ -201,7 +206,10 @@ def residuals(view: Reduced, h: int, beta: Array) -> Array:
 def _solve(views: Sequence[Reduced], h: int, weights: list[Array]) -> Array:
     information = sum(np.einsum("g,gij->ij", w, v.blocks[h]) for v, w in zip(views, weights, strict=True))
     target = sum(w @ v.xy[:, v.columns[h]] for v, w in zip(views, weights, strict=True))
-    return np.linalg.solve(np.asarray(information) + np.eye(len(target)), np.asarray(target))
+    linear = np.asarray(target)
+    return np.asarray(
+        np.linalg.solve(np.asarray(information) + np.eye(linear.size), linear), dtype=np.float64
+    )
 
 
 def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Array]) -> Array:
@@ -217,4 +225,4 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Arra
     observed = expected - missing
     # Where the shapes disagree so much that the curvature is lost, the expected information is all there is.
     curvature = observed if np.linalg.eigvalsh(observed).min() > 0 else expected
-    return np.linalg.inv(curvature + np.eye(beta.size))
+    return np.asarray(np.linalg.inv(curvature + np.eye(beta.size)), dtype=np.float64)

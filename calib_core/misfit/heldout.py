@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit.catalogue.entry import Hypothesis, Scene
 from stillcal.calib_core.misfit.evidence import PRIOR_DOF, Reduced, log_terms, residuals
@@ -29,7 +31,7 @@ class HeldOut:
 
 
 def best_covariance(view: View, reduced: Reduced, h: int | None, beta: Array) -> Array:
-    """Return the most probable covariance (n, n), scale included, of a view under hypothesis `h` (None: no effect)."""
+    """Return the most probable covariance (n, n) of a view under hypothesis `h` (None: no effect)."""
     residual = reduced.yy if h is None else residuals(reduced, h, beta)
     top = int(np.argmax(log_terms(reduced, residual)))
     shape = next(s for i, (s, _) in enumerate(shapes(view)) if i == top)
@@ -41,7 +43,7 @@ def held_out(scene: Scene, covariances: Sequence[Array], effects: Sequence[Hypot
     start, end = scene.bins.span
     edges = np.linspace(start, end, FOLDS + 1)
     score, square, count = 0.0, 0.0, 0
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         for i, view in enumerate(scene.views):
             test = (view.t >= first) & (view.t < last)
             if not 0 < test.sum() < test.size - 3:
@@ -63,7 +65,9 @@ def _design(view: View, block: int, effects: list[Array]) -> tuple[Array, Array]
     return columns, precision
 
 
-def _predict(y: Array, design: tuple[Array, Array], covariance: Array, test: Array) -> tuple[float, Array]:
+def _predict(
+    y: Array, design: tuple[Array, Array], covariance: Array, test: NDArray[np.bool_]
+) -> tuple[float, Array]:
     """Return the log density of the left-out bins and their distance from the mean model."""
     columns, precision = design
     train = ~test

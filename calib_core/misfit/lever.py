@@ -18,7 +18,9 @@ from stillcal.calib_core.samples import Array, Samples
 PARTS = 10
 
 
-def lever_arm(accelerometer: Samples, baseline: Baseline, found: list[Turn], gravity: float) -> Finding | None:
+def lever_arm(
+    accelerometer: Samples, baseline: Baseline, found: list[Turn], gravity: float
+) -> Finding | None:
     """Find a lever arm that all turns agree on and that predicts the turns it was not fitted to."""
     if len(found) < LEAST_TURNS:
         return None
@@ -35,15 +37,17 @@ def lever_arm(accelerometer: Samples, baseline: Baseline, found: list[Turn], gra
     axes = [a for a in range(3) if abs(arm[a]) > thresholds.AXIS_SIGMA * error[a]]
     where = Where(found[0].end - found[0].duration, found[-1].end, (0.1, 10.0), "rate of turn")
     text = ", ".join(f"{100.0 * x:.1f}" for x in arm)
-    say = f"The accelerometer sits {text} cm from the point that the phone is turned about; allow for it in motion."
+    say = f"The accelerometer sits {text} cm from the point that the phone turns about."
     before = float(np.sqrt(power.sum() / sum(3 * len(t.rate) for t in found)))
     parameters = {"position": Parameter(arm.tolist(), ci.tolist(), "m")}
     rmse = (before, before * float(np.sqrt(max(1.0 - gain, 0.0))))
-    return direct_finding("lever_arm", "accel", axes, where, parameters, say, sigmas, rmse)
+    return direct_finding(
+        "lever_arm", "accel", axes, where, parameters, statement=say, sigmas=sigmas, rmse=rmse
+    )
 
 
 def _sums(samples: Samples, baseline: Baseline, turn: Turn, gravity: float) -> tuple[Array, Array, float]:
-    """Normal equations of one turn: (3, 3), (3,) and the residual's power."""
+    """Return the normal equations of one turn: (3, 3), (3,) and the residual's power."""
     raw = np.stack([np.interp(turn.t, samples.t, samples.xyz[:, a]) for a in range(3)], axis=1)
     force = (raw - baseline.bias) @ baseline.scale.T
     left = force - gravity * turn.gravity()
@@ -72,7 +76,9 @@ def _jackknifed(information: Array, target: Array, power: Array) -> tuple[Array,
         inside = part == p
         r = np.linalg.solve(information[~inside].sum(axis=0), target[~inside].sum(axis=0))
         others.append(r)
-        explained += 2.0 * float(r @ target[inside].sum(axis=0)) - float(r @ information[inside].sum(axis=0) @ r)
+        explained += 2.0 * float(r @ target[inside].sum(axis=0)) - float(
+            r @ information[inside].sum(axis=0) @ r
+        )
     away = np.array(others) - np.mean(others, axis=0)
     covariance = (PARTS - 1) / PARTS * away.T @ away + 1e-12 * np.eye(3)
     return arm, covariance, explained / float(power.sum())

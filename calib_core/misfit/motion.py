@@ -24,7 +24,7 @@ STRETCH = 20.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turning:
-    """Gravity's turning on an even grid. t: (n,) s; up, up_dot: (n, 3); rate: (n, 3) rad/s; use: (n,) bool."""
+    """Gravity's turning on an even grid. t: (n,) s; up, up_dot, rate: (n, 3); use: (n,) bool."""
 
     t: Array
     force: Array
@@ -67,8 +67,8 @@ def _smooth(values: Array) -> Array:
 
 
 def lag_misfits(motion: Turning) -> tuple[Array, Array]:
-    """Return lags (L,) s and misfits (stretches, L): mean square of d up/dt + rate(t + lag) x up, (rad/s)^2."""
-    lags = np.linspace(-LONGEST_LAG, LONGEST_LAG, LAGS)
+    """Return lags (L,) s and misfits (stretches, L): squares of d up/dt + rate(t + lag) x up, (rad/s)^2."""
+    lags: Array = np.linspace(-LONGEST_LAG, LONGEST_LAG, LAGS)
     stretch = ((motion.t - motion.t[0]) / STRETCH).astype(int)
     rows = np.flatnonzero(motion.use)
     where, up, dot = stretch[rows], motion.up[rows], motion.up_dot[rows]
@@ -81,7 +81,8 @@ def lag_misfits(motion: Turning) -> tuple[Array, Array]:
         misfits.append(np.bincount(where, weights=left, minlength=stretch[-1] + 1))
     count = np.bincount(where, minlength=stretch[-1] + 1)
     enough = count > 1.0 / motion.step
-    return lags, np.array(misfits).T[enough]
+    kept = np.asarray(np.array(misfits, dtype=np.float64).T[enough], dtype=np.float64)
+    return lags, kept
 
 
 def time_offset(motion: Turning) -> Finding | None:
@@ -97,15 +98,16 @@ def time_offset(motion: Turning) -> Finding | None:
     before, after = np.interp((0.0, delay.value), lags, total)
     scale = max(float(motion.use.sum()), 1.0)
     where = Where(float(motion.t[0]), float(motion.t[-1]), (0.1, 0.5 / motion.step), "rate of turn")
+    delays = {"delay": delay.parameter("s")}
     say = f"The gyroscope is {delay.value * 1e3:+.1f} ms behind the accelerometer; shift its stamps by that."
     return direct_finding(
-        "accel_gyro_time_offset", "timing", [], where, {"delay": delay.parameter("s")}, say, sigmas,
-        (float(np.sqrt(before / scale)), float(np.sqrt(after / scale))),
+        "accel_gyro_time_offset", "timing", [], where, delays, statement=say, sigmas=sigmas,
+        rmse=(float(np.sqrt(before / scale)), float(np.sqrt(after / scale))),
     )  # fmt: skip
 
 
 def jackknife(lags: Array, misfits: Array) -> Measured:
-    """Return the lag of least total misfit with its standard error from leaving out tenths of the stretches."""
+    """Return the lag of least misfit with its standard error from leaving out tenths of the stretches."""
     parts = np.arange(len(misfits)) % min(10, len(misfits))
     best = _lowest(lags, misfits.sum(axis=0))
     left_out = np.array([_lowest(lags, misfits[parts != p].sum(axis=0)) for p in np.unique(parts)])

@@ -47,7 +47,7 @@ def mean_of(pieces: Array, floor: float = 0.0) -> Measured:
 
 def tail(sigmas: float) -> float:
     """Return the two-sided normal probability of a deviation."""
-    from scipy.special import erfc
+    from scipy.special import erfc  # noqa: PLC0415 - the daemon stays light
 
     return float(erfc(sigmas / np.sqrt(2.0)))
 
@@ -58,6 +58,7 @@ def direct_finding(
     axes: list[int],
     where: Where,
     parameters: dict[str, Parameter],
+    *,
     statement: str,
     sigmas: float,
     rmse: tuple[float, float] = (float("nan"), float("nan")),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from stillcal.calib_core.samples import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
-    """A hypothesis with its fit and its score S; profile: (grid value, log likelihood) over its entry's grid."""
+    """A hypothesis with its fit, score S and gain; profile: (grid point, gain) over its entry's grid."""
 
     hypothesis: Hypothesis
     fit: Fit
@@ -39,8 +40,8 @@ class Scored:
 class Step:
     """One forward step: the winner and the best of every other entry, best first.
 
-    shadows: the winner's neighbours on its fine grid, and its kin. They are projected out with it in later steps, so that
-    what a time constant slightly off leaves behind is not taken for another effect.
+    shadows: the winner's neighbours on its fine grid, and its kin. They are projected out
+    with it later, so that what a time constant slightly off leaves is not taken for another effect.
     """
 
     winner: Scored
@@ -55,7 +56,7 @@ class Step:
 
 def score(gain: float, parameters: int, dof: float, trials: int) -> float:
     """Return S: minus log10 of the F tail of a gain in log likelihood, less log10 of the grid's size."""
-    from scipy.stats import f as f_distribution
+    from scipy.stats import f as f_distribution  # noqa: PLC0415 - the daemon stays light
 
     explained = -np.expm1(-2.0 * max(gain, 0.0) / dof)
     ratio = (explained / parameters) / (max(1.0 - explained, 1e-15) / max(dof - parameters, 1.0))
@@ -71,7 +72,7 @@ def proposals(scene: Scene, entries: Sequence[Entry]) -> list[Hypothesis]:
 def compete(
     scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()
 ) -> tuple[list[Scored], list[Reduced]]:
-    """Score every hypothesis against the baseline with `found` projected out; best of each entry, best first."""
+    """Score every hypothesis with baseline and `found` projected out; best of each entry, best first."""
     reduced = reduce_scene(scene, hypotheses, found)
     null = null_log_likelihood(reduced)
     dof = sum(v.dof for v in reduced)
@@ -106,7 +107,7 @@ def reduce_scene(
     """Reduce every view of a scene for a list of hypotheses."""
     widths = [h.columns[0].shape[2] for h in hypotheses]
     ends = np.cumsum([0, *widths])
-    index = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    index = [np.arange(a, b) for a, b in pairwise(ends)]
     reduced = []
     for i, view in enumerate(scene.views):
         design = np.concatenate([h.columns[i] * h.sizes for h in hypotheses], axis=2)

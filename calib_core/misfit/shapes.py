@@ -21,7 +21,7 @@ TAUS = (60.0, 240.0, 960.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """One covariance shape (n, n); white and wander variances in it; walk: variance rate of its random walk."""
+    """One covariance shape (n, n). walk: variance rate of the random walk in it, unit^2/s."""
 
     family: str
     strength: float

@@ -94,7 +94,7 @@ def _shown(step: Step) -> list[Scored]:
 
 
 def _evidence(scene: Scene, hypothesis: Hypothesis | None, others: Sequence[Hypothesis]) -> HeldOut:
-    """Return held-out scores with `others` and, if given, one more effect; the covariance is refitted for it."""
+    """Return held-out scores with `others` and, if given, one more effect, the noise refitted for it."""
     candidates = [hypothesis] if hypothesis is not None else list(others[:1])
     rest = list(others) if hypothesis is not None else list(others[1:])
     if not candidates:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
-from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.bins import Bins, Index
 from stillcal.calib_core.misfit.quick import SIGNIFICANT, Measured, direct_finding, mean_of
 from stillcal.calib_core.misfit.records import Claims, Finding, Parameter, Where
 from stillcal.calib_core.misfit.values import UNIT
@@ -30,7 +30,7 @@ MOST_WIDE = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quiet:
-    """Samples inside rests: pieces of (n_i, 3), each free of its mean; rate in Hz; t_start of each piece, s."""
+    """Samples inside rests: pieces (n_i, 3) free of their means; rate: Hz; t_start of each piece, s."""
 
     pieces: tuple[Array, ...]
     t_start: tuple[float, ...]
@@ -48,12 +48,12 @@ def quiet(samples: Samples, bins: Bins) -> Quiet:
 
 
 def spectra(still: Quiet) -> tuple[Array, Array]:
-    """Return frequencies (F,) Hz and one-sided densities (pieces, F, 3) by Welch's method, Hann, half overlap."""
-    from scipy.signal import welch
+    """Return frequencies (F,) Hz and one-sided densities (pieces, F, 3) by Welch's method."""
+    from scipy.signal import welch  # noqa: PLC0415 - the daemon stays light
 
-    length = int(min(SEGMENT, min(len(p) for p in still.pieces)))
+    length = int(min([SEGMENT, *(len(p) for p in still.pieces)]))
     out = [welch(p, fs=still.rate, nperseg=length, axis=0)[1] for p in still.pieces]
-    return np.fft.rfftfreq(length, 1.0 / still.rate), np.array(out)
+    return np.asarray(np.fft.rfftfreq(length, 1.0 / still.rate), dtype=np.float64), np.array(out)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,16 +87,17 @@ def _median_bias(samples: int, frequencies: int) -> float:
 def _cutoff(f: Array, log_power: Array, rate: float) -> Measured | None:
     """Fit 1 / (1 + (f / fc)^2n), n = 1, 2, to the typical log spectrum; None where flat does as well.
 
-    Filters are tried as built in analogue and as by the bilinear transform, whose frequency is tan(pi f / rate).
+    Filters are tried as analogue ones and as by the bilinear transform, whose frequency is tan(pi f / rate).
     Only what is above -15 dB counts: below lie the floor of the steps and what aliases.
     """
     used = log_power > np.quantile(log_power, 0.9) - 3.5
     f, log_power = f[used], log_power[used]
     grid = np.geomspace(f[2], 0.49 * rate, CUTOFFS)
     misfits = []
-    for warp in (lambda x: x, lambda x: np.tan(np.pi * x / rate)):
+    warped = (f, grid), (np.tan(np.pi * f / rate), np.tan(np.pi * grid / rate))
+    for at, cutoff in warped:
         for order in (1, 2):
-            residual = log_power + np.log1p((warp(f)[None, :] / warp(grid)[:, None]) ** (2 * order))
+            residual = log_power + np.log1p((at[None, :] / cutoff[:, None]) ** (2 * order))
             misfits.append(((residual - residual.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))
     misfit = np.min(misfits, axis=0)
     best, flat = int(np.argmin(misfit)), float(log_power.var())
@@ -109,16 +110,18 @@ def _cutoff(f: Array, log_power: Array, rate: float) -> Measured | None:
 
 
 def noise_findings(
-    still: Quiet, levels: NoiseLevels, sensor: str, claims: Claims, where: Where, step: float = 0.0
+    still: Quiet, levels: NoiseLevels, sensor: str, claims: Claims, where: Where, *, step: float = 0.0
 ) -> list[Finding]:
-    """Return what noise densities, tails and bandwidth show. step: unit, of the values; a coarse one has no tails."""
+    """Return what densities, tails and bandwidth show. step: of the values; coarse ones have no tails."""
     tails = _tails(still, sensor, where) if step < COARSE * float(levels.sd.min()) else None
     found = [_unequal(levels, sensor, where), tails]
     found.append(_level(levels, sensor, claims, still.rate, where) if tails is None else None)
     if levels.cutoff is not None:
-        say = f"The {sensor} sensor's output is low-passed at {levels.cutoff.value:.2g} Hz, below half its rate."
+        say = f"The {sensor} sensor's output is low-passed at {levels.cutoff.value:.2g} Hz."
         parameter = {"cutoff": levels.cutoff.parameter("Hz")}
-        found.append(direct_finding("bandwidth", sensor, [0, 1, 2], where, parameter, say, 8.0))
+        found.append(
+            direct_finding("bandwidth", sensor, [0, 1, 2], where, parameter, statement=say, sigmas=8.0)
+        )
     return [f for f in found if f is not None]
 
 
@@ -140,7 +143,7 @@ def _level(levels: NoiseLevels, sensor: str, claims: Claims, rate: float, where:
         return None
     say = f"The {sensor} sensor's white noise is {ratio.value:.2f} times what is declared."
     return direct_finding(
-        "noise_level", sensor, [0, 1, 2], where, {"ratio": ratio.parameter("1")}, say, sigmas
+        "noise_level", sensor, [0, 1, 2], where, {"ratio": ratio.parameter("1")}, statement=say, sigmas=sigmas
     )
 
 
@@ -157,13 +160,14 @@ def _unequal(levels: NoiseLevels, sensor: str, where: Where) -> Finding | None:
     ci = [[v - 1.96 * e, v + 1.96 * e] for v, e in zip(value, error, strict=True)]
     text = ", ".join(f"{v:.2f}" for v in value)
     say = f"The {sensor} sensor's white noise is not alike on its axes: {text} of the middle one."
+    parameter = {"ratio": Parameter(value, ci, "1")}
     return direct_finding(
-        "noise_unequal_axes", sensor, axes, where, {"ratio": Parameter(value, ci, "1")}, say, max(sigmas)
+        "noise_unequal_axes", sensor, axes, where, parameter, statement=say, sigmas=max(sigmas)
     )
 
 
 def _tails(still: Quiet, sensor: str, where: Where) -> Finding | None:
-    """Find single samples that fall too far out: excess kurtosis in the differences' scale, piece by piece."""
+    """Find single samples that fall too far out, by the excess kurtosis of each piece."""
     scaled = [_standardised(p) for p in still.pieces]
     kurtosis = mean_of(np.array([float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0) for z in scaled]), 1e-3)
     sigmas = kurtosis.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE)
@@ -174,17 +178,19 @@ def _tails(still: Quiet, sensor: str, where: Where) -> Finding | None:
     if fraction > MOST_WIDE:
         return None
     error = ratio.error
-    say = f"{fraction:.1%} of the {sensor} sensor's samples scatter {ratio.value:.1f} times wider than the rest."
+    say = f"{fraction:.1%} of the {sensor} sensor's samples scatter {ratio.value:.1f} times wider."
     parameter = {
         "ratio": Measured(ratio.value, error).parameter("1"),
         "fraction": Parameter(fraction, [0.7 * fraction, 1.3 * fraction], "1"),
         "excess_kurtosis": kurtosis.parameter("1"),
     }
-    return direct_finding("noise_heavy_tailed", sensor, [0, 1, 2], where, parameter, say, sigmas)
+    return direct_finding(
+        "noise_heavy_tailed", sensor, [0, 1, 2], where, parameter, statement=say, sigmas=sigmas
+    )
 
 
 def _standardised(piece: Array) -> Array:
-    """A piece free of its slow course (a cubic in time), in units of its own spread."""
+    """Return a piece free of its slow course (a cubic in time), in units of its own spread."""
     x = np.linspace(-1.0, 1.0, len(piece))
     course = np.polynomial.legendre.legvander(x, 3)
     fast = piece - course @ np.linalg.lstsq(course, piece, rcond=None)[0]
@@ -244,7 +250,9 @@ def tone(samples: Samples, sensor: str) -> Finding | None:
     if not _narrow(power[rows][:, max(high[k] - 20, 0) : high[k] + 21].sum(axis=(0, 2))):
         return None
     line = power[rows][:, high[k] - 3 : high[k] + 4]
-    return _tone_finding(samples, sensor, float(f[1]), line, int(high[k]), steady[rows], length)
+    return _tone_finding(
+        samples, sensor, float(f[1]), line, middle=int(high[k]), rows=steady[rows], length=length
+    )
 
 
 def _narrow(profile: Array) -> bool:
@@ -256,16 +264,16 @@ def _narrow(profile: Array) -> bool:
     return flank < FLANK * (float(profile[away <= 1].mean()) - floor)
 
 
-def _steady(blocks: Array, second: int) -> Array:
+def _steady(blocks: Array, second: int) -> Index:
     """Return the blocks whose means over a second stay where they are: rests, shaken or not."""
     count, length = len(blocks), blocks.shape[1] // second * second
     means = blocks[:, :length].reshape(count, -1, second, 3).mean(axis=2)
-    return np.flatnonzero(np.ptp(means, axis=1).max(axis=1) < STEADY)
+    return np.flatnonzero(np.ptp(means, axis=1).max(axis=1) < STEADY).astype(np.int64)
 
 
 def _stacked(ratio: Array) -> int | None:
-    """Return the frequency at which the mean power of all stretches stands out, no few of them alone; or None."""
-    from scipy.stats import gamma
+    """Return the frequency at which the mean power of all stretches stands out, or None."""
+    from scipy.stats import gamma  # noqa: PLC0415 - the daemon stays light
 
     count = len(ratio)
     mean = np.minimum(ratio, LOUDEST).mean(axis=0).max(axis=1)
@@ -275,21 +283,22 @@ def _stacked(ratio: Array) -> int | None:
 
 
 def _line_ratios(blocks: Array, rate: float) -> tuple[Array, Array, Array]:
-    """Return frequencies, powers and their ratio to the mean power within 1 Hz, the line's own bins left out."""
-    from scipy.ndimage import uniform_filter1d
+    """Return frequencies, powers and their ratio to the mean power within 1 Hz, a line's own bins apart."""
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
 
     window = np.hanning(blocks.shape[1])[None, :, None]
     spectrum = np.fft.rfft((blocks - blocks.mean(axis=1, keepdims=True)) * window, axis=1)
     power = np.abs(spectrum) ** 2
     around, own = 41 * uniform_filter1d(power, 41, axis=1), 7 * uniform_filter1d(power, 7, axis=1)
     background = np.maximum((around - own) / 34.0, 1e-6 * power.mean(axis=1, keepdims=True))
-    return np.fft.rfftfreq(blocks.shape[1], 1.0 / rate), power, power / np.maximum(background, 1e-300)
+    frequencies = np.asarray(np.fft.rfftfreq(blocks.shape[1], 1.0 / rate), dtype=np.float64)
+    return frequencies, np.asarray(power), np.asarray(power / np.maximum(background, 1e-300))
 
 
 def _tone_finding(
-    samples: Samples, sensor: str, resolution: float, power: Array, middle: int, rows: Array, length: int
+    samples: Samples, sensor: str, resolution: float, power: Array, *, middle: int, rows: Index, length: int
 ) -> Finding:
-    """Measure a line from the seven bins (stretches, 7, 3) about it: a Hann window spreads its energy on three."""
+    """Measure a line from the powers (stretches, 7, 3) about it: a Hann window spreads it on three bins."""
     energy = power.sum(axis=1)
     amplitude = np.sqrt(32.0 / 3.0 * np.median(energy, axis=0)) / length
     scatter = np.sqrt(32.0 / 3.0 * energy).std(axis=0) / length / np.sqrt(len(energy)) + 0.02 * amplitude
@@ -304,5 +313,6 @@ def _tone_finding(
         "amplitude": Parameter(amplitude.tolist(), ci.tolist(), UNIT[sensor]),
     }
     where = Where(t_start, t_end, (frequency - half, frequency + half), "time")
-    say = f"A vibration at {frequency:.2f} Hz, {amplitude.max():.3g} {UNIT[sensor]}, is in the {sensor} sensor's data."
-    return direct_finding("vibration_tone", sensor, axes, where, parameters, say, 10.0)
+    size = f"{amplitude.max():.3g} {UNIT[sensor]}"
+    say = f"The {sensor} sensor's data hold a vibration at {frequency:.2f} Hz, {size}."
+    return direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, sigmas=10.0)

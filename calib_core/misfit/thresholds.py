@@ -1,9 +1,9 @@
-"""Every threshold of the diagnosis, with what set it. Nothing else in the package decides what is alarming."""
+"""Every threshold of the diagnosis, with what set it: nothing else here decides what is alarming."""
 
 from __future__ import annotations
 
 SCORE = 4.5
-"""Least score S of a slow finding, from `calibrate.py --trials 50 --seed 2` (docs/misfit.md, 5, has the table)."""
+"""Least score S of a slow finding, from tests/core/misfit/calibrate.py (docs/misfit.md, 5)."""
 
 WORTH_FITTING = 1.0
 """Hypotheses whose best case scores less than this are not fitted at all."""

@@ -61,9 +61,10 @@ def _skew(samples: Samples, claims: Claims) -> Finding | None:
     sigmas = rate.beyond(-tolerance, tolerance)
     if sigmas < SIGNIFICANT:
         return None
-    say = f"The sensor's clock runs {rate.value * 1e6:+.0f} ppm against its reference; scale its stamps by that."
+    say = f"The sensor's clock runs {rate.value * 1e6:+.0f} ppm against its reference."
     where = _where(samples.t, float(np.median(np.diff(samples.t))))
-    return direct_finding("clock_skew", "timing", [], where, {"relative": rate.parameter("1")}, say, sigmas)
+    parameter = {"relative": rate.parameter("1")}
+    return direct_finding("clock_skew", "timing", [], where, parameter, statement=say, sigmas=sigmas)
 
 
 def _jitter(t: Array, period: float) -> Finding | None:
@@ -79,9 +80,8 @@ def _jitter(t: Array, period: float) -> Finding | None:
     if sigmas < SIGNIFICANT:
         return None
     say = f"Stamps scatter by {sigma.value * 1e3:.2f} ms about an even rate; resample by the fitted clock."
-    return direct_finding(
-        "timestamp_jitter", "timing", [], _where(t, period), {"sigma": sigma.parameter("s")}, say, sigmas
-    )
+    where, parameter = _where(t, period), {"sigma": sigma.parameter("s")}
+    return direct_finding("timestamp_jitter", "timing", [], where, parameter, statement=say, sigmas=sigmas)
 
 
 def _drops(t: Array, period: float) -> Finding | None:
@@ -94,10 +94,10 @@ def _drops(t: Array, period: float) -> Finding | None:
     fraction = missing / total
     error = np.sqrt(float((gaps**2).sum())) / total
     low, high = max(fraction - 1.96 * error, 0.0), fraction + 1.96 * error
-    say = f"{fraction:.2%} of the samples are missing, in {gaps.size} gaps; do not integrate across them as if even."
+    say = f"{fraction:.2%} of the samples are missing, in {gaps.size} gaps."
     parameter = {"fraction": Parameter(fraction, [low, high], "1")}
     return direct_finding(
-        "dropped_samples", "timing", [], _where(t, period), parameter, say, fraction / error
+        "dropped_samples", "timing", [], _where(t, period), parameter, statement=say, sigmas=fraction / error
     )
 
 
@@ -117,6 +117,7 @@ def _bursts(samples: Samples, period: float) -> Finding | None:
         f"{fraction:.1%} of the samples were delivered in bursts; take the sensor's stamps, not the arrival."
     )
     where = _where(samples.t, period)
+    parameter = {"fraction": measured.parameter("1")}
     return direct_finding(
-        "arrival_bursts", "timing", [], where, {"fraction": measured.parameter("1")}, say, fraction / error
+        "arrival_bursts", "timing", [], where, parameter, statement=say, sigmas=fraction / error
     )

@@ -27,7 +27,7 @@ MARGIN = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """One turn. end: s; t: (n,) s; rate: (n, 3) rad/s, bias taken off; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,)."""
+    """One turn. t: (n,) s; rate: (n, 3) rad/s, bias off; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,)"""
 
     end: float
     duration: float
@@ -51,7 +51,7 @@ class Turn:
 
 
 def turns(gyroscope: Samples, bins: Bins, up: Array) -> list[Turn]:
-    """Cut the turns between successive rests; up: (N, 3) unit gravity in every bin, of the calibrated force."""
+    """Cut the turns between successive rests; up: (N, 3) unit gravity in every bin, calibrated."""
     if bins.rate is None:
         return []
     last = np.flatnonzero(np.diff(bins.rest) > 0)
@@ -108,14 +108,30 @@ def turn_view(found: list[Turn]) -> View:
     baseline = np.einsum("kbi,kip->kbp", across, scale).reshape(y.size, 9)
     n = y.size
     rough = View(
-        "turn", y[None], baseline[None], np.ones(n), np.eye(n), across.reshape(1, n, 3), np.arange(n),
-        np.repeat([t.end for t in found], 2), np.ones(n), np.arange(n),
-    )  # fmt: skip
+        "turn",
+        y[None],
+        baseline[None],
+        np.ones(n),
+        np.eye(n),
+        across.reshape(1, n, 3),
+        np.arange(n),
+        np.repeat([t.end for t in found], 2),
+        np.ones(n),
+        np.arange(n),
+    )
     spread = max(1.4826 * float(np.median(np.abs(_left(rough)))), 1e-6)
     return View(
-        "turn", y[None], baseline[None], np.full(n, spread**2), np.eye(n), rough.project, rough.bins, rough.t,
-        rough.duration, rough.rest,
-    )  # fmt: skip
+        "turn",
+        y[None],
+        baseline[None],
+        np.full(n, spread**2),
+        np.eye(n),
+        rough.project,
+        rough.bins,
+        rough.t,
+        rough.duration,
+        rough.rest,
+    )
 
 
 def _left(view: View) -> Array:
@@ -130,24 +146,40 @@ def _tangents(up: Array) -> Array:
 
 
 SCALE = Entry(
-    "gyro_scale_temperature", "gyro", "temperature x rate of turn", lambda _entry, _scene: [],
-    (Linear("slope", "1/K", 3, 1e-3),), "The gyroscope's scale follows temperature on {axes}.",
-    ("gyro_bias_temperature",), "turn the phone about every axis, cold and warm",
-)  # fmt: skip
+    "gyro_scale_temperature",
+    "gyro",
+    "temperature x rate of turn",
+    lambda _entry, _scene: [],
+    (Linear("slope", "1/K", 3, 1e-3),),
+    "The gyroscope's scale follows temperature on {axes}.",
+    ("gyro_bias_temperature",),
+    "turn the phone about every axis, cold and warm",
+)
 SAY = "The gyroscope is not linear on {axes}."
 QUADRATIC = Entry(
-    "gyro_nonlinearity", "gyro", "rate of turn", lambda _entry, _scene: [],
-    (Linear("quadratic", "1/(rad/s)", 3, 0.02),), SAY, ("gyro_saturation",), "turn at several speeds, both ways",
-)  # fmt: skip
+    "gyro_nonlinearity",
+    "gyro",
+    "rate of turn",
+    lambda _entry, _scene: [],
+    (Linear("quadratic", "1/(rad/s)", 3, 0.02),),
+    SAY,
+    ("gyro_saturation",),
+    "turn at several speeds, both ways",
+)
 CUBIC = Entry(
-    "gyro_nonlinearity", "gyro", "rate of turn", lambda _entry, _scene: [],
-    (Linear("quadratic", "1/(rad/s)", 3, 0.02), Linear("cubic", "1/(rad/s)^2", 3, 0.01)), SAY,
-    ("gyro_saturation",), "turn at several speeds, both ways",
-)  # fmt: skip
+    "gyro_nonlinearity",
+    "gyro",
+    "rate of turn",
+    lambda _entry, _scene: [],
+    (Linear("quadratic", "1/(rad/s)", 3, 0.02), Linear("cubic", "1/(rad/s)^2", 3, 0.01)),
+    SAY,
+    ("gyro_saturation",),
+    "turn at several speeds, both ways",
+)
 
 
 def turn_hypotheses(found: list[Turn], scene: Scene) -> list[Hypothesis]:
-    """Return the effects that turns can show: nonlinearity, and scale against temperature where it was recorded."""
+    """Return what turns can show: nonlinearity, and scale against temperature where it was recorded."""
     across = scene.views[0].project.reshape(-1, 2, 3)
 
     def seen(term: Callable[[Turn], Array]) -> Array:

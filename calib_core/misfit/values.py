@@ -17,7 +17,7 @@ LEAST_LIMIT = {"accel": 11.3, "gyro": 0.5}
 def comb_step(values: Array) -> float | None:
     """Return the step (unit) of the grid that `values` (n,) lie on, None where they lie on none.
 
-    The smallest difference between distinct values, refined over all; on a grid all differences are its multiples.
+    On a grid all differences of distinct values are multiples of the smallest.
     """
     distinct = np.unique(values[:: max(1, values.size // COMB_SAMPLES)])
     gaps = np.diff(distinct)
@@ -43,25 +43,29 @@ def quantisation(samples: Samples, sensor: str, noise: Array, lsb: float | None)
     step = float(np.median([s for s in (steps[a] for a in axes) if s is not None]))
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "value")
     half = step * 1e-3
-    say = f"The {sensor} sensor's values come in steps of {step:.4g} {UNIT[sensor]}, coarser than declared or its noise."
+    size = f"{step:.4g} {UNIT[sensor]}"
+    say = f"The {sensor} sensor's values come in steps of {size}, coarser than declared or than its noise."
     parameter = {"step": Parameter(step, [step - half, step + half], UNIT[sensor])}
-    return direct_finding(f"{sensor}_quantisation", sensor, axes, where, parameter, say, 30.0)
+    return direct_finding(
+        f"{sensor}_quantisation", sensor, axes, where, parameter, statement=say, sigmas=30.0
+    )
 
 
 def saturation(samples: Samples, sensor: str, noise: Array, declared: float | None) -> Finding | None:
-    """Find a value beyond which nothing is reported, short of the declared range, with a pile of samples on it."""
+    """Find a value short of the declared range that nothing exceeds and on which samples pile up."""
     size = np.abs(samples.xyz)
-    tops = [_flat_top(size[:, a], float(noise[a]), LEAST_LIMIT[sensor]) for a in range(3)]
-    axes = [a for a in range(3) if tops[a] is not None and (not declared or tops[a][0] < 0.97 * declared)]
-    if not axes:
+    flat = {a: _flat_top(size[:, a], float(noise[a]), LEAST_LIMIT[sensor]) for a in range(3)}
+    tops = {a: t for a, t in flat.items() if t is not None and (not declared or t[0] < 0.97 * declared)}
+    if not tops:
         return None
-    limit = float(np.median([tops[a][0] for a in axes]))
-    error = max(float(np.max([tops[a][1] for a in axes])), 1e-4 * limit)
+    axes = list(tops)
+    limit = float(np.median([t[0] for t in tops.values()]))
+    error = max([1e-4 * limit, *(t[1] for t in tops.values())])
     rows = np.flatnonzero((size[:, axes] > limit - 4.0 * error - 4.0 * noise[axes]).any(axis=1))
     where = Where(float(samples.t[rows[0]]), float(samples.t[rows[-1]]), (0.0, 0.0), "own input")
     say = f"The {sensor} sensor stops at {limit:.4g} {UNIT[sensor]}; nothing beyond is to be trusted."
     parameter = {"limit": Parameter(limit, [limit - 1.96 * error, limit + 1.96 * error], UNIT[sensor])}
-    return direct_finding(f"{sensor}_saturation", sensor, axes, where, parameter, say, 30.0)
+    return direct_finding(f"{sensor}_saturation", sensor, axes, where, parameter, statement=say, sigmas=30.0)
 
 
 def _flat_top(size: Array, noise: float, least: float) -> tuple[float, float] | None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.bins import Bins, Index
 from stillcal.calib_core.samples import Array
 
 BIAS_SIZE = 0.5
@@ -34,10 +34,10 @@ class View:
     variance: Array
     coupling: Array
     project: Array
-    bins: Array
+    bins: Index
     t: Array
     duration: Array
-    rest: Array
+    rest: Index
 
     @property
     def parameters(self) -> int:
@@ -47,7 +47,7 @@ class View:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Baseline:
-    """Affine accelerometer fitted to the norm of gravity. scale (3, 3), bias (3,), up: (n, 3) unit, norm: (n,)."""
+    """Affine accelerometer fitted to gravity's norm. scale (3, 3), bias (3,), up: (n, 3), norm: (n,)."""
 
     scale: Array
     bias: Array
@@ -56,7 +56,7 @@ class Baseline:
     jacobian: Array
 
 
-def fit_baseline(force: Array, variance: Array, rest: Array, gravity: float, steps: int = 8) -> Baseline:
+def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, steps: int = 8) -> Baseline:
     """Fit the nine parameters of |S (m - b)| = g by damped Gauss-Newton with priors of physical size.
 
     force, variance: (n, 3); rest: (n,). Norm of gravity alone leaves a common rotation free, so S is
@@ -75,7 +75,7 @@ def fit_baseline(force: Array, variance: Array, rest: Array, gravity: float, ste
     return replace(steady, norm=_linearised(force, x).norm)
 
 
-def rest_means(values: Array, rest: Array) -> Array:
+def rest_means(values: Array, rest: Index) -> Array:
     """Replace each bin's values (n, k) by the mean over its rest."""
     count = np.maximum(np.bincount(rest), 1)
     means = np.stack([np.bincount(rest, weights=c) / count for c in values.T], axis=1)
@@ -146,7 +146,7 @@ def tangent_view(bins: Bins, baseline: Baseline) -> View | None:
     )
 
 
-def _across(up: Array, rest: Array) -> Array:
+def _across(up: Array, rest: Index) -> Array:
     """Two unit vectors (2, n, 3) across the mean gravity of each rest, as near to body axes as can be."""
     across = np.empty((2, len(up), 3))
     for r in np.unique(rest):
@@ -159,7 +159,7 @@ def _across(up: Array, rest: Array) -> Array:
     return across
 
 
-def _creep(t: Array, rest: Array) -> Array:
+def _creep(t: Array, rest: Index) -> Array:
     """Offset, ramp and logarithmic relaxation of every rest: (n, 3 rests)."""
     columns = []
     for r in np.unique(rest):

@@ -78,7 +78,7 @@ def random_walk(scene: Scene, explained: Sequence[Hypothesis]) -> list[Finding]:
     unit = f"{UNIT[scene.sensor]}/sqrt(s)"
     density = Parameter([n[0] for n in numbers], [[n[1], n[2]] for n in numbers], unit)
     worst = max(n[0] for n in numbers)
-    say = f"The {NAME[scene.sensor]}'s bias walks at random, {worst:.2g} {unit}, more than a phone's may; zero it often."
+    say = f"The {NAME[scene.sensor]}'s bias walks at random, {worst:.2g} {unit}: zero it often."
     where = Where(*scene.bins.span, (0.0, 0.05), "nothing")
     evidence = Evidence(max(1.0 - sure, 1e-12), 0.0, 0.0, 0.0, 0)
     return [

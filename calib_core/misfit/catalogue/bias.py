@@ -1,4 +1,4 @@
-"""Biases that follow a driver: temperature, warm-up, drift, step, charging, and heat without a thermometer."""
+"""Biases that follow a driver: temperature, warm-up, drift, step, charging, and heat unmeasured."""
 
 from __future__ import annotations
 
@@ -50,49 +50,96 @@ def _settling(scene: Scene, grid: dict[str, float]) -> Array:
 
 
 def _other_lags(entry: Entry, scene: Scene) -> list[Hypothesis]:
-    """A phone's heat has several lags and a start of its own: all of one cause."""
+    """Propose what else one cause does: a phone's heat has several lags and a start of its own."""
     curves = drivers.other_lags(scene.bins)
     return [Hypothesis(entry, {}, bias_columns(scene, curve)) for curve in curves]
 
 
 def entries(sensor: str) -> list[Entry]:
     """Return the bias entries of one sensor, "accel" or "gyro"."""
+    return [*_thermal(sensor), *_timed(sensor)]
+
+
+def _thermal(sensor: str) -> list[Entry]:
+    """Return what follows heat: temperature, warm-up, and heat without a thermometer."""
     unit, name, size = UNIT[sensor], NAME[sensor], SIZE[sensor]
-    own = [
-        f"{sensor}_{x}" for x in ("bias_temperature", "warmup", "bias_drift", "bias_step", "charging_bias")
-    ]
-    thermal, warmup, drift, step, charging = own
+    thermal, warmup, drift = (f"{sensor}_{x}" for x in ("bias_temperature", "warmup", "bias_drift"))
     return [
         Entry(
-            thermal, sensor, "temperature", curves(drivers.temperature), (Linear("slope", f"{unit}/K", 3, PER_KELVIN[sensor]),),
-            f"The {name}'s bias follows temperature on {{axes}}.",
-            (warmup, drift, f"{sensor}_scale_temperature"),
-            "let the phone warm and cool twice, in several attitudes",
+            effect=thermal,
+            sensor=sensor,
+            follows="temperature",
+            propose=curves(drivers.temperature),
+            parameters=(Linear("slope", f"{unit}/K", 3, PER_KELVIN[sensor]),),
+            sentence=f"The {name}'s bias follows temperature on {{axes}}.",
+            look_alikes=(warmup, drift, f"{sensor}_scale_temperature"),
+            decides="let the phone warm and cool twice, in several attitudes",
         ),
         Entry(
-            warmup, sensor, "time since start", curves(drivers.warmup), (Linear("amplitude", unit, 3, size),),
-            f"The {name}'s bias settles after the start of the recording on {{axes}}.",
-            (thermal, drift, "thermal_latent"), "switch on cold once more, or record temperature", {"tau_s": "s"}, _near_tau,
+            effect=warmup,
+            sensor=sensor,
+            follows="time since start",
+            propose=curves(drivers.warmup),
+            parameters=(Linear("amplitude", unit, 3, size),),
+            sentence=f"The {name}'s bias settles after the start of the recording on {{axes}}.",
+            look_alikes=(thermal, drift, "thermal_latent"),
+            decides="switch on cold once more, or record temperature",
+            grid_units={"tau_s": "s"},
+            refine=_near_tau,
         ),
         Entry(
-            drift, sensor, "time", curves(drivers.drift), (Linear("rate", f"{unit}/s", 3, size / 3600.0),),
-            f"The {name}'s bias drifts steadily on {{axes}}.",
-            (warmup, thermal, f"{sensor}_bias_random_walk"), "record for several times as long", handicap=DRIFT_HANDICAP,
+            effect="thermal_latent",
+            sensor=sensor,
+            follows="charging and use",
+            propose=curves(drivers.latent_heat),
+            parameters=(Linear("amplitude", unit, 3, size),),
+            sentence=f"The {name}'s bias on {{axes}} follows a slow curve like heat from charging and use.",
+            look_alikes=(warmup, f"{sensor}_charging_bias", drift),
+            decides="record temperature, or let the phone cool unplugged",
+            grid_units={"tau_s": "s"},
+            refine=_near_tau,
+            kin=_other_lags,
+        ),
+    ]
+
+
+def _timed(sensor: str) -> list[Entry]:
+    """Return what follows the clock or the plug: drift, step, charging."""
+    unit, name, size = UNIT[sensor], NAME[sensor], SIZE[sensor]
+    thermal, walk = f"{sensor}_bias_temperature", f"{sensor}_bias_random_walk"
+    return [
+        Entry(
+            effect=f"{sensor}_bias_drift",
+            sensor=sensor,
+            follows="time",
+            propose=curves(drivers.drift),
+            parameters=(Linear("rate", f"{unit}/s", 3, size / 3600.0),),
+            sentence=f"The {name}'s bias drifts steadily on {{axes}}.",
+            look_alikes=(f"{sensor}_warmup", thermal, walk),
+            decides="record for several times as long",
+            handicap=DRIFT_HANDICAP,
         ),
         Entry(
-            step, sensor, "time", _step, (Linear("step", unit, 3, size),),
-            f"The {name}'s bias jumped once on {{axes}}.",
-            (charging, f"{sensor}_bias_random_walk"), "knock the phone again, or repeat with the plug untouched",
-            {"t_start": "s"}, _near_step, recurs=True,
+            effect=f"{sensor}_bias_step",
+            sensor=sensor,
+            follows="time",
+            propose=_step,
+            parameters=(Linear("step", unit, 3, size),),
+            sentence=f"The {name}'s bias jumped once on {{axes}}.",
+            look_alikes=(f"{sensor}_charging_bias", walk),
+            decides="knock the phone again, or repeat with the plug untouched",
+            grid_units={"t_start": "s"},
+            refine=_near_step,
+            recurs=True,
         ),
         Entry(
-            charging, sensor, "charging", curves(drivers.charging), (Linear("step", unit, 3, size),),
-            f"The {name}'s bias switches with the charger on {{axes}}.",
-            (thermal, step, "thermal_latent"), "plug in and out several times, some minutes apart",
+            effect=f"{sensor}_charging_bias",
+            sensor=sensor,
+            follows="charging",
+            propose=curves(drivers.charging),
+            parameters=(Linear("step", unit, 3, size),),
+            sentence=f"The {name}'s bias switches with the charger on {{axes}}.",
+            look_alikes=(thermal, f"{sensor}_bias_step", "thermal_latent"),
+            decides="plug in and out several times, some minutes apart",
         ),
-        Entry(
-            "thermal_latent", sensor, "charging and use", curves(drivers.latent_heat), (Linear("amplitude", unit, 3, size),),
-            f"The {name}'s bias on {{axes}} follows a slow curve like heat from charging and use.",
-            (warmup, charging, drift), "record temperature, or let the phone cool unplugged", {"tau_s": "s"}, _near_tau, _other_lags,
-        ),
-    ]  # fmt: skip
+    ]

@@ -45,7 +45,7 @@ def drift(scene: Scene) -> list[Driver]:
 
 
 def steps(scene: Scene) -> list[Driver]:
-    """One at and after a time; up to `STEPS` times evenly among the borders of bins, two bins from either end."""
+    """One at and after a time: up to `STEPS` borders of bins, two bins from either end."""
     t = scene.bins.t
     if t.size < 6:
         return []
@@ -117,6 +117,6 @@ def heat(bins: Bins, tau: float, plug: float, use: float, start: float) -> Array
 
 
 def _filtered(source: Array, decay: float) -> Array:
-    from scipy.signal import lfilter
+    from scipy.signal import lfilter  # noqa: PLC0415 - the daemon stays light
 
     return np.asarray(lfilter([1.0 - decay], [1.0, -decay], source))

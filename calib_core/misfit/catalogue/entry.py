@@ -1,4 +1,4 @@
-"""What a catalogue entry is: an effect's forward equation as columns in each view, and what may be said of it."""
+"""What a catalogue entry is: an effect's forward equation as columns in each view, and what to say of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """One sensor's slow views with what the catalogue may use. up: (n, 3) unit gravity in every bin, or None."""
+    """One sensor's views and what the catalogue may use. up: (n, 3) unit gravity in every bin, or None."""
 
     sensor: str
     bins: Bins
@@ -27,7 +27,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """An effect at one point of its grid. columns: one (b, n, k) a view, in the order of the scene's views."""
+    """An effect at one point of its grid. columns: one (b, n, k) for each of the scene's views."""
 
     entry: Entry
     grid: dict[str, float]
@@ -57,7 +57,8 @@ class Entry:
     its linear parameters in the columns' order. look_alikes: effects that can imitate it; decides:
     the recording that tells them apart. sentence: one plain sentence, `{axes}` filled in. follows: driver.
     refine: hypotheses on a finer grid about a grid point. kin: what else
-    belongs to the same cause and must not be named again once this is found. handicap: score that the entry must give away.
+    belongs to the same cause and must not be named again once this is found. handicap: score it must
+    give away.
     recurs: whether it may be found more than once.
     """
 
@@ -77,7 +78,7 @@ class Entry:
 
 
 def bias_columns(scene: Scene, curve: Array, views: tuple[str, ...] = ()) -> tuple[Array, ...]:
-    """Columns of a bias that follows `curve` (N,), one parameter an axis; `views` names views to leave out."""
+    """Return columns of a bias that follows `curve` (N,) on each axis; `views` names views to leave out."""
     return tuple(
         v.project * (0.0 if v.name in views else 1.0) * curve[v.bins][None, :, None] for v in scene.views
     )

@@ -60,7 +60,7 @@ def _g_sensitivity(entry: Entry, scene: Scene) -> list[Hypothesis]:
 
 
 def distinct(up: Array, angle: float = 0.2) -> int:
-    """Number of attitudes further than `angle` (rad) from each other."""
+    """Return the number of attitudes further than `angle` (rad) from each other."""
     seen: list[Array] = []
     for u in up:
         if all(u @ s < np.cos(angle) for s in seen):
@@ -73,28 +73,49 @@ def accelerometer_entries() -> list[Entry]:
     sentence = "The accelerometer is not linear on {axes}."
     return [
         Entry(
-            "accel_scale_temperature", "accel", "temperature x own force", _scale_temperature,
-            (Linear("slope", "1/K", 3, 1e-3),), "The accelerometer's scale follows temperature on {axes}.",
-            ("accel_bias_temperature",), "turn the phone over while it is warm",
+            "accel_scale_temperature",
+            "accel",
+            "temperature x own force",
+            _scale_temperature,
+            (Linear("slope", "1/K", 3, 1e-3),),
+            "The accelerometer's scale follows temperature on {axes}.",
+            ("accel_bias_temperature",),
+            "turn the phone over while it is warm",
         ),
         Entry(
-            "accel_nonlinearity", "accel", "own force", _quadratic, (Linear("quadratic", "1/(m/s^2)", 3, 1e-3),), sentence,
-            ("accel_saturation",), "rest in more attitudes, edges and corners",
+            "accel_nonlinearity",
+            "accel",
+            "own force",
+            _quadratic,
+            (Linear("quadratic", "1/(m/s^2)", 3, 1e-3),),
+            sentence,
+            ("accel_saturation",),
+            "rest in more attitudes, edges and corners",
         ),
         Entry(
-            "accel_nonlinearity", "accel", "own force", _nonlinearity,
-            (Linear("quadratic", "1/(m/s^2)", 3, 1e-3), Linear("cubic", "1/(m/s^2)^2", 3, 1e-4)), sentence,
-            ("accel_saturation",), "rest in more attitudes, edges and corners",
+            "accel_nonlinearity",
+            "accel",
+            "own force",
+            _nonlinearity,
+            (Linear("quadratic", "1/(m/s^2)", 3, 1e-3), Linear("cubic", "1/(m/s^2)^2", 3, 1e-4)),
+            sentence,
+            ("accel_saturation",),
+            "rest in more attitudes, edges and corners",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def gyroscope_entries() -> list[Entry]:
     """Return the gyroscope's entries that follow gravity."""
     return [
         Entry(
-            "gyro_g_sensitivity", "gyro", "attitude", _g_sensitivity, (Linear("matrix", "(rad/s)/(m/s^2)", 9, 1e-3),),
+            "gyro_g_sensitivity",
+            "gyro",
+            "attitude",
+            _g_sensitivity,
+            (Linear("matrix", "(rad/s)/(m/s^2)", 9, 1e-3),),
             "The gyroscope's bias on {axes} follows gravity's direction and comes back with it.",
-            ("gyro_bias_temperature",), "return to the same attitudes at another temperature",
+            ("gyro_bias_temperature",),
+            "return to the same attitudes at another temperature",
         )
-    ]  # fmt: skip
+    ]

@@ -56,7 +56,7 @@ def _pulses(scene: Scene) -> list[drivers.Driver]:
 
 
 def _kinks(scene: Scene) -> list[drivers.Driver]:
-    """A ramp that begins at a time."""
+    """Return ramps that begin at a time."""
     start, end = scene.bins.span
     return [
         ({"t_start": float(a)}, np.maximum(scene.bins.t - a, 0.0) / (end - start))

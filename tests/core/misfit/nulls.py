@@ -7,6 +7,7 @@ from the covariances that the estimator assumes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +116,7 @@ def bins_of(
         if rows.size < 5:
             continue
         cuts = np.linspace(rows[0], rows[-1] + 1, max(1, round(rows.size / length)) + 1).round().astype(int)
-        edges += list(zip(cuts[:-1], cuts[1:], strict=True))
+        edges += list(pairwise(cuts))
         owner += [r] * (len(cuts) - 1)
     mean = lambda x: np.array([x[a:b].mean(axis=0) for a, b in edges])  # noqa: E731
     duration = np.array([float(b - a) for a, b in edges])

@@ -8,10 +8,9 @@ d' is that of the effect after the baseline is projected out, under the covarian
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 
-import numpy as np
 import nulls
+import numpy as np
 
 from stillcal.calib_core.misfit.catalogue import slow_entries
 from stillcal.calib_core.misfit.scenes import scenes
@@ -52,7 +51,9 @@ def d_prime(view: View, signal: Array, family: str, white: float) -> float:
     """Return d' of a signal (n,) in a view, its baseline projected out."""
     covariance = np.diag(white**2 / view.duration)
     if family.startswith("walk"):
-        covariance = covariance + (WALK * white) ** 2 * random_walk_covariance(view.t, view.duration) * view.coupling
+        covariance = (
+            covariance + (WALK * white) ** 2 * random_walk_covariance(view.t, view.duration) * view.coupling
+        )
     factor = np.linalg.cholesky(covariance)
     b, s = np.linalg.solve(factor, view.baseline[0]), np.linalg.solve(factor, signal)
     left = s - b @ np.linalg.lstsq(b, s, rcond=None)[0]
@@ -76,7 +77,12 @@ def attempt(effect: str, d: float, family: str, seed: list[int]) -> tuple[bool, 
         bins = nulls.bins_of(rng, day, family, **kind)
         scene = next(s for s in scenes(bins, nulls.G) if s.sensor == sensor)
         view = scene.views[0] if sensor == "accel" else scene.views[axis]
-        signal = np.array([error[int(t - w / 2) : int(t + w / 2), axis].mean() for t, w in zip(bins.t, bins.duration, strict=True)])
+        signal = np.array(
+            [
+                error[int(t - w / 2) : int(t + w / 2), axis].mean()
+                for t, w in zip(bins.t, bins.duration, strict=True)
+            ]
+        )
         along = signal * (view.project[0, :, axis] if sensor == "accel" else 1.0)
         amplitude = d / max(d_prime(view, along, family, nulls.WHITE[sensor]), 1e-30)
     if amplitude > (0.5 if sensor == "accel" else 0.02):
@@ -86,7 +92,9 @@ def attempt(effect: str, d: float, family: str, seed: list[int]) -> tuple[bool, 
     if not findings:
         return False, False, False, 0.0
     first = findings[0]
-    named = first.effect == effect or any(a.effect == effect and a.indistinguishable for a in first.alternatives)
+    named = first.effect == effect or any(
+        a.effect == effect and a.indistinguishable for a in first.alternatives
+    )
     ci = np.array(next(iter(first.parameters.values())).ci95)
     low, high = ci[axis, 0] if ci.ndim == 3 else ci[axis]
     covers = first.effect == effect and low <= amplitude * unit <= high
@@ -105,7 +113,10 @@ def main() -> None:
             done = [r for r in rows if r is not None]
             found = [r for r in done if r[0]]
             named, covers = sum(r[1] for r in found), sum(r[2] for r in found)
-            print(f"{effect:24s} d'={d:4.1f}: found {len(found)}/{len(done)}, named {named}, interval covers {covers}", flush=True)
+            print(
+                f"{effect:24s} d'={d:4.1f}: found {len(found)}/{len(done)}, named {named}, covers {covers}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

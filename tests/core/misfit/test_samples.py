@@ -17,7 +17,7 @@ N = 20000
 
 def stream(t: np.ndarray, xyz: np.ndarray | None = None, arrival: np.ndarray | None = None) -> Samples:
     rng = np.random.default_rng(0)
-    noise = rng.normal(0, 0.01, (t.size, 3)) + (0, 0, 9.81)
+    noise = rng.normal(0, 0.01, (t.size, 3)) + np.array([0, 0, 9.81])
     return Samples.checked(Sensor.ACCELEROMETER, t, noise if xyz is None else xyz, None, arrival)
 
 
@@ -35,7 +35,9 @@ def effects(samples: Samples, claims: Claims | None = None) -> dict[str, object]
 
 def test_an_even_clock_is_silent() -> None:
     t = even()
-    assert effects(stream(t, arrival=np.maximum.accumulate(t + latency())), Claims(nominal_rate_hz=50.0)) == {}
+    assert (
+        effects(stream(t, arrival=np.maximum.accumulate(t + latency())), Claims(nominal_rate_hz=50.0)) == {}
+    )
 
 
 @pytest.mark.parametrize("skew", [0.004, -0.001])
@@ -59,7 +61,7 @@ def test_jitter_drops_and_bursts() -> None:
 
 def test_steps_of_the_values() -> None:
     rng = np.random.default_rng(4)
-    raw = rng.normal(0, 0.02, (N, 3)) + (0, 0, 9.81)
+    raw = rng.normal(0, 0.02, (N, 3)) + np.array([0, 0, 9.81])
     assert comb_step(raw[:, 0]) is None
     coarse = np.rint(raw / 0.04) * 0.04
     assert comb_step(coarse[:, 2]) is None or comb_step(coarse[:, 2]) == pytest.approx(0.04)
@@ -68,7 +70,10 @@ def test_steps_of_the_values() -> None:
     fine = np.rint(raw / 0.001) * 0.001
     declared = stream(even(), fine)
     assert quantisation(declared, "accel", np.full(3, 0.02), 0.001) is None
-    assert quantisation(stream(even(), np.column_stack([walk] * 3)), "accel", np.full(3, 0.02), 0.001) is not None
+    assert (
+        quantisation(stream(even(), np.column_stack([walk] * 3)), "accel", np.full(3, 0.02), 0.001)
+        is not None
+    )
 
 
 def test_a_flat_top_is_a_limit_and_a_sine_is_not() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import msgspec
-import numpy as np
 import nulls
+import numpy as np
 import pytest
 
 from stillcal.calib_core.codec import plain
@@ -25,7 +25,11 @@ def day_of(seed: int, rests: int = 20) -> tuple[np.random.Generator, nulls.Day]:
     """Draw days until one has enough rests in many attitudes, with the charger in and out."""
     rng = np.random.default_rng(seed)
     day = nulls.schedule(rng)
-    while day.rest.max() < rests or len(np.unique(np.diff(day.charging))) < 3 or distinct(day.up[day.rest >= 0][::60]) < 10:
+    while (
+        day.rest.max() < rests
+        or len(np.unique(np.diff(day.charging))) < 3
+        or distinct(day.up[day.rest >= 0][::60]) < 10
+    ):
         day = nulls.schedule(rng)
     return rng, day
 
