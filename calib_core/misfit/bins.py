@@ -75,9 +75,8 @@ def windows(samples: Samples, t_start: float, t_end: float) -> Windows:
     total = _sums(index, xyz - center, n)
     mean: Array = total / safe
     variance: Array = _sums(index, (xyz - center - mean[index]) ** 2, n) / np.maximum(safe - 1.0, 1.0)
-    return Windows(
-        t_start + (np.arange(n) + 0.5) * WINDOW, count, np.asarray(mean + center, dtype=np.float64), variance
-    )
+    middles = np.asarray(t_start + (np.arange(n) + 0.5) * WINDOW, dtype=np.float64)
+    return Windows(middles, count, np.asarray(mean + center, dtype=np.float64), variance)
 
 
 def _sums(index: Index, xyz: Array, n: int) -> Array:

@@ -91,8 +91,9 @@ def time_offset(motion: Turning) -> Finding | None:
     if len(misfits) < LEAST_STRETCHES:
         return None
     delay = jackknife(lags, misfits)
-    sigmas = delay.beyond(-thresholds.DELAY_TOLERANCE, thresholds.DELAY_TOLERANCE)
-    if sigmas < SIGNIFICANT or abs(delay.value) > 0.9 * LONGEST_LAG:
+    sigmas, tolerance = delay.beyond(0.0, 0.0), thresholds.DELAY_TOLERANCE
+    outside = delay.beyond(-tolerance, tolerance) > thresholds.OUTSIDE
+    if sigmas < SIGNIFICANT or not outside or abs(delay.value) > 0.9 * LONGEST_LAG:
         return None
     total = misfits.sum(axis=0)
     before, after = np.interp((0.0, delay.value), lags, total)

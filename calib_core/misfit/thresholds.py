@@ -62,3 +62,6 @@ BANDWIDTH_GAIN = 60.0
 
 LEVER_GAIN = 0.04
 """Part of the motion's power, in turns left out of the fit, that a lever arm must explain."""
+
+OUTSIDE = 2.0
+"""Standard errors that a delay must be outside its tolerance, once it is surely not nothing."""

@@ -27,7 +27,7 @@ MARGIN = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """One turn. t: (n,) s; rate: (n, 3) rad/s, bias off; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,)"""
+    """One turn. t: (n,) s; rate: (n, 3), bias off; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,)."""
 
     end: float
     duration: float
