@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from stillcal.calib_core.samples import Array, Samples
 SEGMENT = 256
 LOWEST = 0.02
 CUTOFFS = 60
+FLOORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 LINE_SECONDS = 20.0
 LEAST_LINE_HZ = 4.0
 LINE_P = 1e-7
@@ -88,17 +90,17 @@ def _cutoff(f: Array, log_power: Array, rate: float) -> Measured | None:
     """Fit 1 / (1 + (f / fc)^2n), n = 1, 2, to the typical log spectrum; None where flat does as well.
 
     Filters are tried as analogue ones and as by the bilinear transform, whose frequency is tan(pi f / rate).
-    Only what is above -15 dB counts: below lie the floor of the steps and what aliases.
+    The steps of the values add a floor. Only what is above -15 dB counts.
     """
     used = log_power > np.quantile(log_power, 0.9) - 3.5
     f, log_power = f[used], log_power[used]
     grid = np.geomspace(f[2], 0.49 * rate, CUTOFFS)
     misfits = []
     warped = (f, grid), (np.tan(np.pi * f / rate), np.tan(np.pi * grid / rate))
-    for at, cutoff in warped:
-        for order in (1, 2):
-            residual = log_power + np.log1p((at[None, :] / cutoff[:, None]) ** (2 * order))
-            misfits.append(((residual - residual.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))
+    for (at, cutoff), order, floor in product(warped, (1, 2), FLOORS):
+        model = np.log(1.0 / (1.0 + (at[None, :] / cutoff[:, None]) ** (2 * order)) + floor)
+        residual = log_power - model
+        misfits.append(((residual - residual.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))
     misfit = np.min(misfits, axis=0)
     best, flat = int(np.argmin(misfit)), float(log_power.var())
     gain = f.size * (flat - misfit[best]) / max(float(misfit[best]), 1e-12)
