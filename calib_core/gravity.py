@@ -24,7 +24,8 @@ EQUATOR, POLE = 9.7803253359, 9.8321849378
 ANOMALY_UNCERTAINTY = 4e-4
 """m/s^2 (40 mGal): how far real gravity stands off the normal field, one standard deviation over land.
 
-The global rms of gravity anomalies is near 35 mGal (variance 1201 mGal^2: Heiskanen and Moritz, Physical Geodesy, 1967, ch. 7)."""
+The global rms of gravity anomalies is near 35 mGal (variance 1201 mGal^2: Heiskanen and Moritz, Physical
+Geodesy, 1967, ch. 7)."""
 
 UNKNOWN_HEIGHT = 500.0
 """m, standard uncertainty of the height where a location comes without one."""
