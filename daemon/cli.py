@@ -22,6 +22,8 @@ COMMANDS = {
     "apply": "stillcal.daemon.cli_replay:apply_command",
     "simulate": "stillcal.daemon.cli_simulate:simulate_command",
     "store": "stillcal.daemon.cli_store:store_group",
+    "challenge": "stillcal.daemon.cli_challenge:challenge_group",
+    "prove": "stillcal.daemon.cli_challenge:prove_command",
 }
 
 

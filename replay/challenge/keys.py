@@ -1,0 +1,95 @@
+"""Keys: what is concealed in a recording, and the seal that proves it was fixed before the answer came.
+
+A key file is a line with a nonce of 128 random bits in hexadecimal, then the key as JSON. Its SHA-256 is
+what the manifest publishes, so that `sha256sum` alone checks it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+KINDS = ("null", "decoy", "single", "pair", "off_catalogue")
+
+
+@dataclass(frozen=True, slots=True)
+class TrueEffect:
+    """A concealed effect. d_prime: None where it is not on the scale. t_start, t_end: s."""
+
+    effect: str
+    sensor: str
+    axes: list[str]
+    parameters: dict[str, Any]
+    d_prime: float | None
+    t_start: float
+    t_end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Exam:
+    """What is needed to weigh an answer's model: the bins of `power`, the noise, and the true additions.
+
+    Lists over bins; force, accel and gyro (m, 3). accel_noise, gyro_noise: fields of `noise.Colour`.
+    """
+
+    width: float
+    t: list[float]
+    rest: list[float]
+    since: list[float]
+    force: list[list[float]]
+    temperature: list[float]
+    charging: list[float]
+    drive: list[list[float]]
+    accel: list[list[float]]
+    gyro: list[list[float]]
+    accel_noise: dict[str, float]
+    gyro_noise: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """All that a recording does not say. family: of the noise. maker: whose motion and noise it is.
+
+    variant: which decoy, or which effect outside the catalogue. entailed: names that are true besides.
+    """
+
+    kind: str
+    family: str = "unknown"
+    maker: str = "another"
+    full_length: bool = False
+    variant: str | None = None
+    effects: list[TrueEffect] = field(default_factory=list)
+    entailed: list[str] = field(default_factory=list)
+    exam: Exam | None = None
+    schema: int = 1
+
+
+class SealError(ValueError):
+    """A key file that cannot be used, and why."""
+
+
+def sealed(key: Key) -> bytes:
+    """Return a key file with a fresh nonce."""
+    return secrets.token_hex(16).encode() + b"\n" + msgspec.json.encode(key) + b"\n"
+
+
+def seal_of(file: bytes) -> str:
+    """Return the SHA-256 that the manifest publishes of a key file."""
+    return hashlib.sha256(file).hexdigest()
+
+
+def opened(file: bytes, seal: str, name: str) -> Key:
+    """Open a key file. Raises SealError where it is not the one that was committed to, or is no key."""
+    if seal_of(file) != seal:
+        raise SealError(f"{name}: the key is not the one the manifest commits to; give the original key file")
+    try:
+        key = msgspec.json.decode(file.split(b"\n", 1)[1], type=Key)
+    except (msgspec.DecodeError, IndexError) as error:
+        raise SealError(f"{name}: not a key ({error}); see docs/proof.md for its layout") from None
+    if key.kind not in KINDS:
+        raise SealError(f"{name}: kind = {key.kind}: must be one of {', '.join(KINDS)}")
+    return key
