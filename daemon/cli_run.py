@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from pathlib import Path
 
 import click
 
-FAILED = 1
+from stillcal.daemon import log
+from stillcal.daemon.notify import Notifier, passed_sockets
+from stillcal.daemon.service import Given, Service
 
 
 @click.command("run")
@@ -21,11 +22,6 @@ def run_command(config: Path | None, port: str | None, store: Path | None, socke
 
     SIGHUP reads the settings again. Logs go to standard error.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # idle BLAS threads spin; fits here are small
-    from stillcal.daemon import log  # noqa: PLC0415 - after the line above
-    from stillcal.daemon.notify import Notifier, passed_sockets  # noqa: PLC0415
-    from stillcal.daemon.service import Given, Service  # noqa: PLC0415
-
     given = Given(config, port, str(store) if store else None, socket, tuple(passed_sockets()))
     settings = given.settings()
     log.set_up(settings.log.level)

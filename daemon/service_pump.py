@@ -116,7 +116,7 @@ class Pump:
     async def _handle(self, record: Record) -> None:
         if isinstance(record, Samples | Charging | Location | Tick | End):
             self._queue(record)
-            if isinstance(record, Tick | End) and self._in_step:
+            if isinstance(record, End) or (isinstance(record, Tick) and self._in_step):
                 await self._think()
                 self._answer(record)
         elif isinstance(record, Status):
@@ -214,7 +214,7 @@ class Pump:
             self.source.send(type(command)(clock.phone(command.until)))
 
     def _answer(self, record: Tick | End) -> None:
-        """Let a phone in step go on, or let it go where it has come to its end."""
+        """Let a phone in step go on, and any phone go whose stream has come to its end."""
         clock, view = self._saved.clock, self._mind.view
         if isinstance(record, End):
             self._orders.forget()
