@@ -23,7 +23,7 @@ def print_outcome(outcome: Outcome, trace: Path, store: Path | None, console: Co
         show_header=False, box=None, padding=(0, 2, 0, 0), title=str(trace.name), title_justify="left"
     )
     table.add_column(style="bold")
-    table.add_column()
+    table.add_column(overflow="fold")
     for name, value in _rows(outcome, store):
         table.add_row(name, value)
     console.print(table)
