@@ -17,6 +17,13 @@ from stillcal.calib_core.samples import Array
 
 STRENGTHS = tuple(10.0 ** (x / 2.0) for x in range(-3, 10))
 TAUS = (60.0, 240.0, 960.0)
+MIXTURES = (
+    ("walk", "gauss_markov_60"),
+    ("walk", "gauss_markov_240"),
+    ("walk", "flicker"),
+    ("flicker", "gauss_markov_240"),
+    ("flicker", "gauss_markov_960"),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +51,9 @@ def kinds(view: View) -> dict[str, tuple[Array, float]]:
     unit = {name: c * view.coupling / spread[name] for name, c in raw.items()}
     rate = 1.0 / spread["walk"]
     families = {name: (c, rate if name == "walk" else 0.0) for name, c in unit.items()}
-    families["walk+gauss_markov"] = (0.5 * (unit["walk"] + unit["gauss_markov_240"]), 0.5 * rate)
+    for one, other in MIXTURES:
+        walks = 0.5 * rate * (one == "walk")
+        families[f"{one}+{other}"] = (0.5 * (unit[one] + unit[other]), walks)
     if len(np.unique(view.rest)) >= 3 and view.name != "tangent":
         between = scatter / _spread(scatter)
         families["scatter"] = (between, 0.0)

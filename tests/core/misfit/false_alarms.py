@@ -50,8 +50,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--scenarios", default="tables")
+    parser.add_argument("--families", default=",".join(FAMILIES))
     options = parser.parse_args()
-    for family in FAMILIES:
+    for family in options.families.split(","):
         alarms = 0
         for trial in range(options.trials):
             rng = np.random.default_rng([options.seed, trial, FAMILIES.index(family)])
