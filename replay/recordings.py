@@ -42,7 +42,6 @@ KNOWN = {
 _UNCHECKED = AccelerometerSettings(max_amplification=np.inf, max_norm_sd=np.inf, spare_attitudes=0)
 """Half of the rests seldom supports what all of them do; a held-out check fits it all the same."""
 
-_GYRO_FOLDS = 9
 _MILLI_G = 1000 / 9.80665
 
 
@@ -63,8 +62,8 @@ class Split:
 class Row:
     """One recording. *_before, *_after: rms, accelerometer m/s^2 of the norm, gyroscope rad over a turn.
 
-    accel_split: each rest held out in turn; gyro_split: every ninth turn. *_halves: odd against even, both
-    ways. None where what is left cannot be fitted.
+    accel_split: each rest held out in turn. *_halves: odd against even, both ways. None where what is left
+    cannot be fitted.
     """
 
     name: str
@@ -78,7 +77,6 @@ class Row:
     turns: int
     gyro_before: float | None
     gyro_after: float | None
-    gyro_split: Split | None
     gyro_halves: Split | None
 
 
@@ -113,8 +111,7 @@ def examine(path: Path, form: str, name: str) -> Row:
         turns=0 if gyro is None else gyro.n_turns,
         gyro_before=None if gyro is None else gyro.rms_nominal,
         gyro_after=None if gyro is None else gyro.rms_residual,
-        gyro_split=split_turns(pool.turns, accel.model, _GYRO_FOLDS) if full else None,
-        gyro_halves=split_turns(pool.turns, accel.model, 2) if full else None,
+        gyro_halves=split_turns(pool.turns, accel.model) if full else None,
     )
 
 
@@ -139,11 +136,11 @@ def split_rests(held: Sequence[HeldRest], parameters: int, folds: int) -> Split 
     return Split(_rms(np.concatenate(fitted)), _rms(np.concatenate(out)))
 
 
-def split_turns(turns: Sequence[Turn], accel: SensorModel, folds: int) -> Split:
-    """Hold out every `folds`-th turn in turn."""
+def split_turns(turns: Sequence[Turn], accel: SensorModel) -> Split:
+    """Fit the odd turns and look at the even ones, and the other way round."""
     fitted, out = [], []
-    for fold in range(folds):
-        kept, left = _divided(turns, fold, folds)
+    for half in (0, 1):
+        kept, left = _divided(turns, half, 2)
         fit = gyroscope.fit(kept, accel, STANDARD, parameters=gyroscope.Parameters.FULL9)
         fitted.append(gyroscope.residuals(kept, accel, fit.model.scale, fit.shift))
         out.append(gyroscope.residuals(left, accel, fit.model.scale, fit.shift))
@@ -165,9 +162,9 @@ def _line(row: Row) -> str:
     gyro = "-"
     if row.gyro_before is not None and row.gyro_after is not None:
         gyro = f"{np.degrees(row.gyro_before):.3g} -> {np.degrees(row.gyro_after):.3g}"
-    turned = [_held(split, 180 / np.pi) for split in (row.gyro_split, row.gyro_halves)]
     cells = [row.name, f"{row.rests} / {row.attitudes}", str(row.parameters), accel, *held]
-    return "| " + " | ".join([*cells, str(row.turns), gyro, *turned]) + " |"
+    turned = _held(row.gyro_halves, 180 / np.pi)
+    return "| " + " | ".join([*cells, str(row.turns), gyro, turned]) + " |"
 
 
 def _held(split: Split | None, gain: float) -> str:
@@ -183,7 +180,6 @@ _HEADER = (
     "half held out (ratio)",
     "turns",
     "gyroscope, deg rms a turn",
-    "a ninth held out (ratio)",
     "half held out (ratio)",
 )
 
