@@ -20,6 +20,7 @@ from typing import IO, Any
 
 import msgspec
 
+from stillcal import calib_core, config, replay
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.events import Charging
 from stillcal.calib_core.refusals import NotSupported
@@ -83,8 +84,29 @@ def can_leave_out() -> bool:
     return "without" in inspect.signature(diagnosis.diagnose).parameters
 
 
+def _confine(folders: Sequence[Path]) -> None:
+    """Refuse from now on, in this process, to open any file outside `folders` and what Python is made of.
+
+    A fence against reading a key by mistake or by guile in Python; it is no sandbox against foreign code.
+    """
+    code = [*map(Path, sys.path), Path(sys.prefix), Path(sys.base_prefix)]
+    code += [Path(file).parent for file in (calib_core.__file__, replay.__file__, config.__file__)]
+    allowed = tuple(
+        f"{folder.resolve()}{os.sep}" for folder in (*folders, *code) if str(folder) not in ("", ".")
+    )
+
+    def fence(event: str, arguments: tuple[Any, ...]) -> None:
+        if event in ("open", "os.listdir", "os.scandir") and isinstance(arguments[0], str | bytes):
+            path = os.path.realpath(os.fsdecode(arguments[0]))
+            if not f"{path}{os.sep}".startswith((*allowed, "/dev/", "/proc/", "/sys/")):
+                raise PermissionError(f"{path}: an answering process may read its recordings only")
+
+    sys.addaudithook(fence)
+
+
 def run(solver: str, out: Path, names: Sequence[str]) -> None:
     """Answer recordings of the working folder, one after another; each answer is written whole."""
+    _confine((Path.cwd(), out))
     for item in names:
         name, _, without = item.partition("=")
         temporary = out / f".{name}.part"

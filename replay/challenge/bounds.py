@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,18 +32,18 @@ def rate(hits: int, n: int, confidence: float = 0.95) -> Rate:
 
 @dataclass(frozen=True, slots=True)
 class Mean:
-    """A mean over n cases with the 95 % interval of the percentile bootstrap; value None for n = 0."""
+    """A mean over n cases with the 95 % interval of the percentile bootstrap; all None for n = 0."""
 
     n: int
     value: float | None
-    low: float
-    high: float
+    low: float | None
+    high: float | None
 
 
 def mean(values: list[float], seed: int = 0) -> Mean:
     """Return a mean with its bootstrap interval (2,000 resamples of cases)."""
     if not values:
-        return Mean(0, None, -math.inf, math.inf)
+        return Mean(0, None, None, None)
     data, rng = np.array(values), np.random.default_rng(seed)
     means = data[rng.integers(data.size, size=(2000, data.size))].mean(axis=1)
     low, high = np.quantile(means, (0.025, 0.975))
@@ -53,51 +52,48 @@ def mean(values: list[float], seed: int = 0) -> Mean:
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """P(detected) = false + (1 - false) / (1 + exp(-(a + b ln d'))), and where it reaches 90 %.
+    """P(detected) = f + (1 - f) / (1 + (d50 / d')^slope), f the false alarms, and where it reaches 90 %.
 
     low, high: 95 % interval of d90, by the bootstrap over cases; None where the curve never gets there.
     """
 
-    a: float
-    b: float
+    d50: float
+    slope: float
     false_alarm: float
     d90: float | None
     low: float | None
     high: float | None
 
 
+D50 = np.geomspace(0.5, 200.0, 121)
+SLOPES = np.geomspace(0.5, 20.0, 25)
+"""The power curves among which the likeliest is taken."""
+
+
 def power(d: list[float], found: list[bool], false_alarm: float, seed: int = 0) -> Power | None:
-    """Fit the power curve by penalised likelihood; None for fewer than ten cases."""
+    """Fit the power curve by maximum likelihood; None for fewer than ten cases."""
     if len(d) < 10:
         return None
-    x, y, rng = np.log(np.array(d)), np.array(found, dtype=np.float64), np.random.default_rng(seed)
-    a, b = _logistic(x, y, false_alarm)
-    draws = [rng.integers(x.size, size=x.size) for _ in range(200)]
-    resampled = [_ninety(*_logistic(x[rows], y[rows], false_alarm), false_alarm) for rows in draws]
-    low, high = np.quantile(
-        [math.inf if v is None else v for v in resampled], (0.025, 0.975), method="nearest"
-    )
-    told = [None if math.isinf(v) else float(v) for v in (low, high)]
-    return Power(a, b, false_alarm, _ninety(a, b, false_alarm), *told)
+    x, y, rng = np.array(d), np.array(found, dtype=np.float64)[:, None], np.random.default_rng(seed)
+    d50, slope = (grid.ravel() for grid in np.meshgrid(D50, SLOPES))
+    chance = false_alarm + (1.0 - false_alarm) / (1.0 + (d50 / x[:, None]) ** slope)
+    chance = np.clip(chance, 1e-6, 1.0 - 1e-6)
+    likelihood = y * np.log(chance) + (1.0 - y) * np.log1p(-chance)
+    counts = rng.multinomial(x.size, np.full(x.size, 1.0 / x.size), size=500)
+    best = np.argmax(np.vstack([np.ones(x.size), counts]) @ likelihood, axis=1)
+    ninety = _ninety(d50[best], slope[best], false_alarm)
+    low, high = np.quantile(ninety[1:], (0.025, 0.975), method="nearest")
+    told = [float(v) if np.isfinite(v) else None for v in (ninety[0], low, high)]
+    return Power(float(d50[best[0]]), float(slope[best[0]]), false_alarm, *told)
 
 
-def _ninety(a: float, b: float, false_alarm: float) -> float | None:
+def _ninety(d50: Array, slope: Array, false_alarm: float) -> Array:
+    """Return the d' at which curves reach 90 %; infinity for those that reach a half nowhere on the grid.
+
+    Who alarms in 90 % of nulls detects nothing, however often something is there.
+    """
+    if false_alarm >= 0.9:
+        return np.full(d50.size, np.inf)
     share = (0.9 - false_alarm) / (1.0 - false_alarm)
-    if share <= 0.0:
-        return 0.0
-    where = (math.log(share / (1.0 - share)) - a) / b if b > 1e-3 else math.inf
-    return math.exp(where) if where < math.log(1e3) else None
-
-
-def _logistic(x: Array, y: Array, false_alarm: float) -> tuple[float, float]:
-    """Return (a, b >= 0) of highest likelihood, with a weak prior N(0, 10^2) on both against separation."""
-    from scipy.optimize import minimize  # noqa: PLC0415 - the command line starts without it
-
-    def loss(p: Array) -> float:
-        chance = false_alarm + (1.0 - false_alarm) / (1.0 + np.exp(-np.clip(p[0] + p[1] * x, -30.0, 30.0)))
-        chance = np.clip(chance, 1e-9, 1.0 - 1e-9)
-        likelihood = y * np.log(chance) + (1.0 - y) * np.log1p(-chance)
-        return float(-likelihood.sum() + 0.005 * (p @ p))
-
-    fit = minimize(loss, np.array([-3.0, 2.0]), method="L-BFGS-B", bounds=[(-40.0, 40.0), (0.0, 20.0)])
-    return float(fit.x[0]), float(fit.x[1])
+    reached = d50 * (share / (1.0 - share)) ** (1.0 / slope)
+    return np.where(d50 < D50[-1], reached, np.inf)

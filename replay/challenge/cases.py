@@ -16,7 +16,7 @@ from stillcal.replay.challenge.keys import Exam, Key, TrueEffect
 from stillcal.replay.challenge.noise import FAMILIES, log_uniform
 from stillcal.replay.challenge.phones import Additions, Made, Phone
 from stillcal.replay.challenge.strangers import STRANGERS, drawn_span
-from stillcal.replay.challenge.world import World, averaged, binned
+from stillcal.replay.challenge.world import World, binned, over_bins
 
 SHARES = {"null": 0.32, "decoy": 0.14, "single": 0.36, "pair": 0.06, "off_catalogue": 0.12}
 """Parts of the trials that go to each kind."""
@@ -79,7 +79,7 @@ def planned(trials: int, seed: int) -> list[Design]:
     counts = {kind: max(round(trials * share), 1) for kind, share in SHARES.items()}
     counts["null"] = max(trials - sum(n for k, n in counts.items() if k != "null"), 1)
     designs = [d for kind, count in counts.items() for d in _of_kind(kind, count, rng)]
-    return [designs[i] for i in rng.permutation(len(designs))]
+    return [designs[i] for i in rng.permutation(len(designs))][:trials]
 
 
 def _of_kind(kind: str, count: int, rng: np.random.Generator) -> list[Design]:
@@ -195,7 +195,7 @@ def _with_stranger(design: Design, stage: Stage, added: Additions) -> tuple[Made
     begin, end, reached = 0.0, world.duration, None
     if stranger.course is not None:
         course = stranger.course(world, rng)[:, None] * stage.direction()
-        unit = power.d_prime(stage.weight(stranger.sensor), averaged(world, stage.bins, course))
+        unit = power.d_prime(stage.weight(stranger.sensor), over_bins(world, stage.bins, course))
         getattr(added, stranger.sensor)[:] += course * (design.d_prime / unit)
         reached = design.d_prime
     recording = phones.recorded(world, stage.phone, added, rng)
@@ -240,8 +240,8 @@ def exam_of(stage: Stage, added: Additions) -> Exam:
         _short(bins.temperature),
         _short(bins.charging),
         _short(bins.drive),
-        _short(averaged(stage.world, bins, added.accel)),
-        _short(averaged(stage.world, bins, added.gyro)),
+        _short(over_bins(stage.world, bins, added.accel)),
+        _short(over_bins(stage.world, bins, added.gyro)),
         asdict(stage.phone.accel.colour),
         asdict(stage.phone.gyro.colour),
     )

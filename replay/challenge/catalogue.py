@@ -15,7 +15,7 @@ from stillcal.replay.challenge.effects import FORWARD, played, sensor_of
 from stillcal.replay.challenge.keys import TrueEffect
 from stillcal.replay.challenge.noise import log_uniform
 from stillcal.replay.challenge.phones import Additions, Phone
-from stillcal.replay.challenge.world import Bins, World
+from stillcal.replay.challenge.world import Bins, World, over_bins
 
 Drawn = tuple[dict[str, Any], float | None]
 """Parameters, and the d' that they have in the end (None: not on the scale)."""
@@ -69,7 +69,7 @@ class Stage:
 def _slow(stage: Stage, effect: str, sensor: str, d: float) -> Drawn:
     """Draw an effect and size it so that it has d'."""
     unit, sized = _unit(stage, effect)
-    delta = played(stage.bins, effect, unit)
+    delta = over_bins(stage.world, stage.bins, played(stage.world, effect, unit))
     reached = power.d_prime(stage.weight(sensor), delta)
     if effect in ("gyro_scale_temperature", "gyro_nonlinearity"):
         reached = motion.turn_d_prime(stage.world, played(stage.world, effect, unit), stage.phone.gyro.colour)
@@ -190,9 +190,10 @@ def drawn_effect(stage: Stage, effect: str, d: float) -> TrueEffect:
 
 def _axes(parameters: dict[str, Any]) -> list[str]:
     """Return the axes on which a parameter is not nothing; all where it is one number."""
-    main = next((np.asarray(v) for v in parameters.values() if np.ndim(v) > 0), np.ones(3))
-    size = np.abs(main).reshape(3, -1).max(axis=1)
-    size = np.abs(size - 1.0) if "ratio" in parameters else size
+    main = next((np.asarray(v) for v in parameters.values() if np.ndim(v) > 0), None)
+    if main is None:
+        return ["x", "y", "z"]
+    size = np.abs(main - ("ratio" in parameters)).reshape(3, -1).max(axis=1)
     return [axis for axis, value in zip("xyz", size, strict=True) if value > 0.05 * size.max()]
 
 

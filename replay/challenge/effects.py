@@ -45,7 +45,12 @@ def _latent(felt: Felt, p: Parameters) -> Array:
 
 
 def _step(felt: Felt, p: Parameters) -> Array:
-    return _spread(np.heaviside(felt.t - float(p["at_s"]), 1.0), p["step"])
+    since = felt.t - float(p["at_s"])
+    # Of a bin in which the step falls, that part lies after it.
+    after = (
+        np.heaviside(since, 1.0) if isinstance(felt, World) else np.clip(since / felt.width + 0.5, 0.0, 1.0)
+    )
+    return _spread(after, p["step"])
 
 
 def _drift(felt: Felt, p: Parameters) -> Array:

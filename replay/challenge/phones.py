@@ -205,8 +205,9 @@ def _timed(t: Array, clock: Clock, rng: np.random.Generator) -> tuple[Array, Arr
     scatter = np.clip(clock.jitter_s * rng.standard_normal(t.size), -0.45 * period, 0.45 * period)
     true = t / (1.0 + clock.skew)
     arrival = true + clock.latency_s + rng.exponential(clock.scatter_s, t.size)
-    stalls = t[-1] * clock.stalled / STALL_S
-    for begin in rng.uniform(0.0, t[-1] - STALL_S, rng.poisson(stalls)):
+    stalls = round(t[-1] * clock.stalled / STALL_S)
+    slot = t[-1] / max(stalls, 1)  # one stall in each, so that the share of time is what it says
+    for begin in slot * np.arange(stalls) + rng.uniform(0.0, slot - STALL_S, stalls):
         rows = slice(*np.searchsorted(true, (begin, begin + STALL_S)))
         arrival[rows] = np.maximum(arrival[rows], begin + STALL_S)
     kept = np.flatnonzero(rng.random(t.size) >= clock.dropped)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +35,10 @@ class Verdict:
 def prove(
     folder: Path, trials: int, seed: int, jobs: int = 1, tick: Tick = lambda stage, done, of: None
 ) -> Verdict:
-    """Run the proof in `folder` (new or empty). Raises as `make`, `answer_all` and `open_keys` do."""
+    """Run the proof in `folder` (new or empty); keys come there only once all has been answered.
+
+    Raises as `make`, `answer_all` and `open_keys` do.
+    """
     recordings, sealed = folder / "recordings", folder / "keys"
     done = [0]
 
@@ -41,10 +46,12 @@ def prove(
         done[0] += 1
         tick("making", done[0], trials)
 
-    manifest = make(recordings, sealed, trials, seed, jobs=jobs, tick=made)
-    names = list(manifest.seals)
-    for solver in SOLVERS:
-        answer_all(recordings, folder / solver, names, solver, jobs=jobs, tick=_told(tick, solver, trials))
+    with tempfile.TemporaryDirectory() as withheld:
+        manifest = make(recordings, Path(withheld) / "keys", trials, seed, jobs=jobs, tick=made)
+        for solver in SOLVERS:
+            told = _told(tick, solver, trials)
+            answer_all(recordings, folder / solver, list(manifest.seals), solver, jobs=jobs, tick=told)
+        shutil.move(Path(withheld) / "keys", sealed)
     keys = open_keys(manifest, sealed)
     left_out = _left_out(folder, manifest, keys, jobs, tick) if can_leave_out() else []
     return judged(keys, {solver: folder / solver for solver in SOLVERS}, left_out)

@@ -222,10 +222,10 @@ def compared(scores: Sequence[Score]) -> list[Line]:
     """Return how often each solver was right all in all, and whether the first beats each other."""
     first, lines = scores[0].right, []
     assert first is not None, "scored() always tells how often the solver was right"
-    for score in scores:
+    for index, score in enumerate(scores):
         found = score.right
         assert found is not None, "scored() always tells how often the solver was right"
-        beaten = None if score is scores[0] else (first.value or 0.0) > (found.value or 0.0)
+        beaten = None if index == 0 else (first.value or 0.0) > (found.value or 0.0)
         bar = "" if beaten is None else f"below {scores[0].solver}"
         lines.append(
             Line(

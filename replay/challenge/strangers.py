@@ -80,8 +80,8 @@ def _bursts(world: World, rng: np.random.Generator) -> Array:
 
 
 def _sawtooth(world: World, rng: np.random.Generator) -> Array:
-    """Drift, which firmware resets every few minutes."""
-    return np.asarray(np.mod(world.t / rng.uniform(240.0, 500.0) + rng.random(), 1.0))
+    """Drift, which firmware resets every two or three minutes."""
+    return np.asarray(np.mod(world.t / rng.uniform(100.0, 220.0) + rng.random(), 1.0))
 
 
 def _autozero(world: World, rng: np.random.Generator) -> Array:

@@ -67,25 +67,24 @@ def binned(world: World) -> Bins:
     """Cut a world's rests into bins of 10 s, or of 1/200 of it where that is longer."""
     width = max(WIDTH_S, world.duration / MOST_BINS)
     centres, rests = _centres(world, width)
-    nearest = np.clip(np.searchsorted(world.t, centres), 0, world.t.size - 1)
     begin = world.rests[rests.astype(np.int64), 0]
-    return Bins(
-        width,
-        centres,
-        rests,
-        world.force[nearest],
-        world.temperature[nearest],
-        world.charging[nearest],
-        world.drive,
-        centres - begin,
+    force, temperature, charging = (
+        averaged(world, centres, width, v) for v in (world.force, world.temperature, world.charging)
     )
+    return Bins(width, centres, rests, force, temperature, charging, world.drive, centres - begin)
 
 
-def averaged(world: World, bins: Bins, values: Array) -> Array:
-    """Return the means (m, 3) of samples (n, 3) over the bins."""
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])
-    first, last = np.searchsorted(world.t, np.stack([bins.t - bins.width / 2.0, bins.t + bins.width / 2.0]))
-    return np.asarray((sums[last] - sums[first]) / np.maximum(last - first, 1)[:, None])
+def averaged(world: World, centres: Array, width: float, values: Array) -> Array:
+    """Return the means (m, ...) of samples (n, ...) over `width` s about centres (m,) s."""
+    sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    first, last = np.searchsorted(world.t, np.stack([centres - width / 2.0, centres + width / 2.0]))
+    counts = np.maximum(last - first, 1).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((sums[last] - sums[first]) / counts)
+
+
+def over_bins(world: World, bins: Bins, values: Array) -> Array:
+    """Return the means (m, ...) of samples (n, ...) over bins."""
+    return averaged(world, bins.t, bins.width, values)
 
 
 def _centres(world: World, width: float) -> tuple[Array, Array]:
