@@ -84,11 +84,15 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Whether a candidate takes the old one's place, why, and the figures."""
+    """Whether a candidate takes the old one's place, why, and the figures.
+
+    settled: whether enough rests were held out to tell; an old one that is then kept is sound.
+    """
 
     accepted: bool
     reason: str
     evidence: Evidence = field(default_factory=dict)
+    settled: bool = True
 
 
 def candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSettings) -> Candidate:
@@ -206,7 +210,8 @@ def decide(
         return Decision(True, f"better by more than chance: {figures}", evidence)
     if degraded and found.rests and found.rms_new < found.rms_old:
         return Decision(True, f"the old one failed its check: {figures}", evidence)
-    return Decision(False, f"not better by more than chance: {figures}", evidence)
+    enough = found.rests >= settings.held_out_rests
+    return Decision(False, f"not better by more than chance: {figures}", evidence, settled=enough)
 
 
 def held_out(new: Candidate, old: SensorModel, since: float | None, settings: QualitySettings) -> Comparison:

@@ -181,13 +181,15 @@ class Engine:
         return max([event.t, *(float(np.nextafter(t, np.inf)) for t in self._s.latest.values())])
 
     def _resumed(self, t: float) -> float:
-        """Return from when (s) on deadlines count: `t`, or a day before a longer gap in the samples ends.
+        """Return from when (s) on deadlines count: `t`, or a day before what comes next after a longer gap.
 
         Through gaps of a day deadlines fall as they would live; years between two stamps cost no more.
         The gyroscope's next sample may still be on its way; the accelerometer's is known.
         """
-        waiting = self._s.waiting.get(Sensor.ACCELEROMETER)
-        return t if waiting is None else max(t, float(waiting.t[0]) - _LONGEST_GAP_S)
+        s = self._s
+        waiting = s.waiting.get(Sensor.ACCELEROMETER)
+        coming = [*([] if waiting is None else [float(waiting.t[0])]), *(e.t for e in s.events[:1])]
+        return max(t, min(coming or [s.heard or t]) - _LONGEST_GAP_S)
 
     # Samples
 
@@ -224,7 +226,9 @@ class Engine:
 
     def _gather(self, rest: RestState) -> None:
         s = self._s
-        s.pool = s.pool.with_rest(HeldRest(rest, s.gravity), self.settings.pool)
+        before = s.left is not None and s.moved is not None and rest.t_end <= s.moved
+        gravity = s.left if before and s.left is not None else s.gravity
+        s.pool = s.pool.with_rest(HeldRest(rest, gravity), self.settings.pool)
         s.attitudes = len(s.pool.attitudes(self.settings.pool))
         s.fresh += 1
         s.counters.rests += 1
@@ -265,6 +269,10 @@ class Engine:
             self._log(place.t, Level.WARNING, "location", f"location not used: {error}")
             return
         change = found.value - self._s.gravity.value
+        if self._s.gravity.source == "default":
+            self._s.pool = self._s.pool.located(found)
+        else:
+            self._s.moved, self._s.left = place.t, self._s.gravity
         self._s.gravity = found
         self._log(place.t, Level.INFO, "gravity", f"g is {found.value:.5f} m/s^2 here", change=change)
 
@@ -334,13 +342,12 @@ class Engine:
         s.counters.checks += 1
         self._log(t, Level.INFO, "check", f"{found.verdict}", **calibrate.figures(found))
         if found.verdict is Verdict.RECALIBRATE:
-            self._degrade(t, since)
+            self._degrade(t, since if found.off_since is None else found.off_since)
         else:
-            s.degraded = False
             self._zero_gyro(t, recent)
 
     def _degrade(self, t: float, since: float | None) -> None:
-        """Gather again; `since` (s) is when the calibration last passed a check."""
+        """Gather again; `since` (s) is from when on the calibration may have been wrong."""
         s = self._s
         if not s.degraded:
             s.degraded, s.sound_until = True, since
@@ -386,16 +393,19 @@ class Engine:
         explains both: otherwise the sensor has changed, and the older rests go.
         """
         s = self._s
-        found = self._fit(s.pool, t)
-        recent = s.pool.since(s.sound_until)
-        if not s.degraded or len(recent.held) == len(s.pool.held):
-            return found
-        if calibrate.checked(found.record, recent, self.settings.quality).verdict is not Verdict.RECALIBRATE:
-            return found
+        recent = s.pool.since(s.sound_until) if s.degraded else s.pool
+        whole = self._fit(s.pool, t)
+        if len(recent.held) == len(s.pool.held):
+            return _taken(whole)
+        if isinstance(whole, calibrate.Candidate):
+            check = calibrate.checked(whole.record, recent, self.settings.quality)
+            if check.verdict is not Verdict.RECALIBRATE:
+                return whole
+        found = _taken(self._fit(recent, t))
         s.pool, s.attitudes = recent, len(recent.attitudes(self.settings.pool))
-        return self._fit(recent, t)
+        return found
 
-    def _fit(self, pool: Pool, t: float) -> calibrate.Candidate:
+    def _fit(self, pool: Pool, t: float) -> calibrate.Candidate | NotSupported:
         """Fit the rests that the noise floor, as known by now, confirms, or all: whichever leaves less open.
 
         A doubtful rest that is one adds an attitude; one that is none adds scatter.
@@ -403,7 +413,7 @@ class Engine:
         sure = pool.where(self._detector.still_valid)
         everything = self._fitted_or_refused(pool, t)
         if len(sure.held) == len(pool.held) or isinstance(everything, NotSupported):
-            return _taken(everything)
+            return everything
         confirmed = self._fitted_or_refused(sure, t)
         if isinstance(confirmed, NotSupported):
             return everything
@@ -420,6 +430,7 @@ class Engine:
         decision = calibrate.decide(candidate, s.record, s.degraded, self.settings.quality)
         record = candidate.accepted(decision, occasion)
         if not decision.accepted:
+            s.degraded = s.degraded and not decision.settled
             s.counters.rejected += 1
             self._actions.append(Reject(t, record, decision.reason))
             self._log(t, Level.INFO, "rejected", decision.reason, occasion=str(occasion))

@@ -64,7 +64,8 @@ class EngineState:
     waiting: samples not yet looked at; latest: each stream's newest stamp; heard: the clock's last tick.
     check_due: a check waits for a rest; checked, tried: when the last check and the last try to fit were.
     attitudes: distinct ones in the pool. fresh: rests gathered since the last try. gyro_tail: what the next
-    turn may be cut from. sound_until: when a calibration that now fails last passed a check. refusal: why
+    turn may be cut from. sound_until: when a calibration that now fails last passed a check. moved, left: when the place was last told anew, and
+    gravity where the phone was before. refusal: why
     the last try to fit came to nothing.
     """
 
@@ -84,6 +85,8 @@ class EngineState:
     charging: bool | None = None
     degraded: bool = False
     gravity: Gravity = field(default_factory=Gravity)
+    moved: float | None = None
+    left: Gravity | None = None
     pool: Pool = field(default_factory=Pool)
     attitudes: int = 0
     fresh: int = 0

@@ -80,6 +80,11 @@ class Pool:
         """Return the pool without the rests that are no longer believed to be rests."""
         return replace(self, held=tuple(h for h in self.held if valid(h.rest)))
 
+    def located(self, gravity: Gravity) -> Pool:
+        """Return the pool with `gravity` for the rests taken before any place was known."""
+        held = (replace(h, gravity=gravity) if h.gravity.source == "default" else h for h in self.held)
+        return replace(self, held=tuple(held))
+
     def attitudes(self, settings: PoolSettings) -> list[list[int]]:
         """Group the rests by attitude; indices point into `held`."""
         return group_attitudes(self.rests, settings.attitude_angle)

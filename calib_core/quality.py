@@ -22,6 +22,7 @@ from stillcal.calib_core.samples import Array
 Number = float | Array
 
 _ALL_FLIPS = 12
+_OUTVOTED = 3  # rests: one that is off among no more than these is not told from a change
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +87,7 @@ class Check:
     """One check. accel_residual: m/s^2, mean norm less gravity; gyro_residual: rad/s, largest axis.
 
     Each with its standard uncertainty; None where no rest told. rests: how many took part; rests_off: of
-    these, how many are off by themselves.
+    these, how many are off by themselves; off_since: s, when the first of them began.
     """
 
     accelerometer: Drift
@@ -94,6 +95,7 @@ class Check:
     verdict: Verdict
     rests: int
     rests_off: int = 0
+    off_since: float | None = None
     accel_residual: float | None = None
     accel_uncertainty: float | None = None
     gyro_residual: float | None = None
@@ -123,26 +125,45 @@ def check(
     """Hold rests taken since the last check against the current calibration.
 
     norm_uncertainty: m/s^2, what the calibration itself leaves open in a norm, the repeatability of
-    rests included. gyro_bias: (3,) rad/s or None. The accelerometer has drifted where the mean of the
-    norms is off, or two of them are: a change of bias lengthens one norm and shortens another, and their
-    mean does not show it. One rest alone may be a bad one and settles nothing but that nothing is amiss.
+    rests included. gyro_bias: (3,) rad/s or None. The accelerometer has drifted where two rests are off
+    (a change of bias lengthens one norm and shortens another, and their mean does not show it), or the mean
+    is. One rest alone may be a bad one: among few it waits for more, by many it is outvoted.
     """
     if not held:
         return Check(Drift.UNKNOWN, Drift.UNKNOWN, Verdict.WAIT, 0)
     residual, own = norm_residuals(accelerometer, held)
     accel = _weighted_mean(residual, own, norm_uncertainty)
     off = _off(residual, np.hypot(own, norm_uncertainty), settings.significance, settings.accel_limit)
+    off_since = held[int(off.argmax())].rest.t_start if off.any() else None
     gyro = _rate_residual(gyro_bias, held)
-    accel_drift = _accel_drift(accel, int(off.sum()), len(held), settings)
+    accel_drift = _accel_drift(residual, own, norm_uncertainty, settings)
     gyro_drift = _drift(gyro, settings.significance, settings.gyro_limit)
     verdict = VERDICTS[accel_drift, gyro_drift]
-    return Check(accel_drift, gyro_drift, verdict, len(held), int(off.sum()), *accel, *(gyro or (None, None)))
+    return Check(
+        accel_drift,
+        gyro_drift,
+        verdict,
+        len(held),
+        int(off.sum()),
+        off_since,
+        *accel,
+        *(gyro or (None, None)),
+    )
 
 
-def _accel_drift(mean: tuple[float, float], off: int, rests: int, settings: QualitySettings) -> Drift:
-    if off >= 2 or (rests >= 2 and _off(*mean, settings.significance, settings.accel_limit)):
+def _accel_drift(residual: Array, own: Array, norm_uncertainty: float, settings: QualitySettings) -> Drift:
+    """Tell whether two rests are off, or the mean is without the one that is most off."""
+    apart = np.abs(residual) / np.hypot(own, norm_uncertainty)
+    off = _off(residual, np.hypot(own, norm_uncertainty), settings.significance, settings.accel_limit)
+    if off.sum() >= 2:
         return Drift.DRIFTED
-    return Drift.UNKNOWN if rests == off == 1 else Drift.NONE
+    if off.sum() == 1 and residual.size <= _OUTVOTED:
+        return Drift.UNKNOWN
+    rest = np.arange(residual.size) != apart.argmax()
+    if not rest.any():
+        return Drift.NONE
+    mean = _weighted_mean(residual[rest], own[rest], norm_uncertainty)
+    return _drift(mean, settings.significance, settings.accel_limit)
 
 
 def _weighted_mean(values: Array, own: Array, common: float) -> tuple[float, float]:

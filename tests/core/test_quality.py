@@ -82,7 +82,9 @@ def test_a_change_of_bias_shows_though_its_norms_cancel() -> None:
 def test_one_rest_off_waits_for_another_and_is_outvoted_by_many() -> None:
     bad, good = held([0, 0, 9.9]), held([0, 9.8, 0])
     assert check(IDENTITY, 0.002, None, [bad], SETTINGS).verdict is Verdict.WAIT
-    assert check(IDENTITY, 0.002, None, [bad, *[good] * 9], SETTINGS).verdict is Verdict.KEEP
+    assert check(IDENTITY, 0.002, None, [bad, good], SETTINGS).verdict is Verdict.WAIT
+    terrible = held([0, 0, 12.0])
+    assert check(IDENTITY, 0.002, None, [terrible, *[good] * 9], SETTINGS).verdict is Verdict.KEEP
 
 
 def test_a_better_calibration_wins_and_an_equal_one_seldom() -> None:
