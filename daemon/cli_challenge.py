@@ -22,7 +22,7 @@ from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.store_document import pretty
 from stillcal.replay.challenge import answering, proof, revealing
 from stillcal.replay.challenge.keys import SealError
-from stillcal.replay.challenge.making import ChallengeError, make, read_manifest
+from stillcal.replay.challenge.making import ChallengeError, commit, make, read_manifest
 from stillcal.replay.challenge.scoring import Line, Score
 
 NOT_MET, BAD_INPUT = 1, 2
@@ -65,6 +65,16 @@ def make_command(recordings: Path, keys: Path, trials: int, seed: int, jobs: int
 
         make(recordings, keys, trials, seed, jobs=jobs, tick=made)
     click.echo(f"{recordings}: {trials} recordings and their manifest; keys in {keys}")
+
+
+@challenge_group.command("commit", epilog=examples("stillcal challenge commit mine --keys my-keys"))
+@click.argument("recordings", type=_folder)
+@click.option("--keys", type=_folder, required=True, help="Folder of your keys, NAME.json each.")
+def commit_command(recordings: Path, keys: Path) -> None:
+    """Seal keys of your own and write the manifest that commits you to them."""
+    with _refusals():
+        manifest = commit(recordings, keys)
+    click.echo(f"{recordings}: manifest of {len(manifest.seals)} seals; sealed keys in {keys}")
 
 
 @challenge_group.command("answer", epilog=examples("stillcal challenge answer blind --out answers"))

@@ -86,9 +86,14 @@ def opened(file: bytes, seal: str, name: str) -> Key:
     """Open a key file. Raises SealError where it is not the one that was committed to, or is no key."""
     if seal_of(file) != seal:
         raise SealError(f"{name}: the key is not the one the manifest commits to; give the original key file")
+    return key_of(file.partition(b"\n")[2], name)
+
+
+def key_of(text: bytes, name: str) -> Key:
+    """Read a key's JSON. Raises SealError where it has not the documented layout."""
     try:
-        key = msgspec.json.decode(file.split(b"\n", 1)[1], type=Key)
-    except (msgspec.DecodeError, IndexError) as error:
+        key = msgspec.json.decode(text, type=Key)
+    except msgspec.DecodeError as error:
         raise SealError(f"{name}: not a key ({error}); see docs/proof.md for its layout") from None
     if key.kind not in KINDS:
         raise SealError(f"{name}: kind = {key.kind}: must be one of {', '.join(KINDS)}")

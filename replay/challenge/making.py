@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from stillcal.replay.challenge.cases import Design, made, planned
-from stillcal.replay.challenge.keys import seal_of, sealed
+from stillcal.replay.challenge.keys import key_of, seal_of, sealed
 from stillcal.replay.challenge.phones import Made
 from stillcal.replay.formats.writer import TraceWriter
 
@@ -51,9 +51,34 @@ def make(
         for name, seal in run(_write_case, work):
             seals[name] = seal
             tick()
+    return _published(recordings, seals)
+
+
+def _published(recordings: Path, seals: dict[str, str]) -> Manifest:
     manifest = Manifest(dict(sorted(seals.items())))
     (recordings / "manifest.json").write_bytes(msgspec.json.format(msgspec.json.encode(manifest)) + b"\n")
     return manifest
+
+
+def commit(recordings: Path, keys: Path) -> Manifest:
+    """Seal keys written by others, KEYS/NAME.json for RECORDINGS/NAME.csv, and publish the manifest.
+
+    Each key becomes KEYS/NAME.key. Raises ChallengeError where a recording is missing, a key is sealed
+    already or there is none, and SealError where a key has not the documented layout.
+    """
+    seals = {}
+    for path in sorted(keys.glob("*.json")):
+        sealed_path = path.with_suffix(".key")
+        if not (recordings / f"{path.stem}.csv").is_file():
+            raise ChallengeError(f"{recordings / path.stem}.csv: not found; every key needs its recording")
+        if sealed_path.exists():
+            raise ChallengeError(f"{sealed_path}: sealed already; commit once, before any answer")
+        file = sealed(key_of(path.read_bytes(), path.name))
+        sealed_path.write_bytes(file)
+        seals[path.stem] = seal_of(file)
+    if not seals:
+        raise ChallengeError(f"{keys}: holds no key NAME.json; see docs/proof.md for the layout")
+    return _published(recordings, seals)
 
 
 Runner = Callable[..., Iterator[tuple[str, str]]]

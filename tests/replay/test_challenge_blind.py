@@ -42,6 +42,23 @@ def test_the_commands_from_end_to_end(challenge: Path, tmp_path: Path) -> None:
     assert scores["schema"] == 1 and scores["holds"] is False and len(scores["marks"]) == 5
 
 
+def test_keys_of_ones_own_are_sealed_and_scored(challenge: Path, tmp_path: Path) -> None:
+    runner, keys, answers = CliRunner(), tmp_path / "keys", tmp_path / "answers"
+    recordings = tmp_path / "recordings"
+    for folder in (keys, answers, recordings):
+        folder.mkdir()
+    (recordings / "r7.csv").write_bytes((challenge / "recordings" / "r0001.csv").read_bytes())
+    (keys / "r7.json").write_text('{"kind": "null"}')
+    (answers / "r7.json").write_text('{"schema": 1, "verdict": "adequate", "findings": []}')
+    arguments = [str(recordings), "--keys", str(keys)]
+    assert runner.invoke(challenge_group, ["commit", *arguments]).exit_code == 0
+    again = runner.invoke(challenge_group, ["commit", *arguments])
+    assert again.exit_code == 2 and "sealed already" in again.output
+    done = runner.invoke(challenge_group, ["reveal", *arguments, "--answers", str(answers), "--json", "-"])
+    assert done.exit_code == 1
+    assert json.loads(done.stdout)["marks"][0]["kind"] == "null"
+
+
 def test_a_changed_key_is_found_out(challenge: Path, tmp_path: Path) -> None:
     for path in (challenge / "keys").iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes().replace(b'"family":"', b'"family":"a'))
