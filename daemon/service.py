@@ -45,7 +45,7 @@ from stillcal.daemon.store_document import StoreDocument
 Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings)
 
 SAVE_EVERY_S = 10.0
-"""At most so often is the state written for new rests, s."""
+"""At most so often is the state written for new rests, s; after a full calibration it is at once."""
 
 SAVE_AT_LEAST_S = 600.0
 """So often it is written anyway, s."""
@@ -101,6 +101,7 @@ class Service:
         self._began = host_time()
         self._stop = asyncio.Event()
         self._unsaved = asyncio.Event()
+        self._fresh = False
 
     def open(self) -> None:
         """Lock the store and take up the state where it was left. Raises StoreError."""
@@ -202,7 +203,8 @@ class Service:
             changed = changed or self._unsaved.is_set()
             self._unsaved.clear()
             await self.storage.flush()
-            if host_time() - saved_at >= (SAVE_EVERY_S if changed else SAVE_AT_LEAST_S):
+            if self._fresh or host_time() - saved_at >= (SAVE_EVERY_S if changed else SAVE_AT_LEAST_S):
+                self._fresh = False
                 saved_at, changed = host_time(), not await self.save()
 
     async def _beating(self) -> None:
@@ -248,6 +250,7 @@ class Service:
     def _keep(self, action: Keep | Reject) -> None:
         sourced_action = sourced(action, self.settings.source.port, self.saved.device)
         self.storage.keep(sourced_action)
+        self._fresh = self._fresh or action.record.acceptance.how == "calibration"
         self._unsaved.set()
         self.news.tell(action)
 

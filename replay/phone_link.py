@@ -117,8 +117,8 @@ class PhoneLink:
                 await self._answer()
             elif self.stream.waiting:
                 await self._patience()
-            elif (limit := self._limit()) <= self.stream.t:
-                await self._nap(self.stream.t + self.settings.step_s)
+            elif (limit := self._limit()) < (due := self.stream.t + min(self.settings.step_s, STRIDE_S)):
+                await self._nap(due)
             else:
                 await self._say(self.stream.advance(limit))
 
