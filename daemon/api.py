@@ -111,7 +111,8 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
             raise NotCalibrated(reason="no calibration yet", missing=[])
         raw = np.array(samples, dtype=np.float64).reshape(-1, 3)
         try:
-            corrected = record.apply(raw, Sensor(sensor))
+            with np.errstate(over="ignore", invalid="ignore"):  # refused below
+                corrected = record.apply(raw, Sensor(sensor))
         except NotCalibratedError as error:
             raise NotCalibrated(reason=str(error), missing=[sensor]) from None
         if not np.isfinite(corrected).all():
