@@ -142,7 +142,7 @@ def test_samples_are_corrected_and_their_number_is_bounded(folder: Path, make_re
             for sensor in Sensor:
                 found = await asked(folder, lambda c, s=sensor: c.Correct(str(s), raw.tolist()))
                 assert np.array_equal(found["samples"], record.apply(raw, sensor))
-            for bad in ([[0.0] * 3] * 1001, [[1.0, 2.0]], [["x", 1.0, 2.0]], [[1.79e308] * 3], None):
+            for bad in ([[0.0] * 3] * 1001, [[1.0, 2.0]], [["x", 1.0, 2.0]], [[1.79e308] * 3]):
                 with pytest.raises(varlink.VarlinkError, match="InvalidParameter"):
                     await asked(folder, lambda c, b=bad: c.Correct("accelerometer", b))
 
