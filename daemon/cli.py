@@ -20,6 +20,7 @@ COMMANDS = {
     "query": "stillcal.daemon.cli_query:query_command",
     "replay": "stillcal.daemon.cli_replay:replay_command",
     "apply": "stillcal.daemon.cli_replay:apply_command",
+    "diagnose": "stillcal.daemon.cli_diagnose:diagnose_command",
     "simulate": "stillcal.daemon.cli_simulate:simulate_command",
     "store": "stillcal.daemon.cli_store:store_group",
     "challenge": "stillcal.daemon.cli_challenge:challenge_group",
