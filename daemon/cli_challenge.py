@@ -116,7 +116,7 @@ def reveal_command(recordings: Path, keys: Path, answers: tuple[Path, ...], json
 def prove_command(trials: int, seed: int, jobs: int, json_path: Path | None, keep: Path | None) -> None:
     """Prove the diagnosis blind: conceal, commit, answer, reveal, score.
 
-    Exit code 0 where every stated bar holds, 1 else. Some 6 s a case and process, 2 MB of disk a case.
+    Exit code 0 where every stated bar holds, 1 else. Some 6 s a case and process, 3 MB of disk a case.
     """
     with _refusals(), _working_folder(keep) as folder, _progress() as tick:
         verdict = proof.prove(folder, trials, seed, jobs, tick)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.samples import Array
 from stillcal.replay.challenge import phones, power, simulated
 from stillcal.replay.challenge.catalogue import NAMES, Stage, as_told, drawn_effect, put_in
@@ -130,7 +131,7 @@ def _plausible(key: Key) -> bool:
 
 
 def _by_simulator(design: Design, rate: float, duration: float, rng: np.random.Generator) -> tuple[Made, Key]:
-    phone = phones.drawn_phone(design.family, rate, 9.812, rng)
+    phone = phones.drawn_phone(design.family, rate, STANDARD, rng)
     phone = replace(phone, thermometer=_thermometer(design, rng))
     day, seed = simulated.drawn_day(duration, rng), int(rng.integers(2**31))
     creep = design.names == ("creep",)
@@ -161,7 +162,7 @@ def _scene(design: Design, rate: float, duration: float, rng: np.random.Generato
     calm = name in ("breathing", "creep", "heartbeat") or (
         rng.random() < 0.3 and design.kind != "off_catalogue" and not set(design.names) & set(WITH_TURNS)
     )
-    gravity = float(rng.uniform(*LOCAL_GRAVITY)) if name == "location" else 9.80665
+    gravity = round(float(rng.uniform(*LOCAL_GRAVITY)), 5)
     day = Day(
         duration,
         rate,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from stillcal.calib_core.samples import Samples, frozen
 from stillcal.replay.challenge.cases import Design, made, planned
 from stillcal.replay.challenge.keys import key_of, seal_of, sealed
 from stillcal.replay.challenge.phones import Made
@@ -104,16 +105,29 @@ def _write_case(work: tuple[Design, int, int, Path, Path]) -> tuple[str, str]:
 
 
 def write_recording(path: Path, recording: Made) -> None:
-    """Write a recording in the documented layout."""
-    accel = recording.accelerometer
+    """Write a recording in the documented layout, with the digits that loggers write."""
+    accel = _shortened(recording.accelerometer)
+    gyro = None if recording.gyroscope is None else _shortened(recording.gyroscope)
     with TraceWriter(
         path,
-        gyroscope=recording.gyroscope is not None,
+        gyroscope=gyro is not None,
         temperature=accel.temperature is not None,
         arrival=accel.t_arrival is not None,
         claims=recording.claims,
     ) as writer:
-        writer.write(accel, recording.gyroscope, recording.events)
+        writer.write(accel, gyro, recording.events)
+
+
+def _shortened(samples: Samples) -> Samples:
+    """Round stamps to microseconds, values to 1e-7, temperatures to a thousandth."""
+    temperature, arrival = samples.temperature, samples.t_arrival
+    return Samples(
+        samples.sensor,
+        frozen(samples.t.round(6)),
+        frozen(samples.xyz.round(7)),
+        None if temperature is None else frozen(temperature.round(3)),
+        None if arrival is None else frozen(arrival.round(6)),
+    )
 
 
 def read_manifest(recordings: Path) -> Manifest:

@@ -63,7 +63,12 @@ def drawn_day(duration: float, rng: np.random.Generator) -> Scenario:
         }
         for i in range(pieces)
     ]
-    return msgspec.convert({"segment": segments, "duration_s": duration}, type=Scenario)
+    place = {
+        "latitude": float(rng.uniform(-65.0, 65.0)),
+        "longitude": 0.0,
+        "altitude": float(rng.uniform(0.0, 800.0)),
+    }
+    return msgspec.convert({"segment": segments, "duration_s": duration, "place": place}, type=Scenario)
 
 
 def world_of(simulation: Simulation) -> World:
@@ -140,7 +145,8 @@ def _entry(phone: Phone, truth: TrueEffect) -> dict[str, Any]:
 
 
 def recorded(simulation: Simulation, phone: Phone) -> Made:
-    """Return the recording, with the claims of the phone as it was drawn."""
+    """Return the recording, with the claims of the phone as it was drawn and of the place where it is."""
     whole = simulation.whole()
     charging = [e for e in whole.events if isinstance(e, Charging)]
-    return Made(whole.accelerometer, whole.gyroscope, charging, phone.claims)
+    claims = msgspec.structs.replace(phone.claims, gravity=round(simulation.truth.intervals[0].gravity, 5))
+    return Made(whole.accelerometer, whole.gyroscope, charging, claims)
