@@ -23,6 +23,7 @@ COMMANDS = {
     "diagnose": "stillcal.daemon.cli_diagnose:diagnose_command",
     "simulate": "stillcal.daemon.cli_simulate:simulate_command",
     "store": "stillcal.daemon.cli_store:store_group",
+    "install-service": "stillcal.daemon.cli_install:install_command",
     "challenge": "stillcal.daemon.cli_challenge:challenge_group",
     "prove": "stillcal.daemon.cli_challenge:prove_command",
 }
