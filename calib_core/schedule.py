@@ -60,13 +60,13 @@ def watch_for(
     """Choose how to look on, given how long (s) the energy allowance would last.
 
     Unbroken watching begins only with half the burst saved up and goes on until it is spent, so that the
-    sensors are not switched to and fro; a check alone is worth probing only.
+    sensors are not switched to and fro; a check alone is worth probing only, and worth an overdraft.
     """
     if settings.watch != "auto":
         return Watch(settings.watch)
     if need.rests and lasts_s > 0 and (current is Watch.CONTINUOUS or lasts_s >= burst_s / 2):
         return Watch.CONTINUOUS
-    return Watch.PROBING if need.rests or need.check else Watch.IDLE
+    return Watch.PROBING if need.check or (need.rests and lasts_s > 0) else Watch.IDLE
 
 
 def next_on_grid(began: float, interval: float, after: float) -> float:
