@@ -87,7 +87,7 @@ def test_a_day_leaves_less_than_a_tenth_of_a_milli_g(
     """The published unaided tools leave 4.4 mg on the same work: as much as the common rotation alone makes.
 
     Watched without a break, the days of seeds 0 to 5 leave 0.03 to 0.07 mg. By default the sensors are on for
-    a twentieth of the time and rests last some seconds: 0.03 to 0.16 mg, in two of six days more than 0.1,
+    a twentieth of the time and rests last some seconds: 0.03 to 0.16 mg, more than 0.1 in three days of six,
     because a second calibration, though better, cannot show it on rests held out by more than chance.
     """
     engine = Engine(EngineSettings(schedule=ScheduleSettings(watch=watch)))
