@@ -63,10 +63,10 @@ class EngineState:
 
     waiting: samples not yet looked at; latest: each stream's newest stamp; heard: the clock's last tick.
     check_due: a check waits for a rest; checked, tried: when the last check and the last try to fit were.
-    attitudes: distinct ones in the pool. fresh: rests gathered since the last try. gyro_tail: what the next
-    turn may be cut from. sound_until: when a calibration that now fails last passed a check. moved, left: when the place was last told anew, and
-    gravity where the phone was before. refusal: why
-    the last try to fit came to nothing.
+    attitudes: distinct ones in the pool. fresh: rests gathered since the last try. gyro_tail: what the
+    next turn may be cut from. sound_until: when a calibration that now fails last passed a check. moved,
+    left: when the place was last told anew, and gravity where the phone was before. refusal: why the last
+    try to fit came to nothing.
     """
 
     detector: DetectorState | None = None

@@ -23,6 +23,13 @@ from stillcal.calib_core.samples import Samples
 from stillcal.daemon import store as storage
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.outputs import (
+    STANDARD_OUTPUT,
+    new_recording_files,
+    recording_files,
+    refuse_collisions,
+    store_files,
+)
 from stillcal.daemon.settings import Settings, load_settings
 from stillcal.daemon.store_document import calibration_json, pretty
 from stillcal.daemon.summary import print_outcome
@@ -78,21 +85,20 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     Leaves the store that a live run would leave. Exit code 3 where the recording cannot support a
     calibration; why is said, and which attitude is missing.
     """
-    for path in (store_path, json_path):
-        _refuse_to_overwrite(path, trace)
+    refuse_collisions(_written(store_path, json_path), _read(trace, gyro))
     settings = load_settings(config)
     kept: list[Store | Reject] = []
     if format_ == "rest":
         outcome = replay_rests(read_rest_table(trace), Engine(_chosen(settings, gravity, watch)), kept.append)
     else:
         opened = open_trace(trace, format_, gyro)
-        engine = Engine(_chosen(settings, gravity or _claimed_gravity(opened), watch))
+        engine = Engine(_chosen(settings, _known_gravity(gravity, settings, opened), watch))
         outcome = _replayed(opened, engine, kept.append, quiet)
     if store_path is not None and kept:
         _keep(store_path, settings, kept, trace)
     if json_path is not None:
         _write_json(json_path, outcome)
-    if not quiet and json_path != Path("-"):
+    if not quiet and json_path != STANDARD_OUTPUT:
         print_outcome(outcome, trace, store_path if kept else None, Console())
     if outcome.record is None or outcome.record.accelerometer is None:
         click.echo(f"stillcal: {trace}: no calibration: {_why(outcome)}", err=True)
@@ -118,7 +124,7 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
         raise storage.StoreError(
             f"{store_path}: holds no calibration: run stillcal replay or the daemon first"
         )
-    _refuse_to_overwrite(out, trace)
+    refuse_collisions(new_recording_files(out), [*_read(trace, gyro), *store_files(store_path)])
     opened = open_trace(trace, format_, gyro)
     with _progress(opened, quiet) as step, _writer(opened, out, record) as write:
         for chunk in opened.chunks():
@@ -159,19 +165,27 @@ def _corrected(samples: Samples, record: CalibrationRecord) -> Samples:
         return samples
 
 
-def _refuse_to_overwrite(path: Path | None, trace: Path) -> None:
-    """Refuse to write over the recording, or over what stands beside it under its name."""
-    if path is None or not path.exists():
-        return
-    belonging = (trace, beside(trace, ".json"), beside(trace, ".events.jsonl"))
-    if any(path.resolve() == b.resolve() for b in belonging):
-        raise click.UsageError(f"{path} belongs to the recording {trace}: choose another name")
+def _read(trace: Path, gyro: Path | None) -> list[Path]:
+    return [*recording_files(trace), *([] if gyro is None else [gyro])]
+
+
+def _written(store: Path | None, json_path: Path | None) -> list[Path]:
+    to_file = [] if json_path in {None, STANDARD_OUTPUT} else [json_path]
+    return [*([] if store is None else store_files(store)), *(p for p in to_file if p is not None)]
 
 
 def _chosen(settings: Settings, gravity: float | None, watch: str | None) -> EngineSettings:
     given: dict[str, Any] = {"gravity": gravity, "watch": watch}
     schedule = replace(settings.engine.schedule, **{k: v for k, v in given.items() if v is not None})
     return replace(settings.engine, schedule=schedule)
+
+
+def _known_gravity(gravity: float | None, settings: Settings, opened: Trace) -> float | None:
+    """Return local gravity as the user gives it, else as the settings do, else as the maker claims."""
+    if gravity is not None:
+        return gravity
+    chosen = settings.engine.schedule.gravity
+    return _claimed_gravity(opened) if chosen is None else chosen
 
 
 def _claimed_gravity(opened: Trace) -> float | None:
@@ -228,7 +242,7 @@ def _keep(path: Path, settings: Settings, kept: list[Store | Reject], source: Pa
 
 def _write_json(path: Path, outcome: Outcome) -> None:
     text = pretty(calibration_json(outcome.record) | {"run": _run_figures(outcome)}) + "\n"
-    if path == Path("-"):
+    if path == STANDARD_OUTPUT:
         click.echo(text, nl=False)
     else:
         write_atomically(path, text.encode(), 0o644)

@@ -14,6 +14,7 @@ from rich.progress import Progress
 
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.outputs import new_recording_files, refuse_collisions
 from stillcal.daemon.store_document import pretty
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.writer import TraceWriter
@@ -33,7 +34,13 @@ from stillcal.replay.phone.simulation import TrueModel
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="The recording (.csv or .csv.gz)."
 )
-@click.option("--seed", default=0, show_default=True, help="The same seed gives the same recording.")
+@click.option(
+    "--seed",
+    default=0,
+    type=click.IntRange(0),
+    show_default=True,
+    help="The same seed gives the same recording.",
+)
 @click.option("--phone", default="typical", show_default=True, help="A ready phone, or a phone.toml.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the true sensor errors there (JSON).")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
@@ -47,6 +54,8 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
     would not tell goes into --truth only.
     """
     simulation = _simulation(scenario, phone, seed)
+    told = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
+    refuse_collisions([*new_recording_files(out), *([] if truth is None else [truth])], told)
     claims = msgspec.convert(simulation.phone.claimed(), Claims)
     with _progress(simulation, quiet) as step, _writer(simulation, out, claims) as writer:
         for chunk in simulation.chunks():

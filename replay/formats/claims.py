@@ -70,14 +70,20 @@ def read_claims(path: Path) -> Claims:
     """
     file = beside(path, ".json")
     text = _bytes_of(file)
-    if text is None:
+    if text is None or written_by_stillcal(file):
         return Claims()
     try:
-        if msgspec.json.decode(text, type=_Written).schema is not None:
-            return Claims()
         return msgspec.json.decode(text, type=Claims)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise TraceError(file, f"not the maker's claims: {error}", "correct the field it names") from None
+
+
+def written_by_stillcal(path: Path) -> bool:
+    """Tell whether a file is JSON with a schema's number, as stores, calibrations and diagnoses have."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=_Written).schema is not None
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        return False
 
 
 def read_events(path: Path) -> list[Event]:

@@ -1,0 +1,49 @@
+"""Where a command may write: never over what it reads, never two things in one place, never half.
+
+Checked before any work is done, so that a refusal leaves nothing behind.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+import click
+
+from stillcal.replay.formats.claims import beside, written_by_stillcal
+
+STANDARD_OUTPUT = Path("-")
+
+
+def recording_files(path: Path) -> list[Path]:
+    """Return a recording's own files: its samples, its events, and its claims unless a command wrote them."""
+    claims = beside(path, ".json")
+    return [path, beside(path, ".events.jsonl"), *([] if written_by_stillcal(claims) else [claims])]
+
+
+def new_recording_files(path: Path) -> list[Path]:
+    """Return the files that writing a recording makes. Raises UsageError where the name is no recording's."""
+    if not path.name.endswith((".csv", ".csv.gz")):
+        raise click.UsageError(f"{path} is no name of a recording: let it end in .csv or .csv.gz")
+    return [path, beside(path, ".events.jsonl"), beside(path, ".json")]
+
+
+def store_files(path: Path) -> list[Path]:
+    """Return the files of a store: itself, its last good copy and its lock."""
+    return [path, *(path.with_name(path.name + suffix) for suffix in (".last-good", ".lock"))]
+
+
+def refuse_collisions(writes: Iterable[Path], reads: Iterable[Path]) -> None:
+    """Raise UsageError where a file would be written over an input, or twice, or cannot be written at all."""
+    inputs, seen = {p.resolve() for p in reads if p.exists()}, set[Path]()
+    for path in writes:
+        if path.resolve() in inputs:
+            raise click.UsageError(f"{path} is read by this command: choose another name to write to")
+        if path.resolve() in seen:
+            raise click.UsageError(f"{path} would be written twice: choose two names")
+        if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+            raise click.UsageError(
+                f"{path} cannot be written: {path.parent} is no folder that can be written to"
+            )
+        seen.add(path.resolve())
