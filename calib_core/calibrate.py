@@ -39,7 +39,7 @@ _PARAMETER_COUNT = {Parameters.BIAS: 3, Parameters.SCALE3: 6, Parameters.FULL9: 
 _GYRO_NAMES = (*(f"S_{a}{b}" for a in "xyz" for b in "xyz"), "b_x", "b_y", "b_z")
 
 
-OMITTED_CROSS_AXIS = 0.05
+_OMITTED_CROSS_AXIS = 0.05
 """m/s^2: half of 1 % of gravity, what a phone's usual cross-axis sensitivity puts into a norm at worst
 (InvenSense MPU-6050 and Bosch BMI270 datasheets give 1 to 2 %)."""
 
@@ -258,8 +258,19 @@ def checked(record: CalibrationRecord, recent: Pool, settings: QualitySettings) 
     """Hold recent rests against a calibration (4.7); it must have an accelerometer part."""
     assert record.accelerometer is not None
     bias = None if record.gyroscope is None else record.gyroscope.bias
-    left_open = norm_uncertainty(record.accelerometer)
-    return quality.check(record.accelerometer.model, left_open, bias, recent.held, settings)
+    left_open = np.hypot(norm_uncertainty(record.accelerometer), _gravity_change(record, recent))
+    return quality.check(record.accelerometer.model, float(left_open), bias, recent.held, settings)
+
+
+def _gravity_change(record: CalibrationRecord, recent: Pool) -> float:
+    """Return the uncertainty (m/s^2) of the gravity fitted to, where the rests know theirs from elsewhere.
+
+    A phone that was calibrated before it knew its place has a scale off by as much as the standard value;
+    that is no drift.
+    """
+    if record.gravity is None or all(h.gravity.source == record.gravity.source for h in recent.held):
+        return 0.0
+    return record.gravity.uncertainty
 
 
 def norm_uncertainty(part: AccelerometerRecord) -> float:
@@ -267,7 +278,7 @@ def norm_uncertainty(part: AccelerometerRecord) -> float:
 
     The scatter of its own rests; and where it has no cross-axis terms, what these may amount to.
     """
-    omitted = OMITTED_CROSS_AXIS if part.parameters == 6 else 0.0
+    omitted = _OMITTED_CROSS_AXIS if part.parameters == 6 else 0.0
     return float(np.hypot(part.rms_residual or 0.0, omitted))
 
 

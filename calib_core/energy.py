@@ -18,7 +18,7 @@ class EnergySettings:
     on_time_fraction: float = 0.03
 
     def __post_init__(self) -> None:
-        if not self.burst_s >= 0:
+        if not 0 <= self.burst_s < float("inf"):
             raise ValueError(f"burst_s = {self.burst_s}: must be 0 or more seconds")
         if not 0 <= self.on_time_fraction <= 1:
             raise ValueError(f"on_time_fraction = {self.on_time_fraction}: must be within 0..1")

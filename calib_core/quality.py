@@ -60,7 +60,11 @@ class Drift(StrEnum):
 
 
 class Verdict(StrEnum):
-    """What follows from a check."""
+    """What follows from a check.
+
+    The gyroscope is zeroed at every check that does not ask for more (4.7): `zero gyro` says that it had
+    drifted beyond its limit, `keep` that it had not.
+    """
 
     WAIT = "wait"
     KEEP = "keep"

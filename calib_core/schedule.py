@@ -40,8 +40,12 @@ class ScheduleSettings:
 
     def __post_init__(self) -> None:
         for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s", "gyro_patience_s"):
-            if not getattr(self, name) > 0:
+            if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be positive seconds")
+        if self.gravity is not None and not 9.7 <= self.gravity <= 9.9:
+            raise ValueError(f"gravity = {self.gravity}: must be the earth's, 9.7..9.9 m/s^2")
+        if self.watch not in {"auto", *(str(w) for w in Watch if w is not Watch.IDLE)}:
+            raise ValueError(f"watch = {self.watch!r}: must be auto, continuous or probing")
         if self.attitudes_wanted < 6:
             raise ValueError(f"attitudes_wanted = {self.attitudes_wanted}: must be 6 or more")
 

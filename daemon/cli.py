@@ -50,6 +50,9 @@ def main() -> None:
     """Run the command line; turn every expected error into one line on standard error."""
     try:
         sys.exit(cli.main(standalone_mode=False))
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        sys.exit(error.exit_code)
     except click.ClickException as error:
         click.echo(f"stillcal: {error.format_message()}", err=True)
         sys.exit(error.exit_code)

@@ -175,8 +175,8 @@ def _written(store: Path | None, json_path: Path | None) -> list[Path]:
 
 
 def _chosen(settings: Settings, gravity: float | None, watch: str | None) -> EngineSettings:
-    given: dict[str, Any] = {"gravity": gravity, "watch": watch}
-    schedule = replace(settings.engine.schedule, **{k: v for k, v in given.items() if v is not None})
+    told: dict[str, Any] = {"gravity": None if gravity is None else given(gravity).value, "watch": watch}
+    schedule = replace(settings.engine.schedule, **{k: v for k, v in told.items() if v is not None})
     return replace(settings.engine, schedule=schedule)
 
 

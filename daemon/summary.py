@@ -8,12 +8,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.gravity import STANDARD, Gravity
 from stillcal.calib_core.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.samples import Array
 from stillcal.replay.runner import Outcome
 
-G = 9.80665
 _DEG = 180 / np.pi
 
 
@@ -112,7 +111,7 @@ def _gyroscope(part: GyroscopeRecord) -> list[tuple[str, str]]:
 
 
 def _milli_g(value: float) -> str:
-    return f"{1000 * value / G:.3g} mg"
+    return f"{1000 * value / STANDARD:.3g} mg"
 
 
 def _vector(values: Array, form: str) -> str:

@@ -42,7 +42,7 @@ KNOWN = {
 _UNCHECKED = AccelerometerSettings(max_amplification=np.inf, max_norm_sd=np.inf, spare_attitudes=0)
 """Half of the rests seldom supports what all of them do; a held-out check fits it all the same."""
 
-_MILLI_G = 1000 / 9.80665
+_MILLI_G = 1000 / STANDARD
 
 
 @dataclass(frozen=True, slots=True)

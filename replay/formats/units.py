@@ -38,6 +38,9 @@ _TILT = 0.2
 """rad: how far biases and misalignment may tilt the force from gravity as the gyroscope's axes have it; a
 fast spin about the vertical then seems to turn gravity by this much of its angle."""
 
+_SLOWEST_STEP = 10.0
+"""s: a longer median step between samples is another unit of time."""
+
 _MAP = "in a column map given as --format (docs/formats.md)"
 
 
@@ -54,6 +57,8 @@ class UnitCheck:
     def see(self, accelerometer: Samples, gyroscope: Samples) -> None:
         """Take in the next stretch of the recording. Raises TraceError."""
         before, self._seen = self._seen, self._seen + len(accelerometer)
+        if before == 0:
+            self._judge_time(accelerometer.t)
         if before < ENOUGH:
             self._norms.append(np.linalg.norm(accelerometer.xyz, axis=1))
         if before < OPENING <= self._seen:
@@ -73,6 +78,15 @@ class UnitCheck:
                 raise TraceError(self.path, what, "check that it was on and that the columns are its own")
             self._judge_size(norms)
         self._norms = []
+
+    def _judge_time(self, t: Array) -> None:
+        """Refuse stamps that cannot be seconds: of a sensor that gives less than a sample in ten."""
+        step = float(np.median(np.diff(t))) if t.size > FEWEST else 0.0
+        if step > _SLOWEST_STEP:
+            what = (
+                f"the time stamps step by {step:.6g}, where a sensor's step by less than {_SLOWEST_STEP:g} s"
+            )
+            raise TraceError(self.path, what, f'give s, or set unit = "ns", "us" or "ms" {_MAP}')
 
     def _judge_size(self, norms: Array) -> None:
         low, middle, high = np.quantile(norms, (0.05, 0.5, 0.95))
