@@ -37,6 +37,8 @@ RATE_HZ = 50.0
 ESGI_GRAVITY = 9.81
 """m/s^2; the report's own round value (3.3)."""
 
+CONSTANT_PART = "True biases are constant parts: 1/f noise wanders beside them, and zeroing follows it."
+
 TOLD = ("gravity", "charging", "calibrated", "rejected", "refused", "check")
 """Events of the daemon's log that are shown; the log has them all."""
 
@@ -59,7 +61,8 @@ def demo(out: Path, seed: int, scenario: str) -> None:
     lived = _live(simulation, files, console)
     _found(lived, simulation, console)
     console.print(_drawn(lived, simulation, out / f"{name}.png"), soft_wrap=True)
-    console.print(f"Kept: {files.store} (stillcal store show {files.store}), {files.log}", soft_wrap=True)
+    store = out / files.store.name
+    console.print(f"Kept: {store} (stillcal store show {store}), {out / files.log.name}", soft_wrap=True)
     _print_esgi(console)
 
 
@@ -131,10 +134,9 @@ def _found(lived: Lived, simulation: Simulation, console: Console) -> None:
         console.print(f"No calibration: {lived.status['refusal']}")
     else:
         console.print(_beside_truth(lived.calibration, truth_of(simulation)))
+        console.print(CONSTANT_PART, soft_wrap=True)
     told = ("rests", "turns", "calibrations", "rejected", "checks", "zeroings")
-    console.print(
-        "\nIt counted " + ", ".join(f"{counts[name]} {name}" for name in told) + ".", soft_wrap=True
-    )
+    console.print("\nCounted: " + ", ".join(f"{name} {counts[name]}" for name in told) + ".", soft_wrap=True)
     console.print(_energy(lived.energy), soft_wrap=True)
     console.print(f"SIGTERM: stopped in {lived.stopping_s:.1f} s, its state saved.\n", soft_wrap=True)
 
@@ -215,7 +217,7 @@ def _drawn(lived: Lived, simulation: Simulation, path: Path) -> str:
         for begin, end in _charging(simulation):
             panel.axvspan(begin / 3600, end / 3600, color="0.9")
     panels[0].set_title("Error of the published calibration (before the first: of the raw sensor)")
-    panels[1].set_xlabel("h; grey: on the charger")
+    panels[1].set_xlabel(f"h; grey: on the charger\n{CONSTANT_PART}")
     figure.savefig(path, dpi=120)
     return f"Figure: {path}"
 
