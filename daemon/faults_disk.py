@@ -16,6 +16,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from stillcal.calib_core.record import CalibrationRecord
@@ -47,7 +48,7 @@ def failing_fsync(folder: Path, record: CalibrationRecord) -> Figures:
     for number in range(2, 100):
         before = path.read_bytes()
         with fsync_failing_at(number - 1):
-            said = _refusal(lambda n=number: Store(path).publish(_numbered(record, n)))
+            said = _refusal(partial(Store(path).publish, _numbered(record, number)))
         if not said:
             break
         after = path.read_bytes()
@@ -95,7 +96,7 @@ def fsync_failing_at(number: int) -> Iterator[None]:
     """Let the number-th fsync of this process, counted from 1, report EIO; the others do nothing."""
     fsync, calls = os.fsync, 0
 
-    def failing(fd: int) -> None:
+    def failing(fd: object) -> None:
         nonlocal calls
         calls += 1
         if calls == number:
