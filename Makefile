@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: run test check clean
+.PHONY: run test check faults week clean
 
 run: $(READY)
 	$(BIN)/python -m stillcal.daemon.demo
@@ -18,6 +18,12 @@ check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+faults: $(READY)
+	$(BIN)/python -m stillcal.daemon.faults
+
+week: $(READY)
+	$(BIN)/python -m stillcal.daemon.week
 
 $(READY): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

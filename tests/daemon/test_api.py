@@ -21,6 +21,7 @@ import varlink
 from stillcal.calib_core.events import Reject
 from stillcal.calib_core.events import Store as Keep
 from stillcal.calib_core.samples import Sensor
+from stillcal.daemon.faults_socket import nonsense
 from stillcal.daemon.notify import Notifier
 from stillcal.daemon.service import Given, Service
 from stillcal.daemon.store import Store
@@ -230,34 +231,11 @@ async def ask(line: tuple[asyncio.StreamReader, asyncio.StreamWriter], method: s
     return json.loads((await line[0].readuntil(b"\0"))[:-1])
 
 
-def nonsense(number: int, seed: int = 4) -> Iterator[bytes]:
-    """Yield messages with something wrong: bytes, broken JSON, wrong types, unknown names, deep nesting."""
-    rng = np.random.default_rng(seed)
-    good = json.dumps(
-        {"method": f"{NAME}.Correct", "parameters": {"sensor": "gyroscope", "samples": [[1, 2, 3]]}}
-    )
-    shapes: list[Callable[[], bytes]] = [
-        lambda: rng.bytes(int(rng.integers(1, 300))),
-        lambda: b"" + good[: int(rng.integers(1, len(good)))].encode(),
-        lambda: json.dumps(rng.choice([None, 3, "x", True])).encode(),
-        lambda: b'{"method": ' + b"[" * 5000,
-        lambda: json.dumps({"method": "." * int(rng.integers(0, 9)), "more": 3}).encode(),
-        lambda: json.dumps(
-            {"method": f"{NAME}.GetHistory", "parameters": {"limit": int(rng.integers(-9, 9))}}
-        ).encode(),
-        lambda: json.dumps({"method": f"{NAME}.__init__", "parameters": {"daemon": 1}}).encode(),
-        lambda: json.dumps({"method": f"{NAME}.Monitor"}).encode(),
-        lambda: b'{"method": "' + NAME.encode() + b'.Correct", "parameters": {"samples": [[NaN, 1, 2]]}}',
-    ]
-    for i in range(number):
-        yield shapes[i % len(shapes)]() + b"\0"
-
-
 def test_malformed_messages_harm_nobody(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     async def test() -> None:
         async with answering(folder) as service:
             good = await connected(folder)
-            for message in nonsense(1000):
+            for message in nonsense(1000, seed=4):
                 line = await connected(folder)
                 line[1].write(message)
                 line[1].write_eof()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import random
 import resource
@@ -15,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from stillcal.daemon.atomic import NotDurableError, write_atomically
+from stillcal.daemon.faults_disk import fsync_failing_at
 from stillcal.daemon.store import Store, StoreError
 from stillcal.daemon.store_document import StoreDocument, render
 
@@ -137,44 +137,27 @@ def assert_intact(path: Path, before: bytes) -> None:
     assert not path.with_name(path.name + ".last-good.tmp").exists()
 
 
-def failing_at(number: int):
-    """Make an fsync that reports EIO once, at the given call."""
-    calls = 0
-
-    def fsync(fd):
-        nonlocal calls
-        calls += 1
-        if calls == number:
-            raise OSError(errno.EIO, "Input/output error")
-
-    return fsync
-
-
 @pytest.mark.parametrize("failing", [1, 3], ids=["of the copy", "of the store"])
-def test_a_failing_fsync_leaves_the_old_store(path, make_record, monkeypatch, failing):
+def test_a_failing_fsync_leaves_the_old_store(path, make_record, failing):
     """The only fault that is played rather than had: a disk that reports EIO."""
     with Store(path) as store:
         store.publish(make_record(1))
         before = path.read_bytes()
-        monkeypatch.setattr(os, "fsync", failing_at(failing))
-        with pytest.raises(StoreError, match="the disk reports an error"):
+        with fsync_failing_at(failing), pytest.raises(StoreError, match="the disk reports an error"):
             store.publish(make_record(2))
         assert_intact(path, before)
-        monkeypatch.undo()
         store.publish(make_record(3))
         assert [e.calibration.id for e in store.history()] == [make_record(1).id]
 
 
-def test_a_store_whose_folder_cannot_be_synced_is_in_place_and_says_so(path, make_record, monkeypatch):
-    monkeypatch.setattr(os, "fsync", failing_at(4))
-    with pytest.raises(StoreError, match="cannot make durable"):
+def test_a_store_whose_folder_cannot_be_synced_is_in_place_and_says_so(path, make_record):
+    with fsync_failing_at(4), pytest.raises(StoreError, match="cannot make durable"):
         Store(path).publish(make_record(1))
     assert Store(path).load().current.id == make_record(1).id
 
 
-def test_a_folder_that_cannot_be_synced_is_told_apart(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "fsync", failing_at(2))
-    with pytest.raises(NotDurableError):
+def test_a_folder_that_cannot_be_synced_is_told_apart(tmp_path):
+    with fsync_failing_at(2), pytest.raises(NotDurableError):
         write_atomically(tmp_path / "file", b"new")
     assert (tmp_path / "file").read_bytes() == b"new"
 
