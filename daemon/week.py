@@ -23,6 +23,7 @@ from stillcal.calib_core.engine_state import Counters
 from stillcal.calib_core.events import Action, End, Level, Log
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.samples import Array
+from stillcal.daemon.log import entry
 from stillcal.replay.phone import Simulation, Truth, load_phone, load_scenario, simulate
 
 HOUR_S, DAY_S = 3600.0, 86400.0
@@ -206,15 +207,13 @@ def _verdicts(week: Week) -> list[tuple[str, str, bool]]:
             f"{week.duty:.2%} (bar {DUTY_BAR:.0%}); sensors asked for {week.asked_s / week.duration:.2%}",
             week.duty <= DUTY_BAR,
         ),
-        ("memory", f"{rss.value:+.1f} +- {rss.error:.1f} KiB a day, first day left out", not rss.distinct),
+        (
+            "memory",
+            f"{rss.value:+.1f} +- {rss.error:.1f} KiB a day, first day left out",
+            np.isfinite(rss.value) and not rss.distinct,
+        ),
         ("checks off their grid", f"{off_grid:.6f} s at most", off_grid < 1e-3),
     ]
-
-
-def _line(log: Log) -> str:
-    """Write a line of the log as the daemon would."""
-    figures = " ".join(f"{name}={value}" for name, value in log.fields.items())
-    return f"  {log.t / HOUR_S:7.2f} h  {log.what}: {log.why} {figures}"
 
 
 @click.command()
@@ -237,7 +236,7 @@ def main(scenario: str, phone: str, seed: int) -> None:
         click.echo(f"{name:27} {figure}: {'met' if met else 'NOT MET'}")
     click.echo(f"\nThe first {KEPT} lines of the log of each kind:")
     for line in week.first:
-        click.echo(_line(line))
+        click.echo(f"  {line.t / HOUR_S:7.2f} h  {entry(line.what, line.why, line.fields)}")
     sys.exit(not all(met for _, _, met in verdicts))
 
 
