@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core import accelerometer, gyroscope, quality
 from stillcal.calib_core.accelerometer import AccelerometerFit, AccelerometerSettings
 from stillcal.calib_core.gravity import Gravity
-from stillcal.calib_core.gyro_bias import zeroing
+from stillcal.calib_core.gyro_bias import BiasEstimate, zeroing
 from stillcal.calib_core.gyroscope import GyroscopeFit, GyroscopeSettings, Parameters
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.pool import HeldRest, Pool
@@ -171,7 +171,7 @@ def _gyroscope_record(fit: GyroscopeFit, t: float) -> GyroscopeRecord:
         bias=fit.model.bias,
         parameters=_PARAMETER_COUNT[fit.parameters],
         names=_GYRO_NAMES,
-        covariance=fit.covariance,
+        covariance=_wandering(fit.covariance, fit.bias),
         rms_residual=fit.rms_after if turns else None,
         rms_nominal=fit.rms_before if turns else None,
         n_rests=fit.bias.n_rests,
@@ -180,6 +180,18 @@ def _gyroscope_record(fit: GyroscopeFit, t: float) -> GyroscopeRecord:
         missing=fit.missing,
         zeroed_at=t,
     )
+
+
+def _wandering(covariance: Array | None, bias: BiasEstimate) -> Array | None:
+    """Return a gyroscope's covariance (12, 12) with its bias as uncertain as one rest leaves it.
+
+    The mean over rests is known better, but the bias wanders on, and it is used between the rests.
+    """
+    if covariance is None or covariance.shape != (12, 12):
+        return covariance
+    wandering = np.array(covariance)
+    wandering[9:, 9:] = bias.covariance + np.diag(bias.wander**2)
+    return frozen(wandering)
 
 
 def _bounded(values: Array) -> Array:
@@ -290,7 +302,13 @@ def zeroed(record: CalibrationRecord, recent: Pool, t: float) -> CalibrationReco
     except NotSupported:
         return None
     known = record.gyroscope or GyroscopeRecord(scale=model.scale, bias=model.bias, parameters=3)
-    part = replace(known, bias=new_model.bias, rotation_admitted=_bounded(estimate.admitted), zeroed_at=t)
+    part = replace(
+        known,
+        bias=new_model.bias,
+        covariance=_wandering(known.covariance, estimate),
+        rotation_admitted=_bounded(estimate.admitted),
+        zeroed_at=t,
+    )
     reason = f"gyroscope zeroed on {estimate.n_rests} rests"
     acceptance = Acceptance(how="zeroing", reason=reason)
     return replace(record, gyroscope=part, acceptance=acceptance)
