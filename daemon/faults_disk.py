@@ -141,12 +141,12 @@ def _endured(path: Path, record: CalibrationRecord) -> Iterator[str]:
     if state.read_bytes() == before[1]:
         yield "state-intact"
     if not list(path.parent.glob(f"{path.stem}*.tmp")):
-        yield "nothing-left"
+        yield "no-temporary-left"
 
 
 def _figures(name: str, said: list[str]) -> Figures:
     words = {line.split()[0] for line in said}
-    expected = ("store-refused", "state-refused", "store-intact", "state-intact", "nothing-left")
+    expected = ("store-refused", "state-refused", "store-intact", "state-intact", "no-temporary-left")
     counts = {word.replace("-", " "): int(word in words) for word in expected}
     return Figures(name, all(counts.values()), counts)
 

@@ -57,12 +57,12 @@ def example() -> tuple[CalibrationRecord, list[RestState]]:
     return kept[-1].record, rests
 
 
-def killed(kills: int, seed: int, folder: Path) -> Figures:
-    """Let `kills` lives follow one another in an empty `folder`, each killed at a random moment."""
+def killed(kills: int, seed: int, folder: Path, life_s: float = LIFE_S) -> Figures:
+    """Let `kills` lives follow one another in an empty `folder`, each killed at random within `life_s`."""
     record, rests = example()
     chance, counts, known, path = random.Random(seed), Counter[str](), Known(), folder / "store.json"
     for _ in range(kills):
-        known, writing = _life(path, record, rests, known, chance.uniform(0.0, LIFE_S))
+        known, writing = _life(path, record, rests, known, chance.uniform(0.0, life_s))
         counts["killed inside a write"] += writing
         counts["half-written temporaries"] += any(p.suffix == ".tmp" for p in folder.iterdir())
         found, known = _examined(path, known)

@@ -36,7 +36,7 @@ QUESTIONS = 5
 """That each client of the crowd which does not stall asks."""
 
 ATTEMPTS = 50
-SETTLED_S = 2.0
+SETTLED_S = 10.0
 OVERSIZED = 20
 LATE_S = 0.05
 """What the 99th percentile of the loop's lateness must stay below, s."""
@@ -216,7 +216,7 @@ async def crowd(target: Target, clients: int, own: int) -> Figures:
     while not came.done():
         await asyncio.sleep(0.05)
         most = max(most, target.sockets() - own)
-    gone = await _hung_up_on(stalling, 5 * target.settings.stall_s)
+    gone = await _hung_up_on(stalling, target.settings.stall_s + SETTLED_S)
     counts = {
         "questions": QUESTIONS * len(asking),
         "answered": sum(answered for answered, _ in await came),

@@ -27,7 +27,7 @@ from stillcal.replay.wire_faults import Figures
 
 
 def test_killed_while_it_saves_it_loses_nothing(tmp_path: Path) -> None:
-    found = killed(12, 2, tmp_path)
+    found = killed(12, 2, tmp_path, life_s=0.4)
     assert found.holds, found
     assert found.counts["calibrations acknowledged"] > 0 and found.counts["rests acknowledged"] > 0
     assert found.counts["killed inside a write"] > 0
@@ -36,7 +36,7 @@ def test_killed_while_it_saves_it_loses_nothing(tmp_path: Path) -> None:
 def test_what_is_torn_or_lost_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The counts can fail: a store that acknowledges and does not write is found out."""
     monkeypatch.setattr(Store, "save", lambda self, document: None)
-    found = killed(5, 2, tmp_path)
+    found = killed(5, 2, tmp_path, life_s=0.4)
     assert not found.holds and found.counts["lost calibrations"] > 0
 
 
