@@ -73,6 +73,11 @@ class Engine:
         return self._s
 
     @property
+    def present(self) -> EngineState:
+        """What holds now, to look at and not to save: the detector's part, dear to copy, is stale."""
+        return self._s
+
+    @property
     def ledger(self) -> Ledger:
         """What was asked of the sensors, what was read, and what became of every window."""
         return self._detector.ledger

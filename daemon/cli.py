@@ -12,8 +12,7 @@ import sys
 import click
 
 from stillcal.daemon.cli_lazy import LazyGroup, examples
-
-BAD_INPUT, INTERRUPTED = 2, 130
+from stillcal.daemon.exits import BAD_INPUT, INTERRUPTED
 
 COMMANDS = {
     "run": "stillcal.daemon.cli_run:run_command",

@@ -19,13 +19,12 @@ from rich.table import Table
 from stillcal.calib_core.codec import plain
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.exits import BAD_INPUT, NOT_MET
 from stillcal.daemon.store_document import pretty
 from stillcal.replay.challenge import answering, proof, revealing
 from stillcal.replay.challenge.keys import SealError
 from stillcal.replay.challenge.making import ChallengeError, commit, make, read_manifest
 from stillcal.replay.challenge.scoring import Line, Score
-
-NOT_MET, BAD_INPUT = 1, 2
 
 _folder = click.Path(path_type=Path)
 _trials = click.option("--trials", default=1000, show_default=True, type=click.IntRange(1), help="Cases.")

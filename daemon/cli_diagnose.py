@@ -15,11 +15,10 @@ from stillcal.calib_core.record import jsonable
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.exits import TOO_LITTLE
 from stillcal.daemon.store_document import pretty
 from stillcal.replay.challenge.answering import diagnosed
 from stillcal.replay.trace import read_all
-
-TOO_LITTLE = 3
 
 VERDICTS = {
     "adequate": "the twin already explains this recording",

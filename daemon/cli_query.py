@@ -18,8 +18,8 @@ import msgspec
 
 from stillcal.daemon.api_place import NAME, answering_path
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.exits import BAD_INPUT, NO_DAEMON, REFUSED, TOO_LITTLE
 
-REFUSED, BAD_INPUT, NOT_CALIBRATED, NO_DAEMON = 1, 2, 3, 4
 TIMEOUT_S = 10.0
 STREAMS = ("Monitor",)
 
@@ -113,7 +113,7 @@ def _refuse(error: str, parameters: dict[str, Any]) -> None:
     other = [f"{key} {value}" for key, value in parameters.items() if key not in ("reason", "missing")]
     detail = "; ".join(fact for fact in (*facts, *other) if fact)
     click.echo(f"stillcal: {name}{f': {detail}' if detail else ''}", err=True)
-    codes = {"NotCalibrated": NOT_CALIBRATED, "InvalidParameter": BAD_INPUT, "MethodNotFound": BAD_INPUT}
+    codes = {"NotCalibrated": TOO_LITTLE, "InvalidParameter": BAD_INPUT, "MethodNotFound": BAD_INPUT}
     sys.exit(codes.get(name, REFUSED))
 
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.engine import Engine
@@ -23,6 +22,7 @@ from stillcal.calib_core.samples import Samples
 from stillcal.daemon import store as storage
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.exits import TOO_LITTLE
 from stillcal.daemon.outputs import (
     STANDARD_OUTPUT,
     new_recording_files,
@@ -30,6 +30,7 @@ from stillcal.daemon.outputs import (
     refuse_collisions,
     store_files,
 )
+from stillcal.daemon.progress import progress
 from stillcal.daemon.settings import Settings, load_settings
 from stillcal.daemon.store_document import calibration_json, pretty
 from stillcal.daemon.summary import print_outcome
@@ -39,8 +40,6 @@ from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.runner import Outcome, replay, replay_rests
 from stillcal.replay.trace import Chunk, Trace, open_trace
-
-UNSUPPORTED = 3
 
 _FORMAT_HELP = (
     "Format of TRACE: csv, rest, hhar, imu_tk, mikoff, imucal, phyphox, sensorlogger, or a map.toml."
@@ -102,7 +101,7 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
         print_outcome(outcome, trace, store_path if kept else None, Console())
     if outcome.record is None or outcome.record.accelerometer is None:
         click.echo(f"stillcal: {trace}: no calibration: {_why(outcome)}", err=True)
-        sys.exit(UNSUPPORTED)
+        sys.exit(TOO_LITTLE)
 
 
 @click.command("apply", epilog=examples("stillcal apply walk.csv --store store.json --out walk-true.csv"))
@@ -126,10 +125,10 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
         )
     refuse_collisions(new_recording_files(out), [*_read(trace, gyro), *store_files(store_path)])
     opened = open_trace(trace, format_, gyro)
-    with _progress(opened, quiet) as step, _writer(opened, out, record) as write:
+    with progress(opened.path.name, opened.size_bytes, quiet) as step, _writer(opened, out, record) as write:
         for chunk in opened.chunks():
             write(chunk)
-            step()
+            step(opened.bytes_read)
     if not quiet:
         Console().print(f"{out}: corrected by calibration {record.id}")
 
@@ -204,28 +203,12 @@ def _claimed_gravity(opened: Trace) -> float | None:
 
 
 def _replayed(opened: Trace, engine: Engine, keep: Callable[[Store | Reject], None], quiet: bool) -> Outcome:
-    with _progress(opened, quiet) as step:
-        outcome = replay(opened.chunks(), engine, keep, step)
+    with progress(opened.path.name, opened.size_bytes, quiet) as step:
+        outcome = replay(opened.chunks(), engine, keep, lambda: step(opened.bytes_read))
     if not quiet:
         for note in opened.notes:
             click.echo(f"stillcal: {note}", err=True)
     return outcome
-
-
-@contextmanager
-def _progress(trace: Trace, quiet: bool) -> Iterator[Callable[[], None]]:
-    """Show how much of the recording has been read, on standard error, where somebody may look."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    console = Console(stderr=True)
-    with Progress(
-        *columns,
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=quiet or not console.is_terminal,
-    ) as bar:
-        task = bar.add_task(trace.path.name, total=trace.size_bytes)
-        yield lambda: bar.update(task, completed=trace.bytes_read)
 
 
 def _keep(path: Path, settings: Settings, kept: list[Store | Reject], source: Path) -> None:

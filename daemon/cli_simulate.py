@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 import msgspec
-from rich.console import Console
-from rich.progress import Progress
 
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.outputs import new_recording_files, refuse_collisions
+from stillcal.daemon.progress import progress
 from stillcal.daemon.store_document import pretty
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.writer import TraceWriter
@@ -57,7 +54,10 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
     told = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
     refuse_collisions([*new_recording_files(out), *([] if truth is None else [truth])], told)
     claims = msgspec.convert(simulation.phone.claimed(), Claims)
-    with _progress(simulation, quiet) as step, _writer(simulation, out, claims) as writer:
+    with (
+        progress("simulating", simulation.duration, quiet) as step,
+        _writer(simulation, out, claims) as writer,
+    ):
         for chunk in simulation.chunks():
             writer.write(chunk.accelerometer, chunk.gyroscope, chunk.events)
             step(chunk.t_end)
@@ -93,11 +93,3 @@ def _writer(simulation: Simulation, out: Path, claims: Claims) -> TraceWriter:
         arrival=first.t_arrival is not None,
         claims=claims,
     )
-
-
-@contextmanager
-def _progress(simulation: Simulation, quiet: bool) -> Iterator[Callable[[float], None]]:
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
-        task = bar.add_task("simulating", total=simulation.duration)
-        yield lambda t: bar.update(task, completed=t)

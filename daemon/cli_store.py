@@ -19,11 +19,9 @@ from rich.table import Table
 
 from stillcal.calib_core.record import CalibrationRecord, SensorRecord
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.store import Reading, Store
 from stillcal.daemon.store_document import HistoryEntry, StoreDocument, calibration_json
-
-BAD_INPUT, DAMAGED = 2, 1
-
 
 path_argument = click.argument("path", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")

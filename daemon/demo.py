@@ -23,13 +23,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from stillcal.calib_core.events import Charging
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.samples import Array
 from stillcal.daemon.cli import cli
 from stillcal.daemon.cli_simulate import truth_of
 from stillcal.daemon.demo_live import DaemonDiedError, Files, Lived, live
 from stillcal.replay.phone import Phone, Simulation, load_phone, load_scenario, simulate
 
-G = 9.80665
 DEG = 180 / np.pi
 RATE_HZ = 50.0
 """Hz of both sensors of the phone shown: what fits a day into some 20 s."""
@@ -155,7 +155,7 @@ def _beside_truth(found: dict[str, Any], true: dict[str, Any]) -> Table:
     for column in ("", "found", "truth", "worst error"):
         table.add_column(column, no_wrap=True)
     for sensor, label, unit, gain, form in (
-        ("accelerometer", "accel.", "mg", 1000 / G, ".1f"),
+        ("accelerometer", "accel.", "mg", 1000 / STANDARD, ".1f"),
         ("gyroscope", "gyro.", "°/s", DEG, ".3f"),
     ):
         bias, scale = (_pair(found, true, sensor, name) for name in ("bias", "scale"))
@@ -189,7 +189,7 @@ def _say(console: Console, text: str) -> None:
 # The figure
 
 
-def force_error(found: dict[str, Any], true: dict[str, Any], size: float = G) -> float:
+def force_error(found: dict[str, Any], true: dict[str, Any], size: float = STANDARD) -> float:
     """Return the rms error of corrected vectors of one size and any direction, in the size's unit.
 
     With raw = inv(S) @ x + b the error of scale @ (raw - bias) is D @ x + d, where D = scale @ inv(S) - 1
@@ -223,7 +223,7 @@ def _drawn(lived: Lived, simulation: Simulation, path: Path) -> str:
 
 
 _PANELS = (
-    ("accelerometer", "force at rest,\nrms over attitudes, mg", G, 1000 / G),
+    ("accelerometer", "force at rest,\nrms over attitudes, mg", STANDARD, 1000 / STANDARD),
     ("gyroscope", "rate at rest, °/s", 0.0, DEG),
 )
 

@@ -69,7 +69,7 @@ class Mind:
         self, settings: EngineSettings, state: EngineState | None, record: CalibrationRecord | None
     ) -> None:
         self._engine = Engine(settings, state)
-        if _identity(record) != _identity(self._engine.state.record):
+        if _identity(record) != _identity(self._engine.present.record):
             self._adopt(record)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="engine")
         self.view = _view(self._engine)
@@ -157,11 +157,11 @@ def _identity(record: CalibrationRecord | None) -> str:
 
 
 def _view(engine: Engine) -> View:
-    s = engine.state
+    s = engine.present
     begun = s.began is not None
     times = [t for t in (s.next_review, s.next_check, *(e.t for e in s.events)) if t is not None]
     return View(
-        want=engine.wants() if begun else Sense(math.inf),
+        want=engine.wants(),
         decides=min(times, default=math.inf),
         watch=s.watch if begun else Watch.CONTINUOUS,
         record=s.record,

@@ -33,9 +33,6 @@ SILENCE_S = 10.0
 """A phone that should be sensing and says nothing for so long is asked again, s."""
 
 
-Act = Callable[[list[Action]], None]
-
-
 class Pump:
     """One phone's line and what is known of the phone. `saved` holds what is kept over a restart."""
 

@@ -21,13 +21,14 @@ from stillcal.calib_core.codec import packed
 from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.engine_state import Counters
 from stillcal.calib_core.events import Action, End, Level, Log
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.samples import Array
 from stillcal.daemon.log import entry
 from stillcal.replay.phone import Simulation, Truth, load_phone, load_scenario, simulate
 
 HOUR_S, DAY_S = 3600.0, 86400.0
-MG = 9.80665e-3
+MG = STANDARD / 1000
 FORCE_BAR_MG, RATE_BAR_DEG_S, DUTY_BAR = 2.0, 0.01, 0.05
 DIRECTIONS = 500
 KEPT = 2

@@ -90,7 +90,7 @@ def _note(outcome: Outcome, items: Iterable[Samples | Event]) -> None:
 def _closed(outcome: Outcome, engine: Engine, keep: Keep) -> Outcome:
     _act(outcome, engine.feed(End(outcome.t_end or 0.0)), keep)
     outcome.state, outcome.ledger = engine.state, engine.ledger
-    outcome.record, outcome.refusal = engine.state.record, engine.state.refusal
+    outcome.record, outcome.refusal = outcome.state.record, outcome.state.refusal
     return outcome
 
 

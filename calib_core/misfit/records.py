@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.calib_core.samples import Array
 
 Number = float | list[float] | list[list[float]]
 
@@ -87,14 +86,6 @@ class Diagnosis:
     verdict: str
     findings: list[Finding]
     limits: list[str] = field(default_factory=list)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Curve:
-    """A driver over the bins: t (n,) s and value (n,)."""
-
-    t: Array
-    value: Array
 
 
 def verdict_of(findings: list[Finding]) -> str:

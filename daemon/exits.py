@@ -1,0 +1,7 @@
+"""The exit codes of every command, by meaning; 1 and 3 mean what each command's help says of them."""
+
+NOT_MET = DAMAGED = REFUSED = 1
+BAD_INPUT = 2
+TOO_LITTLE = 3
+NO_DAEMON = 4
+INTERRUPTED = 130
