@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: run test check faults week clean
+.PHONY: run test check faults week evaluate clean
 
 run: $(READY)
 	$(BIN)/python -m stillcal.daemon.demo
@@ -24,6 +24,9 @@ faults: $(READY)
 
 week: $(READY)
 	$(BIN)/python -m stillcal.daemon.week
+
+evaluate: $(READY)
+	$(BIN)/stillcal evaluate
 
 $(READY): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -25,6 +25,7 @@ COMMANDS = {
     "install-service": "stillcal.daemon.cli_install:install_command",
     "challenge": "stillcal.daemon.cli_challenge:challenge_group",
     "prove": "stillcal.daemon.cli_challenge:prove_command",
+    "evaluate": "stillcal.daemon.cli_evaluate:evaluate_command",
 }
 
 

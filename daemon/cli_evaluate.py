@@ -1,0 +1,91 @@
+"""`stillcal evaluate`: what the papers claim, beside what comes out here, as a page with figures."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from stillcal.daemon.atomic import write_atomically
+from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.progress import progress
+from stillcal.replay.evaluation import page, studies
+
+NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
+
+
+@click.command(
+    "evaluate",
+    epilog=examples(
+        "stillcal evaluate --list",
+        "stillcal evaluate --data ~/recordings",
+        "stillcal evaluate laboratory --out report",
+    ),
+)
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--list", "listing", is_flag=True, help="Name the studies and stop.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("docs"),
+    show_default=True,
+    help="Where evaluation.md and the folder of figures go.",
+)
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    envvar="STILLCAL_DATA",
+    help="The folder of real recordings (default: STILLCAL_DATA); without it some claims cannot be tested.",
+)
+@click.option("--seed", default=0, type=click.IntRange(0), show_default=True, help="For all that is drawn.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def evaluate_command(  # noqa: PLR0917 - click hands every option over by name
+    names: tuple[str, ...], listing: bool, out: Path, data: Path | None, seed: int, quiet: bool
+) -> None:
+    """Run the studies (all, or each NAME) and write the page: claim, paper, ours, data, verdict.
+
+    What each study found is kept beside its figures: one may be run anew, and the page still holds all.
+    """
+    if listing:
+        click.echo("\n".join(f"{name:16} {studies.title(name)}" for name in studies.STUDIES))
+        return
+    chosen = _chosen(names)
+    _require_extra()
+    folder = out / page.FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    with progress("evaluating", float(len(chosen)), quiet) as step:
+        for done, name in enumerate(chosen):
+            begin = time.monotonic()
+            study = studies.run(name, data, folder, seed, _within(step, done))
+            page.keep(folder, study)
+            if not quiet:
+                click.echo(f"{name}: {len(study.claims)} claims, {time.monotonic() - begin:.0f} s")
+    write_atomically(out / page.PAGE, page.page(page.kept(folder)).encode())
+    if not quiet:
+        click.echo(f"{out / page.PAGE}")
+
+
+def _within(step: Callable[[float], None], done: int) -> Callable[[float], None]:
+    return lambda share: step(done + share)
+
+
+def _chosen(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the studies to run. Raises UsageError for a name that is none."""
+    for name in names:
+        if name not in studies.STUDIES:
+            raise click.UsageError(studies.UNKNOWN.format(name=name, known=", ".join(studies.STUDIES)))
+    return names or tuple(studies.STUDIES)
+
+
+def _require_extra() -> None:
+    """Raise UsageError where what the extra `evaluation` brings is missing; keep libraries to one core."""
+    missing = [name for module, name in NEEDED.items() if importlib.util.find_spec(module) is None]
+    if missing:
+        raise click.UsageError(
+            f"{' and '.join(missing)} not installed: pip install 'stillcal[evaluation]' has what this needs"
+        )
+    os.environ.setdefault("MPLBACKEND", "Agg")

@@ -1,0 +1,90 @@
+"""The page of all studies, from what each left: NAME.json beside the figures, evaluation.md above them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+
+from stillcal.replay.evaluation.claim import Claim, Study, Verdict, table
+from stillcal.replay.evaluation.studies import STUDIES
+
+FOLDER = "evaluation"
+PAGE = "evaluation.md"
+
+PAPERS = {
+    "000": "A. Grammenos, C. Mascolo, J. Crowcroft, *You Are Sensing, but Are You Biased?*, IMWUT 2(1), 2018",
+    "002": "I. Georgieva et al., *Laboratory calibration of a MEMS accelerometer sensor*, ESGI'95, 2013",
+    "003": "J. Collin et al., *Inertial Sensors and Their Applications*, 2019",
+    "004": "A. Stisen et al., *Smart Devices are Different*, SenSys 2015",
+}
+
+_HEAD = """# What the papers claim, and what comes out here
+
+Made by `stillcal evaluate` (extra `evaluation`); one study anew by `stillcal evaluate NAME`. Every verdict is
+computed: *reproduced* where our figure is within the tolerance that the last column gives, *differs*
+otherwise, *cannot be tested here* where the data it needs are not to be had.
+
+{papers}
+
+{counts}
+
+{claims}
+"""
+
+_SECTION = """## {title}
+
+`stillcal evaluate {name} --seed {seed}`
+
+{text}
+"""
+
+
+def keep(folder: Path, study: Study) -> Path:
+    """Write a study's result beside its figures and return its path."""
+    path = folder / f"{study.name}.json"
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(study), indent=1) + b"\n")
+    return path
+
+
+def kept(folder: Path, names: Iterable[str] = STUDIES) -> list[Study]:
+    """Read the results that were kept, in the order of `names`; those never run are left out."""
+    paths = [folder / f"{name}.json" for name in names]
+    return [msgspec.json.decode(path.read_bytes(), type=Study) for path in paths if path.is_file()]
+
+
+def page(studies: list[Study]) -> str:
+    """Write all studies as one page of Markdown."""
+    head = _HEAD.format(
+        papers="\n".join(f"- {number}: {title}." for number, title in PAPERS.items()),
+        counts=_counts([claim for study in studies for claim in study.claims]),
+        claims=_claims(studies),
+    )
+    sections = [
+        _SECTION.format(title=s.title, name=s.name, seed=s.random_seed, text=s.text.strip()) for s in studies
+    ]
+    return "\n".join([head, *sections])
+
+
+def _counts(claims: list[Claim]) -> str:
+    number = {verdict: sum(c.verdict == verdict for c in claims) for verdict in Verdict}
+    return f"{len(claims)} claims: " + ", ".join(f"{n} {verdict}" for verdict, n in number.items()) + "."
+
+
+def _claims(studies: list[Study]) -> str:
+    rows = [
+        (
+            f"{c.seed}, {c.where}",
+            c.claim,
+            c.paper,
+            c.ours,
+            c.data,
+            f"**{c.verdict}**" if c.verdict is Verdict.DIFFERS else str(c.verdict),
+            c.because,
+            f"`{s.name}`",
+        )
+        for s in studies
+        for c in s.claims
+    ]
+    return table(("where", "claim", "paper", "ours", "data", "verdict", "why", "study"), rows)

@@ -1,0 +1,28 @@
+"""Which studies there are, and running one. A study's module is imported when it is run, not before."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+from stillcal.replay.evaluation.claim import Progress, Study, StudyFunction
+
+STUDIES: dict[str, str] = {
+    "laboratory": "stillcal.replay.evaluation.laboratory:study",
+}
+"""Name to "module:function", in the order of the page (papers 000, 002, 003, 004)."""
+
+UNKNOWN = "no study is named {name}: choose among {known}"
+
+
+def run(name: str, data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
+    """Run a study; its figures go to `figures`, which exists. Raises KeyError for an unknown name."""
+    module, function = STUDIES[name].split(":")
+    study: StudyFunction = getattr(importlib.import_module(module), function)
+    return study(data, figures, seed, progress)
+
+
+def title(name: str) -> str:
+    """Return the first sentence of what a study's module says of itself."""
+    module = importlib.import_module(STUDIES[name].split(":")[0])
+    return (module.__doc__ or "").strip().splitlines()[0]
