@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -28,9 +28,12 @@ def diagnose(
     events: Sequence[Charging] = (),
     claims: Claims | None = None,
     recording: str = "",
+    *,
+    without: Collection[str] = (),
 ) -> Diagnosis:
     """Say where a recording and its simulated twin differ, and what physics was left out.
 
+    without: effects of which the catalogue knows nothing, to try what their cases are then called.
     Raises NotSupported where not even the stamps can be judged (fewer than 200 samples).
     """
     if len(accelerometer) < 200:
@@ -42,11 +45,12 @@ def diagnose(
         if samples is not None and len(samples) >= 200:
             found += _sample_findings(sensor, samples, bins, claims)
     made = scenes(bins, claims.gravity) if len(bins) else []
-    found += [f for scene in made for f in slow_findings(scene)]
+    found += [f for scene in made for f in slow_findings(scene, without)]
     if gyroscope is not None:
         found += motion_findings(accelerometer, gyroscope, bins, claims)
-        found += turn_findings(accelerometer, gyroscope, bins, claims.gravity) if len(bins) else []
-    found = without_group_delay(found)
+        if len(bins):
+            found += turn_findings(accelerometer, gyroscope, bins, claims.gravity, without)
+    found = [f for f in without_group_delay(found) if f.effect not in without]
     return Diagnosis(1, recording, verdict_of(found), found, limits(bins))
 
 

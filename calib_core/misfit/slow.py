@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -31,24 +31,31 @@ ALTERNATIVES = 3
 """How many other effects are reported beside a finding."""
 
 
-def slow_findings(scene: Scene) -> list[Finding]:
-    """Return what the still bins of one sensor show, in the order it was found."""
+def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
+    """Return what the still bins of one sensor show, in the order it was found.
+
+    without: effects that are left out of the catalogue.
+    """
     if len(scene.bins) < thresholds.LEAST_BINS:
         return []
-    steps = forward(scene, proposals(scene, slow_entries(scene.sensor)))
+    entries = [e for e in slow_entries(scene.sensor) if e.effect not in without]
+    steps = forward(scene, proposals(scene, entries))
     return [*findings_of(scene, steps), *random_walk(scene, [h for step in steps for h in step.explained])]
 
 
-def turn_findings(accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float) -> list[Finding]:
-    """Return what gravity carried by the gyroscope from rest to rest shows."""
+def turn_findings(
+    accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float, without: Collection[str] = ()
+) -> list[Finding]:
+    """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out."""
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
     made = turn_scene(gyroscope, bins, baseline.up, gravity)
     if made is None:
         return []
     scene, found = made
     arm = lever_arm(accelerometer, baseline, found, gravity)
+    proposed = [h for h in turn_hypotheses(found, scene) if h.entry.effect not in without]
     return [
-        *findings_of(scene, forward(scene, turn_hypotheses(found, scene))),
+        *findings_of(scene, forward(scene, proposed)),
         *([] if arm is None else [arm]),
     ]
 
