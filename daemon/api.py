@@ -96,6 +96,11 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         """Return the current and at most `limit` earlier or rejected calibrations, newest first."""
         return views.history(self._daemon.document, _within("limit", limit))
 
+    @varlinkmethod(return_parameter="stillness")
+    def GetStillness(self, *, limit: int = 96) -> api.Stillness:  # noqa: N802
+        """Return the newest `limit` rests held, newest first, and how many windows were still."""
+        return views.stillness(self._daemon, _within("limit", limit))
+
     @varlinkmethod(return_parameter="days")
     def GetEnergy(self, *, limit: int = 31) -> list[api.EnergyDay]:  # noqa: N802
         """Return what the newest `limit` days cost, oldest first."""

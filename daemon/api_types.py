@@ -130,6 +130,32 @@ class Status:
 
 
 @dataclass(frozen=True)
+class Rest:
+    """A stretch in which the phone lay still. force: its raw mean, m/s^2.
+
+    age_s: since its end. residual: norm of the corrected force less gravity, m/s^2, where there is a
+    calibration.
+    """
+
+    t_start_s: float
+    t_end_s: float
+    force: list[float]
+    age_s: float | None = None
+    residual: float | None = None
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True)
+class Stillness:
+    """Rests held, the last ones newest first. windows, windows_still: looked at since the engine began."""
+
+    windows: int
+    windows_still: int
+    rests_held: int
+    rests: list[Rest]
+
+
+@dataclass(frozen=True)
 class EnergyDay:
     """What a day cost (86400 s of sensor time from the first sample on; number from 0).
 

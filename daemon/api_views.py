@@ -9,9 +9,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from stillcal.calib_core.pool import HeldRest
 from stillcal.calib_core.record import CalibrationRecord, SensorRecord
 from stillcal.calib_core.samples import Array
-from stillcal.calib_core.stillness_settings import Sense
+from stillcal.calib_core.stillness_settings import Fate, Sense
 from stillcal.daemon import api_types as api
 from stillcal.daemon.saved_state import SavedState
 from stillcal.daemon.serial_source import SerialSource
@@ -131,6 +132,19 @@ def history(document: StoreDocument, limit: int) -> list[api.Entry]:
     return [_entry(current, "current", current.acceptance.reason, current.fitted_at), *entries]
 
 
+def stillness(daemon: Daemon, limit: int) -> api.Stillness:
+    """Return the newest rests held, newest first."""
+    view, now = daemon.view, daemon.now
+    held = view.pool.held[::-1][:limit]
+    windows = view.ledger.windows
+    return api.Stillness(
+        windows=sum(windows.values()),
+        windows_still=windows.get(Fate.STILL, 0),
+        rests_held=view.rests_held,
+        rests=[_rest(h, view.record, now) for h in held],
+    )
+
+
 def energy(days: list[Day], limit: int) -> list[api.EnergyDay]:
     """Return the accounts of the newest days, oldest first."""
     return [api.EnergyDay(**dataclasses.asdict(day)) for day in days[-limit:]]
@@ -146,6 +160,19 @@ def standing(daemon: Daemon) -> api.Event:
     record = daemon.view.record
     held = None if record is None else calibration(record, daemon)
     return api.Event("current", held.reason if held else "no calibration yet", daemon.now, held)
+
+
+def _rest(held: HeldRest, record: CalibrationRecord | None, now: float | None) -> api.Rest:
+    rest, part = held.rest, None if record is None else record.accelerometer
+    norm = None if part is None else float(np.linalg.norm(part.model.apply(rest.specific_force)))
+    return api.Rest(
+        t_start_s=rest.t_start,
+        t_end_s=rest.t_end,
+        force=rest.specific_force.tolist(),
+        age_s=_age(rest.t_end, now),
+        residual=None if norm is None else norm - held.gravity.value,
+        temperature_c=rest.temperature,
+    )
 
 
 def _confidence(record: CalibrationRecord, view: View) -> api.Confidence:

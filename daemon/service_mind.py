@@ -21,6 +21,7 @@ from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.engine_state import Counters, EngineSettings, EngineState, Refusal
 from stillcal.calib_core.events import Action, End, Event
 from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.pool import Pool
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.samples import SampleError, Samples
 from stillcal.calib_core.schedule import Watch, next_on_grid
@@ -51,6 +52,7 @@ class View:
     checked: float | None
     next_check: float | None
     rests_held: int
+    pool: Pool
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,4 +177,5 @@ def _view(engine: Engine) -> View:
         checked=s.checked,
         next_check=s.next_check,
         rests_held=len(s.pool.held),
+        pool=s.pool,
     )
