@@ -24,6 +24,7 @@ from stillcal.calib_core.parameters import Form, basis, names
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.calib_core.rests import attitude_labels
 from stillcal.calib_core.samples import Array, frozen
+from stillcal.calib_core.student import quantile
 
 __all__ = ["AccelerometerFit", "AccelerometerSettings", "AttitudesMissing", "Parameters", "fit"]
 
@@ -250,12 +251,10 @@ def _without(task: _Task, rows: list[int]) -> NDArray[np.bool_]:
 
 def _explained(task: _Task, solution: Solution, fitted: int) -> NDArray[np.bool_]:
     """Tell which rests the fitted ones explain, given the scatter that these show among themselves."""
-    from scipy.special import stdtrit  # noqa: PLC0415 - the daemon stays light until it fits
-
     residuals, jacobian = task.norms.residuals(solution.v)
     predicted = np.einsum("ij,jk,ik->i", jacobian, solution.covariance, jacobian)
     free = max(fitted - jacobian.shape[1], 1)
-    limit = stdtrit(free, 1.0 - task.settings.outlier_level / (2.0 * len(residuals)))
+    limit = quantile(free, 1.0 - task.settings.outlier_level / (2.0 * len(residuals)))
     sd = np.sqrt(solution.variances(task.norms) + predicted)
     return np.asarray(np.abs(residuals) <= limit * sd, dtype=np.bool_)
 

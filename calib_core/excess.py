@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.samples import Array
+from stillcal.calib_core.student import quantile
 
 _ROUNDS = 20
 
@@ -59,8 +60,6 @@ def outliers(residuals: Array, design: Array, variances: Array, most: int, level
     declared outliers as the last significant one, so that two bad rows cannot hide each other.
     level: chance of naming any row where none is bad. variances: (n,), relative to each other is enough.
     """
-    from scipy.special import stdtrit  # noqa: PLC0415 - the daemon stays light until it fits
-
     n, p = design.shape
     rows = np.arange(n)
     gone: list[int] = []
@@ -72,7 +71,7 @@ def outliers(residuals: Array, design: Array, variances: Array, most: int, level
         worst = int(np.argmax(deviates))
         free = rows.size - p - 1
         gone.append(int(rows[worst]))
-        if deviates[worst] > stdtrit(free, 1.0 - level / (2.0 * rows.size)):
+        if deviates[worst] > quantile(free, 1.0 - level / (2.0 * rows.size)):
             declared = len(gone)
         rows = np.delete(rows, worst)
     return gone[:declared]
