@@ -17,7 +17,7 @@ from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.exits import TOO_LITTLE
 from stillcal.daemon.store_document import pretty
-from stillcal.replay.challenge.answering import diagnosed
+from stillcal.replay.diagnosing import diagnosed, diagnosed_rests
 from stillcal.replay.trace import read_all
 
 VERDICTS = {

@@ -21,10 +21,8 @@ from typing import IO, Any
 import msgspec
 
 from stillcal import calib_core, config, replay
-from stillcal.calib_core.codec import plain
-from stillcal.calib_core.events import Charging
 from stillcal.calib_core.refusals import NotSupported
-from stillcal.replay.trace import Recording, read_all
+from stillcal.replay.trace import read_all
 
 SOLVERS = ("diagnosis", "affine_white_bic", "sparse_regression")
 """Who can answer."""
@@ -48,6 +46,8 @@ def answer_one(
     try:
         recording = read_all(folder / f"{name}.csv")
         if solver == "diagnosis":
+            from stillcal.replay.diagnosing import diagnosed  # noqa: PLC0415 - baselines do without it
+
             return diagnosed(recording, f"{name}.csv", without)
         from stillcal.replay.challenge import baselines  # noqa: PLC0415 - the diagnosis does without them
 
@@ -61,20 +61,6 @@ def answer_one(
 def _without_findings(name: str, verdict: str, error: Exception) -> dict[str, Any]:
     why = f"{type(error).__name__}: {error}"
     return {"schema": 1, "recording": f"{name}.csv", "verdict": verdict, "findings": [], "why": why}
-
-
-def diagnosed(recording: Recording, name: str, without: str | None = None) -> dict[str, Any]:
-    """Return the diagnosis of a recording as plain values. Raises NotSupported on too little data."""
-    from stillcal.calib_core.misfit import diagnosis  # noqa: PLC0415 - baselines do without it
-
-    told = msgspec.to_builtins(recording.claims)
-    claims = diagnosis.Claims(**{k: told[k] for k in diagnosis.Claims.__slots__ if told.get(k) is not None})
-    charging = [e for e in recording.events if isinstance(e, Charging)]
-    removed: dict[str, Any] = {} if without is None else {"without": (without,)}
-    answer: dict[str, Any] = plain(
-        diagnosis.diagnose(recording.accelerometer, recording.gyroscope, charging, claims, name, **removed)
-    )
-    return answer
 
 
 def can_leave_out() -> bool:
