@@ -9,6 +9,10 @@ from stillcal.replay.evaluation.claim import Progress, Study, StudyFunction
 
 STUDIES: dict[str, str] = {
     "laboratory": "stillcal.replay.evaluation.laboratory:study",
+    "allan": "stillcal.replay.evaluation.allan:study",
+    "biases": "stillcal.replay.evaluation.hetero_biases:study",
+    "intervals": "stillcal.replay.evaluation.hetero_timing:study",
+    "clusters": "stillcal.replay.evaluation.hetero_clusters:study",
 }
 """Name to "module:function", in the order of the page (papers 000, 002, 003, 004)."""
 
