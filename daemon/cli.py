@@ -17,6 +17,7 @@ from stillcal.daemon.exits import BAD_INPUT, INTERRUPTED
 COMMANDS = {
     "run": "stillcal.daemon.cli_run:run_command",
     "query": "stillcal.daemon.cli_query:query_command",
+    "watch": "stillcal.daemon.cli_watch:watch_command",
     "replay": "stillcal.daemon.cli_replay:replay_command",
     "apply": "stillcal.daemon.cli_replay:apply_command",
     "diagnose": "stillcal.daemon.cli_diagnose:diagnose_command",
@@ -26,6 +27,7 @@ COMMANDS = {
     "challenge": "stillcal.daemon.cli_challenge:challenge_group",
     "prove": "stillcal.daemon.cli_challenge:prove_command",
     "evaluate": "stillcal.daemon.cli_evaluate:evaluate_command",
+    "fleet": "stillcal.daemon.cli_fleet:fleet_command",
 }
 
 
@@ -36,6 +38,7 @@ COMMANDS = {
     epilog=examples(
         "stillcal run --config stillcal.toml",
         "stillcal query GetCalibration",
+        "stillcal watch",
         "stillcal replay walk.csv --store store.json",
         "stillcal apply walk.csv --store store.json --out walk-true.csv",
         "stillcal store history store.json",

@@ -15,8 +15,8 @@ from rich.console import Console
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.engine_state import EngineSettings
-from stillcal.calib_core.events import Location, Reject, Store
-from stillcal.calib_core.gravity import STANDARD, LocationError, given
+from stillcal.calib_core.events import Reject, Store
+from stillcal.calib_core.gravity import given
 from stillcal.calib_core.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.samples import Samples
 from stillcal.daemon import store as storage
@@ -34,8 +34,6 @@ from stillcal.daemon.progress import progress
 from stillcal.daemon.settings import Settings, load_settings
 from stillcal.daemon.store_document import calibration_json, pretty
 from stillcal.daemon.summary import print_outcome
-from stillcal.replay.formats.claims import beside
-from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.runner import Outcome, replay, replay_rests
@@ -184,22 +182,7 @@ def _known_gravity(gravity: float | None, settings: Settings, opened: Trace) -> 
     if gravity is not None:
         return gravity
     chosen = settings.engine.schedule.gravity
-    return _claimed_gravity(opened) if chosen is None else chosen
-
-
-def _claimed_gravity(opened: Trace) -> float | None:
-    """Return the local gravity that the maker claims, unless the recording itself says where it was taken.
-
-    The standard value is what people write who do not know.
-    """
-    claimed = opened.claims.gravity
-    located = any(isinstance(event, Location) for event in opened.events)
-    if claimed is None or located or claimed == STANDARD:
-        return None
-    try:
-        return given(claimed).value
-    except LocationError as error:
-        raise TraceError(beside(opened.path, ".json"), str(error), "correct it or leave it out") from error
+    return opened.claimed_gravity() if chosen is None else chosen
 
 
 def _replayed(opened: Trace, engine: Engine, keep: Callable[[Store | Reject], None], quiet: bool) -> Outcome:

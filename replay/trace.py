@@ -10,8 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from stillcal.calib_core.events import Location
+from stillcal.calib_core.gravity import STANDARD, LocationError, given
 from stillcal.calib_core.samples import Samples, Sensor
-from stillcal.replay.formats.claims import Claims, Event, read_claims, read_events
+from stillcal.replay.formats.claims import Claims, Event, beside, read_claims, read_events
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import merged
@@ -97,6 +99,21 @@ class Trace:
     def notes(self) -> list[str]:
         """What was tolerated or chosen while reading, one line each; complete after reading to the end."""
         return [*self._notes, *(note for file in self._files for note in file.notes)]
+
+    def claimed_gravity(self) -> float | None:
+        """Return the local gravity that the maker claims, unless the recording says where it was taken.
+
+        The standard value is what people write who do not know. Raises TraceError where it is no gravity
+        of the earth's.
+        """
+        claimed = self.claims.gravity
+        located = any(isinstance(event, Location) for event in self.events)
+        if claimed is None or located or claimed == STANDARD:
+            return None
+        try:
+            return given(claimed).value
+        except LocationError as error:
+            raise TraceError(beside(self.path, ".json"), str(error), "correct it or leave it out") from error
 
     def __iter__(self) -> Iterator[Chunk]:
         return self.chunks()

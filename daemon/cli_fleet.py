@@ -1,0 +1,126 @@
+"""`stillcal fleet` and `stillcal fleet-report`: thousands of recordings, and what only many can tell."""
+
+from __future__ import annotations
+
+import time
+from contextlib import AbstractContextManager
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.progress import progress
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from stillcal.replay.fleet.work import Task
+
+_LACKING = "this needs what the extra `fleet` brings: pip install 'stillcal[fleet]' ({})"
+
+
+@click.command(
+    "fleet",
+    epilog=examples(
+        "stillcal fleet recordings/ --out results",
+        "stillcal fleet 'logs/**/*_accelerometer.csv' --format hhar --out results",
+        "stillcal fleet recordings/ --out results --scheduler tcp://10.0.0.1:8786",
+        "stillcal fleet-report results",
+    ),
+)
+@click.argument("recordings")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of results."
+)
+@click.option("--scheduler", help="Address of a Dask scheduler; its workers read the same paths.")
+@click.option("--workers", type=click.IntRange(1), help="Local processes [default: one a core].")
+@click.option("--format", "format_", default="csv", show_default=True, help="As for stillcal replay.")
+@click.option(
+    "--watch",
+    type=click.Choice(["auto", "continuous", "probing"]),
+    default="continuous",
+    show_default=True,
+    help="How the engine looks: a recording costs no energy.",
+)
+@click.option("--no-diagnosis", is_flag=True, help="Calibrate only.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def fleet_command(  # noqa: PLR0917 - click hands every option over by name
+    recordings: str,
+    out: Path,
+    scheduler: str | None,
+    workers: int | None,
+    format_: str,
+    watch: str,
+    no_diagnosis: bool,
+    quiet: bool,
+) -> None:
+    """Calibrate and diagnose all RECORDINGS, a folder or a pattern in quotes, side by side.
+
+    Leaves recordings.parquet (one row a recording: whose it is, parameters with standard deviations,
+    verdict) and findings.parquet in the folder of results. What is finished is kept: called again, it
+    goes on with what is new or has changed. A bad recording is a row that says what is wrong with it, and
+    the exit code is 0 even so.
+    """
+    try:
+        from stillcal.replay.fleet import kept, listing  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet.work import Task  # noqa: PLC0415
+    except ImportError as error:
+        raise click.UsageError(_LACKING.format(error)) from error
+    try:
+        found = listing.find(recordings, format_)
+    except listing.NoRecordingsError as error:
+        raise click.UsageError(str(error)) from error
+    made_by = f"stillcal {version('stillcal')} {format_} {watch}{'' if no_diagnosis else ' diagnosed'}"
+    results = kept.Results(out, made_by)
+    tasks = [Task(recording, format_, watch, not no_diagnosis) for recording in found]
+    todo = results.todo(tasks)
+    if not quiet:
+        click.echo(f"{len(found)} recordings, {len(found) - len(todo)} of them finished before")
+    began = time.monotonic()
+    if todo:
+        _examine(todo, results, _client(scheduler, workers), quiet)
+    rows, findings = results.finish()
+    if not quiet:
+        counts = ", ".join(f"{n} {status}" for status, n in _counted(rows).items())
+        click.echo(f"{out}: {counts}; {len(findings)} findings; {time.monotonic() - began:.1f} s")
+
+
+def _client(scheduler: str | None, workers: int | None) -> AbstractContextManager[Client]:
+    from stillcal.replay.fleet import running  # noqa: PLC0415 - Dask takes its time
+
+    return running.local(workers) if scheduler is None else running.remote(scheduler)
+
+
+def _examine(todo: list[Task], results: object, opened: AbstractContextManager[Client], quiet: bool) -> None:
+    """Have what is to do done; however that ends, what was finished is on the disk."""
+    from stillcal.replay.fleet import kept, running  # noqa: PLC0415 - Dask takes its time
+    from stillcal.replay.fleet.work import Examined  # noqa: PLC0415
+
+    assert isinstance(results, kept.Results)
+    done = 0
+    try:
+        with opened as client, progress("recordings", len(todo), quiet) as step:
+
+            def keep(task: Task, outcome: Examined) -> None:
+                nonlocal done
+                results.keep(task, outcome)
+                done += 1
+                step(done)
+
+            running.run(client, todo, keep)
+    except running.SchedulerError as error:
+        raise click.UsageError(f"{error} ({done} of {len(todo)} finished and kept)") from error
+    except KeyboardInterrupt:
+        click.echo(f"stillcal: {done} of {len(todo)} finished and kept: the same command goes on", err=True)
+        raise
+    finally:
+        results.flush()
+
+
+def _counted(rows: list[dict[str, object]]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for row in rows:
+        counts[str(row["status"])] = counts.get(str(row["status"]), 0) + 1
+    return dict(sorted(counts.items()))
