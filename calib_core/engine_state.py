@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from stillcal.calib_core import gravity as local_gravity
 from stillcal.calib_core.calibrate import CalibrateSettings
 from stillcal.calib_core.energy import Allowance, EnergySettings
 from stillcal.calib_core.events import Event
@@ -57,6 +58,35 @@ class Refusal:
     missing: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Move:
+    """The phone was told at t (s) of another place; left: gravity of where it was before."""
+
+    t: float
+    left: Gravity
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Checks have failed and none has passed since. since: s, the first that did.
+
+    tried: whether a calibration was tried since; failed: how many checks in a row failed after that.
+    """
+
+    since: float
+    tried: bool = False
+    failed: int = 0
+
+    @property
+    def reason(self) -> str:
+        """Say what is the matter, once calibrating anew has not helped."""
+        return f"{self.failed} checks in a row have failed although it was calibrated anew"
+
+    def after_failed_check(self) -> Trouble:
+        """Return how things stand after one more."""
+        return replace(self, failed=self.failed + 1) if self.tried else self
+
+
 @dataclass(slots=True)
 class EngineState:
     """All that changes. Times in s; None where something has not happened yet.
@@ -64,9 +94,9 @@ class EngineState:
     waiting: samples not yet looked at; latest: each stream's newest stamp; heard: the clock's last tick.
     check_due: a check waits for a rest; checked, tried: when the last check and the last try to fit were.
     attitudes: distinct ones in the pool. fresh: rests gathered since the last try. gyro_tail: what the
-    next turn may be cut from. sound_until: when a calibration that now fails last passed a check. moved,
-    left: when the place was last told anew, and gravity where the phone was before. refusal: why the last
-    try to fit came to nothing.
+    next turn may be cut from. sound_until: when a calibration that now fails last passed a check. moves:
+    when the place was told anew, of late. refusal: why the last try to fit came to nothing. trouble: None
+    where the last check passed.
     """
 
     detector: DetectorState | None = None
@@ -85,8 +115,7 @@ class EngineState:
     charging: bool | None = None
     degraded: bool = False
     gravity: Gravity = field(default_factory=Gravity)
-    moved: float | None = None
-    left: Gravity | None = None
+    moves: list[Move] = field(default_factory=list)
     pool: Pool = field(default_factory=Pool)
     attitudes: int = 0
     fresh: int = 0
@@ -95,4 +124,22 @@ class EngineState:
     record: CalibrationRecord | None = None
     sound_until: float | None = None
     refusal: Refusal | None = None
+    trouble: Trouble | None = None
     counters: Counters = field(default_factory=Counters)
+
+
+def first_state(settings: EngineSettings) -> EngineState:
+    """Return what there is before the first sample."""
+    known = settings.schedule.gravity
+    return EngineState(gravity=Gravity() if known is None else local_gravity.given(known))
+
+
+def without_phone(state: EngineState) -> EngineState:
+    """Return what still holds when another phone takes the place of this one: time, place, charger."""
+    return EngineState(
+        latest=state.latest,
+        heard=state.heard,
+        charging=state.charging,
+        gravity=state.gravity,
+        counters=state.counters,
+    )

@@ -85,4 +85,21 @@ class Reject:
     reason: str
 
 
-Action = Sense | Sleep | Log | Store | Reject
+@dataclass(frozen=True, slots=True, eq=False)
+class Forget:
+    """The current calibration is of another phone: it is current no longer. Why is the reason."""
+
+    t: float
+    record: CalibrationRecord
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnose:
+    """Calibrating anew does not help: somebody should look for what the model leaves out. Asked once."""
+
+    t: float
+    reason: str
+
+
+Action = Sense | Sleep | Log | Store | Reject | Forget | Diagnose

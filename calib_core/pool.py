@@ -21,6 +21,7 @@ class PoolSettings:
     """attitude_angle: rad within which two rests share an attitude. The rest are bounds of the pool.
 
     rests_per_attitude, attitudes, turns: how many are kept. max_age_s: s after which a rest is too old.
+    place_reach_s: s before the first known place within which a rest is taken to be from there.
     """
 
     attitude_angle: float = 0.0872665  # 5 degrees
@@ -28,6 +29,7 @@ class PoolSettings:
     attitudes: int = 96
     turns: int = 64
     max_age_s: float = 14 * 86400.0
+    place_reach_s: float = 86400.0
 
     def __post_init__(self) -> None:
         if not 0 < self.attitude_angle < np.pi / 4:
@@ -35,8 +37,9 @@ class PoolSettings:
         for name in ("rests_per_attitude", "attitudes", "turns"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be 1 or more")
-        if not self.max_age_s > 0:
-            raise ValueError(f"max_age_s = {self.max_age_s}: must be positive")
+        for name in ("max_age_s", "place_reach_s"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be positive")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,9 +83,13 @@ class Pool:
         """Return the pool without the rests that are no longer believed to be rests."""
         return replace(self, held=tuple(h for h in self.held if valid(h.rest)))
 
-    def located(self, gravity: Gravity) -> Pool:
-        """Return the pool with `gravity` for the rests taken before any place was known."""
-        held = (replace(h, gravity=gravity) if h.gravity.source == "default" else h for h in self.held)
+    def located(self, gravity: Gravity, t: float, settings: PoolSettings) -> Pool:
+        """Return the pool with `gravity`, of the first known place (at t, s), for the rests before it.
+
+        Those from longer ago than place_reach_s go: where they were taken, and so their norm, is unknown.
+        """
+        near = (h for h in self.held if t - h.rest.t_end <= settings.place_reach_s)
+        held = (replace(h, gravity=gravity) if h.gravity.source == "default" else h for h in near)
         return replace(self, held=tuple(held))
 
     def attitudes(self, settings: PoolSettings) -> list[list[int]]:

@@ -28,6 +28,7 @@ class ScheduleSettings:
     gathered. recalibrate_interval_s: at least this long between two full calibrations on charging.
     attitudes_wanted: distinct attitudes after which gathering rests (Algorithm 1's s). gravity: local g
     in m/s^2 if known, else None. gyro_patience_s: how far the gyroscope's stream may lag.
+    diagnose_after_checks: how many checks in a row may fail after a calibration before it asks for help.
     """
 
     watch: Literal["auto", "continuous", "probing"] = "auto"
@@ -37,6 +38,7 @@ class ScheduleSettings:
     attitudes_wanted: int = 30
     gravity: float | None = None
     gyro_patience_s: float = 5.0
+    diagnose_after_checks: int = 3
 
     def __post_init__(self) -> None:
         for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s", "gyro_patience_s"):
@@ -48,6 +50,8 @@ class ScheduleSettings:
             raise ValueError(f"watch = {self.watch!r}: must be auto, continuous or probing")
         if self.attitudes_wanted < 6:
             raise ValueError(f"attitudes_wanted = {self.attitudes_wanted}: must be 6 or more")
+        if self.diagnose_after_checks < 1:
+            raise ValueError(f"diagnose_after_checks = {self.diagnose_after_checks}: must be 1 or more")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +91,7 @@ class Occasion(StrEnum):
     CHARGING = "charging"
     UNPLUGGED = "no charger was ever reported"
     END = "the recording ended"
+    ASKED = "asked for"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +111,10 @@ def calibration_due(standing: Standing, occasion: Occasion, settings: ScheduleSe
     """Say whether a full calibration is worth trying: never without rests gathered since the last try.
 
     A phone without a calibration does not wait; one whose calibration failed its check waits for the
-    next. A recording that ends has no later chance.
+    next. A recording that ends has no later chance. Who asks is always answered.
     """
+    if occasion is Occasion.ASKED:
+        return True
     if standing.fresh == 0:
         return False
     if not standing.has_record or occasion is Occasion.END:

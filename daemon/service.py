@@ -257,7 +257,7 @@ class Service:
     async def rollback(self, target: int | str) -> CalibrationRecord | None:
         """Make an earlier calibration current. Raises ValueError where there is none such."""
         document = await self.storage.rollback(target)
-        await self.mind.adopt(document.current)
+        await self.mind.hold(document.current)
         self._unsaved.set()
         if document.current is not None:
             say("info", "rollback", "an earlier calibration is current again", calibration=self.current_id)

@@ -1,8 +1,9 @@
-"""The engine in a thread of its own, so that a fit of 0.1 s delays neither samples nor answers.
+"""The engine in a thread of its own, so that a fit of a second delays neither samples nor answers.
 
 One thread, jobs in order; the engine is touched nowhere else. What other code may see of it comes as
 frozen views. The interpreter changes threads within SWITCH_S, and numpy lets go of it in long calls, so
-the event loop waits for no whole fit.
+the event loop waits for no whole fit. A process of its own for the fit was tried: it holds up the loop no
+less, and takes 57 MB and 0.3 s to start (docs/faults.md).
 """
 
 from __future__ import annotations
@@ -16,15 +17,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from stillcal.calib_core import gravity
 from stillcal.calib_core.engine import Engine
-from stillcal.calib_core.engine_state import Counters, EngineSettings, EngineState, Refusal
+from stillcal.calib_core.engine_state import Counters, EngineSettings, EngineState, Refusal, Trouble
 from stillcal.calib_core.events import Action, End, Event
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.pool import Pool
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.samples import SampleError, Samples
-from stillcal.calib_core.schedule import Watch, next_on_grid
+from stillcal.calib_core.schedule import Watch
 from stillcal.calib_core.stillness_settings import Ledger, Sense, Sleep
 from stillcal.daemon.saved_state import SavedState, encode
 
@@ -50,6 +50,7 @@ class View:
     degraded: bool
     check_due: bool
     checked: float | None
+    trouble: Trouble | None
     next_check: float | None
     rests_held: int
     pool: Pool
@@ -72,7 +73,7 @@ class Mind:
     ) -> None:
         self._engine = Engine(settings, state)
         if _identity(record) != _identity(self._engine.present.record):
-            self._adopt(record)
+            self._engine.hold(record)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="engine")
         self.view = _view(self._engine)
         self._jobs, self._since = 0, 0.0
@@ -80,9 +81,7 @@ class Mind:
 
     async def feed(self, items: Sequence[Samples | Event]) -> Thought:
         """Feed the engine in order; what it refuses is named and left out."""
-        thought = await self._run(self._feed, items)
-        self.view = thought.view
-        return thought
+        return self._seen(await self._run(self._feed, items))
 
     async def encoded(self, saved: SavedState) -> bytes:
         """Return the state file's contents: the engine as it is now, the rest as given."""
@@ -90,11 +89,23 @@ class Mind:
 
     async def change(self, settings: EngineSettings) -> None:
         """Go on with other settings."""
-        self.view = await self._run(self._change, settings)
+        await self._ask(lambda engine: engine.change(settings))
 
-    async def adopt(self, record: CalibrationRecord | None) -> None:
+    async def hold(self, record: CalibrationRecord | None) -> None:
         """Take `record` for the current calibration, as after a rollback."""
-        self.view = await self._run(self._adopt, record)
+        await self._ask(lambda engine: engine.hold(record))
+
+    async def calibrate(self) -> Thought:
+        """Try a full calibration now."""
+        return await self._ask(lambda engine: engine.calibrate())
+
+    async def zero(self) -> Thought:
+        """Measure the gyroscope's bias now."""
+        return await self._ask(lambda engine: engine.zero())
+
+    async def forget(self, reason: str) -> Thought:
+        """Begin anew with another phone."""
+        return await self._ask(lambda engine: engine.forget(reason))
 
     def thinking_for(self) -> float:
         """Return for how long (s) the job at hand has been going on; 0 where there is none."""
@@ -118,29 +129,18 @@ class Mind:
             except SampleError as error:
                 refused.append(str(error))
             if isinstance(item, End):
-                self._go_on(item.t)
+                self._engine.go_on(item.t)
         return Thought(actions, _view(self._engine), tuple(refused))
 
-    def _go_on(self, t: float) -> None:
-        """Make plans again after a stream's end, t (s): the phone may come back."""
-        state = self._engine.state
-        if state.began is not None:
-            state.next_review = t
-            state.next_check = next_on_grid(state.began, self._engine.settings.schedule.check_interval_s, t)
-            self._engine = Engine(self._engine.settings, state)
+    def _think(self, ask: Callable[[Engine], list[Action] | None]) -> Thought:
+        return Thought(ask(self._engine) or [], _view(self._engine))
 
-    def _change(self, settings: EngineSettings) -> View:
-        state = self._engine.state
-        if settings.schedule.gravity is not None:
-            state.gravity = gravity.given(settings.schedule.gravity)
-        self._engine = Engine(settings, state)
-        return _view(self._engine)
+    async def _ask(self, ask: Callable[[Engine], list[Action] | None]) -> Thought:
+        return self._seen(await self._run(self._think, ask))
 
-    def _adopt(self, record: CalibrationRecord | None) -> View:
-        state = self._engine.state
-        state.record, state.degraded, state.checked, state.sound_until = record, False, None, None
-        self._engine = Engine(self._engine.settings, state)
-        return _view(self._engine)
+    def _seen(self, thought: Thought) -> Thought:
+        self.view = thought.view
+        return thought
 
     async def _run(self, job: Callable[..., T], *arguments: object) -> T:
         """Do a job in the thread, after those before it."""
@@ -175,6 +175,7 @@ def _view(engine: Engine) -> View:
         degraded=s.degraded,
         check_due=s.check_due,
         checked=s.checked,
+        trouble=s.trouble,
         next_check=s.next_check,
         rests_held=len(s.pool.held),
         pool=s.pool,

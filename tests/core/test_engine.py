@@ -101,8 +101,8 @@ def test_checks_stay_on_their_grid_across_twelve_hours_without_samples() -> None
     ]
     asked: list[float] = []
     engine = Engine(QUICK)
-    check = engine._check
-    engine._check = lambda t: (asked.append(t), check(t))[1]  # type: ignore[method-assign, func-returns-value]
+    check = engine._judging.check
+    engine._judging.check = lambda t: (asked.append(t), check(t))[1]  # type: ignore[method-assign, func-returns-value]
     events = [msgspec.structs.replace(e, t=e.t + gap * (e.t >= 800.0)) for e in day.events]
     engine.feed(*later, *events, End(float(later[0].t[-1])))
     began, interval = engine.state.began, QUICK.schedule.check_interval_s

@@ -55,8 +55,9 @@ def test_deadlines_stay_on_their_grid(began: float, interval: float, later: floa
 
 
 def test_no_calibration_without_new_rests() -> None:
-    for occasion in Occasion:
+    for occasion in set(Occasion) - {Occasion.ASKED}:
         assert not calibration_due(Standing(False, True, 0, float("inf")), occasion, AUTO)
+    assert calibration_due(Standing(True, False, 0, 0.0), Occasion.ASKED, AUTO)
 
 
 def test_a_good_calibration_is_not_renewed_at_every_plug() -> None:
@@ -95,6 +96,7 @@ def test_on_time_never_exceeds_what_was_earned(steps: list[tuple[float, float]])
         lambda: EnergySettings(on_time_fraction=1.5),
         lambda: ScheduleSettings(check_interval_s=0),
         lambda: ScheduleSettings(attitudes_wanted=3),
+        lambda: ScheduleSettings(diagnose_after_checks=0),
     ],
 )
 def test_senseless_settings_are_refused(bad) -> None:  # type: ignore[no-untyped-def]
