@@ -10,6 +10,8 @@ from stillcal.replay.evaluation.claim import Progress, Study, StudyFunction
 STUDIES: dict[str, str] = {
     "laboratory": "stillcal.replay.evaluation.laboratory:study",
     "allan": "stillcal.replay.evaluation.allan:study",
+    "noise-processes": "stillcal.replay.evaluation.noise_processes:study",
+    "grades": "stillcal.replay.evaluation.grades:study",
     "biases": "stillcal.replay.evaluation.hetero_biases:study",
     "intervals": "stillcal.replay.evaluation.hetero_timing:study",
     "clusters": "stillcal.replay.evaluation.hetero_clusters:study",
