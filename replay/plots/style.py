@@ -1,0 +1,65 @@
+"""How figures look, in one place: sizes, colours that anybody tells apart (Okabe and Ito), light grids.
+
+matplotlib is imported only where a figure is made. An axis of a sensor has the same colour and mark
+everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase
+
+BLUE, RED, GREEN, ORANGE, PURPLE, GREY = "#0072b2", "#d55e00", "#009e73", "#e69f00", "#cc79a7", "0.45"
+COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, GREY)
+AXES = (("x", RED, "o"), ("y", GREEN, "s"), ("z", BLUE, "^"))
+"""Name, colour and mark of a sensor's three axes."""
+
+GRID = "0.92"
+PANEL = (4.2, 3.2)
+"""Inches of one panel."""
+
+DPI = 130
+
+
+def figure(columns: float = 1, rows: float = 1) -> Figure:
+    """Return an empty figure with room for so many panels."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
+
+    return Figure(figsize=(PANEL[0] * columns + 0.6, PANEL[1] * rows + 0.2), layout="constrained")
+
+
+def dressed(axes: Iterable[Axes]) -> list[Axes]:
+    """Give panels their grid and colours, and take off two sides of their frame."""
+    found = list(axes)
+    for axis in found:
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.grid(color=GRID, zorder=0)
+        axis.set_axisbelow(True)
+        axis.set_prop_cycle(color=COLOURS)
+    return found
+
+
+def within(part: FigureBase, columns: int = 1, rows: int = 1, **options: Any) -> list[Axes]:
+    """Return panels in a figure or a part of one, row by row; options as for matplotlib's `subplots`."""
+    found = part.subplots(rows, columns, squeeze=False, **options)
+    return dressed(axis for row in found for axis in row)
+
+
+def panels(columns: int = 1, rows: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its panels, row by row; options as for matplotlib's `subplots`."""
+    made = figure(columns, rows)
+    return made, within(made, columns, rows, **options)
+
+
+def save(made: Figure, path: Path) -> None:
+    """Write a figure in the format that the name ends in; two runs write the same bytes."""
+    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {"Software": None})
+    from matplotlib import rc_context  # noqa: PLC0415 - an extra
+
+    with rc_context({"svg.hashsalt": "stillcal"}):
+        made.savefig(path, dpi=DPI, metadata=metadata)
