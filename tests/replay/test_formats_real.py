@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -11,30 +12,9 @@ from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.replay.formats.units import UnitCheck
 from stillcal.replay.trace import Recording, TraceError, read_all
 
-SUNSIDED = """
-[time]
-column = "host_time_s"
-[accelerometer]
-columns = ["ax_g", "ay_g", "az_g"]
-unit = "g"
-[gyroscope]
-columns = ["gx_dps", "gy_dps", "gz_dps"]
-unit = "deg/s"
-[temperature]
-column = "temperature_c"
-"""
-ROCKET = """
-[time]
-column = "timestamp_seconds"
-[accelerometer]
-columns = ["raw_acceleration_x_gs", "raw_acceleration_y_gs", "raw_acceleration_z_gs"]
-unit = "g"
-[gyroscope]
-columns = ["raw_angular_rate_x_deg_per_s", "raw_angular_rate_y_deg_per_s", "raw_angular_rate_z_deg_per_s"]
-unit = "deg/s"
-[temperature]
-column = "temperature_celsius"
-"""
+FORMATS = files("stillcal.config") / "formats"
+SUNSIDED = (FORMATS / "mpu6050.toml").read_text()
+ROCKET = (FORMATS / "airbrakes.toml").read_text()
 
 
 def resting_norm(recording: Recording) -> float:
