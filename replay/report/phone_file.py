@@ -1,0 +1,204 @@
+"""The better phone: the affine and noisy baseline measured on a recording, with the found effects in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from stillcal.calib_core.allan_fit import FLOOR
+from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.spectrum import noise_levels, quiet
+from stillcal.calib_core.misfit.turns import turn_scene
+from stillcal.calib_core.misfit.values import comb_step
+from stillcal.calib_core.noise import NoiseModel, fit_noise
+from stillcal.calib_core.samples import Array, Samples
+from stillcal.replay.phone.effect import Effect
+from stillcal.replay.phone.phone import Claims, Phone, dump_phone
+from stillcal.replay.phone.settings import (
+    ClockSettings,
+    HeatSettings,
+    Matrix,
+    Noise,
+    SensorSettings,
+    Vector,
+    Wandering,
+)
+from stillcal.replay.report.mapping import Mapped
+from stillcal.replay.trace import Recording
+from stillcal.replay.twin import Affine, Lived, affine
+
+LEAST_BINS = 8
+MOST_BINS = 48
+"""Slow noise is fitted to so many bins at most: neighbours in a rest are put together beyond."""
+
+TAUS = (240.0,)
+"""Correlation times of the Gauss-Markov part that are tried, s."""
+
+
+def phone_of(
+    recording: Recording, bins: Bins, found: Sequence[Mapped], about: Lived, gravity: float
+) -> Phone:
+    """Return the phone that would have made the recording, as far as it shows. bins: at least one."""
+    effects = tuple(m.effect for m in found if m.effect is not None)
+    below = affine(bins, effects, about, gravity)
+    wander = _force_wander(bins, below, gravity)
+    return Phone(
+        description=f"{recording.claims.device or 'a phone'}, as a recording shows it",
+        accel=_sensor(
+            recording.accelerometer,
+            bins,
+            effects,
+            bias=below.baseline.bias,
+            scale=np.asarray(np.linalg.inv(below.baseline.scale), dtype=np.float64),
+            slow=[wander] * 3,
+            limit=recording.claims.accel_range,
+        ),
+        gyro=_gyroscope(recording, bins, effects, below, gravity),
+        clock=ClockSettings(shared=_together(recording.accelerometer, recording.gyroscope)),
+        heat=_heat(recording.accelerometer, about),
+        claims=_claims(recording),
+        effects=effects,  # type: ignore[arg-type]  # every member of the registry
+    )
+
+
+def _claims(recording: Recording) -> Claims:
+    """Return what the maker says of the phone; what it does not say is then taken from the settings."""
+    return msgspec.convert(msgspec.to_builtins(recording.claims.without_counts()), Claims)
+
+
+def _gyroscope(
+    recording: Recording, bins: Bins, effects: Sequence[Effect], below: Affine, gravity: float
+) -> SensorSettings | None:
+    samples = recording.gyroscope
+    if samples is None:
+        return None
+    slow: list[NoiseModel | None] = [None] * 3
+    if bins.rate is not None:
+        slow = [_wander(bins, bins.rate[:, a] - below.gyro[:, a]) for a in range(3)]
+    made = turn_scene(samples, bins, below.baseline.up, gravity)
+    scale = np.eye(3)
+    if made is not None:
+        view = made[0].views[0]
+        scale = scale + np.linalg.lstsq(view.baseline[0], view.y[0], rcond=1e-3)[0].reshape(3, 3)
+    limit = recording.claims.gyro_range
+    return _sensor(samples, bins, effects, bias=below.rate_bias, scale=scale, slow=slow, limit=limit)
+
+
+def _sensor(
+    samples: Samples,
+    bins: Bins,
+    effects: Sequence[Effect],
+    *,
+    bias: Array,
+    scale: Array,
+    slow: Sequence[NoiseModel | None],
+    limit: float | None,
+) -> SensorSettings:
+    rate = 1.0 / float(np.median(np.diff(samples.t)))
+    steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
+    lsb = float(np.median(steps)) if steps else 0.0
+    return SensorSettings(
+        rate_hz=round(rate, 6),
+        bias=_vector(bias),
+        scale=_matrix(scale),
+        noise=_noise(samples, effects, _density(samples, bins), slow, lsb**2 / (6.0 * rate)),
+        lsb=lsb,
+        range=limit,
+    )
+
+
+def _noise(
+    samples: Samples,
+    effects: Sequence[Effect],
+    density: Array,
+    slow: Sequence[NoiseModel | None],
+    rounding: float,
+) -> Noise:
+    """Return the noise that, with the effects on it and the step's rounding, has the measured density.
+
+    rounding: what the step of the values adds to the density's square.
+    """
+    white = density**2 - rounding
+    white = np.sqrt(np.maximum(white, 0.0)) / np.sqrt(_tail_power(samples, effects))
+    walks = any(e.name.endswith("bias_random_walk") and e.concerns(samples.sensor) for e in effects)
+    known = [m or NoiseModel(0.0) for m in slow]
+    sigma = [m.gauss_markov for m in known]
+    taus = [m.tau for m, s in zip(known, sigma, strict=True) if s > 0.0]
+    wandering = Wandering(sigma=_vector(np.array(sigma)), tau_s=float(np.median(taus))) if taus else None
+    return Noise(
+        white=_vector(white),
+        flicker=_vector(np.array([m.flicker for m in known]) / FLOOR),
+        gauss_markov=() if wandering is None else (wandering,),
+        random_walk=(0.0, 0.0, 0.0) if walks else _vector(np.array([m.walk for m in known])),
+    )
+
+
+def _density(samples: Samples, bins: Bins) -> Array:
+    """Return the density (3,) of single samples' noise inside rests, below any cutoff; 0 without rests."""
+    still = quiet(samples, bins)
+    if len(still.pieces) < 3:
+        return np.zeros(3)
+    return np.asarray(np.median(noise_levels(still).density, axis=0))
+
+
+def _tail_power(samples: Samples, effects: Sequence[Effect]) -> float:
+    """Return by how much heavy tails raise the power of the noise."""
+    for effect in effects:
+        if effect.name == "noise_heavy_tailed" and effect.concerns(samples.sensor):
+            told = msgspec.to_builtins(effect)
+            return 1.0 + float(told.get("fraction", 0.02)) * (float(told["ratio"]) ** 2 - 1.0)
+    return 1.0
+
+
+def _force_wander(bins: Bins, below: Affine, gravity: float) -> NoiseModel | None:
+    """Return the slow noise that gravity's norm shows, taken to be alike on the axes."""
+    up, scale = below.baseline.up, below.baseline.scale
+    corrected = (bins.force - below.accel - below.baseline.bias) @ scale.T
+    return _wander(bins, np.einsum("na,na->n", up, corrected) - gravity)
+
+
+def _wander(bins: Bins, values: Array) -> NoiseModel | None:
+    """Fit coloured noise to residuals (n,) of the bins, a few neighbours together where there are many."""
+    if len(bins) < LEAST_BINS:
+        return None
+    together = max(1, round(len(bins) / MOST_BINS))
+    cuts = np.flatnonzero((np.arange(len(bins)) % together == 0) | (np.diff(bins.rest, prepend=-1) != 0))
+    weight = np.add.reduceat(bins.duration, cuts)
+    t, value = (np.add.reduceat(x * bins.duration, cuts) / weight for x in (bins.t, values))
+    return fit_noise(t, weight, value, TAUS) if t.size >= LEAST_BINS else None
+
+
+def _together(one: Samples, other: Samples | None) -> bool:
+    return other is None or bool(np.array_equal(one.t, other.t))
+
+
+def _heat(samples: Samples, about: Lived) -> HeatSettings:
+    warm = samples.temperature
+    known = np.empty(0) if warm is None else warm[np.isfinite(warm)]
+    step = comb_step(known) if known.size else None
+    return HeatSettings(
+        reference_c=about.reference_c, thermometer=bool(known.size), thermometer_lsb_c=step or 0.0
+    )
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = (float(f"{v:.6g}") for v in values)
+    return (x, y, z)
+
+
+def _matrix(values: Array) -> Matrix:
+    x, y, z = (_vector(row) for row in values)
+    return (x, y, z)
+
+
+def phone_text(phone: Phone, found: Sequence[Mapped], name: str) -> str:
+    """Return the phone as TOML, with what no effect could be written for as comments."""
+    lines = [f"# The phone of {name}, as `stillcal diagnose` found it; see docs/report.md."]
+    for m in found:
+        if m.effect is None:
+            lines += [f"# Not an effect here: {m.finding.effect} ({m.finding.sensor}): {m.why}."]
+            lines += [f"#   {m.finding.statement}"]
+    plain = [" ".join(line.split()) for line in lines]
+    return "\n".join(plain) + "\n" + dump_phone(phone)
