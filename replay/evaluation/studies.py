@@ -8,6 +8,9 @@ from pathlib import Path
 from stillcal.replay.evaluation.claim import Progress, Study, StudyFunction
 
 STUDIES: dict[str, str] = {
+    "smoothing": "stillcal.replay.evaluation.unaided_smoothing:study",
+    "homogeneity": "stillcal.replay.evaluation.unaided_homogeneity:study",
+    "gravity": "stillcal.replay.evaluation.unaided_gravity:study",
     "laboratory": "stillcal.replay.evaluation.laboratory:study",
     "allan": "stillcal.replay.evaluation.allan:study",
     "noise-processes": "stillcal.replay.evaluation.noise_processes:study",
