@@ -4,7 +4,7 @@ asyncvarlink makes the interface's description from these signatures and docstri
 no `from __future__ import annotations` here. How bytes come and go is api_server.py's.
 """
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextvars import ContextVar
 from typing import Protocol
 
@@ -12,7 +12,7 @@ import numpy as np
 from asyncvarlink import LastResult, TypedVarlinkErrorReply, VarlinkInterface, varlinkmethod
 from asyncvarlink.serviceinterface import InvalidParameter, PermissionDenied
 
-from stillcal.calib_core.record import NotCalibratedError
+from stillcal.calib_core.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.samples import Sensor
 from stillcal.daemon import api_types as api
 from stillcal.daemon import api_views as views
@@ -146,12 +146,30 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
         Only for root and the daemon's own user.
         """
+        return await self._changed(lambda: self._daemon.rollback(to or 1))
+
+    @varlinkmethod(return_parameter="calibration")
+    async def Calibrate(self) -> api.Calibration:  # noqa: N802
+        """Try a full calibration now, from the rests held. Only for root and the daemon's own user.
+
+        Refused with the reason where they do not support one, or where it is no better than the current one.
+        """
+        return await self._changed(self._daemon.calibrate)
+
+    @varlinkmethod(return_parameter="calibration")
+    async def ZeroNow(self) -> api.Calibration:  # noqa: N802
+        """Measure the gyroscope's bias now, on the last hour's rests. Only for root and the own user."""
+        return await self._changed(self._daemon.zero)
+
+    async def _changed(self, change: Callable[[], Awaitable[CalibrationRecord | None]]) -> api.Calibration:
+        """Make a change, if the caller may, and return the calibration that is then current."""
         _require_right()
         try:
-            record = await self._daemon.rollback(to or 1)
+            record = await change()
         except ValueError as error:
             raise Refused(reason=str(error)) from None
-        assert record is not None
+        if record is None:
+            raise NotCalibrated(reason="no calibration is current", missing=[])
         return views.calibration(record, self._daemon)
 
     @varlinkmethod

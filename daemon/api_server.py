@@ -1,29 +1,26 @@
-"""The socket: connections, their limits and their turns. What is asked and answered is api.py's.
+"""The socket: who is let in, who goes, and whose turn it is. What is asked and answered is api.py's.
 
-asyncvarlink knows the interface, the conversion and the order of replies; the bytes are read here, by
-asyncio's own transport, because asyncvarlink's reads from one client until it has no more to say and sets
-no limit to a message. Clients are answered in turn, and after TURN_S the loop goes back to the phone.
+Clients are let in one by one, each only once there is a place for it, and are answered in turn; after
+TURN_S the loop goes back to the phone.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import socket
-import struct
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Sequence
-from typing import Any
 
-import msgspec
-from asyncvarlink import VarlinkInterfaceRegistry, VarlinkInterfaceServerProtocol
+from asyncvarlink import VarlinkInterfaceRegistry
 from asyncvarlink.serviceinterface import VarlinkServiceInterface
 
-from stillcal.daemon.api import CALLER, CalibrationInterface
+from stillcal.daemon.api import CalibrationInterface
+from stillcal.daemon.api_connection import Connection
 from stillcal.daemon.api_socket import opened
 from stillcal.daemon.api_views import VERSION, Daemon
+from stillcal.daemon.log import say
 from stillcal.daemon.settings import SocketSettings
 
 TURN_S = 0.01
@@ -32,180 +29,11 @@ TURN_S = 0.01
 GOODBYE_S = 0.02
 """How long those who listen have for the last news, s."""
 
-UNSENT_BYTES = 262_144
-"""Of answers that a client has not taken, above which it is asked nothing more and may stall."""
+WAITING = 128
+"""Clients that the kernel lets wait to be let in (listen(2))."""
 
-
-class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
-    """One client. Its questions are answered one at a time, in turn with the other clients'."""
-
-    def __init__(self, registry: VarlinkInterfaceRegistry, server: Server) -> None:
-        super().__init__(registry)
-        self._server = server
-        self._line: asyncio.Transport | None = None
-        self._buffer = bytearray()
-        self._searched = 0
-        self._full = self._ended = False
-        self._unsent: list[asyncio.Future[None]] = []
-        self._stall: asyncio.TimerHandle | None = None
-        self._listener: Any = None
-        self._allowance, self._counted = server.settings.calls_per_s, time.monotonic()
-        self.answering = False
-        self.may_change = False
-
-    def when_gone(self, listener: Any) -> None:
-        """Close `listener` when the client has gone."""
-        self._listener = listener
-
-    # The line's own calls
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the client's place among the others."""
-        assert isinstance(transport, asyncio.Transport)
-        self._line = transport
-        transport.set_write_buffer_limits(UNSENT_BYTES)
-        self.may_change = _may_change(transport.get_extra_info("socket"))
-        self._server.enter(self)
-
-    def data_received(self, data: bytes) -> None:
-        """Keep what came until it is its turn."""
-        self._buffer += data
-        self._look()
-
-    def eof_received(self) -> bool:  # type: ignore[override]  # asyncio's, whose True keeps our side open
-        """Answer what was asked, then hang up; who listens for news has stopped."""
-        self._ended = True
-        self.quit_listening()
-        self._look()
-        return True
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the client."""
-        self._line = None
-        self._buffer.clear()
-        self._patient()
-        self.quit_listening()
-        self._sent()
-        self._server.leave(self)
-
-    def pause_writing(self) -> None:
-        """Wait for a client that does not take its answers, but not for long."""
-        self._full = True
-        self._impatient()
-
-    def resume_writing(self) -> None:
-        """Go on with a client that has taken its answers."""
-        self._full = False
-        self._patient()
-        self._sent()
-        self._look()
-
-    # Questions
-
-    def _look(self) -> None:
-        """See whether a whole question is there, and get into the queue with it."""
-        if self._line is None or self.answering:
-            return
-        end = self._buffer.find(0, self._searched)
-        self._searched = len(self._buffer) if end < 0 else end
-        if (len(self._buffer) if end < 0 else end) > self._server.settings.message_bytes:
-            self.drop()
-        elif end >= 0:
-            self._line.pause_reading()
-            self._server.queue(self, self._wait())
-        elif self._ended:
-            self._line.close()
-        else:
-            self._line.resume_reading()
-            self._impatient() if self._buffer else self._patient()
-
-    def answer(self) -> None:
-        """Answer the first question; called when it is this client's turn."""
-        end = self._buffer.find(0)
-        if self._line is None or self._full or self.answering or end < 0:
-            return
-        self._patient()
-        question = bytes(self._buffer[:end])
-        del self._buffer[: end + 1]
-        self._searched = 0
-        try:
-            asked = msgspec.json.decode(question)
-        except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
-            asked = None
-        if isinstance(asked, dict):
-            self._answer(asked)
-        else:
-            self.drop()
-
-    def _answer(self, asked: dict[str, Any]) -> None:
-        CALLER.set(self)
-        busy = self.request_received(asked, None)
-        if busy is None or busy.done():
-            self._look()
-            return
-        self.answering = True
-        busy.add_done_callback(self._answered)
-
-    def _answered(self, busy: asyncio.Future[None]) -> None:
-        self.answering = False
-        self._listener = None
-        self._look()
-
-    def _wait(self) -> float:
-        """Return how long (s) this client's next question has to wait, and count it."""
-        now, rate = time.monotonic(), self._server.settings.calls_per_s
-        self._allowance = min(self._allowance + rate * (now - self._counted), rate) - 1.0
-        self._counted = now
-        return max(-self._allowance / rate, 0.0)
-
-    # Answers
-
-    def send_message(
-        self, obj: Any, fds: list[int] | None = None, autoclose: bool = True
-    ) -> asyncio.Future[None]:
-        """Send a reply; the future is done once the client has room for the next, or has gone."""
-        sent: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        if self._line is not None and not self._line.is_closing():
-            self._line.write(msgspec.json.encode(obj) + b"\0")
-        if self._full and self._line is not None:
-            self._unsent.append(sent)
-        else:
-            sent.set_result(None)
-        return sent
-
-    def _sent(self) -> None:
-        for future in self._unsent:
-            if not future.done():
-                future.set_result(None)
-        self._unsent.clear()
-
-    # Patience
-
-    def _impatient(self) -> None:
-        if self._stall is None:
-            loop = asyncio.get_running_loop()
-            self._stall = loop.call_later(self._server.settings.stall_s, self.drop)
-
-    def _patient(self) -> None:
-        if self._stall is not None:
-            self._stall.cancel()
-            self._stall = None
-
-    def quit_listening(self) -> None:
-        """End what the client listens for."""
-        if self._listener is not None:
-            self._listener.close()
-            self._listener = None
-
-    def drop(self) -> None:
-        """Hang up without a word."""
-        self._server.dropped += 1
-        self.hang_up()
-
-    def hang_up(self) -> None:
-        """Close the line, what is unsent is forgotten."""
-        if self._line is not None:
-            self._line.abort()
+RETRY_S = 1.0
+"""How long nobody is let in where the process has no descriptors left, s."""
 
 
 class Server:
@@ -218,24 +46,47 @@ class Server:
         self._clients: dict[Connection, None] = {}
         self._queue: deque[Connection] = deque()
         self._serving = False
+        self._left = asyncio.Event()
 
-    def connect(self) -> Connection:
-        """Make a connection for a new client."""
-        return Connection(self._registry, self)
+    async def admit(self, door: socket.socket) -> None:
+        """Let clients in for ever; where there is no place, the one that has been idle longest goes first."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await _knock(door)
+            free = await self._place()
+            try:
+                line, _ = door.accept()
+            except BlockingIOError:
+                continue  # it has gone again
+            except OSError as error:
+                say("warning", "socket", f"nobody can be let in: {error.strerror}")
+                await asyncio.sleep(RETRY_S)
+                continue
+            if free:
+                await loop.connect_accepted_socket(lambda: Connection(self._registry, self), line)
+            else:
+                self.dropped += 1
+                line.close()
+
+    async def _place(self) -> bool:
+        """See that there is a place; say whether there is: nobody goes who is being answered."""
+        while len(self._clients) >= self.settings.connections:
+            idle = next((c for c in self._clients if not c.answering), None)
+            if idle is None:
+                return False
+            self._left.clear()
+            idle.drop()
+            await self._left.wait()
+        return True
 
     def enter(self, client: Connection) -> None:
-        """Take a client in; where there are too many, the one that has been idle longest goes."""
-        if len(self._clients) >= self.settings.connections:
-            idle = next((c for c in self._clients if not c.answering), client)
-            idle.drop()
-            if idle is client:
-                return
-            self._clients.pop(idle, None)
+        """Take a client in."""
         self._clients[client] = None
 
     def leave(self, client: Connection) -> None:
         """Forget a client."""
         self._clients.pop(client, None)
+        self._left.set()
 
     def queue(self, client: Connection, wait_s: float) -> None:
         """Answer a client when it is its turn, not before `wait_s`."""
@@ -276,15 +127,30 @@ async def serving(
 ) -> AsyncIterator[Server]:
     """Answer on the sockets systemd opened, or else on one of our own, for as long as the block lasts."""
     server = Server(daemon, settings)
-    loop = asyncio.get_running_loop()
     with opened(settings, passed) as sockets:
-        listening = [await loop.create_unix_server(server.connect, sock=sock) for sock in sockets]
+        for line in sockets:
+            line.setblocking(False)
+            line.listen(WAITING)
+        doors = [asyncio.create_task(server.admit(door)) for door in sockets]
         try:
             yield server
         finally:
-            for one in listening:
-                one.close()
+            for door in doors:
+                door.cancel()
+            await asyncio.gather(*doors, return_exceptions=True)
             await server.close()
+            for line in sockets:
+                line.close()
+
+
+async def _knock(door: socket.socket) -> None:
+    """Wait until somebody wants to be let in."""
+    loop, knocked = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(door, knocked.set)
+    try:
+        await knocked.wait()
+    finally:
+        loop.remove_reader(door)
 
 
 def _registry(daemon: Daemon) -> VarlinkInterfaceRegistry:
@@ -293,10 +159,3 @@ def _registry(daemon: Daemon) -> VarlinkInterfaceRegistry:
     about = VarlinkServiceInterface("stillcal", "stillcal", VERSION, "https://varlink.org", registry)
     registry.register_interface(about)
     return registry
-
-
-def _may_change(line: socket.socket) -> bool:
-    """Say whether the client is root or our own user, by the kernel's word (SO_PEERCRED, unix(7))."""
-    credentials = line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-    _, uid, _ = struct.unpack("3i", credentials)
-    return uid in (0, os.geteuid())

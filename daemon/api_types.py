@@ -102,6 +102,8 @@ class Status:
 
     sensing: whether they are wanted on now; decides_in_s: until the engine decides anew. trouble: why the
     last write to the disk failed, empty where it did not. missing: what a refused calibration still needs.
+    failed_checks: in a row, after a calibration was tried anew. diagnosis: why somebody should look for
+    what the model leaves out, empty where there is no cause.
     """
 
     version: str
@@ -116,6 +118,8 @@ class Status:
     refusal: str
     missing: list[str]
     trouble: str
+    failed_checks: int
+    diagnosis: str
     store: str
     restarts: int
     leaps: int
@@ -173,7 +177,11 @@ class EnergyDay:
 
 @dataclass(frozen=True)
 class Event:
-    """News. what: current (how things stood at first), calibrated, zeroed, rejected or rolled_back."""
+    """News.
+
+    what: current (how things stood at first), calibrated, zeroed, rejected, forgotten (it was another
+    phone's) or rolled_back.
+    """
 
     what: str
     reason: str

@@ -61,6 +61,12 @@ class Daemon(Protocol):
     async def rollback(self, target: int | str) -> CalibrationRecord | None:
         """Make an earlier calibration current. Raises ValueError."""
 
+    async def calibrate(self) -> CalibrationRecord:
+        """Try a full calibration now. Raises ValueError where nothing comes of it."""
+
+    async def zero(self) -> CalibrationRecord:
+        """Measure the gyroscope's bias now. Raises ValueError where no rest shows it."""
+
     async def reload(self) -> str:
         """Read the settings again; return why they were refused, or nothing."""
 
@@ -109,6 +115,8 @@ def status(daemon: Daemon) -> api.Status:
         refusal=view.refusal.reason if view.refusal else "",
         missing=list(view.refusal.missing) if view.refusal else [],
         trouble=daemon.trouble,
+        failed_checks=view.trouble.failed if view.trouble else 0,
+        diagnosis=view.diagnosis,
         store=daemon.store_name,
         restarts=clock.restarts,
         leaps=clock.leaps,

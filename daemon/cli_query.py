@@ -46,8 +46,9 @@ def query_command(method: str, parameters: str, path: str, as_json: bool) -> Non
     """Ask a running daemon.
 
     METHOD is GetCalibration (the default), GetStatus, GetStillness, GetHistory, GetEnergy,
-    Correct, Monitor (until interrupted), Rollback or Reload; or any method by its full name. PARAMETERS is
-    a JSON object. Exit codes: 1 refused by the daemon, 2 bad input, 3 no calibration yet, 4 no daemon.
+    Correct, Monitor (until interrupted), Calibrate, ZeroNow, Rollback or Reload; or any method by
+    its full name. PARAMETERS is a JSON object. Exit codes: 1 refused by the daemon, 2 bad input,
+    3 no calibration yet, 4 no daemon.
     """
     where = answering_path(path)
     try:

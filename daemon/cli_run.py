@@ -9,7 +9,8 @@ import click
 
 from stillcal.daemon import log
 from stillcal.daemon.notify import Notifier, passed_sockets
-from stillcal.daemon.service import Given, Service
+from stillcal.daemon.service import Service
+from stillcal.daemon.service_given import Given
 
 
 @click.command("run")

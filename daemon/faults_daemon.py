@@ -14,7 +14,8 @@ import numpy as np
 
 from stillcal.daemon import log
 from stillcal.daemon.notify import Notifier
-from stillcal.daemon.service import Given, Service
+from stillcal.daemon.service import Service
+from stillcal.daemon.service_given import Given
 
 STEP_S = 0.01
 KEPT = 100_000

@@ -11,14 +11,10 @@ import contextlib
 import copy
 import os
 import signal
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from socket import socket as Socket  # noqa: N812 - `socket` is a setting here
-from typing import Any, TypeVar
+from dataclasses import replace
 
 from stillcal.calib_core.engine_state import EngineState
-from stillcal.calib_core.events import Action, Log, Reject
+from stillcal.calib_core.events import Action, Diagnose, Forget, Log, Reject
 from stillcal.calib_core.events import Store as Keep
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.daemon import log
@@ -26,23 +22,15 @@ from stillcal.daemon.api_server import serving
 from stillcal.daemon.log import say
 from stillcal.daemon.notify import Notifier
 from stillcal.daemon.saved_state import SavedState
-from stillcal.daemon.serial_source import SerialSettings, SerialSource
-from stillcal.daemon.service_mind import Mind, View
+from stillcal.daemon.serial_source import SerialSource
+from stillcal.daemon.service_given import Given, fixed, serial_settings
+from stillcal.daemon.service_mind import Mind, Thought, View
 from stillcal.daemon.service_news import Item, News
 from stillcal.daemon.service_pump import Pump, host_time
 from stillcal.daemon.service_storage import Storage, sourced
-from stillcal.daemon.settings import (
-    Settings,
-    SettingsError,
-    SocketSettings,
-    SourceSettings,
-    load_settings,
-    store_path,
-)
-from stillcal.daemon.store import Store, StoreSettings
+from stillcal.daemon.settings import Settings, SettingsError, store_path
+from stillcal.daemon.store import Store
 from stillcal.daemon.store_document import StoreDocument
-
-Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings)
 
 SAVE_EVERY_S = 10.0
 """At most so often is the state written for new rests, s; after a full calibration it is at once."""
@@ -56,34 +44,11 @@ PATIENCE_S = 0.5
 HEARTBEAT_S = 10.0
 """How often the manager hears of the service where its watchdog does not ask for more, s."""
 
+REMEDY = "record a day of it, temperature included, and see what is left out: stillcal diagnose RECORDING"
+"""What a person can do where calibrating does not help."""
+
 STUCK = 0.5
 """A thought that takes longer than this share of the watchdog's time counts as stuck."""
-
-
-@dataclass(frozen=True, slots=True)
-class Given:
-    """What was given from outside. config: the settings file, read again on SIGHUP.
-
-    port, store, socket: stand in for the file's, where they are given. passed: sockets systemd opened.
-    """
-
-    config: Path | None = None
-    port: str | None = None
-    store: str | None = None
-    socket: str | None = None
-    passed: Sequence[Socket] = ()
-
-    def settings(self) -> Settings:
-        """Read the settings. Raises SettingsError where they cannot serve."""
-        found = load_settings(self.config)
-        settings = replace(
-            found,
-            source=_with(found.source, port=self.port),
-            store=_with(found.store, path=self.store),
-            socket=_with(found.socket, path=self.socket),
-        )
-        serial_settings(settings)
-        return settings
 
 
 class Service:
@@ -244,15 +209,34 @@ class Service:
             if isinstance(action, Log):
                 say(str(action.level), action.what, action.why, t=action.t, **action.fields)
                 self._unsaved.set()
-            elif isinstance(action, Keep | Reject):
+            elif isinstance(action, Diagnose):
+                say("warning", "diagnose", f"{action.reason}: {REMEDY}", t=action.t)
+            elif isinstance(action, Keep | Reject | Forget):
                 self._keep(action)
 
-    def _keep(self, action: Keep | Reject) -> None:
-        sourced_action = sourced(action, self.settings.source.port, self.saved.device)
-        self.storage.keep(sourced_action)
-        self._fresh = self._fresh or action.record.acceptance.how == "calibration"
+    def _keep(self, action: Keep | Reject | Forget) -> None:
+        self.storage.keep(sourced(action, self.settings.source.port, self.saved.device))
+        self._fresh = self._fresh or action.record.acceptance.how != "zeroing"
         self._unsaved.set()
         self.news.tell(action)
+
+    async def calibrate(self) -> CalibrationRecord:
+        """Try a full calibration now. Raises ValueError where nothing comes of it."""
+        return self._outcome(await self.mind.calibrate(), "there is nothing to calibrate from")
+
+    async def zero(self) -> CalibrationRecord:
+        """Measure the gyroscope's bias now. Raises ValueError where no rest shows it."""
+        return self._outcome(await self.mind.zero(), "no rest of late shows it, or nothing is calibrated yet")
+
+    def _outcome(self, thought: Thought, otherwise: str) -> CalibrationRecord:
+        """Do what follows and return the calibration that came of it. Raises ValueError with why none did."""
+        self.act(thought.actions)
+        for action in thought.actions:
+            if isinstance(action, Keep):
+                return action.record
+            if isinstance(action, Reject):
+                raise ValueError(action.reason)
+        raise ValueError(next((a.why for a in thought.actions if isinstance(a, Log)), otherwise))
 
     async def rollback(self, target: int | str) -> CalibrationRecord | None:
         """Make an earlier calibration current. Raises ValueError where there is none such."""
@@ -289,7 +273,7 @@ class Service:
 
     async def _apply(self, settings: Settings) -> None:
         old, self.settings = self.settings, settings
-        for name in _fixed(old, settings):
+        for name in fixed(old, settings):
             say("warning", "reload", f"{name} has changed: that takes a restart")
         log.set_level(settings.log.level)
         self.storage.configure(settings.store)
@@ -310,25 +294,3 @@ class Service:
         held = f"calibration {self.current_id}" if self.current_id else "no calibration yet"
         state = " that no longer fits" if view.degraded else ""
         return f"{phone}; {held}{state}; {view.watch} watch; {view.rests_held} rests held"
-
-
-def serial_settings(settings: Settings) -> SerialSettings:
-    """Return the line's settings. Raises SettingsError where no device is named or they make no sense."""
-    source = settings.source
-    if not source.port:
-        raise SettingsError("[source] port is not set: name the phone's serial device, such as /dev/ttyACM0")
-    return SerialSettings(source.port, source.baud, retry_max_s=source.retry_max_s)
-
-
-def _with(part: Part, **given: Any) -> Part:
-    return replace(part, **{name: value for name, value in given.items() if value is not None})
-
-
-def _fixed(old: Settings, new: Settings) -> list[str]:
-    """Return the names of what has changed and cannot change while running."""
-    changed = {
-        "[store] path": (old.store.path, new.store.path),
-        "[socket] path": (old.socket.path, new.socket.path),
-        "[socket] mode": (old.socket.mode, new.socket.mode),
-    }
-    return [name for name, (before, after) in changed.items() if before != after]

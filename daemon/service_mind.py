@@ -51,6 +51,7 @@ class View:
     check_due: bool
     checked: float | None
     trouble: Trouble | None
+    diagnosis: str
     next_check: float | None
     rests_held: int
     pool: Pool
@@ -176,7 +177,13 @@ def _view(engine: Engine) -> View:
         check_due=s.check_due,
         checked=s.checked,
         trouble=s.trouble,
+        diagnosis=_diagnosis(s.trouble, engine.settings.schedule.diagnose_after_checks),
         next_check=s.next_check,
         rests_held=len(s.pool.held),
         pool=s.pool,
     )
+
+
+def _diagnosis(trouble: Trouble | None, after: int) -> str:
+    """Say why a diagnosis is wanted; nothing where it is not."""
+    return trouble.reason if trouble is not None and trouble.failed >= after else ""

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from stillcal.calib_core.events import Reject
+from stillcal.calib_core.events import Forget, Reject
 from stillcal.calib_core.events import Store as Keep
 from stillcal.calib_core.record import CalibrationRecord
 
@@ -15,7 +15,7 @@ BACKLOG = 64
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """What happened. what: published, zeroed, rejected or rolled_back; t: s of the engine's time."""
+    """What happened. what: calibrated, zeroed, rejected, forgotten or rolled_back; t: s of engine time."""
 
     what: str
     t: float
@@ -52,9 +52,10 @@ class News:
         self._listeners.add(listener)
         return listener, lambda: self._listeners.discard(listener)
 
-    def tell(self, action: Keep | Reject) -> None:
+    def tell(self, action: Keep | Reject | Forget) -> None:
         """Tell of what the engine decided."""
-        what = "rejected" if isinstance(action, Reject) else _kind(action.record)
+        names = {Reject: "rejected", Forget: "forgotten"}
+        what = names.get(type(action)) or _kind(action.record)
         self.spread(Item(what, action.t, action.reason, action.record))
 
     def spread(self, item: Item) -> None:

@@ -121,7 +121,7 @@ class Pump:
         elif isinstance(record, Temperature):
             self._celsius = record.celsius
         elif isinstance(record, Hello):
-            self._meet(record)
+            await self._meet(record)
         elif isinstance(record, LinkUp | LinkDown):
             self._link(record)
 
@@ -145,10 +145,10 @@ class Pump:
         if status.sensing and self._orders.asleep(t):
             self._orders.forget()
 
-    def _meet(self, hello: Hello) -> None:
+    async def _meet(self, hello: Hello) -> None:
+        await self._identify(str(hello.claims.get("device") or ""))
         self.hello, self._in_step = hello, hello.flow == "credit"
         self._orders.forget()
-        self._saved.device = str(hello.claims.get("device") or "")
         if self._saved.clock.meet(hello.session):
             self._saved.energy.told = None
             say(
@@ -167,6 +167,22 @@ class Pump:
         )
         if self.rate_hz > 0:
             self.source.send(Rate(self.rate_hz))
+
+    async def _identify(self, device: str) -> None:
+        """Begin anew where the phone says it is another one than before; one that says nothing is not."""
+        before = self._saved.device
+        if before and device and device != before:
+            await self._think()
+            thought = await self._mind.forget(f"another phone, {device}, has taken the place of {before}")
+            say(
+                "warning",
+                "another phone",
+                "what was gathered is dropped; stillcal store rollback brings a calibration back",
+                device=device,
+                before=before,
+            )
+            self._act(thought.actions)
+        self._saved.device = device or before
 
     def _link(self, record: LinkUp | LinkDown) -> None:
         self._orders.forget()

@@ -14,13 +14,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from stillcal.calib_core.events import Reject
+from stillcal.calib_core.events import Forget, Reject
 from stillcal.calib_core.events import Store as Keep
 from stillcal.daemon import saved_state
 from stillcal.daemon.store import Outcome, Store, StoreError, StoreSettings
 from stillcal.daemon.store_document import StoreDocument
 
 T = TypeVar("T")
+
+Change = Keep | Reject | Forget
 
 MAX_WAITING = 64
 """Changes of the store that wait for a disk that refuses them; beyond this, the oldest rejected one goes."""
@@ -32,7 +34,7 @@ class Storage:
     def __init__(self, store: Store, note: Callable[[str], None]) -> None:
         self._store, self._note = store, note
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="disk")
-        self._waiting: deque[Keep | Reject] = deque()
+        self._waiting: deque[Change] = deque()
         self._trouble = ""
         self.document = StoreDocument()
 
@@ -56,8 +58,8 @@ class Storage:
         self._adopt(self._store.recover())
         return saved_state.load(saved_state.state_path(self._store.path))
 
-    def keep(self, action: Keep | Reject) -> None:
-        """Take a calibration that was accepted or rejected; `flush` writes it."""
+    def keep(self, action: Change) -> None:
+        """Take a calibration that was accepted, rejected or given up; `flush` writes it."""
         self._waiting.append(action)
 
     async def flush(self) -> bool:
@@ -99,9 +101,11 @@ class Storage:
         self._thread.shutdown(wait=True)
         self._store.close()
 
-    def _write(self, action: Keep | Reject) -> Outcome:
+    def _write(self, action: Change) -> Outcome:
         if isinstance(action, Reject):
             return self._store.reject(action.record, action.reason, action.t)
+        if isinstance(action, Forget):
+            return self._store.retire(action.reason, action.t)
         return self._store.publish(action.record, action.reason, action.t)
 
     def _adopt(self, outcome: Outcome) -> None:
@@ -123,7 +127,9 @@ class Storage:
         return await asyncio.get_running_loop().run_in_executor(self._thread, job, *arguments)
 
 
-def sourced(action: Keep | Reject, source: str, device: str) -> Keep | Reject:
-    """Return the action with where its calibration comes from."""
+def sourced(action: Change, source: str, device: str) -> Change:
+    """Return the action with where its calibration comes from; one that is given up keeps its own."""
+    if isinstance(action, Forget):
+        return action
     provenance = replace(action.record.provenance, source=source, device=device)
     return replace(action, record=replace(action.record, provenance=provenance))

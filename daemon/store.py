@@ -196,6 +196,10 @@ class Store:
         """Keep a candidate that was turned down in the history, and why and when (s)."""
         return self._change(lambda d: d.after_rejecting(candidate, reason, self.settings.history, at))
 
+    def retire(self, reason: str, at: float | None = None) -> Outcome:
+        """Let no calibration be current, as when the phone is another one; why and when (s)."""
+        return self._change(lambda d: d.after_retiring(reason, self.settings.history, at))
+
     def rollback(self, target: int | str = 1) -> Outcome:
         """Make an earlier calibration current again: the target-th before, or the one of this id.
 

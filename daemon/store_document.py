@@ -103,6 +103,13 @@ class StoreDocument:
         when = candidate.fitted_at if at is None else at
         return self._with(self.current, _entry("rejected", reason, when, candidate), limit)
 
+    def after_retiring(self, reason: str, limit: int, at: float | None = None) -> StoreDocument:
+        """Return the document without a current calibration; the one there was is in the history."""
+        if self.current is None:
+            return self
+        when = self.current.fitted_at if at is None else at
+        return self._with(None, _entry("replaced", reason, when, self.current), limit)
+
     def after_rollback(self, target: int | str, limit: int) -> StoreDocument:
         """Return the document with an earlier calibration current again.
 

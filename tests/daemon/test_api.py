@@ -21,9 +21,11 @@ import varlink
 from stillcal.calib_core.events import Reject
 from stillcal.calib_core.events import Store as Keep
 from stillcal.calib_core.samples import Sensor
+from stillcal.daemon.faults_kill import example
 from stillcal.daemon.faults_socket import nonsense
 from stillcal.daemon.notify import Notifier
-from stillcal.daemon.service import Given, Service
+from stillcal.daemon.service import Service
+from stillcal.daemon.service_given import Given
 from stillcal.daemon.store import Store
 
 STILLCAL = str(Path(sys.executable).with_name("stillcal"))
@@ -215,6 +217,28 @@ def test_rolling_back_is_for_root_and_the_daemons_own_user(folder: Path, make_re
             with pytest.raises(varlink.VarlinkError, match="Refused"):
                 await asked(folder, lambda c: c.Rollback("ffff"))
         assert Store(folder / "store.json").load().current.id == first.id
+
+    within_reason(test())
+
+
+def test_who_may_asks_for_a_calibration_and_for_zeroing(folder: Path) -> None:
+    record, rests = example()
+    assert record.accelerometer is not None
+
+    async def test() -> None:
+        async with answering(folder) as service:
+            with pytest.raises(varlink.VarlinkError, match="Refused"):
+                await asked(folder, lambda c: c.Calibrate())
+            service.mind._engine.adopt(rests)
+            found = await asked(folder, lambda c: c.Calibrate())
+            assert found["calibration"]["accelerometer"]["n_rests"] == record.accelerometer.n_rests
+            assert (
+                service.document.current is None or service.document.current.id == found["calibration"]["id"]
+            )
+            with pytest.raises(varlink.VarlinkError, match="Refused"):
+                await asked(folder, lambda c: c.ZeroNow())  # rests without a gyroscope
+            status = (await asked(folder, lambda c: c.GetStatus()))["status"]
+            assert status["failed_checks"] == 0 and status["diagnosis"] == ""
 
     within_reason(test())
 

@@ -24,7 +24,8 @@ from stillcal.calib_core.schedule import ScheduleSettings
 from stillcal.daemon import saved_state
 from stillcal.daemon.cli_query import replies
 from stillcal.daemon.notify import Notifier
-from stillcal.daemon.service import Given, Service
+from stillcal.daemon.service import Service
+from stillcal.daemon.service_given import Given
 from stillcal.daemon.store import Store, StoreError
 from stillcal.daemon.store_document import StoreDocument
 from stillcal.daemon.wire import Hello
@@ -334,3 +335,27 @@ def test_asking_where_nobody_answers_is_exit_4(tmp_path: Path) -> None:
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert found.returncode == 4
     assert "no daemon answers" in found.stderr and not found.stdout
+
+
+def test_another_phone_begins_anew_and_the_olds_calibration_is_in_the_history(
+    tmp_path: Path, lab: list[Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    async def test() -> None:
+        async with running(given_in(tmp_path)) as service:
+            await serve_phone(lab, {"device": "old"}, path=tmp_path / "tty")
+            await until(lambda: service.document.current is not None)
+            first = service.document.current.id
+            await serve_phone(lab[:1], {"device": "old"}, path=tmp_path / "tty")
+            assert service.current_id == first
+            held = service.view.rests_held
+            await serve_phone(lab[:1], {"device": "new"}, path=tmp_path / "tty")
+            await until(lambda: service.document.current is None)
+            assert service.view.record is None and service.view.rests_held < held
+            (entry,) = [e for e in service.document.history if e.what == "replaced"]
+            assert entry.calibration.id == first and "another phone, new" in entry.reason
+            assert service.saved.device == "new"
+
+    within_reason(test())
+    assert saved_state.load(tmp_path / "store.state").state.device == "new"
+    found = Store(tmp_path / "store.json").rollback().document.current
+    assert found is not None and found.acceptance.how == "rollback"
