@@ -109,7 +109,7 @@ def solve(norms: Norms, damping: Damping, rounds: int, start: Array | None = Non
     """
     v = norms.start() if start is None else start
     iterations, converged = 0, False
-    weights = _Weights(_pooling(norms.labels, np.ones(len(norms.raw))), np.ones(norms.labels.max() + 1))
+    weights = _Weights(pooling(norms.labels, np.ones(len(norms.raw))), np.ones(norms.labels.max() + 1))
     for _ in range(rounds):
         minimum = minimise(_whitened(norms, weights.whitening), v, damping)
         v, iterations, converged = minimum.v, iterations + minimum.iterations, minimum.converged
@@ -126,13 +126,14 @@ def _weights(norms: Norms, v: Array) -> _Weights:
     residuals, jacobian = norms.residuals(v)
     own = norms.own_variances(v)
     within = excess.within_variance(residuals, norms.labels, own)
-    pooling = _pooling(norms.labels, 1.0 / (own + within))
+    pooled = pooling(norms.labels, 1.0 / (own + within))
     variances = 1.0 / np.bincount(norms.labels, 1.0 / (own + within))
-    between = excess.excess_variance(pooling @ residuals, pooling @ jacobian, variances)
-    return _Weights(pooling, variances + between, within, between)
+    between = excess.excess_variance(pooled @ residuals, pooled @ jacobian, variances)
+    return _Weights(pooled, variances + between, within, between)
 
 
-def _pooling(labels: NDArray[np.intp], weights: Array) -> Array:
+def pooling(labels: NDArray[np.intp], weights: Array) -> Array:
+    """Return the matrix (attitudes, n) that takes the weighted mean over each attitude's rests."""
     members = (labels[None, :] == np.arange(labels.max() + 1)[:, None]) * weights
     return np.asarray(members / members.sum(axis=1, keepdims=True))
 

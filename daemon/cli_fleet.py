@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from contextlib import AbstractContextManager
 from importlib.metadata import version
@@ -9,9 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from rich.console import Console
 
+from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.exits import TOO_LITTLE
+from stillcal.daemon.outputs import STANDARD_OUTPUT
 from stillcal.daemon.progress import progress
+from stillcal.daemon.store_document import pretty
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -124,3 +130,36 @@ def _counted(rows: list[dict[str, object]]) -> dict[str, int]:
     for row in rows:
         counts[str(row["status"])] = counts.get(str(row["status"]), 0) + 1
     return dict(sorted(counts.items()))
+
+
+@click.command(
+    "fleet-report",
+    epilog=examples("stillcal fleet-report results", "stillcal fleet-report results --json report.json"),
+)
+@click.argument("results", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write all of it ('-': print it).")
+def report_command(results: Path, json_path: Path | None) -> None:
+    """Say what the RESULTS of stillcal fleet show: spread by model, outliers, clusters, priors.
+
+    The JSON holds the priors, mean and covariance of a new phone's parameters by model. Exit code 3 where no
+    device was calibrated.
+    """
+    try:
+        from stillcal.daemon.fleet_tables import tables  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet.report import report  # noqa: PLC0415
+    except ImportError as error:
+        raise click.UsageError(_LACKING.format(error)) from error
+    found = report(results)
+    text = pretty(found.document()) + "\n"
+    if json_path == STANDARD_OUTPUT:
+        click.echo(text, nl=False)
+    else:
+        if json_path is not None:
+            write_atomically(json_path, text.encode())
+        for table in tables(found):
+            Console().print(table)
+        for limit in found.limits:
+            click.echo(f"not seen: {limit}")
+    if not found.spreads:
+        click.echo(f"stillcal: {results}: no device was calibrated", err=True)
+        sys.exit(TOO_LITTLE)

@@ -1,0 +1,163 @@
+"""What only a fleet can tell, from its two tables: spread by model, outliers, clusters, priors."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core import fleet_prior
+from stillcal.calib_core.fleet_prior import FleetPrior
+from stillcal.calib_core.refusals import NotSupported
+from stillcal.calib_core.samples import Array
+from stillcal.replay.evaluation.hetero_clusters import clusters
+from stillcal.replay.fleet import kept
+from stillcal.replay.fleet.devices import Devices, devices
+from stillcal.replay.fleet.outliers import Distances, distances
+from stillcal.replay.fleet.spread import Effect, Spread, effects, spreads
+
+LEAST, MOST_CLUSTERED = 5, 2000
+"""Fewer devices have no outliers and no clusters; affinity propagation grows with their square."""
+
+_PARAMETERS = 6  # by which outliers are judged: biases and scales, which every fit has
+_NAMES = fleet_prior.FleetPrior(np.zeros(9), np.eye(9)).names
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """A device that does not belong: how far, of what limit, and its parameter farthest from the median."""
+
+    device: str
+    model: str
+    distance: float
+    limit: float
+    parameter: str
+    value: float
+    median: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """Devices alike in bias and sampling: its exemplar, how many, and of which models."""
+
+    exemplar: str
+    devices: int
+    models: dict[str, int]
+    bias: float
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Report:
+    """All of it. recordings: by status. limits: what this fleet cannot show."""
+
+    recordings: dict[str, int]
+    spreads: list[Spread]
+    effects: list[Effect]
+    outliers: list[Outlier]
+    clusters: list[Cluster]
+    priors: list[FleetPrior]
+    limits: list[str]
+
+    def document(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        plain = {
+            k: [asdict(x) for x in getattr(self, k)] for k in ("spreads", "effects", "outliers", "clusters")
+        }
+        priors = [prior_document(prior) for prior in self.priors]
+        return {"schema": 1, "recordings": self.recordings, **plain, "priors": priors, "limits": self.limits}
+
+
+def prior_document(prior: FleetPrior) -> dict[str, Any]:
+    """Return a prior as plain values: names, mean and covariance in m/s^2 and 1."""
+    return {
+        "model": prior.model,
+        "devices": prior.devices,
+        "names": list(prior.names),
+        "mean": prior.mean.tolist(),
+        "sd": np.sqrt(np.diag(prior.covariance)).tolist(),
+        "covariance": prior.covariance.tolist(),
+        "scatter": prior.scatter,
+    }
+
+
+def report(folder: Path) -> Report:
+    """Read the results in `folder`, finished or not, and say what they show."""
+    rows, findings = kept.read(folder)
+    counts: dict[str, int] = {}
+    for row in rows:
+        counts[row["status"]] = counts.get(row["status"], 0) + 1
+    fleet = devices(rows)
+    limits: list[str] = []
+    enough = len(fleet) >= LEAST
+    if not enough:
+        limits.append(f"{len(fleet)} calibrated devices: outliers, clusters and priors need {LEAST}")
+    return Report(
+        dict(sorted(counts.items())),
+        spreads(fleet) if len(fleet) else [],
+        effects(rows, findings),
+        outliers(fleet, limits) if enough else [],
+        grouped(fleet, limits) if enough else [],
+        priors(fleet, limits) if enough else [],
+        limits,
+    )
+
+
+def outliers(fleet: Devices, limits: list[str]) -> list[Outlier]:
+    """Return the devices whose biases and scales do not belong, farthest first."""
+    values = fleet.values[:, :_PARAMETERS]
+    found = distances(values, fleet.covariances[:, :_PARAMETERS, :_PARAMETERS])
+    if not found.robust:
+        limits.append(f"{len(fleet)} devices: outliers judged by each parameter alone")
+    return [_outlier(fleet, values, found, int(row)) for row in found.outliers]
+
+
+def _outlier(fleet: Devices, values: Array, found: Distances, row: int) -> Outlier:
+    median = np.median(values, axis=0)
+    spread = np.median(np.abs(values - median), axis=0)
+    worst = int(np.argmax(np.abs(values[row] - median) / np.maximum(spread, 1e-12)))
+    return Outlier(
+        fleet.names[row],
+        fleet.models[fleet.model[row]],
+        float(np.sqrt(found.squared[row])),
+        float(np.sqrt(found.limit)),
+        _NAMES[worst],
+        float(values[row, worst]),
+        float(median[worst]),
+    )
+
+
+def grouped(fleet: Devices, limits: list[str]) -> list[Cluster]:
+    """Cluster devices by what Stisen et al. 2015 did (5.1): bias, rate, and how steady that is."""
+    bias = np.linalg.norm(fleet.values[:, :3], axis=1)
+    features = np.column_stack((bias, fleet.rate_hz, fleet.rate_jitter))
+    known = np.isfinite(features).all(axis=1)
+    features = features[known][:, features[known].std(axis=0) > 0] if known.any() else features[:0]
+    if not LEAST <= len(features) <= MOST_CLUSTERED or features.shape[1] == 0:
+        limits.append(f"{len(features)} devices with a known rate: clusters need {LEAST} to {MOST_CLUSTERED}")
+        return []
+    labels, exemplars = clusters(features, 0)
+    rows = np.flatnonzero(known)
+    found = [_cluster(fleet, bias, rows[labels == k], int(rows[e])) for k, e in enumerate(exemplars)]
+    return sorted(found, key=lambda c: -c.devices)
+
+
+def _cluster(fleet: Devices, bias: Array, members: Array, exemplar: int) -> Cluster:
+    counts = np.bincount(fleet.model[members], minlength=len(fleet.models))
+    models = {name: int(n) for name, n in zip(fleet.models, counts, strict=True) if n}
+    rate = float(np.median(fleet.rate_hz[members]))
+    return Cluster(fleet.names[exemplar], len(members), models, float(np.median(bias[members])), rate)
+
+
+def priors(fleet: Devices, limits: list[str]) -> list[FleetPrior]:
+    """Return what the fleet says of a device of any model, then of each."""
+    try:
+        learnt = fleet_prior.learn(
+            fleet.values, fleet.covariances, fleet.model, max(float(np.nanmedian(fleet.scatter)), 1e-3)
+        )
+    except NotSupported as refusal:
+        limits.append(str(refusal))
+        return []
+    return [learnt.prior(), *(learnt.prior(k, name) for k, name in enumerate(fleet.models))]

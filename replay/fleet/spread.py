@@ -1,0 +1,111 @@
+"""How a fleet's phones differ: bias, scale and every left-out effect, by model."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.samples import Array
+from stillcal.replay.fleet.devices import Devices
+
+ALL = "all"
+_PERCENT = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """A quantity over the devices of one model: how many, median and middle half, in `unit`."""
+
+    model: str
+    quantity: str
+    unit: str
+    devices: int
+    median: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A left-out effect by model: in how many of its diagnosed recordings it was found, and how large.
+
+    median, low, high: of the size of its first parameter, in `unit`; NaN where it has none.
+    """
+
+    model: str
+    effect: str
+    sensor: str
+    found: int
+    diagnosed: int
+    parameter: str
+    unit: str
+    median: float
+    low: float
+    high: float
+
+
+def spreads(devices: Devices) -> list[Spread]:
+    """Return every quantity for all devices, then for each model."""
+    quantities: list[tuple[str, str, Array]] = []
+    for i, axis in enumerate("xyz"):
+        quantities.append((f"accelerometer bias {axis}", "m/s^2", devices.values[:, i]))
+    for i, axis in enumerate("xyz"):
+        quantities.append(
+            (f"accelerometer scale error {axis}", "%", _PERCENT * (devices.values[:, 3 + i] - 1))
+        )
+    known = np.diagonal(devices.covariances, axis1=1, axis2=2)[:, 6] < 1.0
+    cross = np.where(known, np.abs(devices.values[:, 6:]).max(axis=1), np.nan)
+    quantities.append(("accelerometer cross-axis, largest", "%", _PERCENT * cross))
+    for i, axis in enumerate("xyz"):
+        quantities.append((f"gyroscope bias {axis}", "rad/s", devices.gyro_bias[:, i]))
+    for i, axis in enumerate("xyz"):
+        quantities.append((f"gyroscope scale error {axis}", "%", _PERCENT * (devices.gyro_scale[:, i] - 1)))
+    quantities.append(("norm at rest, rms", "m/s^2", devices.scatter))
+    groups = [(ALL, np.ones(len(devices), dtype=bool))]
+    groups += [(name, devices.model == k) for k, name in enumerate(devices.models)]
+    rows = [_spread(model, *quantity, mask) for model, mask in groups for quantity in quantities]
+    return [row for row in rows if row.devices]
+
+
+def _spread(model: str, quantity: str, unit: str, values: Array, mask: Array) -> Spread:
+    own = values[mask & np.isfinite(values)]
+    low, median, high = np.quantile(own, (0.25, 0.5, 0.75)) if own.size else (np.nan, np.nan, np.nan)
+    return Spread(model, quantity, unit, int(own.size), float(median), float(low), float(high))
+
+
+def effects(rows: Sequence[dict[str, Any]], findings: Sequence[dict[str, Any]]) -> list[Effect]:
+    """Return every effect that was found, for all models and for each, the most frequent first."""
+    diagnosed: dict[str, int] = defaultdict(int)
+    for row in rows:
+        if row["findings"] is not None:
+            diagnosed[row["model"]] += 1
+            diagnosed[ALL] += 1
+    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = defaultdict(list)
+    for finding in findings:
+        for model in (ALL, finding["model"]):
+            groups[model, finding["effect"], finding["sensor"]].append(finding)
+    found = [_effect(*key, group, diagnosed[key[0]]) for key, group in groups.items()]
+    return sorted(found, key=lambda e: (e.model != ALL, e.model, -e.found, e.effect))
+
+
+def _effect(model: str, effect: str, sensor: str, group: list[dict[str, Any]], diagnosed: int) -> Effect:
+    sizes = np.array([np.linalg.norm(f["value"]) for f in group if f["value"]])
+    low, median, high = np.quantile(sizes, (0.25, 0.5, 0.75)) if sizes.size else (np.nan, np.nan, np.nan)
+    recordings = len({f["name"] for f in group})
+    first = group[0]
+    return Effect(
+        model,
+        effect,
+        sensor,
+        recordings,
+        diagnosed,
+        first["parameter"] or "",
+        first["unit"] or "",
+        float(median),
+        float(low),
+        float(high),
+    )
