@@ -20,6 +20,7 @@ COMMANDS = {
     "watch": "stillcal.daemon.cli_watch:watch_command",
     "replay": "stillcal.daemon.cli_replay:replay_command",
     "apply": "stillcal.daemon.cli_replay:apply_command",
+    "plot": "stillcal.daemon.cli_plot:plot_command",
     "diagnose": "stillcal.daemon.cli_diagnose:diagnose_command",
     "simulate": "stillcal.daemon.cli_simulate:simulate_command",
     "store": "stillcal.daemon.cli_store:store_group",
@@ -28,6 +29,7 @@ COMMANDS = {
     "prove": "stillcal.daemon.cli_challenge:prove_command",
     "evaluate": "stillcal.daemon.cli_evaluate:evaluate_command",
     "fleet": "stillcal.daemon.cli_fleet:fleet_command",
+    "fleet-report": "stillcal.daemon.cli_fleet:report_command",
 }
 
 
