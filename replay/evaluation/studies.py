@@ -15,6 +15,8 @@ STUDIES: dict[str, str] = {
     "allan": "stillcal.replay.evaluation.allan:study",
     "noise-processes": "stillcal.replay.evaluation.noise_processes:study",
     "grades": "stillcal.replay.evaluation.grades:study",
+    "inertial-navigation": "stillcal.replay.evaluation.inertial_navigation:study",
+    "pedestrian-tables": "stillcal.replay.evaluation.pedestrian_tables:study",
     "biases": "stillcal.replay.evaluation.hetero_biases:study",
     "intervals": "stillcal.replay.evaluation.hetero_timing:study",
     "clusters": "stillcal.replay.evaluation.hetero_clusters:study",
