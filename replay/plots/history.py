@@ -1,0 +1,95 @@
+"""How the parameters went from calibration to calibration, with 95 % intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.parameters import AXES as LETTERS
+from stillcal.calib_core.parameters import BIAS, DIAGONAL
+from stillcal.calib_core.record import CalibrationRecord, SensorRecord
+from stillcal.calib_core.refusals import NotSupported
+from stillcal.calib_core.samples import Array
+from stillcal.replay.plots.material import Material, Moment
+from stillcal.replay.plots.residuals import NORMAL_95
+from stillcal.replay.plots.style import AXES, within
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import FigureBase
+
+DEG = 180 / np.pi
+Part = Callable[[CalibrationRecord], SensorRecord | None]
+
+
+def _accelerometer(record: CalibrationRecord) -> SensorRecord | None:
+    return record.accelerometer
+
+
+def _gyroscope(record: CalibrationRecord) -> SensorRecord | None:
+    return record.gyroscope
+
+
+PANELS: tuple[tuple[Part, tuple[str, ...], float, str], ...] = (
+    (_accelerometer, BIAS, 1000 / STANDARD, "accelerometer bias, mg"),
+    (_accelerometer, DIAGONAL, 100.0, "accelerometer scale - 1, %"),
+    (_gyroscope, BIAS, DEG, "gyroscope bias, °/s"),
+    (_gyroscope, DIAGONAL, 100.0, "gyroscope scale - 1, %"),
+)
+
+
+def draw(part: FigureBase, material: Material) -> None:
+    """Draw the history into a figure or a part of one. Raises NotSupported where there is none."""
+    moments = [m for m in material.history if m.at is not None]
+    if not moments:
+        raise NotSupported("there is no history", ["a calibration"])
+    moments.sort(key=lambda m: m.at or 0.0)
+    unit, length = ("h", 3600.0) if (moments[-1].at or 0.0) > 7200 else ("min", 60.0)
+    panels = within(part, 2, 2, sharex=True)
+    for axis, (sensor, names, gain, label) in zip(panels, PANELS, strict=True):
+        _panel(axis, moments, sensor, names, (gain, length))
+        axis.set_ylabel(label)
+    for axis in panels[2:]:
+        axis.set_xlabel(unit)
+    panels[0].legend(fontsize="small")
+    part.suptitle("bars: 95 %; hollow: fitted and not taken", fontsize="small")
+
+
+def _panel(
+    axis: Axes, moments: Sequence[Moment], sensor: Part, names: Sequence[str], units: tuple[float, float]
+) -> None:
+    """Draw one kind of parameter. units: factor to what is shown, and s in a unit of time."""
+    gain, length = units
+    for taken in (True, False):
+        chosen = [m for m in moments if (m.what != "rejected") == taken and sensor(m.record) is not None]
+        if not chosen:
+            continue
+        when = np.array([m.at or 0.0 for m in chosen]) / length
+        values = np.array([_values(sensor(m.record), names) for m in chosen])
+        for k, (name, colour, mark) in enumerate(AXES):
+            axis.errorbar(
+                when,
+                gain * values[:, 0, k],
+                gain * NORMAL_95 * values[:, 1, k],
+                fmt=mark,
+                ms=4,
+                color=colour,
+                elinewidth=1,
+                label=name if taken else None,
+                mfc=colour if taken else "none",
+                alpha=1.0 if taken else 0.5,
+            )
+
+
+def _values(part: SensorRecord | None, names: Sequence[str]) -> Array:
+    """Return values and standard uncertainties (2, 3); a scale is counted from 1."""
+    assert part is not None
+    value = part.bias if tuple(names) == BIAS else np.diag(part.scale) - 1.0
+    sd = np.full(len(LETTERS), np.nan)
+    if part.covariance is not None and set(names) <= set(part.names):
+        rows = [part.names.index(name) for name in names]
+        sd = np.sqrt(np.diag(part.covariance)[rows])
+    return np.array([value, np.where(np.isfinite(sd), sd, 0.0)])

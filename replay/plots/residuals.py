@@ -1,0 +1,41 @@
+"""What gravity's norm shows of each rest before calibration and after it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.refusals import NotSupported
+from stillcal.replay.plots.material import Material
+from stillcal.replay.plots.style import BLUE, GREY, RED, within
+
+if TYPE_CHECKING:
+    from matplotlib.figure import FigureBase
+
+MG = 1000 / STANDARD
+NORMAL_95 = 1.96
+
+
+def draw(part: FigureBase, material: Material) -> None:
+    """Draw residuals into a figure or a part of one. Raises NotSupported where nothing is calibrated."""
+    rests = material.rests
+    if not rests.calibrated:
+        raise NotSupported("there is no calibration to hold the rests against", ["more attitudes"])
+    before, after = within(part, 2, 1)
+    number = np.arange(1, len(rests.t) + 1)
+    for axis, values, colour, title in (
+        (before, rests.before, RED, "before"),
+        (after, rests.after, BLUE, "after"),
+    ):
+        bars = NORMAL_95 * MG * rests.uncertainty
+        axis.errorbar(
+            number, MG * values, bars, fmt="o", ms=4, color=colour, ecolor=GREY, elinewidth=1, zorder=3
+        )
+        axis.axhline(0, color=GREY, lw=1)
+        rms = MG * float(np.sqrt(np.mean(values**2)))
+        axis.set_title(f"{title}: {rms:.3g} mg rms", fontsize="medium")
+        axis.set_xlabel("rest")
+    before.set_ylabel("|force| - g at rest, mg")
+    part.suptitle("bars: 95 % of the rest's own mean", fontsize="small", color=GREY)
