@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.noise import allan_deviation
+from stillcal.calib_core.noise import allan_deviations
 from stillcal.calib_core.samples import Array, frozen
 
 FLOOR = float(np.sqrt(2.0 * np.log(2.0) / np.pi))
@@ -74,7 +74,7 @@ def allan_curve(values: Array, rate: float, confidence: float = 0.6827) -> Allan
 
     factors = averaging_factors(values.size)
     tau = np.array(factors) / rate
-    deviation = np.array([allan_deviation(values, m) for m in factors])
+    deviation = allan_deviations(values, factors)
     slopes = np.full(tau.size, _FLICKER)
     for _ in range(2):
         edf = np.array([edf_of(values.size + 1, m, s) for m, s in zip(factors, slopes, strict=True)])
