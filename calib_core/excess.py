@@ -91,6 +91,19 @@ def _studentised(residuals: Array, design: Array) -> Array:
 def _fitted_out(residuals: Array, design: Array, weights: Array) -> tuple[Array, Array]:
     """Return what a weighted linear fit leaves of the residuals, and each row's leverage on it; (n,) both."""
     root = np.sqrt(weights)
-    q = np.linalg.qr(design * root[:, None])[0]
+    q = _orthonormal(design * root[:, None])
     white = root * residuals
     return np.asarray((white - q @ (white @ q)) / root), np.asarray((q**2).sum(axis=1))
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Return an orthonormal basis (n, p) of the columns: by Cholesky, seven times as fast as a QR of so few.
+
+    It loses the square of the columns' condition where QR loses the condition; what comes here is supported
+    by the attitudes, below 1e3. Where even Cholesky fails QR is asked.
+    """
+    try:
+        lower = np.linalg.cholesky(columns.T @ columns)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.qr(columns)[0])
+    return np.asarray(np.linalg.solve(lower, columns.T).T)

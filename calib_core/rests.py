@@ -66,14 +66,15 @@ def attitude_labels(raw: Array, angle: float) -> NDArray[np.intp]:
     Two share an attitude where their directions lie within `angle` (rad) of the first that had it.
     """
     unit = raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-12)
-    labels = np.full(len(unit), -1, dtype=np.intp)
-    for number in range(len(unit)):
-        free = np.flatnonzero(labels < 0)
-        if free.size == 0:
-            break
-        near = unit[free] @ unit[free[0]] >= np.cos(angle)
-        near[0] = True
-        labels[free[near]] = number
+    labels, free = np.full(len(unit), -1, dtype=np.intp), np.ones(len(unit), dtype=bool)
+    nearest, number = np.cos(angle), 0
+    while free.any():
+        first = int(free.argmax())
+        near = free & (unit @ unit[first] >= nearest)
+        near[first] = True
+        labels[near] = number
+        free &= ~near
+        number += 1
     return labels
 
 
@@ -84,4 +85,7 @@ def group_attitudes(rests: Sequence[RestState], angle: float) -> list[list[int]]
     once. Groups keep the order of their first rest; indices point into `rests`.
     """
     labels = attitude_labels(forces(rests), angle)
-    return [np.flatnonzero(labels == k).tolist() for k in range(int(labels.max(initial=-1)) + 1)]
+    groups: list[list[int]] = [[] for _ in range(int(labels.max(initial=-1)) + 1)]
+    for row, label in enumerate(labels.tolist()):
+        groups[label].append(row)
+    return groups
