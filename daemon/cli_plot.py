@@ -26,8 +26,8 @@ from stillcal.replay.plots.material import Material, Moment, of_record, of_trace
 from stillcal.replay.trace import Trace, open_trace
 
 ENDINGS = (".png", ".svg", ".pdf")
-PASSES = 3
-"""How often a recording is read: by the engine, for its rests, and for the samples of the longest."""
+NOISE = ("allan", ALL)
+"""What takes the samples of a long rest: the recording is then read three times, else once."""
 
 
 @click.command(
@@ -67,7 +67,11 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
         raise click.UsageError("matplotlib is not installed: pip install 'stillcal[report]' has it")
     refuse_collisions([out], [source])
     try:
-        material = _stored(source) if _is_store(source) else _replayed(source, format_, gyro, config, quiet)
+        if _is_store(source):
+            material = _stored(source)
+        else:
+            settings = load_settings(config).engine
+            material = _replayed(open_trace(source, format_, gyro), settings, what in NOISE, quiet)
         figure, left_out = drawn(what, material)
     except NotSupported as refusal:
         click.echo(f"stillcal: {source}: {refusal}", err=True)
@@ -103,9 +107,8 @@ def _moments(document: StoreDocument) -> list[Moment]:
     return found if current is None else [*found, Moment("current", current.fitted_at, current)]
 
 
-def _replayed(path: Path, format_: str, gyro: Path | None, config: Path | None, quiet: bool) -> Material:
-    opened, settings = open_trace(path, format_, gyro), load_settings(config)
-    with progress(path.name, PASSES * opened.size_bytes, quiet) as step:
+def _replayed(opened: Trace, settings: EngineSettings, noise: bool, quiet: bool) -> Material:
+    with progress(opened.path.name, (3 if noise else 1) * opened.size_bytes, quiet) as step:
         passes, last = 0, 0
 
         def told() -> None:
@@ -113,7 +116,7 @@ def _replayed(path: Path, format_: str, gyro: Path | None, config: Path | None, 
             passes, last = passes + (opened.bytes_read < last), opened.bytes_read
             step(passes * opened.size_bytes + last)
 
-        return of_trace(opened, Engine(_located(settings.engine, opened)), told)
+        return of_trace(opened, Engine(_located(settings, opened)), told, noise)
 
 
 def _located(settings: EngineSettings, opened: Trace) -> EngineSettings:

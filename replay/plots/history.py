@@ -51,18 +51,21 @@ def draw(part: FigureBase, material: Material) -> None:
     panels = within(part, 2, 2, sharex=True)
     for axis, (sensor, names, gain, label) in zip(panels, PANELS, strict=True):
         _panel(axis, moments, sensor, names, (gain, length))
-        axis.set_ylabel(label)
+        axis.set_ylabel(label, fontsize="small")
+        if axis.has_data():
+            axis.legend(fontsize="small", title="change from", title_fontsize="small")
     for axis in panels[2:]:
         axis.set_xlabel(unit)
-    panels[0].legend(fontsize="small")
     part.suptitle("bars: 95 %; hollow: fitted and not taken", fontsize="small")
 
 
 def _panel(
     axis: Axes, moments: Sequence[Moment], sensor: Part, names: Sequence[str], units: tuple[float, float]
 ) -> None:
-    """Draw one kind of parameter. units: factor to what is shown, and s in a unit of time."""
+    """Draw one kind of parameter less its last value. units: factor to what is shown; s in one of time."""
     gain, length = units
+    last = [sensor(m.record) for m in moments if m.what != "rejected" and sensor(m.record) is not None]
+    zero = _values(last[-1], names)[0] if last else np.zeros(3)
     for taken in (True, False):
         chosen = [m for m in moments if (m.what != "rejected") == taken and sensor(m.record) is not None]
         if not chosen:
@@ -72,13 +75,13 @@ def _panel(
         for k, (name, colour, mark) in enumerate(AXES):
             axis.errorbar(
                 when,
-                gain * values[:, 0, k],
+                gain * (values[:, 0, k] - zero[k]),
                 gain * NORMAL_95 * values[:, 1, k],
                 fmt=mark,
                 ms=4,
                 color=colour,
                 elinewidth=1,
-                label=name if taken else None,
+                label=f"{name}: {gain * zero[k]:.5g}" if taken else None,
                 mfc=colour if taken else "none",
                 alpha=1.0 if taken else 0.5,
             )

@@ -106,8 +106,10 @@ def of_record(record: CalibrationRecord | None, name: str, history: tuple[Moment
     return Material(name, rests_of(record.states, part, part.gravity), history)
 
 
-def of_trace(trace: Trace, engine: Engine, progress: Callable[[], None]) -> Material:
+def of_trace(trace: Trace, engine: Engine, progress: Callable[[], None], noise: bool = True) -> Material:
     """Replay a recording and return what there is to draw. progress: called now and then.
+
+    noise: whether to look for a long rest, which takes two more readings.
 
     Where it supports no calibration its rests are drawn all the same.
     """
@@ -121,7 +123,7 @@ def of_trace(trace: Trace, engine: Engine, progress: Callable[[], None]) -> Mate
         rests = drawn.rests
     else:
         rests = rests_of([] if state is None else state.pool.rests, None, engine.present.gravity.value)
-    return Material(name, rests, history, tuple(_stretches(trace, progress)))
+    return Material(name, rests, history, tuple(_stretches(trace, progress)) if noise else ())
 
 
 # A long rest
