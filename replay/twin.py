@@ -40,7 +40,7 @@ class Lived:
 def lived(bins: Bins) -> Lived:
     """Return what the still bins and their events tell of the surroundings."""
     start = bins.span[0]
-    reference = 25.0 if bins.temperature is None else float(bins.temperature.mean())
+    reference = 25.0 if bins.temperature is None or len(bins) == 0 else float(bins.temperature.mean())
     active = np.flatnonzero(np.diff(bins.activity[:, 1], prepend=np.nan) != 0.0)
     t = bins.activity[active, 0] - start
     use, plug = Steps.of(t, bins.activity[active, 1]), _charger(bins)
@@ -97,7 +97,7 @@ class Affine:
 
 
 def affine(bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float, rounds: int = 2) -> Affine:
-    """Fit the affine phone to the still bins with the effects taken off; bins: at least one."""
+    """Fit the affine phone to the still bins with the effects taken off; the true phone where there are none."""
     accel = gyro = np.zeros_like(bins.force)
     for _ in range(rounds):
         baseline = fit_baseline(bins.force - accel, bins.force_variance, bins.rest, gravity)
@@ -109,6 +109,6 @@ def affine(bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float, 
 
 
 def _mean_rate(bins: Bins, gyro: Array) -> Array:
-    if bins.rate is None:
+    if bins.rate is None or len(bins) == 0:
         return np.zeros(3)
     return np.asarray(np.average(bins.rate - gyro, axis=0, weights=bins.duration))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -24,8 +25,9 @@ from stillcal.replay.phone.settings import (
     SensorSettings,
     Vector,
     Wandering,
+    per_axis,
 )
-from stillcal.replay.report.mapping import Mapped
+from stillcal.replay.report.mapping import IN_WHITE, Mapped
 from stillcal.replay.trace import Recording
 from stillcal.replay.twin import Affine, Lived, affine
 
@@ -54,6 +56,7 @@ def phone_of(
             scale=np.asarray(np.linalg.inv(below.baseline.scale), dtype=np.float64),
             slow=[wander] * 3,
             limit=recording.claims.accel_range,
+            claimed=recording.claims.accel_noise_density,
         ),
         gyro=_gyroscope(recording, bins, effects, below, gravity),
         clock=ClockSettings(shared=_together(recording.accelerometer, recording.gyroscope)),
@@ -61,6 +64,32 @@ def phone_of(
         claims=_claims(recording),
         effects=effects,  # type: ignore[arg-type]  # every member of the registry
     )
+
+
+def plain_phone(phone: Phone, found: Sequence[Mapped], recording: Recording, below: Affine) -> Phone:
+    """Return the phone as it was before anything was found: affine, with the same wander, as it is claimed.
+
+    below: the affine phone fitted with no effects.
+    """
+    scale = _matrix(np.asarray(np.linalg.inv(below.baseline.scale), dtype=np.float64))
+    loud = {m.finding.sensor for m in found if m.finding.effect in IN_WHITE}
+    claims = recording.claims
+    accel = _as_claimed(phone.accel, claims.accel_noise_density if "accel" in loud else None, "accel" in loud)
+    gyro = phone.gyro
+    if gyro is not None:
+        quiet_gyro = _as_claimed(gyro, claims.gyro_noise_density if "gyro" in loud else None, "gyro" in loud)
+        gyro = msgspec.structs.replace(quiet_gyro, bias=_vector(below.rate_bias))
+    accel = msgspec.structs.replace(accel, bias=_vector(below.baseline.bias), scale=scale)
+    return msgspec.structs.replace(phone, accel=accel, gyro=gyro, effects=())
+
+
+def _as_claimed(settings: SensorSettings, density: float | None, loud: bool) -> SensorSettings:
+    """Return a sensor whose white noise is as claimed, or alike on its axes where nothing is claimed."""
+    if not loud:
+        return settings
+    white = density or float(np.median(per_axis(settings.noise.white)))
+    noise = msgspec.structs.replace(settings.noise, white=white)
+    return msgspec.structs.replace(settings, noise=noise)
 
 
 def _claims(recording: Recording) -> Claims:
@@ -82,8 +111,16 @@ def _gyroscope(
     if made is not None:
         view = made[0].views[0]
         scale = scale + np.linalg.lstsq(view.baseline[0], view.y[0], rcond=1e-3)[0].reshape(3, 3)
-    limit = recording.claims.gyro_range
-    return _sensor(samples, bins, effects, bias=below.rate_bias, scale=scale, slow=slow, limit=limit)
+    return _sensor(
+        samples,
+        bins,
+        effects,
+        bias=below.rate_bias,
+        scale=scale,
+        slow=slow,
+        limit=recording.claims.gyro_range,
+        claimed=recording.claims.gyro_noise_density,
+    )
 
 
 def _sensor(
@@ -95,15 +132,20 @@ def _sensor(
     scale: Array,
     slow: Sequence[NoiseModel | None],
     limit: float | None,
+    claimed: float | None,
 ) -> SensorSettings:
     rate = 1.0 / float(np.median(np.diff(samples.t)))
     steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
-    lsb = float(np.median(steps)) if steps else 0.0
+    coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
+    # Noise that hides in a coarse step has no level of its own: the maker's word is then all there is.
+    density = np.full(3, claimed) if coarse and claimed else _density(samples, bins)
+    rounding = 0.0 if coarse and claimed else max([0.0, *steps]) ** 2 / (6.0 * rate)
+    lsb = float(np.median(steps)) if steps and not coarse else 0.0
     return SensorSettings(
         rate_hz=round(rate, 6),
         bias=_vector(bias),
         scale=_matrix(scale),
-        noise=_noise(samples, effects, _density(samples, bins), slow, lsb**2 / (6.0 * rate)),
+        noise=_noise(samples, effects, density, slow, rounding),
         lsb=lsb,
         range=limit,
     )
@@ -167,7 +209,28 @@ def _wander(bins: Bins, values: Array) -> NoiseModel | None:
     cuts = np.flatnonzero((np.arange(len(bins)) % together == 0) | (np.diff(bins.rest, prepend=-1) != 0))
     weight = np.add.reduceat(bins.duration, cuts)
     t, value = (np.add.reduceat(x * bins.duration, cuts) / weight for x in (bins.t, values))
-    return fit_noise(t, weight, value, TAUS) if t.size >= LEAST_BINS else None
+    if t.size < LEAST_BINS:
+        return None
+    return _bounded(fit_noise(t, weight, value, TAUS), bins, values)
+
+
+def _bounded(found: NoiseModel, bins: Bins, values: Array) -> NoiseModel:
+    """Keep wander within what neighbouring bins of one rest differ by.
+
+    Flicker moves as much between neighbours as over any time, so what follows an attitude or a curve without
+    a name, and moves more between rests than in them, is no flicker.
+    """
+    inside = np.diff(bins.rest) == 0
+    if inside.sum() < LEAST_BINS:
+        return found
+    step = float(np.sqrt(np.mean(np.diff(values)[inside] ** 2) / 2.0))
+    decay = 1.0 - np.exp(-float(np.median(bins.duration)) / found.tau)
+    return replace(
+        found,
+        flicker=min(found.flicker, step),
+        gauss_markov=min(found.gauss_markov, step / float(np.sqrt(decay))),
+        walk=min(found.walk, step / float(np.sqrt(np.median(bins.duration)))),
+    )
 
 
 def _together(one: Samples, other: Samples | None) -> bool:

@@ -1,0 +1,190 @@
+"""Component and residual of every slow finding: what a bias does against what it follows, axis by axis.
+
+A point is the finding's own term plus what nothing explains, divided by how much of that axis the residual
+sees (component-plus-residual plots, Ezekiel, JASA 19, 1924). The held-out term is fitted without the fifth of
+the recording that it is drawn in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.heldout import FOLDS
+from stillcal.calib_core.misfit.records import Finding
+from stillcal.calib_core.misfit.views import norm_view
+from stillcal.calib_core.samples import Array, Sensor
+from stillcal.replay.report.mapping import Mapped
+from stillcal.replay.twin import Affine, Lived, added, at_bins, observable
+
+SEEN = 0.5
+"""An axis is drawn from bins in which the residual shows at least this part of it."""
+
+UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
+SENSOR = {"accel": Sensor.ACCELEROMETER, "gyro": Sensor.GYROSCOPE}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One axis of one finding. x: (n,) driver in `x_name`; t: (n,) s since the start; values in `unit`.
+
+    point: component plus residual; fitted: the component, None where no term is known; held: the component
+    from the other fifths; edges: s, where the fifths meet.
+    """
+
+    axis: str
+    unit: str
+    x_name: str
+    x: Array
+    t: Array
+    point: Array
+    fitted: Array | None
+    held: Array | None
+    edges: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """A slow residual of a sensor. y: (n,), project: (n, 3), baseline: (n, p)."""
+
+    y: Array
+    project: Array
+    baseline: Array
+
+
+def residuals(sensor: str, bins: Bins, below: Affine, gravity: float) -> list[Residual]:
+    """Return the residuals of gravity's norm, or of the three rates at rest."""
+    if sensor == "accel":
+        view = norm_view(bins, below.baseline, gravity)
+        return [Residual(view.y[0], view.project[0], view.baseline[0])]
+    assert bins.rate is not None
+    ones = np.ones((len(bins), 1))
+    return [Residual(bins.rate[:, a], np.tile(np.eye(3)[a], (len(bins), 1)), ones) for a in range(3)]
+
+
+def left_over(part: Residual, explained: Array) -> Array:
+    """Return what the baseline and errors `explained` (n, 3) leave of a residual, (n,)."""
+    y = part.y - np.einsum("na,na->n", part.project, explained)
+    return np.asarray(y - part.baseline @ np.linalg.lstsq(part.baseline, y, rcond=None)[0])
+
+
+def curves_of(
+    one: Mapped, found: Sequence[Mapped], bins: Bins, about: Lived, below: Affine, *, gravity: float
+) -> list[Curve]:
+    """Return the finding's curves, one a named axis; none where still bins do not show it."""
+    finding = one.finding
+    if (
+        finding.sensor not in SENSOR
+        or finding.evidence.folds == 0
+        or (finding.sensor == "gyro" and bins.rate is None)
+    ):
+        return []
+    own = _term(one, bins, about, below, gravity)
+    if own is None and finding.effect != "unknown":
+        return []
+    others = [_term(m, bins, about, below, gravity) for m in found if m.finding.sensor == finding.sensor]
+    everything = sum((o for o in others if o is not None), start=np.zeros((len(bins), 3)))
+    parts = residuals(finding.sensor, bins, below, gravity)
+    return [
+        curve
+        for axis in finding.axes
+        if (curve := _curve(finding, "xyz".index(axis), parts, own, everything, bins=bins, below=below))
+        is not None
+    ]
+
+
+def _term(one: Mapped, bins: Bins, about: Lived, below: Affine, gravity: float) -> Array | None:
+    effect = one.effect
+    if effect is None or not observable(effect) or one.finding.evidence.folds == 0:
+        return None
+    moment = at_bins(bins, about, below.baseline.up, gravity)
+    return added([effect], SENSOR[one.finding.sensor], moment, about, 0.1)
+
+
+def _curve(
+    finding: Finding,
+    axis: int,
+    parts: list[Residual],
+    own: Array | None,
+    everything: Array,
+    *,
+    bins: Bins,
+    below: Affine,
+) -> Curve | None:
+    part = parts[0] if len(parts) == 1 else parts[axis]
+    share = part.project[:, axis]
+    seen = np.abs(share) >= SEEN
+    if seen.sum() < 5:
+        return None
+    rest = left_over(part, everything)
+    component = np.zeros(len(bins)) if own is None else own[:, axis]
+    if own is not None and not np.ptp(component) > 0.0:
+        return None
+    t = bins.t - bins.span[0]
+    edges = np.linspace(0.0, bins.span[1] - bins.span[0], FOLDS + 1)
+    held = None if own is None else _held(part, everything, component, axis, t=t, edges=edges)
+    x_name, x = _driver(finding, bins, axis, below)
+    point = component[seen] + rest[seen] / share[seen]
+    return Curve(
+        "xyz"[axis],
+        UNIT[finding.sensor],
+        x_name,
+        x[seen],
+        t[seen],
+        point,
+        None if own is None else component[seen],
+        None if held is None else held[seen],
+        edges,
+    )
+
+
+def _held(part: Residual, everything: Array, component: Array, axis: int, *, t: Array, edges: Array) -> Array:
+    """Return the component with its size from the other fifths, (n,)."""
+    column = part.project[:, axis] * component
+    y = part.y - np.einsum("na,na->n", part.project, everything) + column
+    out = component.copy()
+    for first, last in pairwise(edges):
+        test = (t >= first) & (t <= last)
+        if (~test).sum() > 5 and test.any():
+            out[test] = component[test] * _size(y[~test], column[~test], part.baseline[~test])
+    return out
+
+
+def _size(y: Array, column: Array, baseline: Array) -> float:
+    """Return the least-squares factor of a column beside the baseline; 1 where the part does not show it."""
+    design = np.column_stack([column, baseline])
+    left = column - baseline @ np.linalg.lstsq(baseline, column, rcond=None)[0]
+    if float(left @ left) < 1e-3 * float(column @ column):
+        return 1.0
+    return float(np.linalg.lstsq(design, y, rcond=None)[0][0])
+
+
+def _driver(finding: Finding, bins: Bins, axis: int, below: Affine) -> tuple[str, Array]:
+    """Return what a finding is drawn against."""
+    follows = finding.where.driver
+    if "temperature" in follows and bins.temperature is not None:
+        return "temperature, degC", bins.temperature
+    if follows in ("own force", "attitude", "attitude, nonlinearly"):
+        other = axis if finding.sensor == "accel" else _strongest(finding, axis)
+        return f"gravity along {'xyz'[other]}, m/s^2", np.asarray(9.80665 * below.baseline.up[:, other])
+    if follows == "vibration power":
+        return "vibration, (m/s^2)^2", bins.vibration
+    return "time, min", np.asarray((bins.t - bins.span[0]) / 60.0)
+
+
+def _strongest(finding: Finding, axis: int) -> int:
+    """Return the component of force that an axis follows most."""
+    matrix = finding.parameters.get("matrix")
+    return axis if matrix is None else int(np.argmax(np.abs(np.asarray(matrix.value)[axis])))
+
+
+def running_median(x: Array, y: Array, count: int = 15) -> tuple[Array, Array]:
+    """Return middles and medians of `count` stretches of equally many points, by rising x."""
+    order: NDArray[np.int64] = np.argsort(x).astype(np.int64)
+    parts = [p for p in np.array_split(order, min(count, max(1, x.size // 3))) if p.size]
+    return np.array([np.median(x[p]) for p in parts]), np.array([np.median(y[p]) for p in parts])

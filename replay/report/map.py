@@ -1,0 +1,146 @@
+"""Where a recording departs from its twin: time by channel, in units of noise and in the channel's own.
+
+Slow channels are residuals of the baseline phone before anything found is taken off; their noise is what is
+left after it is, from bin to bin. Quick channels are the spread of single samples beside what is declared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.bins import Bins, windows
+from stillcal.calib_core.misfit.records import Claims
+from stillcal.calib_core.samples import Array, Samples
+from stillcal.replay.report.curves import UNIT, left_over, residuals
+from stillcal.replay.trace import Recording
+from stillcal.replay.twin import Affine
+
+CELLS = 96
+LEAST_NOISE = 0.05
+"""Logarithm of a spread that is noise at least: 5 %."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """One row of the map. value: (CELLS,) in `unit`; departure: (CELLS,) over `noise`; nan: not seen."""
+
+    name: str
+    unit: str
+    noise: float
+    value: Array
+    departure: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Map:
+    """edges: (CELLS + 1,) s of the recording's stamps."""
+
+    edges: Array
+    channels: tuple[Channel, ...]
+
+    def plain(self) -> dict[str, Any]:
+        """Return the map as plain values; None where nothing was seen."""
+        rows = [
+            {
+                "channel": c.name,
+                "unit": c.unit,
+                "noise": c.noise,
+                "value": _told(c.value),
+                "departure": _told(c.departure),
+            }
+            for c in self.channels
+        ]
+        return {"t": [round(float(t), 3) for t in self.edges], "channels": rows}
+
+
+def _told(values: Array) -> list[float | None]:
+    return [float(f"{v:.4g}") if np.isfinite(v) else None for v in values]
+
+
+def map_of(recording: Recording, bins: Bins, below: tuple[Affine, Affine], claims: Claims) -> Map:
+    """Draw the map. below: the affine phone with nothing found, and with all that was found."""
+    accel = recording.accelerometer
+    edges = np.linspace(float(accel.t[0]), float(accel.t[-1]), CELLS + 1)
+    rows = _slow("accel", bins, below, claims.gravity, edges) if len(bins) > 5 else []
+    if bins.rate is not None and len(bins) > 5:
+        rows += _slow("gyro", bins, below, claims.gravity, edges)
+    rows += _spreads("accel", accel, bins, claims, edges)
+    if recording.gyroscope is not None:
+        rows += _spreads("gyro", recording.gyroscope, bins, claims, edges)
+    return Map(edges, (*rows, _stamps(accel, edges)))
+
+
+def _cells(t: Array, values: Array, edges: Array) -> Array:
+    """Mean of values in every cell, nan where there are none."""
+    cell = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, CELLS - 1)
+    count = np.bincount(cell, minlength=CELLS)
+    total = np.bincount(cell, weights=values, minlength=CELLS)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _slow(
+    sensor: str, bins: Bins, below: tuple[Affine, Affine], gravity: float, edges: Array
+) -> list[Channel]:
+    plain, better = below
+    names = ["accel, norm of gravity"] if sensor == "accel" else [f"gyro {a}, rate at rest" for a in "xyz"]
+    nothing = np.zeros((len(bins), 3))
+    explained = better.accel if sensor == "accel" else better.gyro
+    parts = zip(
+        names, residuals(sensor, bins, plain, gravity), residuals(sensor, bins, better, gravity), strict=True
+    )
+    rows = []
+    for name, before, after in parts:
+        departure, left = left_over(before, nothing), left_over(after, explained)
+        noise = _bin_to_bin(left, bins)
+        value = _cells(bins.t, departure, edges)
+        rows.append(Channel(name, UNIT[sensor], noise, value, value / noise))
+    return rows
+
+
+def _bin_to_bin(left: Array, bins: Bins) -> float:
+    """Noise of a bin from differences of neighbours in one rest, or of all where rests are short."""
+    step = np.diff(left)
+    inside = step[np.diff(bins.rest) == 0]
+    used = inside if inside.size >= 10 else step
+    return max(1.4826 / 2.0**0.5 * float(np.median(np.abs(used))), 1e-12)
+
+
+def _spreads(sensor: str, samples: Samples, bins: Bins, claims: Claims, edges: Array) -> list[Channel]:
+    """Spread of single samples in still bins against the declared one, or their own middle."""
+    made = windows(samples, *bins.span)
+    inside = np.zeros(made.t.size, dtype=bool)
+    for t, d in zip(bins.t, bins.duration, strict=True):
+        inside[np.searchsorted(made.t, t - d / 2) : np.searchsorted(made.t, t + d / 2)] = True
+    inside &= made.count > 3
+    if inside.sum() < 5:
+        return []
+    rate = 1.0 / float(np.median(np.diff(samples.t)))
+    declared = _declared(sensor, claims, rate)
+    rows = []
+    for a, axis in enumerate("xyz"):
+        spread = np.sqrt(np.maximum(made.variance[inside, a], 1e-24))
+        middle = float(np.median(spread)) if declared is None else declared
+        log = np.log(spread / middle)
+        noise = max(1.4826 * float(np.median(np.abs(log - np.median(log)))), LEAST_NOISE)
+        value, mean = _cells(made.t[inside], spread, edges), _cells(made.t[inside], log, edges)
+        rows.append(Channel(f"{sensor} {axis}, noise", UNIT[sensor], noise * middle, value, mean / noise))
+    return rows
+
+
+def _declared(sensor: str, claims: Claims, rate: float) -> float | None:
+    density = claims.accel_noise_density if sensor == "accel" else claims.gyro_noise_density
+    lsb = (claims.accel_lsb if sensor == "accel" else claims.gyro_lsb) or 0.0
+    return None if density is None else float(np.hypot(density * np.sqrt(rate / 2.0), lsb / np.sqrt(12.0)))
+
+
+def _stamps(samples: Samples, edges: Array) -> Channel:
+    """Scatter of the intervals in units of what Android allows a stamp."""
+    steps = np.diff(samples.t)
+    period = float(np.median(steps))
+    off = np.minimum(np.abs(steps - period), 10.0 * period)
+    value, noise = _cells(samples.t[1:], off, edges), thresholds.JITTER_TOLERANCE * period
+    return Channel("stamps, off the period", "s", noise, value, value / noise)
