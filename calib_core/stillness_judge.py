@@ -25,6 +25,7 @@ from stillcal.calib_core.stillness_windows import (
     Index,
     K,
     N,
+    across,
     joined,
     matched,
     paired,
@@ -114,10 +115,13 @@ class Half:
         """Derive from one sensor's rows."""
         lsb = rows[:, LSB]
         narrow = rows[:, HIGH] - rows[:, LOW] <= _FEW_CODES * lsb
-        slack = np.where(narrow & np.isfinite(lsb), 0.25 * lsb * lsb, 0.0).mean(axis=1)
+        slack = across(np.where(narrow & np.isfinite(lsb), 0.25 * lsb * lsb, 0.0)) / 3.0
         rate = rows[:, N] / ((rows[:, K_END] - rows[:, K]).clip(1.0) * settings.window_s)
-        constant = rows[:, D2].sum(axis=1) == 0
-        few, thin = narrow.all(axis=1) & ~constant, 2 * rows[:, N] < settings.min_samples
+        constant = across(rows[:, D2]) == 0
+        few, thin = (
+            narrow[:, 0] & narrow[:, 1] & narrow[:, 2] & ~constant,
+            2 * rows[:, N] < settings.min_samples,
+        )
         return cls(rows, spread(rows), rate_class(rate), constant, few, thin, slack)
 
     def __getitem__(self, part: slice) -> Half:
@@ -144,7 +148,7 @@ class Windows:
         rows = paired(joined(accel, widths), joined(gyro[found], widths[at[found]]))
         gyro_rows = rows[:, COLUMNS:]
         unusable = (gyro_rows[:, GAP] > settings.gap_s) | (2 * gyro_rows[:, N] < settings.min_samples)
-        gyro_rows[unusable | (gyro_rows[:, D2].sum(axis=1) == 0)] = 0.0
+        gyro_rows[unusable | (across(gyro_rows[:, D2]) == 0)] = 0.0
         return cls(rows, Half.of(rows[:, :COLUMNS], settings), Half.of(gyro_rows, settings))
 
     def __len__(self) -> int:

@@ -21,6 +21,7 @@ from stillcal.calib_core.stillness_windows import (
     MEAN,
     K,
     N,
+    across,
     correlation_inflation,
     no_rows,
 )
@@ -54,12 +55,12 @@ def _steps_off(rows: Array, before: Array, own: Array, factor: float, allowance:
     n, n_own = before[:, 0], own[:, 0]
     tested = (n > 0) & (n_own > 0)
     pool = before + own
-    squares, steps = pool[:, 5:8].sum(axis=1), pool[:, 8:11].sum(axis=1)
+    squares, steps = across(pool[:, 5:8]), across(pool[:, 8:11])
     variance = squares / np.maximum(pool[:, 1], 1.0)
     variance *= correlation_inflation(squares, steps, _INFLATION)
     variance *= 1.0 / np.maximum(n, 1.0) + 1.0 / np.maximum(n_own, 1.0)
     off = rows[:, MEAN] - before[:, 2:5] / np.maximum(n, 1.0)[:, None]
-    distance = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2 + off[:, 2] ** 2)
+    distance = np.sqrt(across(off * off))
     return np.asarray(tested & (distance > factor * np.sqrt(variance) + allowance))
 
 
@@ -73,6 +74,8 @@ def absorb(run: Run, rows: Array, coarse: tuple[float, float], settings: Detecto
     off = np.zeros(rows.shape[0], dtype=bool)
     allowances = (settings.force_step, settings.rate_step)
     for i, part in enumerate((slice(0, _SUMS), slice(_SUMS, 2 * _SUMS))):
+        if i and not running[-1, _SUMS]:
+            break  # no gyroscope, in the run or in these
         half = rows[:, i * COLUMNS : (i + 1) * COLUMNS]
         allowance = allowances[i] + settings.step_factor * coarse[i]
         off |= _steps_off(half, running[:-1, part], own[:, part], settings.step_factor, allowance)

@@ -189,6 +189,10 @@ def paired(accel: Array, gyro: Array) -> Array:
 
     Cells without gyroscope get a row of zeros, N = 0.
     """
+    if gyro.shape[0] == 0:
+        both = np.zeros((accel.shape[0], 2 * COLUMNS))
+        both[:, :COLUMNS] = accel
+        return both
     both = np.empty((accel.shape[0], 2 * COLUMNS))
     both[:, :COLUMNS] = accel
     at, found = matched(gyro[:, K], accel[:, K])
@@ -200,9 +204,14 @@ def paired(accel: Array, gyro: Array) -> Array:
     return both
 
 
+def across(columns: Array) -> Array:
+    """Return the sum of three columns, (n, 3) -> (n,): numpy's own along so short an axis takes ten times."""
+    return np.asarray(columns[:, 0] + columns[:, 1] + columns[:, 2])
+
+
 def spread(rows: Array) -> Array:
     """Return the standard deviation of single samples about each window's mean, rms of the axes."""
-    variance = rows[:, M2].sum(axis=1) / (3.0 * np.maximum(rows[:, N] - 1.0, 1.0))
+    variance = across(rows[:, M2]) / (3.0 * np.maximum(rows[:, N] - 1.0, 1.0))
     return np.asarray(np.sqrt(variance))
 
 
