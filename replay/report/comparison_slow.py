@@ -30,6 +30,9 @@ FOLLOWED = (
 )  # fmt: skip
 """Effects whose coefficients are compared, by the end of their names."""
 
+SAME = 3e-3
+"""Part of a parameter's physical size that two phones of one make may differ by, as a standard deviation."""
+
 WANDER_TOLERANCE = 0.7
 """Logarithm by which two draws of one slow noise may differ in scatter."""
 
@@ -98,7 +101,7 @@ def _followed(scene: Scene) -> Iterator[tuple[tuple[str, str, float], Coefficien
         reduced = reduce_scene(scene, group, beside)
         for index, h in enumerate(group):
             fit = fit_hypothesis(reduced, index)
-            covariance = fit.covariance * np.outer(h.sizes, h.sizes)
+            covariance = fit.covariance * np.outer(h.sizes, h.sizes) + np.diag((SAME * h.sizes) ** 2)
             unit = h.entry.parameters[0].unit
             key = (h.entry.effect, scene.sensor, h.grid.get("tau_s", 0.0) + h.sizes.size)
             yield key, Coefficients(h.entry.effect, scene.sensor, fit.beta * h.sizes, covariance, unit)

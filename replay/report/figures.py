@@ -28,7 +28,7 @@ INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", "#c65a11", "#0b6e99"
 CLIP = 8.0
 """Departures beyond this many units of noise have one colour."""
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "font.size": 9.5,
     "font.family": "sans-serif",
     "axes.spines.top": False,

@@ -106,7 +106,8 @@ def _bin_to_bin(left: Array, bins: Bins) -> float:
     step = np.diff(left)
     inside = step[np.diff(bins.rest) == 0]
     used = inside if inside.size >= 10 else step
-    return max(1.4826 / 2.0**0.5 * float(np.median(np.abs(used))), 1e-12)
+    middle = float(np.median(np.abs(used)))
+    return max(1.4826 / 1.4142 * middle, 1e-12)
 
 
 def _spreads(sensor: str, samples: Samples, bins: Bins, claims: Claims, edges: Array) -> list[Channel]:

@@ -1,0 +1,106 @@
+"""Which pictures stand beside a finding, with what they show in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stillcal.calib_core.misfit.records import Finding
+from stillcal.calib_core.misfit.values import UNIT
+from stillcal.calib_core.samples import Samples
+from stillcal.replay.report import figures
+from stillcal.replay.report.case import Case, Trial
+from stillcal.replay.report.curves import Curve
+from stillcal.replay.report.mapping import Mapped
+from stillcal.replay.trace import Recording
+
+MOST_AXES = 3
+SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
+VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed")
+STAMPED = ("timestamp_jitter", "dropped_samples", "clock_skew")
+LIMITED = ("accel_saturation", "gyro_saturation")
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture as SVG, what it shows for those who do not see it, and its caption."""
+
+    svg: str
+    alt: str
+    caption: str
+
+
+def pictures(case: Case, one: Mapped, both: tuple[Trial, Trial] | None) -> list[Picture]:
+    """Return the pictures of one finding."""
+    curves = case.curves(one)[:MOST_AXES]
+    if curves:
+        return [p for curve in curves for p in _of_curve(one.finding, curve)]
+    return [] if both is None else _of_samples(case, one.finding, both)
+
+
+def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
+    drawn = figures.curve_figures(curve)
+    effect = finding.effect.replace("_", " ")
+    low, high = float(curve.point.min()), float(curve.point.max())
+    size = f"from {low:.3g} to {high:.3g} {curve.unit}"
+    against = Picture(
+        drawn[0],
+        f"Bias of axis {curve.axis} against {curve.x_name}, {size}, with the curve of {effect}.",
+        f"Axis {curve.axis}: each point is a still bin's bias by what the finding follows.",
+    )
+    in_time = Picture(
+        drawn[-1],
+        f"Bias of axis {curve.axis} in time, {size}, with the held-out prediction of {effect}.",
+        f"Axis {curve.axis}: the line in each fifth was fitted to the other four; below, what it leaves."
+        if curve.held is not None
+        else f"Axis {curve.axis} in time: what no effect of the catalogue explains.",
+    )
+    return [in_time] if len(drawn) == 1 else [against, in_time]
+
+
+def _of_samples(case: Case, finding: Finding, both: tuple[Trial, Trial]) -> list[Picture]:
+    three = _three(case, finding, both)
+    if three is None:
+        return []
+    unit, before_after = UNIT.get(finding.sensor, ""), "recorded, simulated before and simulated after"
+    if finding.effect in SPECTRAL:
+        mark = next(
+            (finding.parameters[k].value for k in ("frequency", "cutoff") if k in finding.parameters), None
+        )
+        svg = figures.spectrum_figure(three, unit, mark if isinstance(mark, float) else None)
+        return [Picture(svg, f"Noise density at rest: {before_after}.", "Noise inside rests, by frequency.")]
+    if finding.effect in VALUED:
+        axis = "xyz".index(finding.axes[0]) if finding.axes else 0
+        svg = figures.values_figure(three, unit, axis)
+        return [
+            Picture(svg, f"Histogram of samples at rest: {before_after}.", "Single samples inside rests.")
+        ]
+    limit = finding.parameters["limit"].value if finding.effect in LIMITED else None
+    if isinstance(limit, float):
+        svg = figures.extremes_figure(three, unit, limit)
+        return [Picture(svg, f"Histogram of largest values: {before_after}.", "Where values stop.")]
+    if finding.effect in STAMPED or finding.effect == "arrival_bursts":
+        svg = figures.intervals_figure(three, arrival=finding.effect == "arrival_bursts")
+        return [
+            Picture(svg, f"Histogram of intervals: {before_after}.", "Intervals, on a logarithmic scale.")
+        ]
+    return []
+
+
+def _three(case: Case, finding: Finding, both: tuple[Trial, Trial]) -> figures.Three | None:
+    """Return the sensor's samples recorded, before and after; None where there are none."""
+    found = [
+        (case.recording, case.bins, "recorded", figures.RECORDED),
+        (both[0].made, both[0].bins, "simulated before", figures.BEFORE),
+        (both[1].made, both[1].bins, "simulated after", figures.AFTER),
+    ]
+    rows = []
+    for recording, bins, label, colour in found:
+        samples = _samples(recording, finding.sensor)
+        if samples is None:
+            return None
+        rows.append((label, colour, samples, bins))
+    return rows
+
+
+def _samples(recording: Recording, sensor: str) -> Samples | None:
+    return recording.gyroscope if sensor == "gyro" else recording.accelerometer

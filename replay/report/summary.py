@@ -1,0 +1,63 @@
+"""The diagnosis in ten lines for a terminal: the same as the page says, shorter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from stillcal.replay.report.wording import VERDICTS
+
+LINES = 10
+
+
+def summary(answer: dict[str, Any]) -> list[str]:
+    """Return at most `LINES` lines."""
+    lines = [_verdict(answer), *_findings(answer), *_comparisons(answer), *_unseen(answer)]
+    if len(lines) <= LINES:
+        return lines
+    return [*lines[: LINES - 1], f"  and {len(lines) - LINES + 1} lines more: --json or --report has all"]
+
+
+def _verdict(answer: dict[str, Any]) -> str:
+    checks = answer.get("checked", [])
+    missed = sum(not c["done"] for c in checks)
+    text = f"{answer['recording']}: {answer['verdict'].replace('_', ' ')} - {VERDICTS[answer['verdict']]}"
+    return f"{text}; {missed} of {len(checks)} checks could not be made" if missed else text
+
+
+def _findings(answer: dict[str, Any]) -> Iterator[str]:
+    for finding in answer["findings"]:
+        where = " ".join([finding["sensor"], *finding["axes"]])
+        yield f"  {finding['effect']} ({where}): {finding['statement']}"
+        alike = [a["effect"] for a in finding["alternatives"] if a["indistinguishable"]]
+        if alike and "cannot tell" not in finding["statement"]:
+            yield f"    this recording cannot tell it from {', '.join(alike)}"
+    for known in answer.get("already_simulated", ()):
+        yield f"  already in the simulation: {known['effect']} ({known['sensor']})"
+    for missing in answer.get("only_simulated", ()):
+        yield f"  only in the simulation: {missing['effect']}: {missing['why']}"
+
+
+def _comparisons(answer: dict[str, Any]) -> Iterator[str]:
+    for name, what in (
+        ("comparison", "the simulated recording"),
+        ("comparison_before", "the phone before"),
+        ("comparison_after", "the phone with what was found"),
+    ):
+        if name in answer:
+            yield f"  {what}: {told(answer[name])}"
+
+
+def told(comparison: dict[str, Any]) -> str:
+    """Return a comparison's outcome in a phrase."""
+    tests = comparison["tests"]
+    different = [t for t in tests if t["p_corrected"] < comparison["level"]]
+    if not different:
+        return f"not told from the recording by {len(tests)} statistics"
+    first = ", ".join(f"{t['statistic']} ({t['channel']})" for t in different[:2])
+    return f"differs in {len(different)} of {len(tests)} statistics, most in {first}"
+
+
+def _unseen(answer: dict[str, Any]) -> Iterator[str]:
+    for limit in answer.get("limits", ()):
+        yield f"  not seen: {limit}"
