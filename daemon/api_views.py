@@ -15,10 +15,10 @@ from stillcal.calib_core.samples import Array
 from stillcal.calib_core.stillness_settings import Fate, Sense
 from stillcal.daemon import api_types as api
 from stillcal.daemon.saved_state import SavedState
-from stillcal.daemon.serial_source import SerialSource
 from stillcal.daemon.service_energy import Day
 from stillcal.daemon.service_mind import View
 from stillcal.daemon.service_news import Item, News
+from stillcal.daemon.source import Source
 from stillcal.daemon.store_document import HistoryEntry, StoreDocument
 
 VERSION = "0.1.0"
@@ -39,7 +39,7 @@ class Daemon(Protocol):
         """What the store holds."""
 
     @property
-    def source(self) -> SerialSource:
+    def source(self) -> Source:
         """The phone's line."""
 
     @property
@@ -231,7 +231,7 @@ def _entry(record: CalibrationRecord, what: str, reason: str, at: float | None) 
     )
 
 
-def _wire(source: SerialSource) -> api.Wire:
+def _wire(source: Source) -> api.Wire:
     return api.Wire(**_named(source.wire, api.Wire) | _named(source.link, api.Wire))
 
 

@@ -22,13 +22,13 @@ from stillcal.daemon.api_server import serving
 from stillcal.daemon.log import say
 from stillcal.daemon.notify import Notifier
 from stillcal.daemon.saved_state import SavedState
-from stillcal.daemon.serial_source import SerialSource
 from stillcal.daemon.service_given import Given, fixed, serial_settings
 from stillcal.daemon.service_mind import Mind, Thought, View
 from stillcal.daemon.service_news import Item, News
 from stillcal.daemon.service_pump import Pump, host_time
 from stillcal.daemon.service_storage import Storage, sourced
 from stillcal.daemon.settings import Settings, SettingsError, store_path
+from stillcal.daemon.source import Source, source_of
 from stillcal.daemon.store import Store
 from stillcal.daemon.store_document import StoreDocument
 
@@ -95,7 +95,7 @@ class Service:
         return self.storage.document
 
     @property
-    def source(self) -> SerialSource:
+    def source(self) -> Source:
         """The phone's line."""
         return self.pump.source
 
@@ -284,7 +284,7 @@ class Service:
             last.source.close()
 
     def _new_pump(self) -> Pump:
-        source = SerialSource(serial_settings(self.settings))
+        source = source_of(self.settings.source.kind, serial_settings(self.settings))
         return Pump(source, self.mind, self.saved, self.settings.source.rate_hz, self.act)
 
     def describe(self) -> str:

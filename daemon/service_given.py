@@ -8,6 +8,7 @@ from pathlib import Path
 from socket import socket as Socket  # noqa: N812 - `socket` is a setting here
 from typing import Any, TypeVar
 
+from stillcal.daemon.iio_sysfs import DEVICES
 from stillcal.daemon.serial_source import SerialSettings
 from stillcal.daemon.settings import Settings, SettingsError, SocketSettings, SourceSettings, load_settings
 from stillcal.daemon.store import StoreSettings
@@ -42,11 +43,15 @@ class Given:
 
 
 def serial_settings(settings: Settings) -> SerialSettings:
-    """Return the line's settings. Raises SettingsError where no device is named or they make no sense."""
+    """Return the line's settings, or how the machine's own sensors are looked for.
+
+    Raises SettingsError where no device is named or they make no sense.
+    """
     source = settings.source
-    if not source.port:
+    port = source.port or (DEVICES if source.kind == "iio" else "")
+    if not port:
         raise SettingsError("[source] port is not set: name the phone's serial device, such as /dev/ttyACM0")
-    return SerialSettings(source.port, source.baud, retry_max_s=source.retry_max_s)
+    return SerialSettings(port, source.baud, retry_max_s=source.retry_max_s)
 
 
 def _with(part: Part, **given: Any) -> Part:

@@ -18,9 +18,10 @@ from stillcal.calib_core.samples import Samples, frozen
 from stillcal.calib_core.stillness_settings import Sleep
 from stillcal.daemon.log import say
 from stillcal.daemon.saved_state import SavedState
-from stillcal.daemon.serial_source import LinkDown, LinkUp, Record, SerialSource
+from stillcal.daemon.serial_source import LinkDown, LinkUp, Record
 from stillcal.daemon.service_mind import Mind
 from stillcal.daemon.service_orders import Orders, grant
+from stillcal.daemon.source import Source
 from stillcal.daemon.wire_messages import Hello, Identify, Rate, Status, Temperature
 
 BATCH_S = 0.2
@@ -38,7 +39,7 @@ class Pump:
 
     def __init__(
         self,
-        source: SerialSource,
+        source: Source,
         mind: Mind,
         saved: SavedState,
         rate_hz: float,

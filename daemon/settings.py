@@ -34,11 +34,13 @@ class SettingsError(ValueError):
 class SourceSettings:
     """Where the samples come from.
 
-    port: the serial device's path, or a pattern of such paths. baud: symbols per s on a real line.
-    retry_max_s: longest pause between two attempts to open it. rate_hz: what the phone is asked to sample
-    at, 0 for its own rate.
+    kind: "serial" for a phone on a line, "iio" for the machine's own sensors as the kernel has them.
+    port: the serial device's path, or a pattern of such paths; of iio the folder of devices, "" for the
+    kernel's. baud: symbols per s on a real line. retry_max_s: longest pause between two attempts to open
+    it. rate_hz: what the phone is asked to sample at, 0 for its own rate.
     """
 
+    kind: Literal["serial", "iio"] = "serial"
     port: str = ""
     baud: int = 115200
     retry_max_s: float = 5.0
