@@ -20,6 +20,8 @@ STUDIES: dict[str, str] = {
     "inertial-navigation": "stillcal.replay.evaluation.inertial_navigation:study",
     "pedestrian-tables": "stillcal.replay.evaluation.pedestrian_tables:study",
     "pedestrian-calibration": "stillcal.replay.evaluation.pedestrian_calibration:study",
+    "motion-modes": "stillcal.replay.evaluation.motion_modes:study",
+    "coning": "stillcal.replay.evaluation.coning:study",
     "biases": "stillcal.replay.evaluation.hetero_biases:study",
     "intervals": "stillcal.replay.evaluation.hetero_timing:study",
     "clusters": "stillcal.replay.evaluation.hetero_clusters:study",
