@@ -32,6 +32,7 @@ from stillcal.calib_core.stationary import StationaryDetector
 from stillcal.calib_core.stillness_settings import Ledger, Mode, Sense, Sleep
 
 _MODES = {Watch.CONTINUOUS: Mode.SCAN, Watch.PROBING: Mode.PROBE, Watch.IDLE: Mode.SCAN}
+_LEVELS = {Watch.CONTINUOUS: Level.INFO, Watch.PROBING: Level.DEBUG, Watch.IDLE: Level.DEBUG}
 _LEAST_REVIEW_S = 1.0  # two windows: what was spent is known no finer
 _LONGEST_GAP_S = 86400.0
 
@@ -48,7 +49,7 @@ class Engine:
         self._s = state
         self._detector = StationaryDetector(self.settings.detector, state.detector)
         self._holding = Holding(self.settings, state, self._detector, self._telling)
-        self._judging = Judging(self.settings, state, self._detector.still_valid, self._telling)
+        self._judging = Judging(self.settings, state, self._detector, self._telling)
 
     @property
     def state(self) -> EngineState:
@@ -130,8 +131,7 @@ class Engine:
     def zero(self) -> list[Action]:
         """Measure the gyroscope's bias on the rests of the last check interval, because somebody asks."""
         t = self._now()
-        recent = self._s.pool.since(t - self.settings.schedule.check_interval_s)
-        self._judging.zero_gyro(t, recent.where(self._detector.still_valid))
+        self._judging.zero_gyro(t, t - self.settings.schedule.check_interval_s)
         return self._telling.taken()
 
     def forget(self, reason: str) -> list[Action]:
@@ -264,29 +264,28 @@ class Engine:
         lasts = s.allowance.lasts(settings.energy)
         need = Need(rests=not self._supported_well() or s.degraded, check=s.check_due)
         watch = watch_for(need, s.watch, lasts, settings.energy.burst_s, settings.schedule)
-        if watch is not s.watch:
-            self._turn_to(watch, t)
+        self._turn_to(watch, t)
         step = settings.schedule.review_interval_s
         if watch is Watch.CONTINUOUS and settings.schedule.watch == "auto":
             step = min(step, max(lasts, _LEAST_REVIEW_S))
         resumed = self._resumed(t)
-        if resumed > t:
+        if resumed > t and watch is Watch.PROBING:
             self._skip_to(resumed)
         s.next_review = resumed + step
 
     def _turn_to(self, watch: Watch, t: float) -> None:
-        self._holding.gather(self._detector.finish() if watch is Watch.IDLE else ())
-        self._holding.gather(self._switch(watch, t))
+        if watch is self._s.watch:
+            return
+        done = self._detector.finish() if watch is Watch.IDLE else []
+        self._holding.gather([*done, *self._switch(watch, t)])
         self._s.last_rest = self._s.gyro_tail = None
         self._s.watch = watch
-        level = Level.INFO if watch is Watch.CONTINUOUS else Level.DEBUG
-        self._telling.log(t, level, "watch", f"the sensors are watched: {watch}")
+        self._telling.log(t, _LEVELS[watch], "watch", f"the sensors are watched: {watch}")
 
     def _skip_to(self, t: float) -> None:
         """Leave out the probes of a gap up to t (s), which nobody could have answered."""
-        if self._s.watch is Watch.PROBING:
-            self._holding.gather(self._detector.set_mode(Mode.SCAN))
-            self._holding.gather(self._switch(Watch.PROBING, t))
+        self._holding.gather(self._detector.set_mode(Mode.SCAN))
+        self._holding.gather(self._switch(Watch.PROBING, t))
 
     def _switch(self, watch: Watch, t: float) -> list[RestState]:
         """Switch the detector over, its first probe drawn from now on, whoever asks for it and when."""
@@ -295,5 +294,4 @@ class Engine:
         return closed
 
     def _supported_well(self) -> bool:
-        """Say whether as many attitudes have been gathered as were wanted."""
         return self._s.attitudes >= self.settings.schedule.attitudes_wanted

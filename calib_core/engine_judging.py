@@ -7,30 +7,33 @@ quality.py's. Here they are put to what is held, and the state follows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 from stillcal.calib_core import calibrate
-from stillcal.calib_core.accelerometer import AccelerometerFit
+from stillcal.calib_core.engine_fit import FitOutcome, FitTask, fitted
 from stillcal.calib_core.engine_state import EngineSettings, EngineState, Refusal, Trouble
 from stillcal.calib_core.engine_telling import Telling
 from stillcal.calib_core.events import Diagnose, Level, Reject, Store
-from stillcal.calib_core.pool import Pool
 from stillcal.calib_core.quality import Verdict
 from stillcal.calib_core.refusals import NotSupported
-from stillcal.calib_core.rests import RestState
 from stillcal.calib_core.schedule import Occasion, Standing, calibration_due
-
-Valid = Callable[[RestState], bool]
+from stillcal.calib_core.stationary import StationaryDetector
 
 
 class Judging:
-    """Judges what `state` holds. still_valid: whether a rest is believed to be one by the floor known now."""
+    """Judges what `state` holds.
+
+    detector: says whether a rest is believed to be one by the floor known now.
+    """
 
     def __init__(
-        self, settings: EngineSettings, state: EngineState, still_valid: Valid, telling: Telling
+        self,
+        settings: EngineSettings,
+        state: EngineState,
+        detector: StationaryDetector,
+        telling: Telling,
     ) -> None:
-        self._settings, self._s, self._valid, self._telling = settings, state, still_valid, telling
+        self._settings, self._s, self._detector, self._telling = settings, state, detector, telling
 
     # The check of 4.7
 
@@ -41,7 +44,7 @@ class Judging:
             s.check_due = False
             return
         since = s.checked
-        recent = s.pool.since(since).where(self._valid)
+        recent = s.pool.since(since).where(self._detector.still_valid)
         found = calibrate.checked(s.record, recent, self._settings.quality)
         if found.verdict is Verdict.WAIT:
             return
@@ -52,18 +55,17 @@ class Judging:
             self._degrade(t, since if found.off_since is None else found.off_since)
         else:
             s.trouble = None
-            self.zero_gyro(t, recent)
+            self.zero_gyro(t, since)
 
-    def zero_gyro(self, t: float, recent: Pool) -> bool:
-        """Measure the gyroscope's bias anew on recent rests (4.7); say whether they showed it."""
+    def zero_gyro(self, t: float, since: float | None) -> None:
+        """Measure the gyroscope's bias anew (4.7) on the rests since a time, s, if they show it."""
         s = self._s
+        recent = s.pool.since(since).where(self._detector.still_valid)
         zeroed = None if s.record is None else calibrate.zeroed(s.record, recent, t)
-        if zeroed is None:
-            return False
-        s.record = zeroed
-        s.counters.zeroings += 1
-        self._telling.act(Store(t, zeroed, zeroed.acceptance.reason))
-        return True
+        if zeroed is not None:
+            s.record = zeroed
+            s.counters.zeroings += 1
+            self._telling.act(Store(t, zeroed, zeroed.acceptance.reason))
 
     def _degrade(self, t: float, since: float | None) -> None:
         """Gather again; `since` (s) is from when on the calibration may have been wrong."""
@@ -92,83 +94,45 @@ class Judging:
         s.fresh, s.tried = 0, t
         if s.trouble is not None:
             s.trouble = replace(s.trouble, tried=True)
-        try:
-            candidate = self._candidate(t)
-        except NotSupported as refusal:
-            self._refuse(t, refusal, occasion)
-            return
-        self._decide(t, candidate, occasion)
+        sure = tuple(self._detector.still_valid(h.rest) for h in s.pool.held)
+        task = FitTask(
+            t,
+            occasion,
+            s.pool,
+            sure,
+            s.gravity,
+            s.record,
+            s.degraded,
+            s.sound_until,
+            self._settings.calibrate,
+            self._settings.quality,
+        )
+        self._follow(t, fitted(task), occasion)
 
-    def _refuse(self, t: float, refusal: NotSupported, occasion: Occasion) -> None:
+    def _follow(self, t: float, found: FitOutcome, occasion: Occasion) -> None:
+        s = self._s
+        if found.record is None:
+            self._refuse(t, found, occasion)
+            return
+        if found.recent_only:
+            s.pool = s.pool.since(s.sound_until)
+            s.attitudes = len(s.pool.attitudes(self._settings.pool))
+        if not found.accepted:
+            s.degraded = s.degraded and not found.settled
+            s.counters.rejected += 1
+            self._telling.act(Reject(t, found.record, found.reason))
+            self._telling.log(t, Level.INFO, "rejected", found.reason, occasion=str(occasion))
+            return
+        s.record, s.checked, s.degraded, s.refusal = found.record, t, False, None
+        s.counters.calibrations += 1
+        self._telling.act(Store(t, found.record, found.reason))
+        self._telling.log(t, Level.INFO, "calibrated", found.reason, occasion=str(occasion))
+
+    def _refuse(self, t: float, found: FitOutcome, occasion: Occasion) -> None:
         s = self._s
         s.counters.refused += 1
-        news = s.refusal is None or s.refusal.missing != refusal.missing
-        s.refusal = Refusal(refusal.reason, refusal.missing)
+        news = s.refusal is None or s.refusal.missing != found.missing
+        s.refusal = Refusal(found.reason, found.missing)
+        why = str(NotSupported(found.reason, found.missing))
         level = Level.INFO if news else Level.DEBUG
-        self._telling.log(t, level, "refused", str(refusal), occasion=str(occasion))
-
-    def _candidate(self, t: float) -> calibrate.Candidate:
-        """Fit what was gathered.
-
-        After a failed check, what was gathered before it is only kept as long as one calibration
-        explains both: otherwise the sensor has changed, and the older rests go.
-        """
-        s = self._s
-        recent = s.pool.since(s.sound_until) if s.degraded else s.pool
-        whole = self._fit(s.pool, t)
-        if len(recent.held) == len(s.pool.held):
-            return _taken(whole)
-        if isinstance(whole, calibrate.Candidate):
-            check = calibrate.checked(whole.record, recent, self._settings.quality)
-            if check.verdict is not Verdict.RECALIBRATE:
-                return whole
-        found = _taken(self._fit(recent, t))
-        s.pool, s.attitudes = recent, len(recent.attitudes(self._settings.pool))
-        return found
-
-    def _fit(self, pool: Pool, t: float) -> calibrate.Candidate | NotSupported:
-        """Fit the rests that the noise floor, as known by now, confirms, or all: whichever leaves less open.
-
-        A doubtful rest that is one adds an attitude; one that is none adds scatter.
-        """
-        sure = pool.where(self._valid)
-        everything = self._fitted_or_refused(pool, t)
-        if len(sure.held) == len(pool.held) or isinstance(everything, NotSupported):
-            return everything
-        confirmed = self._fitted_or_refused(sure, t)
-        if isinstance(confirmed, NotSupported):
-            return everything
-        return min(confirmed, everything, key=lambda c: _left_open(c.accelerometer))
-
-    def _fitted_or_refused(self, pool: Pool, t: float) -> calibrate.Candidate | NotSupported:
-        try:
-            return calibrate.candidate(pool, self._s.gravity, t, self._settings.calibrate)
-        except NotSupported as refusal:
-            return refusal
-
-    def _decide(self, t: float, candidate: calibrate.Candidate, occasion: Occasion) -> None:
-        s = self._s
-        decision = calibrate.decide(candidate, s.record, s.degraded, self._settings.quality)
-        record = candidate.accepted(decision, occasion)
-        if not decision.accepted:
-            s.degraded = s.degraded and not decision.settled
-            s.counters.rejected += 1
-            self._telling.act(Reject(t, record, decision.reason))
-            self._telling.log(t, Level.INFO, "rejected", decision.reason, occasion=str(occasion))
-            return
-        s.record, s.checked, s.degraded, s.refusal = record, t, False, None
-        s.counters.calibrations += 1
-        self._telling.act(Store(t, record, decision.reason))
-        self._telling.log(t, Level.INFO, "calibrated", decision.reason, occasion=str(occasion))
-
-
-def _taken(found: calibrate.Candidate | NotSupported) -> calibrate.Candidate:
-    """Return the candidate, or raise the refusal."""
-    if isinstance(found, NotSupported):
-        raise found
-    return found
-
-
-def _left_open(fit: AccelerometerFit) -> tuple[int, float]:
-    """Order fits: more parameters first, then the smaller uncertainty along the worst direction."""
-    return -fit.parameters, fit.worst_norm_uncertainty
+        self._telling.log(t, level, "refused", why, occasion=str(occasion))

@@ -1,7 +1,8 @@
 """Every fault that the daemon must survive, counted: `python -m stillcal.daemon.faults` prints the figures.
 
-Killed while it saves (faults_kill.py), disks that fail (faults_disk.py), clients that mean no good and a
-second daemon (faults_socket.py), and the wire (replay/wire_faults.py). Each part also checks what must
+Killed while it saves (faults_kill.py) and while it lives (faults_live.py), disks that fail (faults_disk.py),
+clients that mean no good and a second daemon (faults_socket.py), calibrations while others wait
+(faults_fit.py), and the wire (replay/wire_faults.py). Each part also checks what must
 hold; exit code 1 where something does not.
 """
 
@@ -16,20 +17,24 @@ from typing import TypeVar
 import click
 
 from stillcal.daemon.faults_disk import failing_disks
+from stillcal.daemon.faults_fit import calibrating
 from stillcal.daemon.faults_kill import killed
+from stillcal.daemon.faults_live import killed_live
 from stillcal.daemon.faults_socket import attacked
 from stillcal.replay.wire_faults import Figures, flipped_bits, pulled_out, random_bytes
 
 T = TypeVar("T")
 
-RANDOM_BYTES, FLIPS, TIMES = 1_000_000, 20_000, 100
+RANDOM_BYTES, FLIPS, TIMES, FITS = 1_000_000, 20_000, 100, 20
 
 
-def all_faults(kills: int, messages: int, clients: int, seed: int) -> Iterator[Figures]:
+def all_faults(kills: int, lives: int, messages: int, clients: int, seed: int) -> Iterator[Figures]:
     """Play every fault, one after another."""
     yield in_folder(lambda folder: killed(kills, seed, folder))
+    yield in_folder(lambda folder: killed_live(lives, seed, folder))
     yield from in_folder(failing_disks)
     yield from in_folder(lambda folder: attacked(messages, clients, seed, folder))
+    yield from in_folder(lambda folder: calibrating(FITS, seed, folder))
     yield random_bytes(RANDOM_BYTES, seed)
     yield flipped_bits(FLIPS, seed)
     yield pulled_out(TIMES, seed)
@@ -50,13 +55,14 @@ def lines(figures: Figures) -> Iterator[str]:
 
 @click.command()
 @click.option("--kills", default=1000, show_default=True, help="How often to kill a process that saves.")
+@click.option("--lives", default=100, show_default=True, help="How often to kill the whole daemon.")
 @click.option("--messages", default=10_000, show_default=True, help="Malformed messages to send.")
 @click.option("--clients", default=200, show_default=True, help="Clients at once, of which half stall.")
 @click.option("--seed", default=1, show_default=True)
-def main(kills: int, messages: int, clients: int, seed: int) -> None:
+def main(kills: int, lives: int, messages: int, clients: int, seed: int) -> None:
     """Count what faults come to; exit code 1 where something that must hold does not."""
     holds = True
-    for figures in all_faults(kills, messages, clients, seed):
+    for figures in all_faults(kills, lives, messages, clients, seed):
         holds &= figures.holds
         click.echo("\n".join(lines(figures)))
     sys.exit(not holds)

@@ -1,6 +1,7 @@
-"""A daemon that measures its own event loop, for faults to be played on: what faults_socket.py starts.
+"""A daemon that measures itself, for faults to be played on: what faults_socket.py and faults_fit.py start.
 
-It is `stillcal run` with one job more, which notes by how much later than asked it is woken.
+It is `stillcal run` with one job more, which notes by how much later than asked it is woken, and how much
+memory the process has in use.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from stillcal.calib_core.samples import Array
 from stillcal.daemon import log
+from stillcal.daemon.memory import resident_bytes
 from stillcal.daemon.notify import Notifier
 from stillcal.daemon.service import Service
 from stillcal.daemon.service_given import Given
@@ -22,27 +25,40 @@ KEPT = 100_000
 """Wake-ups noted, more than a quarter of an hour of them."""
 
 
-async def noting_lateness(into: list[tuple[float, float]]) -> None:
-    """Wake every STEP_S and note when (s, CLOCK_MONOTONIC) and by how much too late (s)."""
-    while len(into) < KEPT:
-        due = time.monotonic() + STEP_S
-        await asyncio.sleep(STEP_S)
-        now = time.monotonic()
-        into.append((now, now - due))
+class Notes:
+    """Rows of when (s, CLOCK_MONOTONIC), by how much too late (s), and memory in use (bytes)."""
+
+    def __init__(self) -> None:
+        self._rows = np.zeros((KEPT, 3))
+        self._filled = 0
+
+    @property
+    def rows(self) -> Array:
+        """What has been noted, (n, 3)."""
+        return self._rows[: self._filled]
+
+    async def take(self) -> None:
+        """Wake every STEP_S and note, until there is no more room."""
+        while self._filled < KEPT:
+            due = time.monotonic() + STEP_S
+            await asyncio.sleep(STEP_S)
+            now = time.monotonic()
+            self._rows[self._filled] = now, now - due, resident_bytes()
+            self._filled += 1
 
 
 async def _serve(given: Given, told: Path) -> None:
     service = Service(given.settings(), given, Notifier({}))
     service.open()
-    noted: list[tuple[float, float]] = []
-    noting = asyncio.create_task(noting_lateness(noted))
+    notes = Notes()
+    noting = asyncio.create_task(notes.take())
     await service.run()
     noting.cancel()
-    np.save(told, np.array(noted))
+    np.save(told, notes.rows)
 
 
 def main() -> None:
-    """Serve until SIGTERM; arguments: settings, port, store, socket, and where lateness goes (.npy)."""
+    """Serve until SIGTERM; arguments: settings, port, store, socket, and where the notes go (.npy)."""
     config, port, store, socket, told = sys.argv[1:]
     log.set_up("warning")
     asyncio.run(_serve(Given(Path(config), port, store, socket), Path(told)))

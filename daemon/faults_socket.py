@@ -15,17 +15,14 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from stillcal.daemon.api_place import NAME
+from stillcal.daemon.faults_target import START_S, Target, ask, lateness, question, running, status
 from stillcal.daemon.settings import SocketSettings
-from stillcal.replay.phone import load_phone, load_scenario, simulate
-from stillcal.replay.phone_link import LinkSettings, serve_phone
 from stillcal.replay.wire_faults import Figures
 
 SETTINGS = SocketSettings(stall_s=2.0)
@@ -38,10 +35,6 @@ QUESTIONS = 5
 ATTEMPTS = 50
 SETTLED_S = 10.0
 OVERSIZED = 20
-LATE_S = 0.05
-"""What the 99th percentile of the loop's lateness must stay below, s."""
-
-START_S = 60.0
 DESCRIBE = (
     json.dumps(
         {"method": "org.varlink.service.GetInterfaceDescription", "parameters": {"interface": NAME}}
@@ -49,30 +42,6 @@ DESCRIBE = (
     + b"\0"
 )
 """The question with the longest answer: a hundred of them fill every buffer on the way."""
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """A running daemon. folder: where its files are; settings: its limits; process: itself."""
-
-    folder: Path
-    settings: SocketSettings
-    process: subprocess.Popen[bytes]
-
-    @property
-    def socket(self) -> str:
-        """Where it answers."""
-        return str(self.folder / "socket")
-
-    @property
-    def arguments(self) -> list[str]:
-        """Its settings, port, store and socket."""
-        return [str(self.folder / name) for name in ("stillcal.toml", "tty", "store.json", "socket")]
-
-    def sockets(self) -> int:
-        """Count the sockets that it has open (proc_pid_fd(5))."""
-        links = Path(f"/proc/{self.process.pid}/fd").iterdir()
-        return sum(_link(link).startswith("socket:") for link in links)
 
 
 def attacked(
@@ -101,66 +70,6 @@ def nonsense(number: int, seed: int) -> Iterator[bytes]:
         yield shapes[i % len(shapes)]() + b"\0"
 
 
-def question(method: str, **parameters: Any) -> bytes:
-    """Return a whole question to the daemon's interface."""
-    return json.dumps({"method": f"{NAME}.{method}", "parameters": parameters}).encode() + b"\0"
-
-
-# The daemon and its phone
-
-
-@contextlib.asynccontextmanager
-async def running(folder: Path, settings: SocketSettings) -> AsyncIterator[Target]:
-    """Run a daemon with a phone in real time; it ends cleanly, or RuntimeError is raised."""
-    names = ("connections", "message_bytes", "calls_per_s", "stall_s")
-    lines = [f"{name} = {getattr(settings, name)}" for name in names]
-    (folder / "stillcal.toml").write_text("\n".join(["[socket]", *lines, ""]))
-    chunks = simulate(load_scenario("lab"), load_phone("typical"), 1).chunks()
-    phone = asyncio.create_task(
-        serve_phone(chunks, {}, LinkSettings(speed=1.0, credit=False), folder / "tty")
-    )
-    target = Target(folder, settings, _started(folder))
-    try:
-        await asyncio.wait_for(_sampling(target), START_S)
-        yield target
-    finally:
-        target.process.terminate()
-        code = await asyncio.to_thread(target.process.wait, START_S)
-        phone.cancel()
-    if code:
-        raise RuntimeError(f"the daemon ended with exit code {code}")
-
-
-def _started(folder: Path) -> subprocess.Popen[bytes]:
-    names = ("stillcal.toml", "tty", "store.json", "socket", "lateness.npy")
-    command = [sys.executable, "-m", "stillcal.daemon.faults_daemon", *(str(folder / name) for name in names)]
-    return subprocess.Popen(command)
-
-
-async def _sampling(target: Target) -> None:
-    """Wait until the daemon answers and samples come."""
-    while True:
-        with contextlib.suppress(OSError, EOFError):
-            if (await _status(target))["wire"]["samples"] > 0:
-                return
-        await asyncio.sleep(0.05)
-
-
-async def _status(target: Target) -> dict[str, Any]:
-    reader, writer = await asyncio.open_unix_connection(target.socket)
-    try:
-        found: dict[str, Any] = (await _ask(reader, writer))["parameters"]["status"]
-    finally:
-        writer.close()
-    return found
-
-
-async def _ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> dict[str, Any]:
-    writer.write(question("GetStatus"))
-    answer: dict[str, Any] = json.loads((await reader.readuntil(b"\0"))[:-1])
-    return answer
-
-
 # Attacks
 
 
@@ -170,7 +79,7 @@ async def _attacked(
     async with running(folder, settings) as target:
         await asyncio.sleep(QUIET_S)
         own = target.sockets()
-        began, before = time.monotonic(), await _status(target)
+        began, before = time.monotonic(), await status(target)
         figures = [
             await malformed(target, messages, seed),
             await crowd(target, clients, own),
@@ -178,13 +87,18 @@ async def _attacked(
             await oversized(target),
             await flood(target),
         ]
-        ended, after = time.monotonic(), await _status(target)
+        ended, after = time.monotonic(), await status(target)
         second = await asyncio.to_thread(second_daemon, target)
     wire = {name: after["wire"][name] - before["wire"][name] for name in ("samples", "lost_samples")}
     sampling = {**wire, "samples per s": round(wire["samples"] / (ended - began))}
     held = wire["samples"] > 0 and wire["lost_samples"] == 0
     noted = np.load(folder / "lateness.npy")
-    return [*figures, Figures("samples meanwhile", held, sampling), lateness(noted, began, ended), second]
+    return [
+        *figures,
+        Figures("samples meanwhile", held, sampling),
+        lateness(noted, began, ended, "attacked"),
+        second,
+    ]
 
 
 async def malformed(target: Target, number: int, seed: int) -> Figures:
@@ -199,7 +113,7 @@ async def malformed(target: Target, number: int, seed: int) -> Figures:
             writer.close()
         counts["accepted"] += any("error" not in json.loads(a) for a in answers)
         counts["answered by an error" if answers else "hung up on"] += 1
-    answers_on = int("wire" in await _status(target))
+    answers_on = int("wire" in await status(target))
     holds = counts["accepted"] == 0 and bool(answers_on)
     return Figures(f"{number} malformed messages", holds, {**counts, "answers on": answers_on})
 
@@ -233,7 +147,7 @@ async def idle(target: Target, clients: int, own: int) -> Figures:
     """Connect and, but for the last, say nothing: no more than there are places may stay."""
     limit = target.settings.connections
     came = [await asyncio.open_unix_connection(target.socket) for _ in range(clients)]
-    await _ask(*came[-1])  # it came last: by its answer all have been let in
+    await ask(*came[-1])  # it came last: by its answer all have been let in
     until = time.monotonic() + SETTLED_S
     while (open_now := target.sockets() - own) > limit and time.monotonic() < until:
         await asyncio.sleep(0.01)
@@ -285,16 +199,6 @@ def second_daemon(target: Target) -> Figures:
     return Figures("a second daemon", ran.returncode == 2 and bool(named), counts)
 
 
-def lateness(noted: np.ndarray, began: float, ended: float) -> Figures:
-    """Return how late the loop was, before and during; `noted` (n, 2): when and by how much, s."""
-    during = (noted[:, 0] >= began) & (noted[:, 0] <= ended)
-    counts = {"wake-ups": int(during.sum())}
-    for name, part in (("quiet", noted[(noted[:, 0] < began)]), ("attacked", noted[during])):
-        p99, most = np.quantile(part[:, 1], (0.99, 1.0))
-        counts |= {f"{name} p99, us": round(1e6 * p99), f"{name} max, us": round(1e6 * most)}
-    return Figures("the loop's lateness", counts["attacked p99, us"] < 1e6 * LATE_S, counts)
-
-
 # Clients
 
 
@@ -321,7 +225,7 @@ async def _asking(target: Target) -> tuple[int, int]:
             reader, writer = await asyncio.open_unix_connection(target.socket)
             with contextlib.closing(writer):
                 while answered < QUESTIONS:
-                    answered += "status" in (await _ask(reader, writer))["parameters"]
+                    answered += "status" in (await ask(reader, writer))["parameters"]
             return answered, again
     return answered, ATTEMPTS
 
@@ -340,10 +244,3 @@ async def _hung_up_on(lines: list[socket.socket], within_s: float) -> int:
     for line in lines:
         line.close()
     return len(gone)
-
-
-def _link(path: Path) -> str:
-    try:
-        return str(path.readlink())
-    except OSError:
-        return ""

@@ -1,9 +1,8 @@
-"""The engine in a thread of its own, so that a fit of a second delays neither samples nor answers.
+"""The engine in a thread of its own, so that no fit delays samples or answers.
 
 One thread, jobs in order; the engine is touched nowhere else. What other code may see of it comes as
-frozen views. The interpreter changes threads within SWITCH_S, and numpy lets go of it in long calls, so
-the event loop waits for no whole fit. A process of its own for the fit was tried: it holds up the loop no
-less, and takes 57 MB and 0.3 s to start (docs/faults.md).
+frozen views. The interpreter changes threads within SWITCH_S, and numpy lets go of it in long calls. A
+process of its own for the fit was tried and left out: the loop is no less late then (docs/faults.md).
 """
 
 from __future__ import annotations

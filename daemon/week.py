@@ -7,11 +7,9 @@ used; and how much memory a further day costs. Exit code 1 where a bar is not me
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import click
 import numpy as np
@@ -25,6 +23,7 @@ from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.samples import Array
 from stillcal.daemon.log import entry
+from stillcal.daemon.memory import resident_bytes
 from stillcal.replay.phone import Simulation, Truth, load_phone, load_scenario, simulate
 
 HOUR_S, DAY_S = 3600.0, 86400.0
@@ -163,11 +162,6 @@ def _looked(t: float, engine: Engine, offered: int, truth: Truth) -> tuple[float
     errors = (np.nan, np.nan) if record is None else (force_error(record, truth), rate_error(record, truth))
     read = engine.ledger.accel_samples
     return t, *errors, off, read, offered, resident_bytes(), len(packed(state))
-
-
-def resident_bytes() -> int:
-    """Return how much memory this process has in use (proc_pid_statm(5)), bytes."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _counted(week: Week, engine: Engine) -> Week:

@@ -18,7 +18,9 @@ from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.samples import Array
 from stillcal.daemon import faults, week
 from stillcal.daemon.faults_disk import failing_disks
+from stillcal.daemon.faults_fit import calibrating
 from stillcal.daemon.faults_kill import example, killed
+from stillcal.daemon.faults_live import killed_live
 from stillcal.daemon.faults_socket import attacked
 from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.store import Store
@@ -31,6 +33,18 @@ def test_killed_while_it_saves_it_loses_nothing(tmp_path: Path) -> None:
     assert found.holds, found
     assert found.counts["calibrations acknowledged"] > 0 and found.counts["rests acknowledged"] > 0
     assert found.counts["killed inside a write"] > 0
+
+
+def test_the_whole_daemon_killed_again_and_again_loses_nothing() -> None:
+    found = faults.in_folder(lambda folder: killed_live(4, 1, folder))
+    assert found.holds and found.counts["rests kept"] > 0, found
+
+
+def test_calibrating_is_counted_and_leaves_no_memory_behind() -> None:
+    fits, loop, answers, memory = faults.in_folder(lambda folder: calibrating(3, 1, folder))
+    assert fits.counts["rests held"] == 240
+    assert memory.holds, memory
+    assert loop.counts["wake-ups"] > 0 and answers.counts["answers"] > 0
 
 
 def test_what_is_torn_or_lost_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,7 +69,7 @@ def test_disks_that_fail_leave_the_old_store(tmp_path: Path) -> None:
 def test_an_attacked_daemon_goes_on() -> None:
     settings = SocketSettings(connections=16, stall_s=0.3)
     found = faults.in_folder(lambda folder: attacked(90, 24, 3, folder, settings))
-    judged = {figures.name: figures for figures in found if figures.name != "the loop's lateness"}
+    judged = {figures.name: figures for figures in found if "lateness" not in figures.name}
     assert all(figures.holds for figures in judged.values()), judged
     assert judged["samples meanwhile"].counts["samples"] > 0
     assert judged["24 idle clients"].counts["stay"] == 16
