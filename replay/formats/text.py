@@ -68,6 +68,7 @@ class TextTable:
             what = "the file holds a header only" if self.names else "the file is empty"
             raise TraceError(path, what, "give a recording with samples", self._skip or None)
         self.first_row = self._cells(rows[0])
+        self.decimal = _decimal(self.first_row, column_map.decimal)
         self.header_line = column_map.skip_lines + 1
         self.width = len(self.names) if self.names is not None else len(self.first_row)
 
@@ -144,7 +145,7 @@ class TextTable:
             text = text.replace(b'"', b"")
         if self.delimiter == ",":
             return text
-        text = text.replace(b",", b"." if self._map.decimal == "," else b" ")
+        text = text.replace(b",", b"." if self.decimal == "," else b" ")
         return _blanks_to_commas(text) if self.delimiter == _BLANKS else text.replace(self._mark, b",")
 
     @property
@@ -163,7 +164,7 @@ class TextTable:
                 cut = unfinished and number == first_line + len(rows) - 1
                 what = f"{len(cells)} cells where {self.width} are due"
                 raise TraceError(self.path, what, _CUT_REMEDY if cut else _ROW_REMEDY, number)
-            kept.append(",".join(cell.replace(",", self._map.decimal) for cell in cells) + "\n")
+            kept.append(",".join(cell.replace(",", self.decimal) for cell in cells) + "\n")
             lines.append(number)
         return "".join(kept).encode(), np.array(lines, dtype=np.int64)
 
@@ -292,6 +293,8 @@ def _bad_gzip(path: Path, error: Exception) -> TraceError:
 
 
 def _decoded(path: Path, head: bytes) -> str:
+    if head.startswith(b"PK\x03\x04"):
+        raise TraceError(path, "is a zip archive", "unzip it and give the accelerometer's file from it")
     if b"\0" in head:
         raise TraceError(path, "is not a text file", _TEXT_REMEDY)
     whole = head[: head.rfind(b"\n") + 1] or head
@@ -300,6 +303,13 @@ def _decoded(path: Path, head: bytes) -> str:
     except UnicodeDecodeError as error:
         row = head.count(b"\n", 0, error.start) + 1
         raise TraceError(path, f"byte 0x{head[error.start]:02x} is not UTF-8", _TEXT_REMEDY, row) from None
+
+
+def _decimal(first_row: Sequence[str], decimal: str) -> str:
+    """Return the decimal mark, found in a row's cells where it is "auto"."""
+    if decimal != "auto":
+        return decimal
+    return "," if any("," in cell for cell in first_row) else "."
 
 
 def _delimiter(line: str, delimiter: str) -> str:
