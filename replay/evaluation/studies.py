@@ -10,10 +10,11 @@ from stillcal.replay.evaluation.claim import Progress, Study, StudyFunction
 STUDIES: dict[str, str] = {
     "smoothing": "stillcal.replay.evaluation.unaided_smoothing:study",
     "homogeneity": "stillcal.replay.evaluation.unaided_homogeneity:study",
+    "classes": "stillcal.replay.evaluation.unaided_classes:study",
     "gravity": "stillcal.replay.evaluation.unaided_gravity:study",
-    "laboratory": "stillcal.replay.evaluation.laboratory:study",
-    "people": "stillcal.replay.evaluation.unaided_people:study",
     "power": "stillcal.replay.evaluation.unaided_power:study",
+    "people": "stillcal.replay.evaluation.unaided_people:study",
+    "laboratory": "stillcal.replay.evaluation.laboratory:study",
     "allan": "stillcal.replay.evaluation.allan:study",
     "noise-processes": "stillcal.replay.evaluation.noise_processes:study",
     "grades": "stillcal.replay.evaluation.grades:study",
@@ -25,6 +26,8 @@ STUDIES: dict[str, str] = {
     "biases": "stillcal.replay.evaluation.hetero_biases:study",
     "intervals": "stillcal.replay.evaluation.hetero_timing:study",
     "clusters": "stillcal.replay.evaluation.hetero_clusters:study",
+    "heterogeneity": "stillcal.replay.evaluation.hetero_families:study",
+    "modes": "stillcal.replay.evaluation.hetero_modes:study",
 }
 """Name to "module:function", in the order of the page (papers 000, 002, 003, 004)."""
 
