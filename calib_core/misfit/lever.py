@@ -9,13 +9,16 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
-from stillcal.calib_core.misfit.quick import SIGNIFICANT, direct_finding
-from stillcal.calib_core.misfit.records import Finding, Parameter, Where
+from stillcal.calib_core.misfit.left_out import blocks, rms
+from stillcal.calib_core.misfit.quick import SIGNIFICANT, Seen, direct_finding, vector
+from stillcal.calib_core.misfit.records import Finding, Where
 from stillcal.calib_core.misfit.turns import LEAST_TURNS, Turn
 from stillcal.calib_core.misfit.views import Baseline
 from stillcal.calib_core.samples import Array, Samples
 
 PARTS = 10
+MEMORY = 0.25
+"""s for which a hand's acceleration keeps its direction."""
 
 
 def lever_arm(
@@ -33,17 +36,35 @@ def lever_arm(
     if sigmas < SIGNIFICANT + 1.0 or gain < thresholds.LEVER_GAIN:
         return None
     error = np.sqrt(covariance.diagonal())
-    ci = np.stack([arm - 1.96 * error, arm + 1.96 * error], axis=1)
     axes = [a for a in range(3) if abs(arm[a]) > thresholds.AXIS_SIGMA * error[a]]
     where = Where(found[0].end - found[0].duration, found[-1].end, (0.1, 10.0), "rate of turn")
     text = ", ".join(f"{100.0 * x:.1f}" for x in arm)
     say = f"The accelerometer sits {text} cm from the point that the phone turns about."
-    before = float(np.sqrt(power.sum() / sum(3 * len(t.rate) for t in found)))
-    parameters = {"position": Parameter(arm.tolist(), ci.tolist(), "m")}
-    rmse = (before, before * float(np.sqrt(max(1.0 - gain, 0.0))))
-    return direct_finding(
-        "lever_arm", "accel", axes, where, parameters, statement=say, sigmas=sigmas, rmse=rmse
-    )
+    parameters = {"position": vector(arm, error, "m")}
+    count = np.array([len(t.rate) for t in found], dtype=np.float64)
+    memory = MEMORY / np.median(np.diff(found[0].t))
+    seen = _left_out((information, target, power), count, float(memory), sigmas)
+    return direct_finding("lever_arm", "accel", axes, where, parameters, statement=say, seen=seen)
+
+
+def _left_out(sums: tuple[Array, Array, Array], count: Array, memory: float, sigmas: float) -> Seen:
+    """Predict turns left out with the others' arm, and with none.
+
+    Three normal residuals each `memory` samples.
+    """
+    information, target, power = sums
+    fold, gain = blocks(len(power)), 0.0
+    after = np.empty(len(power))
+    for k in np.unique(fold):
+        train, test = fold != k, fold == k
+        arm = np.linalg.solve(information[train].sum(axis=0), target[train].sum(axis=0))
+        left = power - 2.0 * target @ arm + np.einsum("a,nab,b->n", arm, information, arm)
+        null, own = power[train].sum() / count[train].sum(), left[train].sum() / count[train].sum()
+        independent = count[test].sum() / memory
+        none, with_arm = power[test].sum() / count[test].sum(), left[test].sum() / count[test].sum()
+        gain += float(1.5 * independent * (np.log(null / own) + none / null - with_arm / own))
+        after[test] = left[test]
+    return Seen(sigmas, gain, rms(np.sqrt(power / count)), rms(np.sqrt(np.maximum(after, 0.0) / count)))
 
 
 def _sums(samples: Samples, baseline: Baseline, turn: Turn, gravity: float) -> tuple[Array, Array, float]:

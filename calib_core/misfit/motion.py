@@ -11,8 +11,9 @@ import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.bins import Bins
-from stillcal.calib_core.misfit.quick import SIGNIFICANT, Measured, direct_finding
-from stillcal.calib_core.misfit.records import Claims, Finding, Where
+from stillcal.calib_core.misfit.left_out import blocks, rms
+from stillcal.calib_core.misfit.quick import SIGNIFICANT, Measured, Seen, direct_finding
+from stillcal.calib_core.misfit.records import Alternative, Claims, Finding, Where
 from stillcal.calib_core.samples import Array, Samples
 
 LAGS = 41
@@ -20,6 +21,8 @@ LONGEST_LAG = 0.1
 LEAST_RATE = 0.3
 LEAST_STRETCHES = 5
 STRETCH = 20.0
+MEMORY = 0.25
+"""s for which a hand's acceleration, the noise of this view, keeps its direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +38,16 @@ class Turning:
     step: float
 
 
-def motion_findings(accelerometer: Samples, gyroscope: Samples, bins: Bins, claims: Claims) -> list[Finding]:
-    """Return what stretches of motion show; nothing where there are too few."""
+def motion_findings(
+    accelerometer: Samples, gyroscope: Samples, bins: Bins, claims: Claims, spoiled: Where | None = None
+) -> list[Finding]:
+    """Return what stretches of motion show; nothing where there are too few. spoiled: when not to look."""
     if len(gyroscope) < 200:
         return []
-    found = time_offset(turning(accelerometer, gyroscope, bins, claims.gravity))
+    motion = turning(accelerometer, gyroscope, bins, claims.gravity)
+    if spoiled is not None:
+        motion.use[(motion.t > spoiled.t_start) & (motion.t < spoiled.t_end)] = False
+    found = time_offset(motion)
     return [] if found is None else [found]
 
 
@@ -66,8 +74,11 @@ def _smooth(values: Array) -> Array:
     return out
 
 
-def lag_misfits(motion: Turning) -> tuple[Array, Array]:
-    """Return lags (L,) s and misfits (stretches, L): squares of d up/dt + rate(t + lag) x up, (rad/s)^2."""
+def lag_misfits(motion: Turning) -> tuple[Array, Array, Array]:
+    """Return lags (L,) s, misfits (stretches, L) and samples (stretches,).
+
+    Misfits are sums of squares of d up/dt + rate(t + lag) x up, (rad/s)^2.
+    """
     lags: Array = np.linspace(-LONGEST_LAG, LONGEST_LAG, LAGS)
     stretch = ((motion.t - motion.t[0]) / STRETCH).astype(int)
     rows = np.flatnonzero(motion.use)
@@ -82,12 +93,12 @@ def lag_misfits(motion: Turning) -> tuple[Array, Array]:
     count = np.bincount(where, minlength=stretch[-1] + 1)
     enough = count > 1.0 / motion.step
     kept = np.asarray(np.array(misfits, dtype=np.float64).T[enough], dtype=np.float64)
-    return lags, kept
+    return lags, kept, np.asarray(count[enough], dtype=np.float64)
 
 
 def time_offset(motion: Turning) -> Finding | None:
     """Find the delay of the gyroscope behind the accelerometer; its error from leaving stretches out."""
-    lags, misfits = lag_misfits(motion)
+    lags, misfits, count = lag_misfits(motion)
     if len(misfits) < LEAST_STRETCHES:
         return None
     delay = jackknife(lags, misfits)
@@ -95,16 +106,38 @@ def time_offset(motion: Turning) -> Finding | None:
     outside = delay.beyond(-tolerance, tolerance) > thresholds.OUTSIDE
     if sigmas < SIGNIFICANT or not outside or abs(delay.value) > 0.9 * LONGEST_LAG:
         return None
-    total = misfits.sum(axis=0)
-    before, after = np.interp((0.0, delay.value), lags, total)
-    scale = max(float(motion.use.sum()), 1.0)
     where = Where(float(motion.t[0]), float(motion.t[-1]), (0.1, 0.5 / motion.step), "rate of turn")
     delays = {"delay": delay.parameter("s")}
-    say = f"The gyroscope is {delay.value * 1e3:+.1f} ms behind the accelerometer; shift its stamps by that."
+    side = "behind" if delay.value > 0 else "ahead of"
+    say = f"The gyroscope is {abs(delay.value) * 1e3:.1f} ms {side} the accelerometer; shift its stamps."
+    seen = _left_out(lags, misfits, count, motion.step, sigmas)
+    # A second-order low-pass of this cutoff delays as much; beyond the band no noise would show it.
+    cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))
+    hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / motion.step)
+    alike = [Alternative("bandwidth", seen.gain, indistinguishable=hidden)]
     return direct_finding(
-        "accel_gyro_time_offset", "timing", [], where, delays, statement=say, sigmas=sigmas,
-        rmse=(float(np.sqrt(before / scale)), float(np.sqrt(after / scale))),
-    )  # fmt: skip
+        "accel_gyro_time_offset", "timing", [], where, delays, statement=say, seen=seen, alternatives=alike
+    )
+
+
+def _left_out(lags: Array, misfits: Array, count: Array, step: float, sigmas: float) -> Seen:
+    """Predict stretches left out with the others' delay, and with none.
+
+    Two normal residuals each `MEMORY` s.
+    """
+    fold, gain = blocks(len(misfits)), 0.0
+    left = np.empty((len(misfits), 2))
+    for k in np.unique(fold):
+        train, test = fold != k, fold == k
+        delay = _lowest(lags, misfits[train].sum(axis=0))
+        both = np.array([[np.interp(x, lags, m) for x in (0.0, delay)] for m in misfits])
+        null, own = both[train].sum(axis=0) / count[train].sum()
+        independent = count[test].sum() * step / MEMORY
+        none, shifted = both[test].sum(axis=0) / count[test].sum()
+        gain += float(independent * (np.log(null / own) + none / null - shifted / own))
+        left[test] = both[test] / count[test, None]
+    before, after = np.sqrt(left).T
+    return Seen(sigmas, gain, rms(before), rms(after))
 
 
 def jackknife(lags: Array, misfits: Array) -> Measured:

@@ -6,16 +6,25 @@ the twin already allows for it. They are found where the number is outside its t
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit.catalogue.entry import AXES
-from stillcal.calib_core.misfit.records import Evidence, Finding, Parameter, Where
+from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Number, Parameter, Where
 from stillcal.calib_core.samples import Array
 
+Index = NDArray[np.int64]
+
 SIGNIFICANT = 5.0
-"""Standard errors that a direct measurement must be from its tolerance: 6e-7 two-sided, for some 40 tests."""
+"""Standard errors that a direct measurement must be from its tolerance: 6e-7 two-sided."""
+
+TRIALS = 80
+"""How many direct measurements a diagnosis makes: two sensors, three axes, some dozen effects."""
+
+FOLDS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,22 +58,58 @@ def tail(sigmas: float) -> float:
     """Return the two-sided normal probability of a deviation."""
     from scipy.special import erfc  # noqa: PLC0415 - the daemon stays light
 
-    return float(erfc(sigmas / np.sqrt(2.0)))
+    return float(erfc(min(sigmas, 30.0) / np.sqrt(2.0)))
+
+
+def vector(values: Array, errors: Array, unit: str) -> Parameter:
+    """Return values (k,) with 95 % intervals."""
+    ci = np.stack([values - 1.96 * errors, values + 1.96 * errors], axis=1)
+    return Parameter(values.tolist(), ci.tolist(), unit)
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What speaks for a direct finding.
+
+    sigmas: standard errors outside its tolerance. gain: log score of pieces left out, with the effect less
+    without it, nats; before, after: rms of what is left there, in the unit of what is predicted.
+    """
+
+    sigmas: float
+    gain: float
+    before: float
+    after: float
 
 
 def direct_finding(
     effect: str,
     sensor: str,
-    axes: list[int],
+    axes: Sequence[int],
     where: Where,
     parameters: dict[str, Parameter],
     *,
     statement: str,
-    sigmas: float,
-    rmse: tuple[float, float] = (float("nan"), float("nan")),
+    seen: Seen,
+    alternatives: Sequence[Alternative] = (),
 ) -> Finding:
-    """Build a finding of a direct measurement. sigmas: how far outside its tolerance it is."""
-    bounded = min(sigmas, 30.0)
-    before, after = (0.0 if np.isnan(x) else x for x in rmse)
-    evidence = Evidence(tail(bounded), before, after, bounded**2 / 2.0, 0)
-    return Finding(effect, sensor, [AXES[a] for a in axes], where, parameters, evidence, [], statement)
+    """Build a finding of a direct measurement."""
+    evidence = Evidence(min(1.0, TRIALS * tail(seen.sigmas)), seen.before, seen.after, seen.gain, FOLDS)
+    names = [AXES[a] for a in axes]
+    return Finding(effect, sensor, names, where, parameters, evidence, list(alternatives), statement)
+
+
+def unknown(
+    sensor: str,
+    axes: Sequence[int],
+    where: Where,
+    sizes: Mapping[str, tuple[Number, str]],
+    *,
+    statement: str,
+    seen: Seen,
+) -> Finding:
+    """Build a finding that no entry of the catalogue describes. sizes.
+
+    Numbers and units that say how large.
+    """
+    parameters = {name: Parameter(value, [value, value], unit) for name, (value, unit) in sizes.items()}
+    return direct_finding("unknown", sensor, axes, where, parameters, statement=statement, seen=seen)

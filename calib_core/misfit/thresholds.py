@@ -20,6 +20,19 @@ MAX_FINDINGS = 3
 LEAST_BINS = 12
 """Fewer still bins than this carry no slow diagnosis."""
 
+UNKNOWN_HANDICAP = 0.3
+"""Score that structure without a name must give away."""
+
+UNKNOWN_MARGIN = 0.7
+"""A named effect wins over structure without a name that scores better by less than this."""
+
+PAIRS = 5
+"""Named effects that are tried two together before structure is called unknown."""
+
+WANDER_MIDDLE, WANDER_DECADES, WANDER_TAIL = 0.8, 1.5, 0.03
+"""Prior of how much a bias' bins scatter by wander over white noise (log10 of variances): flicker floors of
+0.03 to 3 times the white noise of a second are what phones have; the tail is for those that do not."""
+
 CLOCK_TOLERANCE = 2e-4
 """Relative error of a crystal that is no finding: 200 ppm, twice what cheap ones are sold with."""
 
@@ -39,7 +52,7 @@ BURST_TOLERANCE = 0.01
 LEAST_PILE = 8
 """Samples that must lie on a limit."""
 
-LEVEL_TOLERANCE = 0.15
+LEVEL_TOLERANCE = 0.12
 """Relative difference of noise densities, from the claim or between axes, that is no finding."""
 
 KURTOSIS_TOLERANCE = 0.3
@@ -54,7 +67,7 @@ DELAY_TOLERANCE = 2.5e-3
 BANDWIDTH_LIMIT = 0.38
 """Part of the sample rate below which a low-pass is a finding: parts come with 0.40 to 0.44 (BMI270)."""
 
-CERTAIN = 0.9
+CERTAIN = 0.95
 """Posterior probability of a random walk beyond the limit that makes it a finding."""
 
 BANDWIDTH_GAIN = 60.0

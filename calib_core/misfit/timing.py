@@ -1,40 +1,57 @@
-"""What stamps say: the clock's rate, jitter, samples that never came, delivery in bursts."""
+"""What the clock says: its rate against the host's and against the nominal one, and delivery in bursts."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from stillcal.calib_core.misfit import thresholds
-from stillcal.calib_core.misfit.quick import SIGNIFICANT, Measured, direct_finding, mean_of
-from stillcal.calib_core.misfit.records import Claims, Finding, Parameter, Where
+from stillcal.calib_core.misfit import stamps, thresholds
+from stillcal.calib_core.misfit.left_out import blocks, of_counts, rms
+from stillcal.calib_core.misfit.quick import SIGNIFICANT, Measured, Seen, direct_finding, mean_of
+from stillcal.calib_core.misfit.records import Claims, Finding, Where
 from stillcal.calib_core.samples import Array, Samples
 
 PIECES = 40
-LONGEST_GAP = 50
+HEELS = 0.2
+LEAST_GROUP = 3
 
 
 def timing_findings(samples: Samples, claims: Claims) -> list[Finding]:
     """Return what the stamps of one stream show. Needs 200 samples."""
     if len(samples) < 200:
         return []
-    period = float(np.median(np.diff(samples.t)))
+    period = stamps.typical_period(samples.t)
     if period <= 0.0:
         return []
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.5 / period), "time stamps")
+    arrived = _arrived(samples)
+    grid = stamps.Grid.of(samples.t, period)
     found = (
-        _skew(samples, claims),
-        _jitter(samples.t, period),
-        _drops(samples.t, period),
-        _bursts(samples, period),
+        _skew(samples.t, arrived, claims, period, where),
+        stamps.jitter(grid, where),
+        stamps.drops(grid, where),
+        None if arrived is None else _bursts(samples.t, arrived, period, where),
     )
     return [f for f in found if f is not None]
 
 
-def _where(samples_t: Array, period: float) -> Where:
-    return Where(float(samples_t[0]), float(samples_t[-1]), (0.0, 0.5 / period), "time stamps")
+def _arrived(samples: Samples) -> Array | None:
+    """Return the times of arrival, None unless nearly all are known.
+
+    The others lie between their neighbours.
+    """
+    if samples.t_arrival is None:
+        return None
+    known = np.isfinite(samples.t_arrival)
+    if known.mean() < 0.9:
+        return None
+    return np.asarray(np.interp(samples.t, samples.t[known], samples.t_arrival[known]), dtype=np.float64)
 
 
-def clock_rate(t: Array, arrival: Array) -> Measured:
-    """Device seconds per host second, less 1, from the quickest deliveries of `PIECES` pieces."""
+def clock_rate(t: Array, arrival: Array) -> tuple[Measured, Array]:
+    """Return device seconds per host second, less 1, from the quickest deliveries of `PIECES` pieces.
+
+    Also those pieces' host time and lead (PIECES, 2) s.
+    """
     latency = arrival - t
     pieces = np.array_split(np.arange(t.size), PIECES)
     quickest = np.array([p[np.argmin(latency[p])] for p in pieces])
@@ -46,78 +63,84 @@ def clock_rate(t: Array, arrival: Array) -> Measured:
         residual = y - design @ coefficients
         keep = np.abs(residual) <= 5.0 * 1.4826 * np.median(np.abs(residual)) + 1e-9
     scatter = max(float(residual[keep].std(ddof=2)), 1e-6)
-    return Measured(float(coefficients[1]), scatter / float(np.linalg.norm(design[keep, 1])))
+    rate = Measured(float(coefficients[1]), scatter / float(np.linalg.norm(design[keep, 1])))
+    return rate, np.column_stack([x, y])
 
 
-def _skew(samples: Samples, claims: Claims) -> Finding | None:
-    if samples.t_arrival is not None and np.isfinite(samples.t_arrival).all():
-        rate, tolerance = clock_rate(samples.t, samples.t_arrival), thresholds.CLOCK_TOLERANCE
-    elif claims.nominal_rate_hz:
-        pieces = [1.0 / np.median(np.diff(p)) for p in np.array_split(samples.t, PIECES)]
-        relative = mean_of(np.array(pieces) / claims.nominal_rate_hz - 1.0, 1e-6)
-        rate, tolerance = relative, thresholds.RATE_TOLERANCE
-    else:
+def _skew(t: Array, arrived: Array | None, claims: Claims, period: float, where: Where) -> Finding | None:
+    """Find a clock that is fast or slow against the host's, or a sample rate that is not the nominal one.
+
+    A sensor stamped by its own clock shows the first, one stamped by the host's the second; both are the true
+    rate over the nominal one, less 1.
+    """
+    parts: list[tuple[Measured, float, Array]] = []
+    if arrived is not None:
+        rate, leads = clock_rate(t, arrived)
+        parts.append((rate, thresholds.CLOCK_TOLERANCE, leads))
+    if claims.nominal_rate_hz:
+        mean = np.array([stamps.mean_period(p) for p in np.array_split(t, PIECES)])
+        relative = mean_of(1.0 / (mean * claims.nominal_rate_hz) - 1.0, 1e-6)
+        x = t[0] + (np.arange(PIECES) + 0.5) * (t[-1] - t[0]) / PIECES
+        lead = np.cumsum(1.0 / (mean * claims.nominal_rate_hz) - 1.0) * (t[-1] - t[0]) / PIECES
+        parts.append((relative, thresholds.RATE_TOLERANCE, np.column_stack([x, lead])))
+    beyond = [(m.beyond(-tolerance, tolerance), m, leads) for m, tolerance, leads in parts]
+    sure = [b for b in beyond if b[0] >= SIGNIFICANT]
+    if not sure:
         return None
-    sigmas = rate.beyond(-tolerance, tolerance)
-    if sigmas < SIGNIFICANT:
-        return None
-    say = f"The sensor's clock runs {rate.value * 1e6:+.0f} ppm against its reference."
-    where = _where(samples.t, float(np.median(np.diff(samples.t))))
-    parameter = {"relative": rate.parameter("1")}
-    return direct_finding("clock_skew", "timing", [], where, parameter, statement=say, sigmas=sigmas)
+    value = float(np.prod([1.0 + m.value for _, m, _ in sure])) - 1.0
+    total = Measured(value, float(np.sqrt(sum(m.error**2 for _, m, _ in sure))))
+    sigmas, _, leads = max(sure, key=lambda b: b[0])
+    say = f"The sensor's clock runs {value * 1e6:+.0f} ppm against its reference."
+    parameter = {"relative": total.parameter("1")}
+    seen = _of_line(leads, sigmas)
+    return direct_finding("clock_skew", "timing", [], where, parameter, statement=say, seen=seen)
 
 
-def _jitter(t: Array, period: float) -> Finding | None:
-    """White jitter of stamps: the second difference of an even grid has six times its variance."""
-    steps = np.diff(t)
-    even = np.abs(steps - period) < 0.75 * period
-    second = np.diff(steps)[even[1:] & even[:-1]]
-    if second.size < 100:
-        return None
-    pieces = [float(np.sqrt(np.mean(p**2) / 6.0)) for p in np.array_split(second, PIECES)]
-    sigma = mean_of(np.array(pieces), 1e-3 * period / np.sqrt(second.size))
-    sigmas = sigma.beyond(0.0, thresholds.JITTER_TOLERANCE * period)
-    if sigmas < SIGNIFICANT:
-        return None
-    say = f"Stamps scatter by {sigma.value * 1e3:.2f} ms about an even rate; resample by the fitted clock."
-    where, parameter = _where(t, period), {"sigma": sigma.parameter("s")}
-    return direct_finding("timestamp_jitter", "timing", [], where, parameter, statement=say, sigmas=sigmas)
+def _of_line(leads: Array, sigmas: float) -> Seen:
+    """Predict leads (n, 2) left out by a line through the others, and by their mean; before, after in s."""
+    x, y = leads.T
+    fold, gain = blocks(x.size), 0.0
+    before, after = np.zeros(x.size), np.zeros(x.size)
+    for k in np.unique(fold):
+        test = fold == k
+        line, level = np.polyfit(x[~test], y[~test], 1), float(y[~test].mean())
+        off, flat = y - np.polyval(line, x), y - level
+        own, null = rms(off[~test]) + 1e-9, rms(flat[~test]) + 1e-9
+        gain += float(
+            (np.log(null / own) + 0.5 * (flat[test] / null) ** 2 - 0.5 * (off[test] / own) ** 2).sum()
+        )
+        before[test], after[test] = flat[test], off[test]
+    return Seen(sigmas, gain, rms(before), rms(after))
 
 
-def _drops(t: Array, period: float) -> Finding | None:
-    multiples = np.rint(np.diff(t) / period)
-    gaps = multiples[(multiples >= 2) & (multiples <= LONGEST_GAP)] - 1
-    missing = float(gaps.sum())
-    total = t.size + missing
-    if gaps.size < thresholds.LEAST_GAPS or missing / total < thresholds.DROP_TOLERANCE:
+def _bursts(t: Array, arrived: Array, period: float, where: Where) -> Finding | None:
+    """Find samples that waited and were delivered together, three at a time or more.
+
+    Two may come together where delivery is merely uneven. The device's own spacing must be as ever.
+    """
+    heels = (np.diff(arrived) < HEELS * period) & (np.diff(t) > 0.5 * period)
+    edges = np.diff(np.concatenate([[False], heels, [False]]).astype(np.int8))
+    first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    size = last - first + 1
+    many = size >= LEAST_GROUP
+    waited = np.zeros(t.size)
+    # Of a group, the last came as it should as often as the threshold has it.
+    np.add.at(waited, first[many], size[many] - HEELS)
+    pieces = np.array_split(waited, PIECES)
+    hits, of = np.array([p.sum() for p in pieces]), np.array([float(p.size) for p in pieces])
+    fraction = float(hits.sum() / of.sum())
+    if fraction < thresholds.BURST_TOLERANCE or many.sum() < thresholds.LEAST_GAPS:
         return None
-    fraction = missing / total
-    error = np.sqrt(float((gaps**2).sum())) / total
-    low, high = max(fraction - 1.96 * error, 0.0), fraction + 1.96 * error
-    say = f"{fraction:.2%} of the samples are missing, in {gaps.size} gaps."
-    parameter = {"fraction": Parameter(fraction, [low, high], "1")}
-    return direct_finding(
-        "dropped_samples", "timing", [], _where(t, period), parameter, statement=say, sigmas=fraction / error
+    error = max(
+        float((hits / of).std(ddof=1)) / np.sqrt(PIECES), 0.3 / float(size[many].mean()) * fraction / 2.0
     )
-
-
-def _bursts(samples: Samples, period: float) -> Finding | None:
-    """Part of the samples that arrived on the heels of the one before, against the device's own spacing."""
-    if samples.t_arrival is None:
-        return None
-    late = np.diff(samples.t_arrival) < 0.2 * period
-    spaced = np.diff(samples.t) > 0.5 * period
-    pieces = np.array([float(p.mean()) for p in np.array_split(late & spaced, PIECES)])
-    fraction = float(pieces.mean())
-    if fraction < thresholds.BURST_TOLERANCE:
-        return None
-    error = max(float(pieces.std(ddof=1)) / np.sqrt(PIECES), 1e-6)
     measured = Measured(fraction, error)
+    sigmas = measured.beyond(0.0, thresholds.BURST_TOLERANCE)
+    if sigmas < SIGNIFICANT - 2.0:
+        return None
     say = (
         f"{fraction:.1%} of the samples were delivered in bursts; take the sensor's stamps, not the arrival."
     )
-    where = _where(samples.t, period)
+    seen = of_counts(np.minimum(hits, of), of, thresholds.BURST_TOLERANCE, sigmas)
     parameter = {"fraction": measured.parameter("1")}
-    return direct_finding(
-        "arrival_bursts", "timing", [], where, parameter, statement=say, sigmas=fraction / error
-    )
+    return direct_finding("arrival_bursts", "timing", [], where, parameter, statement=say, seen=seen)

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
-from stillcal.calib_core.misfit.quick import direct_finding
+from stillcal.calib_core.misfit.left_out import blocks, of_counts, rms
+from stillcal.calib_core.misfit.quick import Seen, direct_finding
 from stillcal.calib_core.misfit.records import Finding, Parameter, Where
 from stillcal.calib_core.samples import Array, Samples
 
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 COMB_SAMPLES = 20000
 LEAST_LIMIT = {"accel": 11.3, "gyro": 0.5}
+PRINTED = 0.5
+DITHERED = 2.2
+HIDDEN = 3.5
+HARMONICS = 8
 
 
 def comb_step(values: Array) -> float | None:
@@ -30,25 +37,115 @@ def comb_step(values: Array) -> float | None:
     small = multiples <= 8
     step = float(gaps[small].sum() / multiples[small].sum())
     off = np.abs(gaps[small] / step - multiples[small])
-    return step if float(np.quantile(off, 0.95)) < 0.08 else None
+    if float(np.quantile(off, 0.95)) >= 0.08:
+        return None
+    return _refined(distinct, step)
 
 
-def quantisation(samples: Samples, sensor: str, noise: Array, lsb: float | None) -> Finding | None:
-    """Find a step coarser than the declared one, or, where none is declared, than the noise (3,)."""
-    steps = [comb_step(samples.xyz[:, a]) for a in range(3)]
-    limit = [1.5 * lsb if lsb else float(noise[a]) for a in range(3)]
-    axes = [a for a in range(3) if (steps[a] or 0.0) > limit[a]]
+def _refined(distinct: Array, step: float) -> float:
+    """Fit the step to all distinct values, farther and farther from the middle one, where they keep to it."""
+    away = distinct - distinct[distinct.size // 2]
+    for reach in (30.0, 300.0, 3000.0):
+        near = away[np.abs(away) < reach * step]
+        multiples = np.rint(near / step)
+        if multiples.any() and float(np.abs(near / step - multiples).max()) < 0.25:
+            step = float(near @ multiples / (multiples @ multiples))
+    return step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """The step that values of a sensor come in by axis, 0 for none seen: (3,). sd.
+
+    (3,) of samples at rest.
+    """
+
+    step: Array
+    sd: Array
+
+    @property
+    def largest(self) -> float:
+        """The coarsest of the steps."""
+        return float(self.step.max())
+
+    def over_noise(self) -> float:
+        """Return the coarsest step over the noise beneath it."""
+        noise = np.sqrt(np.maximum(self.sd**2 - self.step**2 / 12.0, 0.0))
+        return float((self.step / np.maximum(noise, 1e-300)).max())
+
+    def blurs_level(self) -> bool:
+        """Whether variance is no longer that of the noise and step^2 / 12.
+
+        Up to 2.2 standard deviations it is, to some per cent (Widrow's condition, first harmonic
+        exp(-2 pi^2 sd^2 / step^2) < 2 %).
+        """
+        return self.over_noise() > DITHERED
+
+    def hides_noise(self) -> bool:
+        """Whether the noise does not even dither the steps, so that its spectrum cannot be seen."""
+        return self.over_noise() > HIDDEN
+
+    def mean_error(self) -> Array:
+        """Return the rms error (3,) that steps leave in the mean of a rest: no time averages it away."""
+        noise = np.sqrt(np.maximum(self.sd**2 - self.step**2 / 12.0, 0.0))
+        k = np.arange(1, HARMONICS + 1)[:, None]
+        fading = np.exp(-2.0 * (np.pi * k * noise / np.maximum(self.step, 1e-300)) ** 2)
+        return np.asarray(self.step * np.sqrt(0.5 * ((fading / (np.pi * k)) ** 2).sum(axis=0)))
+
+
+def steps(samples: Samples, sd: Array) -> Steps:
+    """Measure the steps of one sensor; sd: (3,) of its samples at rest."""
+    return Steps(np.array([comb_step(samples.xyz[:, a]) or 0.0 for a in range(3)]), sd)
+
+
+def quantisation(samples: Samples, sensor: str, seen: Steps, lsb: float | None) -> Finding | None:
+    """Find a step coarser than the declared one, or, where none is declared, than the noise.
+
+    A power of ten is how values are printed, and no finding unless it is half of the noise.
+    """
+    limit = [1.5 * lsb if lsb else float(seen.sd[a]) for a in range(3)]
+    axes = [
+        a
+        for a in range(3)
+        if seen.step[a] > limit[a]
+        and not (_power_of_ten(seen.step[a]) and seen.step[a] < PRINTED * seen.sd[a])
+    ]
     if not axes:
         return None
-    step = float(np.median([s for s in (steps[a] for a in axes) if s is not None]))
+    step = float(np.median(seen.step[axes]))
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "value")
-    half = step * 1e-3
+    half = max(step * 1e-3, 1e-7)
     size = f"{step:.4g} {UNIT[sensor]}"
     say = f"The {sensor} sensor's values come in steps of {size}, coarser than declared or than its noise."
     parameter = {"step": Parameter(step, [step - half, step + half], UNIT[sensor])}
+    evidence = _on_grid(samples.xyz[:, axes[0]])
     return direct_finding(
-        f"{sensor}_quantisation", sensor, axes, where, parameter, statement=say, sigmas=30.0
+        f"{sensor}_quantisation", sensor, axes, where, parameter, statement=say, seen=evidence
     )
+
+
+def _power_of_ten(step: float) -> bool:
+    return bool(abs(np.log10(step) - np.rint(np.log10(step))) < 1e-3)
+
+
+def _on_grid(values: Array) -> Seen:
+    """Predict values left out: on the grid of the others, or anywhere."""
+    thin = values[:: max(1, values.size // COMB_SAMPLES)]
+    fold, gain, before, after = blocks(thin.size), 0.0, [], []
+    for k in np.unique(fold):
+        train, test = thin[fold != k], thin[fold == k]
+        step = comb_step(train)
+        if step is None:
+            continue
+        phase = float(np.angle(np.exp(2j * np.pi * train / step).mean())) / (2.0 * np.pi)
+        off = test / step - phase
+        off = off - np.rint(off)
+        width = float(np.clip(4.0 * rms(train / step - phase - np.rint(train / step - phase)), 1e-3, 1.0))
+        inside = np.asarray(np.abs(off) < width / 2.0)
+        gain += float(inside.sum() * np.log(0.999 / width) + (~inside).sum() * np.log(1e-3))
+        before.append(step / np.sqrt(12.0))
+        after.append(step * rms(off))
+    return Seen(30.0, gain, rms(np.array(before)), rms(np.array(after)))
 
 
 def saturation(samples: Samples, sensor: str, noise: Array, declared: float | None) -> Finding | None:
@@ -61,11 +158,21 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
     axes = list(tops)
     limit = float(np.median([t[0] for t in tops.values()]))
     error = max([1e-4 * limit, *(t[1] for t in tops.values())])
-    rows = np.flatnonzero((size[:, axes] > limit - 4.0 * error - 4.0 * noise[axes]).any(axis=1))
+    width = 4.0 * error + 4.0 * noise[axes]
+    on = np.asarray((size[:, axes] > limit - width).any(axis=1), dtype=np.bool_)
+    rows = np.flatnonzero(on)
     where = Where(float(samples.t[rows[0]]), float(samples.t[rows[-1]]), (0.0, 0.0), "own input")
-    say = f"The {sensor} sensor stops at {limit:.4g} {UNIT[sensor]}; nothing beyond is to be trusted."
+    share = rows.size / size.shape[0]
+    say = (
+        f"The {sensor} sensor stops at {limit:.4g} {UNIT[sensor]}, where {rows.size} samples"
+        f" ({share:.2%}) lie; nothing beyond is to be trusted."
+    )
     parameter = {"limit": Parameter(limit, [limit - 1.96 * error, limit + 1.96 * error], UNIT[sensor])}
-    return direct_finding(f"{sensor}_saturation", sensor, axes, where, parameter, statement=say, sigmas=30.0)
+    near = (size[:, axes] > limit - 3.0 * width).any(axis=1)
+    parts = [p for p in np.array_split(np.flatnonzero(near), 40) if p.size]
+    hits, of = np.array([float(on[p].sum()) for p in parts]), np.array([float(p.size) for p in parts])
+    seen = of_counts(hits, of, 0.5, 30.0)
+    return direct_finding(f"{sensor}_saturation", sensor, axes, where, parameter, statement=say, seen=seen)
 
 
 def _flat_top(size: Array, noise: float, least: float) -> tuple[float, float] | None:

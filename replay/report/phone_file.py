@@ -10,7 +10,8 @@ import numpy as np
 
 from stillcal.calib_core.allan_fit import FLOOR
 from stillcal.calib_core.misfit.bins import Bins
-from stillcal.calib_core.misfit.spectrum import noise_levels, quiet
+from stillcal.calib_core.misfit.noise import density
+from stillcal.calib_core.misfit.spectrum import quiet
 from stillcal.calib_core.misfit.turns import turn_scene
 from stillcal.calib_core.misfit.values import comb_step
 from stillcal.calib_core.noise import NoiseModel, fit_noise
@@ -138,14 +139,14 @@ def _sensor(
     steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
     coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
     # Noise that hides in a coarse step has no level of its own: the maker's word is then all there is.
-    density = np.full(3, claimed) if coarse and claimed else _density(samples, bins)
+    level = np.full(3, claimed) if coarse and claimed else _density(samples, bins)
     rounding = 0.0 if coarse and claimed else max([0.0, *steps]) ** 2 / (6.0 * rate)
     lsb = float(np.median(steps)) if steps and not coarse else 0.0
     return SensorSettings(
         rate_hz=round(rate, 6),
         bias=_vector(bias),
         scale=_matrix(scale),
-        noise=_noise(samples, effects, density, slow, rounding),
+        noise=_noise(samples, effects, level, slow, rounding),
         lsb=lsb,
         range=limit,
     )
@@ -154,7 +155,7 @@ def _sensor(
 def _noise(
     samples: Samples,
     effects: Sequence[Effect],
-    density: Array,
+    level: Array,
     slow: Sequence[NoiseModel | None],
     rounding: float,
 ) -> Noise:
@@ -162,7 +163,7 @@ def _noise(
 
     rounding: what the step of the values adds to the density's square.
     """
-    white = density**2 - rounding
+    white = level**2 - rounding
     white = np.sqrt(np.maximum(white, 0.0)) / np.sqrt(_tail_power(samples, effects))
     walks = any(e.name.endswith("bias_random_walk") and e.concerns(samples.sensor) for e in effects)
     known = [m or NoiseModel(0.0) for m in slow]
@@ -182,7 +183,7 @@ def _density(samples: Samples, bins: Bins) -> Array:
     still = quiet(samples, bins)
     if len(still.pieces) < 3:
         return np.zeros(3)
-    return np.asarray(np.median(noise_levels(still).density, axis=0))
+    return density(still)
 
 
 def _tail_power(samples: Samples, effects: Sequence[Effect]) -> float:

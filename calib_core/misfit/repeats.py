@@ -1,0 +1,95 @@
+"""Samples that repeat the one before, exactly and on all axes: held values, or samples delivered twice."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.misfit.left_out import of_counts
+from stillcal.calib_core.misfit.quick import unknown
+from stillcal.calib_core.misfit.records import Finding, Where
+from stillcal.calib_core.samples import Array, Samples, frozen
+
+BLOCK_S = 1.0
+SIGNIFICANT = 6.0
+ALLOWED = 0.3
+LEAST_SHARE = 0.002
+LEAST_COUNT = 20
+MANY = 0.05
+"""Part of the samples held beyond which spectrum and tails are not judged."""
+
+
+def without_doubles(samples: Samples) -> tuple[Samples, int]:
+    """Return a stream without samples that have stamp and values of the one before.
+
+    And how many there were.
+    """
+    same = (np.diff(samples.t) == 0.0) & (np.diff(samples.xyz, axis=0) == 0.0).all(axis=1)
+    if not same.any():
+        return samples, 0
+    keep = np.concatenate([[True], ~same])
+    columns = (samples.temperature, samples.t_arrival)
+    temperature, arrival = (None if c is None else frozen(c[keep]) for c in columns)
+    kept = Samples(samples.sensor, frozen(samples.t[keep]), frozen(samples.xyz[keep]), temperature, arrival)
+    return kept, int(same.sum())
+
+
+def doubled(samples: Samples, count: int) -> Finding | None:
+    """State samples that were delivered twice; samples: without them."""
+    share = count / (len(samples) + count)
+    if count < LEAST_COUNT or share < LEAST_SHARE:
+        return None
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "delivery")
+    say = f"{share:.2%} of the samples were delivered twice, stamp and all."
+    seen = of_counts(np.full(40, count / 40.0), np.full(40, len(samples) / 40.0), LEAST_SHARE, 30.0)
+    return unknown("timing", [], where, {"fraction": (share, "1")}, statement=say, seen=seen)
+
+
+def held(samples: Samples, sensor: str) -> tuple[Finding | None, float]:
+    """Find values held: all axes repeat at once far oftener than each does by itself. Also their share.
+
+    Coarse steps repeat on each axis, but not on all together more than chance has it.
+    """
+    n = max(int(BLOCK_S / max(float(np.median(np.diff(samples.t))), 1e-6)), 10)
+    count = (len(samples) - 1) // n
+    if count < 2:
+        return None, 0.0
+    same = np.diff(samples.xyz, axis=0)[: count * n].reshape(count, n, 3) == 0.0
+    together, chance = same.all(axis=2).sum(axis=1), n * same.mean(axis=1).prod(axis=1)
+    expected = float(chance.sum())
+    excess = float(together.sum()) - expected
+    share = max(excess, 0.0) / (count * n)
+    sigmas = excess / np.sqrt(expected + 1.0)
+    if excess < max(LEAST_COUNT, ALLOWED * expected) or share < LEAST_SHARE or sigmas < SIGNIFICANT:
+        return None, share
+    first, last = _bulk(np.maximum(together - chance, 0.0))
+    where = Where(
+        float(samples.t[first * n]),
+        float(samples.t[min((last + 1) * n, len(samples) - 1)]),
+        (0.0, 0.0),
+        "values",
+    )
+    longest = _longest(same.all(axis=2).ravel())
+    say = (
+        f"{share:.2%} of the {sensor} sensor's samples repeat the one before exactly on all axes, up to"
+        f" {longest} in a row: values are held, not measured."
+    )
+    seen = of_counts(
+        together.astype(np.float64),
+        np.full(count, float(n)),
+        max(LEAST_SHARE, expected / (count * n)),
+        sigmas,
+    )
+    sizes = {"fraction": (share, "1"), "longest": (float(longest), "samples")}
+    return unknown(sensor, [0, 1, 2], where, sizes, statement=say, seen=seen), share
+
+
+def _bulk(excess: Array) -> tuple[int, int]:
+    """Return first and last of the blocks that hold all but 2 % of the excess."""
+    total = np.cumsum(excess) / excess.sum()
+    first, last = np.searchsorted(total, (0.01, 0.99))
+    return int(first), int(min(last, excess.size - 1))
+
+
+def _longest(same: Array) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))

@@ -1,0 +1,221 @@
+"""Single samples that fall too far out: noise with heavy tails, and rare spikes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.left_out import blocks, rms
+from stillcal.calib_core.misfit.quick import (
+    SIGNIFICANT,
+    Measured,
+    Seen,
+    direct_finding,
+    unknown,
+)
+from stillcal.calib_core.misfit.records import Finding, Parameter, Where
+from stillcal.calib_core.misfit.spectrum import Quiet
+from stillcal.calib_core.samples import Array
+
+FAR = 4.0
+TOGETHER = 0.2
+CLUSTERED = 0.05
+MOST_WIDE = 0.35
+RARE = 2e-3
+SPIKE = 8.0
+LEAST_SPIKES = 5
+EDGES = 400
+FARTHEST = 60.0
+
+
+def fast(piece: Array) -> Array:
+    """Return a piece (n, 3) free of its slow course, a cubic in time."""
+    x = np.linspace(-1.0, 1.0, len(piece))
+    course = np.polynomial.legendre.legvander(x, 3)
+    return np.asarray(piece - course @ np.linalg.lstsq(course, piece, rcond=None)[0])
+
+
+def standardised(pieces: Sequence[Array]) -> list[Array]:
+    """Return pieces free of their slow course in units of their robust spread.
+
+    All pieces', where they are alike.
+    """
+    quick = [fast(p) for p in pieces]
+    own = np.array([1.4826 * np.median(np.abs(q), axis=0) for q in quick])
+    typical = np.maximum(np.median(own, axis=0), 1e-300)
+    # The median absolute deviation of n normal values scatters by 1.17 / sqrt(n).
+    chance = 1.17 / np.sqrt(np.median([len(q) for q in quick]))
+    alike = 1.4826 * np.median(np.abs(own / typical - 1.0), axis=0) < 1.5 * chance + 0.02
+    return [q / np.where(alike, typical, np.maximum(s, 1e-300)) for q, s in zip(quick, own, strict=True)]
+
+
+def tails(still: Quiet, sensor: str, where: Where, coarse: float) -> Finding | None:
+    """Find far samples that come alone: not with others in time, nor on the other axes.
+
+    coarse: the step over the samples' spread; its share of the variance is taken off.
+    """
+    scaled = standardised(still.pieces)
+    kurtosis = [_kurtosis(scaled, a) for a in range(3)]
+    sigmas = [k.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE) for k in kurtosis]
+    axes = [a for a in range(3) if sigmas[a] >= SIGNIFICANT]
+    everything = np.concatenate(scaled)
+    if not axes or _clustered(everything[:, axes]) or _together(everything):
+        return None
+    values = np.abs(everything[:, axes]).ravel()
+    fit = contaminated(values, coarse**2 / 12.0)
+    if fit.fraction.value > MOST_WIDE:
+        return None
+    share = fit.fraction.value
+    say = f"{share:.1%} of the {sensor} sensor's samples scatter {fit.ratio.value:.1f} times wider."
+    parameters = {
+        "ratio": fit.ratio.parameter("1"),
+        "fraction": fit.fraction.parameter("1"),
+        "excess_kurtosis": Parameter(
+            [k.value for k in kurtosis],
+            [[k.value - 1.96 * k.error, k.value + 1.96 * k.error] for k in kurtosis],
+            "1",
+        ),
+    }
+    seen = _left_out([z[:, axes] for z in scaled], max(sigmas))
+    if share < RARE and fit.ratio.value > SPIKE:
+        return _spikes(sensor, axes, everything, where, seen)
+    return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
+
+
+def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) -> Finding | None:
+    far = np.abs(z[:, axes]) > FAR + 1.0
+    if far.sum() < LEAST_SPIKES:
+        return None
+    size = float(np.median(np.abs(z[:, axes])[far]))
+    n = int(far.sum())
+    say = f"{n} single samples of the {sensor} sensor at rest are off by some {size:.0f} times its noise."
+    sizes = {"count": (float(far.sum()), "1"), "size": (size, "of the noise")}
+    return unknown(sensor, axes, where, sizes, statement=say, seen=seen)
+
+
+def _kurtosis(scaled: list[Array], axis: int) -> Measured:
+    """Return the excess kurtosis of one axis over all pieces.
+
+    Its error from the pieces left out in tenths.
+    """
+    fourth = np.array([(z[:, axis] ** 4).sum() for z in scaled])
+    second = np.array([(z[:, axis] ** 2).sum() for z in scaled])
+    count = np.array([len(z) for z in scaled])
+    part = np.arange(len(scaled)) % min(20, len(scaled))
+
+    def of(rows: NDArray[np.bool_]) -> float:
+        n = float(count[rows].sum())
+        return float(fourth[rows].sum() / n / (second[rows].sum() / n) ** 2 - 3.0)
+
+    whole = of(np.ones(part.size, dtype=bool))
+    left = np.array([of(part != k) for k in np.unique(part)])
+    spread = float(np.sqrt((left.size - 1) / left.size * ((left - left.mean()) ** 2).sum()))
+    return Measured(whole, max(spread, float(np.sqrt(24.0 / count.sum()))))
+
+
+def _together(z: Array) -> bool:
+    """Whether far samples come with far samples on other axes: a knock, not noise of the sensor."""
+    far = np.abs(z) > FAR
+    several = float((far.sum(axis=1) > 1).sum()) / max(float(far.any(axis=1).sum()), 1.0)
+    return several > TOGETHER
+
+
+def _clustered(z: Array) -> bool:
+    """Whether large samples follow large ones: something shook the phone, or its noise changes."""
+    size = np.minimum(np.abs(z), 3.0)
+    size = size - size.mean(axis=0)
+    power = float((size**2).mean())
+    near = [float((size[k:] * size[:-k]).mean()) / power for k in (1, 2, 3, 5)]
+    return max(near) > CLUSTERED
+
+
+@dataclass(frozen=True, slots=True)
+class Contaminated:
+    """(1 - fraction) N(0, spread^2) + fraction N(0, (ratio spread)^2)."""
+
+    ratio: Measured
+    fraction: Measured
+    spread: float
+
+
+def contaminated(size: Array, steps: float = 0.0) -> Contaminated:
+    """Fit a mixture of two normals of mean 0 to absolute values (n,) by maximum likelihood.
+
+    Errors by its curvature.
+
+    steps: variance of the steps in the same unit, which both components have.
+    """
+    from scipy.optimize import minimize  # noqa: PLC0415 - the daemon stays light
+
+    counts, middles = _histogram(size)
+
+    def cost(x: Array) -> float:
+        return -float(counts @ np.log(_density(middles, x) + 1e-300))
+
+    start = np.array([np.log(0.8), np.log(3.0), np.log(0.03)])
+    fitted = minimize(
+        cost, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-3, "maxiter": 2000}
+    )
+    x = np.asarray(fitted.x)
+    error = np.sqrt(np.maximum(np.linalg.pinv(_curvature(cost, x)).diagonal(), 0.0))
+    narrow = np.exp(2.0 * x[0])
+    wide = narrow * np.exp(2.0 * x[1])
+    ratio = float(np.sqrt(max(wide - steps, 1e-12) / max(narrow - steps, 1e-12)))
+    share = float(1.0 / (1.0 + np.exp(-x[2])))
+    return Contaminated(
+        Measured(ratio, ratio * float(error[1])),
+        Measured(share, share * (1.0 - share) * float(error[2])),
+        float(np.sqrt(narrow)),
+    )
+
+
+def _histogram(size: Array) -> tuple[Array, Array]:
+    edges = np.concatenate([np.linspace(0.0, 6.0, EDGES), np.geomspace(6.02, FARTHEST, EDGES // 4)])
+    counts, _ = np.histogram(np.minimum(size, FARTHEST * 0.999), edges)
+    return counts.astype(np.float64), 0.5 * (edges[1:] + edges[:-1])
+
+
+def _density(z: Array, x: Array) -> Array:
+    """Return the mixture's density at z; x: log spread, log ratio, logit of the fraction."""
+    spread, wide, share = np.exp(x[0]), np.exp(x[0] + x[1]), 1.0 / (1.0 + np.exp(-x[2]))
+    narrow = np.exp(-0.5 * (z / spread) ** 2) / spread
+    return np.asarray((1.0 - share) * narrow + share * np.exp(-0.5 * (z / wide) ** 2) / wide)
+
+
+def _curvature(cost: object, x: Array, h: float = 0.02) -> Array:
+    """Return the matrix of second derivatives by central differences."""
+    assert callable(cost)
+    n, steps = x.size, h * np.eye(x.size)
+    out = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            a, b = steps[i], steps[j]
+            out[i, j] = (cost(x + a + b) - cost(x + a - b) - cost(x - a + b) + cost(x - a - b)) / (
+                4.0 * h * h
+            )
+    return out
+
+
+def _left_out(scaled: list[Array], sigmas: float) -> Seen:
+    """Predict the samples of rests left out by the mixture fitted to the others, and by one normal."""
+    fold = blocks(len(scaled))
+    gain, before, after = 0.0, [], []
+    for k in np.unique(fold):
+        train = np.abs(np.concatenate([z for z, f in zip(scaled, fold, strict=True) if f != k])).ravel()
+        test = np.abs(np.concatenate([z for z, f in zip(scaled, fold, strict=True) if f == k])).ravel()
+        fit = contaminated(train)
+        share = min(max(fit.fraction.value, 1e-6), 1.0 - 1e-6)
+        x = np.array([np.log(fit.spread), np.log(fit.ratio.value), np.log(share / (1.0 - share))])
+        s = rms(train)
+        gain += float(np.log(_density(test, x) + 1e-300).sum() + (0.5 * (test / s) ** 2 + np.log(s)).sum())
+        seen, model = (
+            float(np.mean(test**4)),
+            3.0 * fit.spread**4 * (1.0 + share * (fit.ratio.value**4 - 1.0)),
+        )
+        before.append(seen / 3.0 - 1.0)
+        after.append((seen - model) / 3.0)
+    return Seen(sigmas, gain, rms(np.array(before)), rms(np.array(after)))
