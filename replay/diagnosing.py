@@ -15,7 +15,7 @@ from stillcal.calib_core.misfit.bins import Bins, cut
 from stillcal.calib_core.misfit.catalogue import slow_entries
 from stillcal.calib_core.misfit.records import Claims, Diagnosis, Finding, verdict_of
 from stillcal.calib_core.misfit.scenes import scenes
-from stillcal.calib_core.misfit.search import forward, proposals
+from stillcal.calib_core.misfit.search import forward
 from stillcal.calib_core.misfit.slow import findings_of
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.calib_core.rests import RestState
@@ -138,7 +138,7 @@ def _of_rests(bins: Bins, claims: Claims, *, timed: bool) -> list[Finding]:
     found = []
     for scene in scenes(bins, claims.gravity):
         entries = [e for e in slow_entries(scene.sensor) if timed or _without_time(e.follows)]
-        found += findings_of(scene, forward(scene, proposals(scene, entries)))
+        found += findings_of(scene, forward(scene, entries))
     return found
 
 

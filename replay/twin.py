@@ -97,7 +97,7 @@ class Affine:
 
 
 def affine(bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float, rounds: int = 2) -> Affine:
-    """Fit the affine phone to the still bins with the effects taken off; the true phone where there are none."""
+    """Fit the affine phone to the still bins with the effects off; a faultless phone where there are none."""
     accel = gyro = np.zeros_like(bins.force)
     for _ in range(rounds):
         baseline = fit_baseline(bins.force - accel, bins.force_variance, bins.rest, gravity)

@@ -104,7 +104,8 @@ def _followed(scene: Scene) -> Iterator[tuple[tuple[str, str, float], Coefficien
             covariance = fit.covariance * np.outer(h.sizes, h.sizes) + np.diag((SAME * h.sizes) ** 2)
             unit = h.entry.parameters[0].unit
             key = (h.entry.effect, scene.sensor, h.grid.get("tau_s", 0.0) + h.sizes.size)
-            yield key, Coefficients(h.entry.effect, scene.sensor, fit.beta * h.sizes, covariance, unit)
+            name = " and ".join([h.entry.effect, *(p.name for p in h.entry.parameters[1:])])
+            yield key, Coefficients(name, scene.sensor, fit.beta * h.sizes, covariance, unit)
 
 
 def _proposed(entry: Entry, scene: Scene) -> list[Hypothesis]:
@@ -122,7 +123,7 @@ def _wald(one: Coefficients, other: Coefficients) -> Row:
     away = one.value - other.value
     covariance = one.covariance + other.covariance
     p = float(chi2.sf(away @ np.linalg.solve(covariance, away), away.size))
-    worst = int(np.argmax(np.abs(away) / np.sqrt(covariance.diagonal())))
+    worst = int(np.argmax(np.abs(one.value) / np.sqrt(one.covariance.diagonal())))
     axis = "xyz"[(worst // 3 if away.size == 9 else worst) % 3]
     return one.effect, f"{one.sensor} {axis}", float(one.value[worst]), float(other.value[worst]), one.unit, p
 

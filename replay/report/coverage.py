@@ -18,11 +18,6 @@ ATTITUDE_ANGLE = 0.2
 LEAST_PIECES = 3
 """Still bins that noise and spectra are taken from, at least."""
 
-NEVER_STILL = (
-    "the phone never lay still for five seconds: bias, scale, temperature and noise could not be checked at"
-    " all; what is said here is about stamps and values only"
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Check:
@@ -125,9 +120,7 @@ def _of_gyroscope(facts: Facts) -> list[Check]:
 
 
 def limits(facts: Facts) -> list[str]:
-    """Say in words what could not be checked, worst first, beside what the diagnosis says itself."""
-    if facts.bins == 0:
-        return [NEVER_STILL]
+    """Say in words what a table of rests cannot be checked for, beside what the diagnosis says itself."""
     if facts.samples == 0:
         said = ["a table of rests: stamps, noise, values, vibration and motion could not be checked"]
         return said if facts.stamps else [*said, "its rows have no time: nothing that follows time was tried"]

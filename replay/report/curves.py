@@ -61,7 +61,9 @@ def residuals(sensor: str, bins: Bins, below: Affine, gravity: float) -> list[Re
     """Return the residuals of gravity's norm, or of the three rates at rest."""
     if sensor == "accel":
         view = norm_view(bins, below.baseline, gravity)
-        return [Residual(view.y[0], view.project[0], view.baseline[0])]
+        # The baseline was fitted with what is known taken off; the residual is wanted with it in.
+        y = view.y[0] + np.einsum("na,na->n", view.project[0], below.accel)
+        return [Residual(np.asarray(y), view.project[0], view.baseline[0])]
     assert bins.rate is not None
     ones = np.ones((len(bins), 1))
     return [Residual(bins.rate[:, a], np.tile(np.eye(3)[a], (len(bins), 1)), ones) for a in range(3)]

@@ -86,7 +86,7 @@ def _slow(
     sensor: str, bins: Bins, below: tuple[Affine, Affine], gravity: float, edges: Array
 ) -> list[Channel]:
     plain, better = below
-    names = ["accel, norm of gravity"] if sensor == "accel" else [f"gyro {a}, rate at rest" for a in "xyz"]
+    names = ["accel norm"] if sensor == "accel" else [f"gyro {a} at rest" for a in "xyz"]
     nothing = np.zeros((len(bins), 3))
     explained = better.accel if sensor == "accel" else better.gyro
     parts = zip(
@@ -128,7 +128,7 @@ def _spreads(sensor: str, samples: Samples, bins: Bins, claims: Claims, edges: A
         log = np.log(spread / middle)
         noise = max(1.4826 * float(np.median(np.abs(log - np.median(log)))), LEAST_NOISE)
         value, mean = _cells(made.t[inside], spread, edges), _cells(made.t[inside], log, edges)
-        rows.append(Channel(f"{sensor} {axis}, noise", UNIT[sensor], noise * middle, value, mean / noise))
+        rows.append(Channel(f"{sensor} {axis} noise", UNIT[sensor], noise * middle, value, mean / noise))
     return rows
 
 
@@ -144,4 +144,4 @@ def _stamps(samples: Samples, edges: Array) -> Channel:
     period = float(np.median(steps))
     off = np.minimum(np.abs(steps - period), 10.0 * period)
     value, noise = _cells(samples.t[1:], off, edges), thresholds.JITTER_TOLERANCE * period
-    return Channel("stamps, off the period", "s", noise, value, value / noise)
+    return Channel("stamps", "s", noise, value, value / noise)

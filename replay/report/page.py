@@ -38,11 +38,12 @@ h1{font-size:1.5rem;line-height:1.25}h2{font-size:1.2rem;margin-top:2.2rem;borde
  padding-top:1rem}h3{font-size:1.05rem;margin-top:1.8rem}
 .verdict{font-size:1.15rem;padding:.8rem 1rem;border-left:.4rem solid #0b6e99;background:#f1f6f8}
 .verdict.unexplained,.verdict.partly_explained{border-color:#c65a11;background:#fbf3ec}
-.pictures{display:flex;flex-wrap:wrap;gap:1rem}
-figure{margin:.6rem 0;flex:1 1 20rem;max-width:31rem}figure.wide{max-width:46rem}
+.pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,27rem),1fr));gap:1rem}
+figure{margin:.6rem 0;max-width:31rem}figure.wide{max-width:46rem}
 img{width:100%;height:auto;display:block}figcaption{font-size:.9rem;color:#444}
 .scroll{overflow-x:auto}table{border-collapse:collapse;font-size:.9rem;min-width:20rem}
-th,td{text-align:left;vertical-align:top;padding:.25rem .7rem .25rem 0;border-bottom:1px solid #ddd}
+th,td{overflow-wrap:normal;text-align:left;vertical-align:top;
+ padding:.25rem .7rem .25rem 0;border-bottom:1px solid #ddd}
 code,.equation{font-family:ui-monospace,monospace;font-size:.92rem}
 .equation{background:#f6f6f6;padding:.5rem .7rem;overflow-x:auto}
 .no{color:#8a3c00;font-weight:600}footer{margin-top:2.5rem;font-size:.85rem;color:#555}
@@ -102,10 +103,11 @@ def _map(case: Case) -> Picture:
         f" is {size:.0f} units of noise in {loudest.name}."
     )
     caption = (
-        "Each row is a channel, each column a stretch of the recording; grey is where the phone moved."
+        "Each row is a channel: the norm of gravity and the rates at rest, the spread of single samples at"
+        " rest, how far intervals are off the period. Each column is a stretch of time; grey is where the phone moved."
         " Colour is the departure from the twin before anything found is taken off; beyond"
-        f" {figures.CLIP:.0f} units it is full. One unit of noise in the row that departs most, {loudest.name}, is"
-        f" {number(loudest.noise)} {loudest.unit}."
+        f" {figures.CLIP:.0f} units it is full. One unit of noise in the row that departs most,"
+        f" {loudest.name}, is {number(loudest.noise)} {loudest.unit}."
     )
     return Picture(figures.map_figure(case.map), alt, caption)
 
@@ -199,6 +201,14 @@ def _comparison(answer: dict[str, Any]) -> Iterator[str]:
         yield f"<p>The simulated recording {escape(told(given))}.</p>" + _tests(given)
     before, after = answer.get("comparison_before"), answer.get("comparison_after")
     if before is None or after is None:
+        return
+    if not answer["findings"]:
+        yield "<h2>Beside its simulated twin</h2>"
+        yield (
+            "<p>A simulated phone, with the affine errors and the noise measured here, lives through this"
+            f" recording's own day. Its recording: {escape(told(after))}.</p>"
+        )
+        yield _tests(after)
         return
     yield "<h2>The simulation before and after</h2>"
     yield (

@@ -39,12 +39,13 @@ def _findings(answer: dict[str, Any]) -> Iterator[str]:
 
 
 def _comparisons(answer: dict[str, Any]) -> Iterator[str]:
+    better = "the phone with what was found" if answer["findings"] else "its simulated twin"
     for name, what in (
         ("comparison", "the simulated recording"),
         ("comparison_before", "the phone before"),
-        ("comparison_after", "the phone with what was found"),
+        ("comparison_after", better),
     ):
-        if name in answer:
+        if name in answer and (answer["findings"] or name != "comparison_before"):
             yield f"  {what}: {told(answer[name])}"
 
 
