@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import msgspec
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -28,6 +27,7 @@ from stillcal.calib_core.samples import Array
 from stillcal.daemon.cli import cli
 from stillcal.daemon.cli_simulate import truth_of
 from stillcal.daemon.demo_live import DaemonDiedError, Files, Lived, live
+from stillcal.daemon.week import at_rate
 from stillcal.replay.phone import Phone, Simulation, load_phone, load_scenario, simulate
 
 DEG = 180 / np.pi
@@ -79,9 +79,7 @@ def _print_esgi(console: Console) -> None:
 
 def phone_at(rate_hz: float) -> Phone:
     """Return the phone `typical` with both its sensors at another rate, Hz."""
-    phone, other = load_phone("typical"), msgspec.structs.replace
-    gyro = phone.gyro and other(phone.gyro, rate_hz=rate_hz)
-    return other(phone, accel=other(phone.accel, rate_hz=rate_hz), gyro=gyro)
+    return at_rate(load_phone("typical"), rate_hz)
 
 
 # While it lives

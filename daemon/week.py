@@ -1,6 +1,7 @@
 """A simulated week through the daemon's engine, counted: `python -m stillcal.daemon.week`.
 
-As fast as it goes, in one process, chunk by chunk as they would arrive: what was calibrated, checked and
+As fast as it goes, in one process, chunk by chunk as they would arrive, with what befalls a phone's clock on
+the way (week_clock.py) and store and state kept as the daemon keeps them: what was calibrated, checked and
 zeroed and why; how far the published calibration was from the truth at every hour; what of the samples was
 used; and how much memory a further day costs. Exit code 1 where a bar is not met.
 """
@@ -8,23 +9,30 @@ used; and how much memory a further day costs. Exit code 1 where a bar is not me
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import click
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.codec import packed
 from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.engine_state import Counters
-from stillcal.calib_core.events import Action, End, Level, Log
+from stillcal.calib_core.events import Action, End, Level, Log, Reject
+from stillcal.calib_core.events import Store as Keep
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.samples import Array
+from stillcal.daemon import saved_state
 from stillcal.daemon.log import entry
 from stillcal.daemon.memory import resident_bytes
-from stillcal.replay.phone import Simulation, Truth, load_phone, load_scenario, simulate
+from stillcal.daemon.service_clock import PhoneClock
+from stillcal.daemon.store import Store
+from stillcal.daemon.week_clock import MISHAPS, Mishap, through_clock
+from stillcal.replay.phone import Phone, Simulation, Truth, load_phone, load_scenario, simulate
 
 HOUR_S, DAY_S = 3600.0, 86400.0
 MG = STANDARD / 1000
@@ -35,13 +43,14 @@ KEPT = 2
 
 HOUR = np.dtype(
     [(name, np.float64) for name in ("t", "force_mg", "rate_deg_s", "off_grid_s")]
-    + [(name, np.int64) for name in ("read", "offered", "rss", "state")]
+    + [(name, np.int64) for name in ("read", "offered", "rss", "state", "files")]
 )
 """How things stood at time t (s).
 
 force_mg, rate_deg_s: what the published calibration was off by, NaN before there is one (see `force_error`,
 `rate_error`). off_grid_s: how far the next check is from its grid. read, offered: accelerometer samples so
-far. rss: bytes of memory in use; state: bytes of the packed state.
+far. rss: bytes of memory in use; state: bytes of the saved state; files:
+in the folder of store and state.
 """
 
 
@@ -101,19 +110,33 @@ class Slope:
     distinct: bool
 
 
-def live(simulation: Simulation, every_s: float = HOUR_S) -> Iterator[Week]:
+def live(simulation: Simulation, every_s: float = HOUR_S, mishaps: Sequence[Mishap] = ()) -> Iterator[Week]:
     """Let the engine live through it; yield the same growing account every `every_s` and at the end."""
-    engine, week, offered, due = Engine(), Week(simulation.duration, every_s), 0, every_s
-    for chunk in simulation.chunks():
-        offered += len(chunk.accelerometer)
-        items = () if chunk.gyroscope is None else (chunk.gyroscope,)
-        week.hear(engine.feed(*items, chunk.accelerometer, *chunk.events))
-        if chunk.t_end >= due:
-            due += every_s
-            week.add(_looked(chunk.t_end, engine, offered, simulation.truth))
-            yield _counted(week, engine)
-    week.hear(engine.feed(End(simulation.duration)))
+    engine, week, clock = Engine(), Week(simulation.duration, every_s), PhoneClock()
+    offered, due = 0, every_s
+    with (
+        tempfile.TemporaryDirectory(prefix="stillcal-") as folder,
+        Store(Path(folder) / "store.json") as store,
+    ):
+        for chunk, items in through_clock(simulation.chunks(), clock, mishaps):
+            offered += len(chunk.accelerometer)
+            week.hear(_kept(engine.feed(*items), store))
+            if chunk.t_end >= due:
+                due += every_s
+                week.add(_looked(chunk.t_end, engine, offered, simulation.truth, store.path))
+                yield _counted(week, engine)
+        week.hear(engine.feed(End(clock.newest)))
     yield _counted(week, engine)
+
+
+def _kept(actions: list[Action], store: Store) -> list[Action]:
+    """Write what is to be stored, and return what was to be done."""
+    for action in actions:
+        if isinstance(action, Keep):
+            store.publish(action.record, action.reason, action.t)
+        elif isinstance(action, Reject):
+            store.reject(action.record, action.reason, action.t)
+    return actions
 
 
 def force_error(record: CalibrationRecord, truth: Truth) -> float:
@@ -153,7 +176,9 @@ def daily_slope(t: Array, values: Array) -> Slope:
     return Slope(float(fit.slope), float(fit.stderr), bool(abs(fit.slope) > limit))
 
 
-def _looked(t: float, engine: Engine, offered: int, truth: Truth) -> tuple[float, ...]:
+def _looked(t: float, engine: Engine, offered: int, truth: Truth, store: Path) -> tuple[float, ...]:
+    data = saved_state.encode(saved_state.SavedState(engine.state))
+    saved_state.save(saved_state.state_path(store), data)
     state, interval = engine.state, engine.settings.schedule.check_interval_s
     off = 0.0
     if state.next_check is not None and state.began is not None:
@@ -161,7 +186,8 @@ def _looked(t: float, engine: Engine, offered: int, truth: Truth) -> tuple[float
     record = state.record
     errors = (np.nan, np.nan) if record is None else (force_error(record, truth), rate_error(record, truth))
     read = engine.ledger.accel_samples
-    return t, *errors, off, read, offered, resident_bytes(), len(packed(state))
+    files = len(list(store.parent.iterdir()))
+    return t, *errors, off, read, offered, resident_bytes(), len(data), files
 
 
 def _counted(week: Week, engine: Engine) -> Week:
@@ -185,6 +211,7 @@ def _verdicts(week: Week) -> list[tuple[str, str, bool]]:
     """Return each figure that has a bar: its name, itself, and whether the bar is met."""
     rss = daily_slope(week.hours["t"] - HOUR_S / 2, week.hours["rss"] / 1024)
     off_grid = week.hours["off_grid_s"].max()
+    files = week.hours["files"][[min(23, len(week.hours) - 1), -1]]
     force, rate = week.median("force_mg"), week.median("rate_deg_s")
     return [
         (
@@ -208,22 +235,43 @@ def _verdicts(week: Week) -> list[tuple[str, str, bool]]:
             np.isfinite(rss.value) and not rss.distinct,
         ),
         ("checks off their grid", f"{off_grid:.6f} s at most", off_grid < 1e-3),
+        (
+            "files of store and state",
+            f"{files[0]} after a day, {files[1]} at the end",
+            bool(files[1] <= files[0]),
+        ),
     ]
 
 
 @click.command()
 @click.option("--scenario", default="week", show_default=True, help="A ready scenario, or a TOML file.")
 @click.option("--phone", default="typical", show_default=True, help="A ready phone, or a TOML file.")
-@click.option("--seed", default=1, show_default=True)
-def main(scenario: str, phone: str, seed: int) -> None:
-    """Live a simulated week and print its figures; exit code 1 where a bar is not met."""
-    simulation = simulate(load_scenario(scenario), load_phone(phone), seed)
+@click.option("--seed", "seeds", multiple=True, type=int, default=(1,), show_default=True)
+@click.option("--rate", default=0.0, help="Hz of both sensors, in place of the phone's own.")
+@click.option("--undisturbed", is_flag=True, help="Let nothing befall the phone's clock.")
+def main(scenario: str, phone: str, seeds: tuple[int, ...], rate: float, undisturbed: bool) -> None:
+    """Live a simulated week for each seed and print its figures; exit code 1 where a bar is not met."""
+    chosen = load_phone(phone) if rate == 0.0 else at_rate(load_phone(phone), rate)
+    mishaps = () if undisturbed else MISHAPS
+    met = [_shown(scenario, simulate(load_scenario(scenario), chosen, seed), seed, mishaps) for seed in seeds]
+    sys.exit(not all(met))
+
+
+def at_rate(phone: Phone, rate_hz: float) -> Phone:
+    """Return a phone with both its sensors at another rate, Hz."""
+    other = msgspec.structs.replace
+    gyro = phone.gyro and other(phone.gyro, rate_hz=rate_hz)
+    return other(phone, accel=other(phone.accel, rate_hz=rate_hz), gyro=gyro)
+
+
+def _shown(scenario: str, simulation: Simulation, seed: int, mishaps: Sequence[Mishap]) -> bool:
+    """Live one week and print its figures; say whether every bar is met."""
     if simulation.duration < HOUR_S:
         raise click.UsageError(f"{scenario} lasts {simulation.duration:.0f} s: give one of an hour at least")
-    click.echo(f"{scenario}, phone {phone}, seed {seed}: {simulation.duration / DAY_S:.2f} days")
+    click.echo(f"{scenario}, seed {seed}: {simulation.duration / DAY_S:.2f} days")
     click.echo(" day  calibr. rejected  checks zeroed       mg     deg/s    used  RSS MiB  state KiB")
     shown = 0
-    for week in live(simulation):
+    for week in live(simulation, mishaps=mishaps):
         if (days := len(week.hours) // 24) > shown:
             shown = days
             click.echo(_day_line(week))
@@ -232,7 +280,7 @@ def main(scenario: str, phone: str, seed: int) -> None:
     click.echo(f"\nThe first {KEPT} lines of the log of each kind:")
     for line in week.first:
         click.echo(f"  {line.t / HOUR_S:7.2f} h  {entry(line.what, line.why, line.fields)}")
-    sys.exit(not all(met for _, _, met in verdicts))
+    return all(met for _, _, met in verdicts)
 
 
 if __name__ == "__main__":
