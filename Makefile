@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: run test check faults week evaluate clean
+.PHONY: run test check faults week evaluate bench clean
 
 run: $(READY)
 	$(BIN)/python -m stillcal.daemon.demo
@@ -24,6 +24,10 @@ faults: $(READY)
 
 week: $(READY)
 	$(BIN)/python -m stillcal.daemon.week
+
+bench: $(READY)
+	$(BIN)/python -m pip install --quiet --editable '.[benchmarks]'
+	$(BIN)/python benchmarks
 
 evaluate: $(READY)
 	$(BIN)/stillcal evaluate

@@ -1,0 +1,32 @@
+"""Item 5: overlapping Allan deviation of ten million samples, beside allantools."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from peers import peer
+from timing import Row, ratio, rounds
+
+from stillcal.calib_core.noise import allan_deviations
+
+
+def run(quick: bool) -> Iterator[Row]:
+    """Yield the rows of item 5."""
+    n = 1_000_000 if quick else 10_000_000
+    values = np.random.default_rng(0).standard_normal(n)
+    tools = peer("allantools")
+    octave = 2 ** np.arange(int(np.log2(n / 3)) + 1)
+    spaced = np.unique(np.round(np.logspace(0, np.log10(n / 3), 100)).astype(int))
+    for name, factors, goal in (("octave", octave, 3.0), ("100 log-spaced", spaced, 10.0)):
+        cases = {"ours": lambda f=factors: allan_deviations(values, f)}
+        if tools is not None:
+            cases["allantools"] = lambda f=factors: tools.oadev(values, rate=1.0, data_type="freq", taus=f)[1]
+        timed = rounds(cases, 2 if quick else 3)
+        own, versus, accuracy, met = timed["ours"], None, "", None
+        if tools is not None:
+            versus = ratio(own, timed["allantools"])
+            apart = float(np.abs(timed["allantools"].answer / own.answer - 1.0).max())
+            accuracy, met = f"apart by {apart:.0e} at most", versus[0] >= goal and apart < 1e-9
+        what = f"Allan deviation of {n:.0e} samples, {name} averaging times ({len(factors)})"
+        yield Row("5", what, own.best, "s", "allantools", versus, f"{goal:g} times, to 1e-9", met, accuracy)

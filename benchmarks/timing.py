@@ -1,0 +1,71 @@
+"""Timing side by side: every round runs each case once, so that what disturbs one disturbs all.
+
+Times are of the processor, which other programs on the machine disturb less than the clock's; ratios are
+taken within a round, and their median and middle half over the rounds are what is reported.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """Processor seconds of one case, by round; answer: what its last call returned."""
+
+    seconds: np.ndarray
+    answer: Any
+
+    @property
+    def best(self) -> float:
+        """The least, which disturbances only add to."""
+        return float(self.seconds.min())
+
+    @property
+    def median(self) -> float:
+        """The usual."""
+        return float(np.median(self.seconds))
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table. value, unit: ours; ratio: of the peer's time to ours, median (middle half).
+
+    goal: in words; met: whether it is, None where there is none to meet. accuracy: in words, beside speed.
+    """
+
+    item: str
+    what: str
+    value: float
+    unit: str
+    peer: str = ""
+    ratio: tuple[float, float, float] | None = None
+    goal: str = ""
+    met: bool | None = None
+    accuracy: str = ""
+    more: dict[str, Any] = field(default_factory=dict)
+
+
+def rounds(cases: Mapping[str, Callable[[], Any]], count: int, calls: int = 1) -> dict[str, Timed]:
+    """Run every case `calls` times a round, after one round that is not counted."""
+    taken: dict[str, list[float]] = {name: [] for name in cases}
+    answers: dict[str, Any] = {}
+    for number in range(count + 1):
+        for name, case in cases.items():
+            began = time.process_time()
+            for _ in range(calls):
+                answers[name] = case()
+            if number:
+                taken[name].append((time.process_time() - began) / calls)
+    return {name: Timed(np.array(own), answers[name]) for name, own in taken.items()}
+
+
+def ratio(ours: Timed, peer: Timed) -> tuple[float, float, float]:
+    """Return by how many times the peer takes longer, median and middle half of the rounds' ratios."""
+    low, median, high = np.quantile(peer.seconds / ours.seconds, (0.25, 0.5, 0.75))
+    return float(median), float(low), float(high)
