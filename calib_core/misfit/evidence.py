@@ -12,12 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.misfit.shapes import shapes
+from stillcal.calib_core.misfit.shapes import families
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.samples import Array
 
-PRIOR_DOF = 10.0
+PRIOR_DOF = 60.0
+"""How well the white noise within bins tells that between them: to about a fifth in variance."""
+
 ITERATIONS = 25
+ALIKE = 0.95
+"""Prior probability that the wander of a sensor's axes is of one kind and nearly one strength."""
+
+NEARLY = (0.5, 0.2, 0.05)
+"""Weights of an axis' strength 0, 1, 2 half decades of variance off the strength that the axes share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +32,8 @@ class Reduced:
     """A view under G shapes with M candidate columns.
 
     prior: (G,) log; constant: (G,) prior and determinants; yy: (G,); xy: (G, M); blocks: one (G, k, k) a
-    hypothesis; columns: its column indices; dof: nu0 + n - p; walk: (G,) variance rate, 1/s, of random walks.
+    hypothesis; columns: its column indices; dof: nu0 + n - p; walk: (G,) variance rate, 1/s, of random walks;
+    near: (G, G) how an axis' shape scatters about the one that the axes share.
     """
 
     prior: Array
@@ -37,6 +45,7 @@ class Reduced:
     dof: float
     family: tuple[str, ...]
     walk: Array
+    near: Array
 
 
 def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | None = None) -> Reduced:
@@ -44,25 +53,27 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
 
     extra: (b, n, q) columns of effects already found, projected out with the baseline over all blocks.
     """
-    prior, constant, yy, xy, family, walk = [], [], [], [], [], []
-    grams = []
+    made = families(view)
+    prior, constant, yy, xy, grams = [], [], [], [], []
+    blocks = len(view.y)
     seen = np.abs(design).max(axis=(0, 1)) > 0.0
-    for shape, weight in shapes(view):
-        factor = np.linalg.cholesky(shape.covariance)
-        y, visible, determinant = _whitened(
-            np.asarray(factor, dtype=np.float64), view, design[:, :, seen], extra
-        )
-        x = np.zeros((y.size, seen.size))
-        x[:, seen] = visible
-        log_det = 2.0 * len(view.y) * float(np.log(factor.diagonal()).sum())
-        prior.append(np.log(weight))
-        constant.append(np.log(weight) - 0.5 * (log_det + determinant))
-        yy.append(y @ y)
-        xy.append(y @ x)
-        grams.append(_grams(x, columns))
-        family.append(shape.family)
-        walk.append(shape.walk)
+    everything = stacked(view, design[:, :, seen], extra)
+    x = np.zeros((view.y.size, seen.size))
+    volume = blocks * float(np.log(view.variance).sum())
+    for family in made:
+        rotated = family.rotation @ everything
+        for diagonal, weight in zip(family.diagonals, family.weight, strict=True):
+            y, x[:, seen], determinant = projected(
+                rotated / np.sqrt(diagonal)[:, None], view.baseline.shape[2], int(seen.sum())
+            )
+            log_det = blocks * float(np.log(diagonal).sum()) + volume
+            prior.append(np.log(weight))
+            constant.append(np.log(weight) - 0.5 * (log_det + determinant))
+            yy.append(y @ y)
+            xy.append(y @ x)
+            grams.append(_grams(x, columns))
     baseline = view.parameters + (0 if extra is None else extra.shape[2])
+    names = tuple(f.name for f in made for _ in f.strengths)
     return Reduced(
         np.array(prior),
         np.array(constant),
@@ -71,9 +82,18 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
         [np.array(b) for b in zip(*grams, strict=True)],
         columns,
         PRIOR_DOF + view.y.size - baseline,
-        tuple(family),
-        np.array(walk),
+        names,
+        np.concatenate([f.walk for f in made]),
+        _nearness(names),
     )
+
+
+def _nearness(names: tuple[str, ...]) -> Array:
+    """Return the probability (G, G) of shape j given the shared shape i: one family, nearly one strength."""
+    kind = np.array(names)
+    apart = np.abs(np.subtract.outer(np.arange(len(names)), np.arange(len(names))))
+    weight = np.append(NEARLY, 0.0)[np.minimum(apart, len(NEARLY))] * (kind[:, None] == kind[None, :])
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
 def _grams(x: Array, columns: list[Array]) -> list[Array]:
@@ -87,28 +107,27 @@ def _grams(x: Array, columns: list[Array]) -> list[Array]:
     return out
 
 
-def _whitened(factor: Array, view: View, design: Array, extra: Array | None) -> tuple[Array, Array, float]:
-    """Return y (b n,) and design (b n, M), whitened and free of the baseline, and log|B' C^-1 B|."""
-    from scipy.linalg import solve_triangular  # noqa: PLC0415 - the daemon stays light
+def stacked(view: View, design: Array, extra: Array | None) -> Array:
+    """Return (b, n, p + 1 + M + q): baseline, data, candidates, effects found already."""
+    found = np.zeros((*view.y.shape, 0)) if extra is None else extra
+    return np.concatenate([view.baseline, view.y[:, :, None], design, found], axis=2)
 
-    blocks_y, blocks_x, blocks_e, determinant = [], [], [], 0.0
-    for b in range(len(view.y)):
-        found = np.zeros((view.y.shape[1], 0)) if extra is None else extra[b]
-        width = view.baseline.shape[2]
-        everything = np.column_stack([view.baseline[b], view.y[b], design[b], found])
-        everything = solve_triangular(factor, everything, lower=True, check_finite=False)
-        q, r = np.linalg.qr(everything[:, :width])
-        stacked = everything[:, width:]
-        determinant += 2.0 * float(np.log(np.abs(r.diagonal()) + 1e-300).sum())
-        stacked -= q @ (q.T @ stacked)
-        blocks_y.append(stacked[:, 0])
-        blocks_x.append(stacked[:, 1 : 1 + design.shape[2]])
-        blocks_e.append(stacked[:, 1 + design.shape[2] :])
-    y, x = np.concatenate(blocks_y), np.concatenate(blocks_x)
-    if extra is not None:
-        q, _ = np.linalg.qr(np.concatenate(blocks_e))
-        y, x = y - q @ (q.T @ y), x - q @ (q.T @ x)
-    return y, x, determinant
+
+def projected(whitened: Array, width: int, candidates: int) -> tuple[Array, Array, float]:
+    """Return y (b n,) and design (b n, M) free of the baseline and what was found, and log|B' C^-1 B|.
+
+    whitened: (b, n, width + 1 + M + q), in the order of `stacked`.
+    """
+    q, r = np.linalg.qr(whitened[:, :, :width])
+    others = whitened[:, :, width:]
+    others = others - q @ (q.transpose(0, 2, 1) @ others)
+    determinant = 2.0 * float(np.log(np.abs(np.einsum("bii->bi", r)) + 1e-300).sum())
+    flat = others.reshape(-1, others.shape[2])
+    if flat.shape[1] > 1 + candidates:
+        q, _ = np.linalg.qr(flat[:, 1 + candidates :])
+        flat = flat[:, : 1 + candidates]
+        flat = flat - q @ (q.T @ flat)
+    return flat[:, 0], flat[:, 1:], determinant
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,19 +147,25 @@ def null_log_likelihood(views: Sequence[Reduced]) -> float:
 def joint(views: Sequence[Reduced], terms: list[Array]) -> tuple[float, list[Array]]:
     """Return the log likelihood of all views and each view's shape probabilities (G,), from their log terms.
 
-    The axes of a sensor are made alike: with probability one half they share one shape, else each has its
-    own. Views that do not have the same shapes are independent.
+    The axes of a sensor are made alike: with probability `ALIKE` they share a kind of wander and scatter
+    about one strength, else each has its own. Views that do not have the same shapes are independent.
     """
     own = [log_sum(t) for t in terms]
     apart, weights = float(sum(own)), [np.exp(t - s) for t, s in zip(terms, own, strict=True)]
     if len(views) < 2 or any(v.family != views[0].family for v in views):
         return apart, weights
-    shared = sum((t - v.prior for t, v in zip(terms, views, strict=True)), views[0].prior)
-    together = log_sum(np.asarray(shared))
-    value = float(np.logaddexp(together, apart) - np.log(2.0))
-    alike = float(np.exp(together - np.log(2.0) - value))
-    common = np.exp(shared - together)
-    return value, [alike * common + (1.0 - alike) * w for w in weights]
+    tops = [float(t.max()) for t in terms]
+    bare = [
+        np.exp(np.maximum(t - v.prior - top, -600.0)) for t, v, top in zip(terms, views, tops, strict=True)
+    ]
+    blurred = [v.near @ p for v, p in zip(views, bare, strict=True)]
+    shared = views[0].prior + sum(np.log(p) for p in blurred)
+    together = log_sum(np.asarray(shared)) + sum(tops)
+    value = float(np.logaddexp(together + np.log(ALIKE), apart + np.log(1.0 - ALIKE)))
+    alike = float(np.exp(together + np.log(ALIKE) - value))
+    common = np.exp(shared + sum(tops) - together)
+    near = [p * (v.near.T @ (common / b)) for v, p, b in zip(views, bare, blurred, strict=True)]
+    return value, [alike * n + (1.0 - alike) * w for n, w in zip(near, weights, strict=True)]
 
 
 def log_terms(view: Reduced, residual: Array) -> Array:

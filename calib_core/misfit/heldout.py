@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit.catalogue.entry import Hypothesis, Scene
 from stillcal.calib_core.misfit.evidence import PRIOR_DOF, Reduced, log_terms, residuals
-from stillcal.calib_core.misfit.shapes import shapes
+from stillcal.calib_core.misfit.shapes import families
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.samples import Array
 
@@ -34,8 +34,9 @@ def best_covariance(view: View, reduced: Reduced, h: int | None, beta: Array) ->
     """Return the most probable covariance (n, n) of a view under hypothesis `h` (None: no effect)."""
     residual = reduced.yy if h is None else residuals(reduced, h, beta)
     top = int(np.argmax(log_terms(reduced, residual)))
-    shape = next(s for i, (s, _) in enumerate(shapes(view)) if i == top)
-    return np.asarray(shape.covariance * (PRIOR_DOF + residual[top]) / reduced.dof)
+    shapes = [(family, g) for family in families(view) for g in range(family.strengths.size)]
+    family, g = shapes[top]
+    return np.asarray(family.covariance(g) * (PRIOR_DOF + residual[top]) / reduced.dof)
 
 
 def held_out(scene: Scene, covariances: Sequence[Array], effects: Sequence[Hypothesis]) -> HeldOut:

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
-from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Scene
+from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Scene, nothing
 from stillcal.calib_core.misfit.evidence import (
     Fit,
     Reduced,
@@ -22,6 +22,7 @@ from stillcal.calib_core.misfit.evidence import (
     null_log_likelihood,
     reduce_view,
 )
+from stillcal.calib_core.misfit.screen import screened
 from stillcal.calib_core.samples import Array
 
 
@@ -73,41 +74,62 @@ def compete(
     scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()
 ) -> tuple[list[Scored], list[Reduced]]:
     """Score every hypothesis with baseline and `found` projected out; best of each entry, best first."""
-    reduced = reduce_scene(scene, hypotheses, found)
+    reduced = reduce_scene(scene, hypotheses, found, parts=True)
     null = null_log_likelihood(reduced)
-    dof = sum(v.dof for v in reduced)
     trials: dict[int, int] = {}
     for h in hypotheses:
-        trials[id(h.entry)] = trials.get(id(h.entry), 0) + 1
+        trials[id(h.entry)] = h.trials or trials.get(id(h.entry), 0) + 1
     scored: dict[int, list[Scored]] = {}
     for index, h in enumerate(hypotheses):
-        rank = visible(reduced, index)
-        if rank == 0:
-            continue
-        bound = score(gain_bound(reduced, index) - null, rank, dof, trials[id(h.entry)])
-        if bound < thresholds.WORTH_FITTING:
-            continue
-        fit = fit_hypothesis(reduced, index)
-        gain = fit.log_likelihood - null
-        scored.setdefault(id(h.entry), []).append(
-            Scored(h, fit, score(gain, rank, dof, trials[id(h.entry)]) - h.entry.handicap, gain)
-        )
+        one = _judged(reduced, index, h, null, trials[id(h.entry)])
+        if one is not None:
+            scored.setdefault(id(h.entry), []).append(one)
     return sorted((_best(group) for group in scored.values()), key=lambda s: -s.score), reduced
 
 
+def _judged(reduced: Sequence[Reduced], index: int, h: Hypothesis, null: float, trials: int) -> Scored | None:
+    """Score a hypothesis on all axes and on each alone, and keep the better; None where it is hopeless.
+
+    Set 4 `index` of the reduced scene is the whole hypothesis, the next three are its axes. All axes cost a
+    factor of two in trials, one axis one of six.
+    """
+    best, whole = -np.inf, 4 * index
+    for part, cost in ((whole, 2), (whole + 1, 6), (whole + 2, 6), (whole + 3, 6)):
+        rank, dof = visible(reduced, part), degrees(reduced, part)
+        if rank == 0:
+            continue
+        least = max(best, thresholds.WORTH_FITTING)
+        if score(gain_bound(reduced, part) - null, rank, dof, trials * cost) < least:
+            continue
+        gain = fit_hypothesis(reduced, part).log_likelihood - null
+        best = max(best, score(gain, rank, dof, trials * cost))
+    if not np.isfinite(best):
+        return None
+    fit = fit_hypothesis(reduced, whole)
+    return Scored(h, fit, best - h.entry.handicap, fit.log_likelihood - null)
+
+
+def degrees(reduced: Sequence[Reduced], h: int) -> float:
+    """Return the degrees of freedom of the views that see hypothesis `h`."""
+    return sum(v.dof for v in reduced if v.blocks[h][0].trace() > 0.0)
+
+
 def _best(group: list[Scored]) -> Scored:
-    top = max(group, key=lambda s: s.gain)
+    top = max(group, key=lambda s: s.score)
     profile = tuple((s.hypothesis.grid, s.gain) for s in group)
     return Scored(top.hypothesis, top.fit, top.score, top.gain, profile)
 
 
 def reduce_scene(
-    scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()
+    scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = (), *, parts: bool = False
 ) -> list[Reduced]:
-    """Reduce every view of a scene for a list of hypotheses."""
+    """Reduce every view for a list of hypotheses; with `parts`, each is followed by its three axes."""
     widths = [h.columns[0].shape[2] for h in hypotheses]
     ends = np.cumsum([0, *widths])
     index = [np.arange(a, b) for a, b in pairwise(ends)]
+    if parts:
+        owners = zip(index, [h.axis_of for h in hypotheses], strict=True)
+        index = [i for whole, of in owners for i in (whole, *(whole[of == a] for a in range(3)))]
     reduced = []
     for i, view in enumerate(scene.views):
         design = np.concatenate([h.columns[i] * h.sizes for h in hypotheses], axis=2)
@@ -130,23 +152,50 @@ def visible(reduced: Sequence[Reduced], h: int) -> int:
     return int((np.linalg.eigvalsh(np.asarray(information)) > 1.0).sum())
 
 
-def forward(scene: Scene, hypotheses: list[Hypothesis], threshold: float = thresholds.SCORE) -> list[Step]:
+def forward(scene: Scene, entries: Sequence[Entry], threshold: float = thresholds.SCORE) -> list[Step]:
     """Return the forward steps whose winner passes the threshold, at most `thresholds.MAX_FINDINGS`."""
     steps: list[Step] = []
-    while hypotheses and len(steps) < thresholds.MAX_FINDINGS:
+    while len(steps) < thresholds.MAX_FINDINGS:
         before = [h for s in steps for h in s.explained]
-        ranked, _ = compete(scene, hypotheses, before)
+        ranked = ranking(scene, entries, before)
         if not ranked or ranked[0].score < threshold:
             break
-        step = refined(scene, prefer_named(Step(ranked[0], tuple(ranked[1:]))), before)
+        step = prefer_pair(scene, prefer_named(Step(ranked[0], tuple(ranked[1:]))), before)
+        step = refined(scene, step, before)
         steps.append(step)
-        hypotheses = [h for h in hypotheses if not _spent(h.entry, step.winner.hypothesis.entry)]
+        entries = [e for e in entries if not _spent(e, step.winner.hypothesis.entry)]
     return steps
+
+
+def ranking(scene: Scene, entries: Sequence[Entry], found: Sequence[Hypothesis] = ()) -> list[Scored]:
+    """Return the best hypothesis of every entry with `found` projected out, best first."""
+    empty = reduce_scene(scene, [nothing(scene)], found)
+    hypotheses = [*proposals(scene, entries), *screened(scene, entries, empty, found)]
+    return compete(scene, hypotheses, found)[0] if hypotheses else []
 
 
 def _spent(entry: Entry, winner: Entry) -> bool:
     """Whether a winner rules an entry out of later steps: all that name one effect, unless it can recur."""
-    return not winner.recurs and (entry is winner or (entry.effect == winner.effect != "unknown"))
+    return not winner.recurs and entry.effect == winner.effect != "unknown"
+
+
+def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
+    """Let a named effect win over a nameless one where, with a second name, it explains as much.
+
+    Two effects together may look like neither; each of the best few names is tried with the best second.
+    """
+    if step.winner.hypothesis.entry.effect != "unknown":
+        return step
+    named = [s for s in step.others if s.hypothesis.entry.effect != "unknown"][: thresholds.PAIRS]
+    best, chosen = step.winner.score - thresholds.UNKNOWN_MARGIN, step
+    for first in named:
+        others = [s.hypothesis.entry for s in named if s is not first]
+        entries = [e for e in others if not _spent(e, first.hypothesis.entry)]
+        ranked = ranking(scene, entries, [*before, first.hypothesis])
+        if ranked and first.score + ranked[0].score > best:
+            best = first.score + ranked[0].score
+            chosen = Step(first, (step.winner, *(s for s in step.others if s is not first)))
+    return chosen
 
 
 def prefer_named(step: Step) -> Step:
@@ -156,7 +205,7 @@ def prefer_named(step: Step) -> Step:
     near = [
         s
         for s in step.others
-        if s.hypothesis.entry.effect != "unknown" and step.winner.score - s.score < thresholds.MARGIN
+        if s.hypothesis.entry.effect != "unknown" and step.winner.score - s.score < thresholds.UNKNOWN_MARGIN
     ]
     if not near:
         return step

@@ -1,22 +1,27 @@
 """The covariance shapes a view's noise may have: white plus wander of several kinds and strengths.
 
 A shape is a covariance up to its scale. Strengths run over a logarithmic grid, so that hypotheses can be
-judged under all of them (docs/misfit.md, 3).
+judged under all of them (docs/misfit.md, 3). A family is diagonalised once; its strengths are then as many
+diagonals.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
+from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.noise import flicker_covariance, gauss_markov_covariance, random_walk_covariance
 from stillcal.calib_core.samples import Array
 
-STRENGTHS = tuple(10.0 ** (x / 2.0) for x in range(-3, 10))
+STRENGTHS = 10.0 ** np.arange(-1.5, 4.6, 0.5)
 TAUS = (60.0, 240.0, 960.0)
+SLOWEST = f"gauss_markov_{TAUS[-1]:.0f}"
+"""Over an hour hardly to be told from a random walk, as which it begins."""
+
 MIXTURES = (
     ("walk", "gauss_markov_60"),
     ("walk", "gauss_markov_240"),
@@ -24,42 +29,81 @@ MIXTURES = (
     ("flicker", "gauss_markov_240"),
     ("flicker", "gauss_markov_960"),
 )
+KEPT = 6
+"""Views whose families are kept diagonalised: one recording's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
-    """One covariance shape (n, n). walk: variance rate of the random walk in it, unit^2/s."""
+class Family:
+    """One kind of wander beside white noise, at G strengths.
 
-    family: str
-    strength: float
-    covariance: Array
-    walk: float
+    strengths, weight: (G,), prior; walk: (G,) variance rate of the random walk in it, unit^2/s.
+    rotation: (n, n), takes data into axes where the shapes are diagonal; diagonals: (G, n).
+    """
+
+    name: str
+    strengths: Array
+    weight: Array
+    walk: Array
+    rotation: Array
+    diagonals: Array
+
+    def covariance(self, g: int) -> Array:
+        """Return the shape (n, n) at strength number `g`."""
+        back = np.linalg.inv(self.rotation)
+        return np.asarray((back * self.diagonals[g]) @ back.T)
+
+
+@lru_cache(maxsize=KEPT)
+def families(view: View) -> list[Family]:
+    """Return every family of a view; they weigh alike, white alone as one of them."""
+    root = np.sqrt(view.variance)
+    made = kinds(view)
+    n, weight = view.t.size, 1.0 / (len(made) + 1)
+    none, alone = np.zeros(1), np.array([weight])
+    found = [Family("white", none, alone, none, np.diag(1.0 / root), np.ones((1, n)))]
+    prior = strength_prior() * weight
+    median = float(np.median(view.variance))
+    for name, (unit, rate) in made.items():
+        values, vectors = np.linalg.eigh(unit * median / np.outer(root, root))
+        diagonals = 1.0 + STRENGTHS[:, None] * np.maximum(values, 0.0)
+        found.append(Family(name, STRENGTHS, prior, STRENGTHS * median * rate, vectors.T / root, diagonals))
+    return found
+
+
+def strength_prior() -> Array:
+    """Return the prior (G,) of strengths: broad about what phones have, with tails to either side."""
+    away = (np.log10(STRENGTHS) - thresholds.WANDER_MIDDLE) / thresholds.WANDER_DECADES
+    weight = np.exp(-0.5 * away**2) + thresholds.WANDER_TAIL
+    return np.asarray(weight / weight.sum())
 
 
 def kinds(view: View) -> dict[str, tuple[Array, float]]:
     """Return unit wander covariances (n, n) of each family and the random walk's variance rate in them, 1/s.
 
-    Turns have none: each begins anew.
+    The rate of the slowest Gauss-Markov process is that with which it begins.
+    All views of a sensor have the same families in the same unit, a bias that scatters between the view's
+    bins like their white noise. Turns have none: each begins anew.
     """
     if view.name == "turn":
         return {}
     walk = random_walk_covariance(view.t, view.duration)
     raw = {"flicker": flicker_covariance(view.t, view.duration), "walk": walk}
     raw |= {f"gauss_markov_{tau:.0f}": gauss_markov_covariance(view.t, view.duration, tau) for tau in TAUS}
-    scatter = (view.rest[:, None] == view.rest[None, :]).astype(np.float64)
-    spread = {name: _spread(c * view.coupling) for name, c in raw.items()}
+    spread = {name: _spread(c) for name, c in raw.items()}
     unit = {name: c * view.coupling / spread[name] for name, c in raw.items()}
-    rate = 1.0 / spread["walk"]
-    families = {name: (c, rate if name == "walk" else 0.0) for name, c in unit.items()}
+    rates = {"walk": 1.0 / spread["walk"], SLOWEST: 2.0 / TAUS[-1] / spread[SLOWEST]}
+    found = {name: (c, rates.get(name, 0.0)) for name, c in unit.items()}
     for one, other in MIXTURES:
-        walks = 0.5 * rate * (one == "walk")
-        families[f"{one}+{other}"] = (0.5 * (unit[one] + unit[other]), walks)
-    if len(np.unique(view.rest)) >= 3 and view.name != "tangent":
+        rate = 0.5 * (rates.get(one, 0.0) + rates.get(other, 0.0))
+        found[f"{one}+{other}"] = (0.5 * (unit[one] + unit[other]), rate)
+    scatter = (view.rest[:, None] == view.rest[None, :]).astype(np.float64)
+    if len(np.unique(view.rest)) >= 3:
         between = scatter / _spread(scatter)
-        families["scatter"] = (between, 0.0)
-        families["flicker+scatter"] = (0.5 * (unit["flicker"] + between), 0.0)
-        families["walk+scatter"] = (0.5 * (unit["walk"] + between), 0.5 * rate)
-    return families
+        found["scatter"] = (between, 0.0)
+        found["flicker+scatter"] = (0.5 * (unit["flicker"] + between), 0.0)
+        found["walk+scatter"] = (0.5 * (unit["walk"] + between), 0.5 * rates["walk"])
+    return found
 
 
 def _spread(covariance: Array) -> float:
@@ -67,16 +111,3 @@ def _spread(covariance: Array) -> float:
     n = len(covariance)
     total = n * float(np.trace(covariance)) - float(covariance.sum())
     return max(total / max(n * (n - 1), 1), 1e-30)
-
-
-def shapes(view: View) -> Iterator[tuple[Shape, float]]:
-    """Yield every shape of a view with its prior weight; families weigh alike, white alone as one of them."""
-    white = np.diag(view.variance)
-    median = float(np.median(view.variance))
-    families = kinds(view)
-    weight = 1.0 / (len(families) + 1)
-    yield Shape("white", 0.0, white, 0.0), weight
-    for name, (unit, rate) in families.items():
-        for strength in STRENGTHS:
-            size = strength * median
-            yield Shape(name, strength, white + size * unit, size * rate), weight / len(STRENGTHS)

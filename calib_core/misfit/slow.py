@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.bins import Bins
-from stillcal.calib_core.misfit.catalogue import slow_entries
+from stillcal.calib_core.misfit.catalogue import nameless, slow_entries
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
 from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
 from stillcal.calib_core.misfit.evidence import fit_hypothesis
 from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
 from stillcal.calib_core.misfit.lever import lever_arm
 from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
-from stillcal.calib_core.misfit.search import Scored, Step, forward, proposals, reduce_scene
-from stillcal.calib_core.misfit.turns import turn_hypotheses, turn_scene
+from stillcal.calib_core.misfit.search import Scored, Step, forward, reduce_scene
+from stillcal.calib_core.misfit.turns import turn_entries, turn_scene
 from stillcal.calib_core.misfit.views import fit_baseline
 from stillcal.calib_core.misfit.walk import random_walk
-from stillcal.calib_core.samples import Array, Samples
+from stillcal.calib_core.samples import Samples
 
 SLOW_BAND = (0.0, 0.05)
 """Frequencies that means over bins of 10 s and more can show, Hz."""
@@ -38,9 +39,13 @@ def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
     """
     if len(scene.bins) < thresholds.LEAST_BINS:
         return []
-    entries = [e for e in slow_entries(scene.sensor) if e.effect not in without]
-    steps = forward(scene, proposals(scene, entries))
-    return [*findings_of(scene, steps), *random_walk(scene, [h for step in steps for h in step.explained])]
+    entries = slow_entries(scene.sensor, without)
+    steps = forward(scene, entries)
+    walks = random_walk(scene, [h for step in steps for h in step.explained])
+    return [
+        *findings_of(scene, steps),
+        *(replace(f, effect="unknown") if f.effect in without else f for f in walks),
+    ]
 
 
 def turn_findings(
@@ -53,9 +58,9 @@ def turn_findings(
         return []
     scene, found = made
     arm = lever_arm(accelerometer, baseline, found, gravity)
-    proposed = [h for h in turn_hypotheses(found, scene) if h.entry.effect not in without]
+    entries = [nameless(e) if e.effect in without else e for e in turn_entries(found, scene)]
     return [
-        *findings_of(scene, forward(scene, proposed)),
+        *findings_of(scene, forward(scene, entries)),
         *([] if arm is None else [arm]),
     ]
 
@@ -127,19 +132,11 @@ def _alternative(
 
 def named_axes(found: Estimate) -> list[str]:
     """Return the axes whose parameters stand out of their own errors, at least the one that does most."""
-    owner = _axis_of(found)
+    owner = found.hypothesis.axis_of
     strength = np.abs(found.value) / np.maximum(found.sigma, 1e-300)
     by_axis = [float(strength[owner == a].max(initial=0.0)) for a in range(3)]
     least = min(thresholds.AXIS_SIGMA, max(by_axis))
     return [AXES[a] for a in range(3) if by_axis[a] >= least]
-
-
-def _axis_of(found: Estimate) -> Array:
-    """Return which axis (k,) each parameter belongs to: rows of a matrix, or axes in turn."""
-    count = found.value.size
-    if found.hypothesis.entry.effect == "gyro_g_sensitivity" or count == 15:
-        return np.repeat(np.arange(3), count // 3)
-    return np.tile(np.arange(3), count // 3)
 
 
 def _where(scene: Scene, hypothesis: Hypothesis) -> Where:

@@ -7,13 +7,13 @@ a turn, by (R_end' sum R(t) d(t) dt) x up_end, with R(t) from the body at t to t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.catalogue.drivers import LEAST_SPAN
-from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Linear, Scene, moves
+from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Linear, Scene, moves, no_hypotheses
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.rotation import attitudes, matrix
 from stillcal.calib_core.samples import Array, Samples
@@ -149,7 +149,7 @@ SCALE = Entry(
     "gyro_scale_temperature",
     "gyro",
     "temperature x rate of turn",
-    lambda _entry, _scene: [],
+    no_hypotheses,
     (Linear("slope", "1/K", 3, 1e-3),),
     "The gyroscope's scale follows temperature on {axes}.",
     ("gyro_bias_temperature",),
@@ -160,7 +160,7 @@ QUADRATIC = Entry(
     "gyro_nonlinearity",
     "gyro",
     "rate of turn",
-    lambda _entry, _scene: [],
+    no_hypotheses,
     (Linear("quadratic", "1/(rad/s)", 3, 0.02),),
     SAY,
     ("gyro_saturation",),
@@ -170,7 +170,7 @@ CUBIC = Entry(
     "gyro_nonlinearity",
     "gyro",
     "rate of turn",
-    lambda _entry, _scene: [],
+    no_hypotheses,
     (Linear("quadratic", "1/(rad/s)", 3, 0.02), Linear("cubic", "1/(rad/s)^2", 3, 0.01)),
     SAY,
     ("gyro_saturation",),
@@ -178,24 +178,24 @@ CUBIC = Entry(
 )
 
 
-def turn_hypotheses(found: list[Turn], scene: Scene) -> list[Hypothesis]:
+def turn_entries(found: list[Turn], scene: Scene) -> list[Entry]:
     """Return what turns can show: nonlinearity, and scale against temperature where it was recorded."""
     across = scene.views[0].project.reshape(-1, 2, 3)
 
-    def seen(term: Callable[[Turn], Array]) -> Array:
-        columns = np.einsum("kbi,kip->kbp", across, _columns(found, term))
-        return np.asarray(columns.reshape(1, across.shape[0] * 2, -1))
+    def seen(entry: Entry, *terms: Callable[[Turn], Array]) -> Entry:
+        def propose(self: Entry, _scene: Scene) -> list[Hypothesis]:
+            columns = [np.einsum("kbi,kip->kbp", across, _columns(found, term)) for term in terms]
+            flat = np.concatenate(columns, axis=2).reshape(1, across.shape[0] * 2, -1)
+            return [Hypothesis(self, {}, (flat,))]
 
-    square = seen(lambda t: _axiswise(t.rate**2))
-    cube = seen(lambda t: _axiswise(t.rate**3))
-    proposed = [
-        Hypothesis(QUADRATIC, {}, (square,)),
-        Hypothesis(CUBIC, {}, (np.concatenate([square, cube], axis=2),)),
-    ]
+        return replace(entry, propose=propose)
+
+    def square(t: Turn) -> Array:
+        return _axiswise(t.rate**2)
+
+    proposed = [seen(QUADRATIC, square), seen(CUBIC, square, lambda t: _axiswise(t.rate**3))]
     warm = np.array([t.temperature for t in found])
     if scene.bins.temperature is not None and moves(warm, LEAST_SPAN):
         middle = float(warm.mean())
-        proposed.append(
-            Hypothesis(SCALE, {}, (seen(lambda t: _axiswise(t.rate * (t.temperature - middle))),))
-        )
+        proposed.append(seen(SCALE, lambda t: _axiswise(t.rate * (t.temperature - middle))))
     return proposed

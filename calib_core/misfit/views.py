@@ -61,9 +61,9 @@ def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, ste
 
     force, variance: (n, 3); rest: (n,). Norm of gravity alone leaves a common rotation free, so S is
     symmetric. Directions and columns are those of the rest's mean: a bin's own noise in the columns would
-    be regressed on itself.
+    be regressed on itself. A rest counts once, as uncertain as its bins wander.
     """
-    weight = 1.0 / np.sqrt(variance.mean(axis=1))
+    weight = _rest_weights(np.linalg.norm(force, axis=1), variance.mean(axis=1), rest)
     prior = np.diag(1.0 / np.array([BIAS_SIZE] * 3 + [SCALE_SIZE] * 6))
     x = np.zeros(9)
     for _ in range(steps):
@@ -73,6 +73,15 @@ def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, ste
         x = x + np.linalg.lstsq(design, target, rcond=None)[0]
     steady = _linearised(rest_means(force, rest), x)
     return replace(steady, norm=_linearised(force, x).norm)
+
+
+def _rest_weights(norm: Array, variance: Array, rest: Index) -> Array:
+    """Weights (n,) of bins: white noise averages out in a rest; wander, the scatter of its bins, does not."""
+    count = np.bincount(rest)[rest].astype(np.float64)
+    away = norm - rest_means(norm[:, None], rest)[:, 0]
+    freedom = max(norm.size - np.unique(rest).size, 1)
+    wander = max(float(away @ away) / freedom - float(variance.mean()), 0.0)
+    return np.asarray(1.0 / np.sqrt(variance + count * wander))
 
 
 def rest_means(values: Array, rest: Index) -> Array:

@@ -6,14 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.catalogue.bias import NAME, UNIT
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
-from stillcal.calib_core.misfit.evidence import PRIOR_DOF, Reduced, posterior_weights
+from stillcal.calib_core.misfit.evidence import PRIOR_DOF, Reduced, joint, log_terms
 from stillcal.calib_core.misfit.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.misfit.search import reduce_scene
 from stillcal.calib_core.samples import Array
+
+BOUNDED = 2.0
+"""How far beyond what a walk may have a slow Gauss-Markov process must begin to be called a walk."""
 
 LEAST_SPREAD = 0.15
 """Strengths of walks are tried half a decade of variance apart: no density is known better than this (ln)."""
@@ -21,17 +25,19 @@ LEAST_SPREAD = 0.15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Walk:
-    """Posterior of one view. kinds: probability of each kind of wander; density: (G,) unit/sqrt(s) of shapes
-    with a walk and their weight (G,).
-    """  # noqa: D205 - the kinds and the walk are one posterior
+    """Posterior of one view.
 
-    kinds: dict[str, float]
+    density: (G,) unit/sqrt(s) of shapes that walk; weight: (G,) their probability; bounded: (G,) whether a
+    shape is a Gauss-Markov process, a walk only at first.
+    """
+
     weight: Array
     density: Array
+    bounded: NDArray[np.bool_]
 
     def beyond(self, limit: float) -> float:
-        """Probability that the density is above `limit`, given that there is a walk."""
-        return float(self.weight[self.density > limit].sum() / max(float(self.weight.sum()), 1e-300))
+        """Probability of a walk above `limit`, or of a bounded one above `BOUNDED` times that."""
+        return float(self.weight[self.density > limit * np.where(self.bounded, BOUNDED, 1.0)].sum())
 
     def summary(self) -> tuple[float, float, float]:
         """Return the middle and 95 % interval of the density, given that there is a walk."""
@@ -46,30 +52,24 @@ class Walk:
         )
 
 
-def walk_of(reduced: Reduced) -> Walk:
-    """Return the posterior of a view's wander."""
-    weight = posterior_weights(reduced)
-    scale = (PRIOR_DOF + reduced.yy) / max(reduced.dof - 2.0, 1.0)
-    kinds: dict[str, float] = {}
-    for family, w in zip(reduced.family, weight, strict=True):
-        kind = "walk" if family.startswith("walk") else family
-        kinds[kind] = kinds.get(kind, 0.0) + float(w)
-    some = reduced.walk > 0.0
-    return Walk(kinds, weight[some], np.sqrt(reduced.walk * scale)[some])
-
-
-def walking(walks: Sequence[Walk]) -> float:
-    """Probability that the wander of all views, taken to be of one kind, is a random walk."""
-    joint = {k: float(np.prod([w.kinds.get(k, 0.0) for w in walks])) for k in walks[0].kinds}
-    return joint["walk"] / max(sum(joint.values()), 1e-300)
+def walks_of(views: Sequence[Reduced]) -> list[Walk]:
+    """Return the posterior of every view's walk, the axes of a sensor made alike as in the search."""
+    _, weights = joint(views, [log_terms(v, v.yy) for v in views])
+    out = []
+    for view, weight in zip(views, weights, strict=True):
+        scale = (PRIOR_DOF + view.yy) / max(view.dof - 2.0, 1.0)
+        some = view.walk > 0.0
+        bounded = np.array(["walk" not in name for name in view.family])
+        out.append(Walk(weight[some], np.sqrt(view.walk * scale)[some], bounded[some]))
+    return out
 
 
 def random_walk(scene: Scene, explained: Sequence[Hypothesis]) -> list[Finding]:
     """Find a bias random walk beyond what Android allows, in what the effects leave."""
     limit = thresholds.RANDOM_WALK[scene.sensor]
     reduced = reduce_scene(scene, [nothing(scene)], explained)
-    walks = [walk_of(r) for v, r in zip(scene.views, reduced, strict=True) if v.name != "tangent"]
-    sure = walking(walks) * max(w.beyond(limit) for w in walks)
+    walks = [w for v, w in zip(scene.views, walks_of(reduced), strict=True) if v.name != "tangent"]
+    sure = max(w.beyond(limit) for w in walks)
     if sure < thresholds.CERTAIN:
         return []
     by_axis = walks if len(walks) == 3 else walks * 3

@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
+
+from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.catalogue import bias, force, generic
 from stillcal.calib_core.misfit.catalogue.entry import Entry
 
 
-def slow_entries(sensor: str) -> list[Entry]:
-    """Return every entry that is judged on the still bins of one sensor, "accel" or "gyro"."""
+def slow_entries(sensor: str, without: Collection[str] = ()) -> list[Entry]:
+    """Return every entry that is judged on the still bins of one sensor, "accel" or "gyro".
+
+    Whatever drives a named effect may drive a nameless one, so the generic bank has every driver too. Where
+    both compete the name is preferred, so the nameless twin enters only for effects in `without`.
+    """
     own = force.accelerometer_entries() if sensor == "accel" else force.gyroscope_entries()
-    return [*bias.entries(sensor), *own, *generic.entries(sensor)]
+    named = [nameless(e) if e.effect in without else e for e in (*bias.entries(sensor), *own)]
+    return [*named, *generic.entries(sensor)]
+
+
+def nameless(entry: Entry) -> Entry:
+    """Return an entry as one of the generic bank: the same driver, and no word of physics."""
+    return replace(
+        entry,
+        effect="unknown",
+        sentence=generic.SAY + entry.follows + ".",
+        kin=None,
+        handicap=max(entry.handicap, thresholds.UNKNOWN_HANDICAP),
+    )

@@ -12,6 +12,7 @@ from stillcal.calib_core.misfit.catalogue.entry import (
     Scene,
     bias_columns,
     curves,
+    no_hypotheses,
 )
 from stillcal.calib_core.samples import Array
 
@@ -24,15 +25,9 @@ PER_KELVIN = {"accel": 0.02, "gyro": 2e-3}
 NAME = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 
-def _step(entry: Entry, scene: Scene) -> list[Hypothesis]:
-    """Propose steps: a nudged phone steps across gravity too, so the tangent view is left out."""
-    found = drivers.steps(scene)
-    return [Hypothesis(entry, grid, bias_columns(scene, curve, ("tangent",))) for grid, curve in found]
-
-
 def _near_step(entry: Entry, scene: Scene, grid: dict[str, float]) -> list[Hypothesis]:
     found = drivers.steps_near(scene, grid["t_start"])
-    return [Hypothesis(entry, g, bias_columns(scene, curve, ("tangent",))) for g, curve in found]
+    return [Hypothesis(entry, g, bias_columns(scene, curve, drivers.JUMPS)) for g, curve in found]
 
 
 def _near_tau(entry: Entry, scene: Scene, grid: dict[str, float]) -> list[Hypothesis]:
@@ -123,7 +118,8 @@ def _timed(sensor: str) -> list[Entry]:
             effect=f"{sensor}_bias_step",
             sensor=sensor,
             follows="time",
-            propose=_step,
+            propose=no_hypotheses,
+            bank=drivers.steps,
             parameters=(Linear("step", unit, 3, size),),
             sentence=f"The {name}'s bias jumped once on {{axes}}.",
             look_alikes=(f"{sensor}_charging_bias", walk),

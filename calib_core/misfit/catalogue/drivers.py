@@ -7,12 +7,15 @@ from itertools import product
 import numpy as np
 
 from stillcal.calib_core.misfit.bins import WINDOW, Bins
-from stillcal.calib_core.misfit.catalogue.entry import Scene, moves
+from stillcal.calib_core.misfit.catalogue.entry import Bank, Scene, moves
 from stillcal.calib_core.samples import Array
 
 Driver = tuple[dict[str, float], Array]
 TAUS = (60.0, 120.0, 240.0, 480.0, 960.0, 1920.0)
-STEPS = 48
+STEPS = 250
+JUMPS = ("tangent",)
+"""Views in which a nudge of the phone looks like a jump of the sensor."""
+
 LATENT_TAUS = (90.0, 200.0, 450.0, 900.0, 1800.0)
 LEAST_SPAN = 0.3
 
@@ -44,28 +47,33 @@ def drift(scene: Scene) -> list[Driver]:
     return [({}, age(scene.bins))]
 
 
-def steps(scene: Scene) -> list[Driver]:
-    """One at and after a time: up to `STEPS` borders of bins, two bins from either end."""
+def steps(scene: Scene) -> Bank | None:
+    """One at and after a time: at up to `STEPS` borders of bins, two bins from either end.
+
+    A nudged phone steps across gravity too, so the tangent view is left out.
+    """
     t = scene.bins.t
     if t.size < 6:
-        return []
+        return None
     borders = np.unique(np.linspace(2, t.size - 2, STEPS).round().astype(int))
-    return [_step_at(scene.bins, int(i)) for i in borders]
+    made = [_step_at(scene.bins, int(i)) for i in borders]
+    return Bank([g for g, _ in made], np.array([c for _, c in made])[:, None], borders.size, None, JUMPS)
 
 
 def steps_near(scene: Scene, t_start: float) -> list[Driver]:
-    """Return steps at every border of bins within two grid distances of `t_start`, s."""
+    """Return steps at every border of bins within eight borders of `t_start`, s."""
     n = scene.bins.t.size
-    reach = 2 * max(1, n // STEPS) + 1
+    reach = max(8, 2 * (n // STEPS))
     middle = int(np.searchsorted(scene.bins.t, t_start))
     return [_step_at(scene.bins, i) for i in range(max(2, middle - reach), min(n - 1, middle + reach))]
 
 
 def _step_at(bins: Bins, i: int) -> Driver:
-    return {"t_start": _border(bins, i)}, (np.arange(bins.t.size) >= i).astype(float)
+    return {"t_start": border(bins, i)}, (np.arange(bins.t.size) >= i).astype(float)
 
 
-def _border(bins: Bins, i: int) -> float:
+def border(bins: Bins, i: int) -> float:
+    """Time between bins i - 1 and i, s."""
     return float((bins.t[i - 1] + bins.duration[i - 1] / 2 + bins.t[i] - bins.duration[i] / 2) / 2)
 
 
@@ -112,11 +120,12 @@ def heat(bins: Bins, tau: float, plug: float, use: float, start: float) -> Array
         times, states = bins.charging_switches.T
         on = states[np.maximum(np.searchsorted(times, t, side="right") - 1, 0)]
     decay = np.exp(-WINDOW / tau)
-    z = _filtered(plug * on + use * active, decay)
+    z = filtered(plug * on + use * active, decay)
     return np.asarray(np.interp(bins.t, t, z + start * np.exp(-(t - t[0]) / tau)))
 
 
-def _filtered(source: Array, decay: float) -> Array:
+def filtered(source: Array, decay: float) -> Array:
+    """First-order response to a source at each of its samples, from nothing."""
     from scipy.signal import lfilter  # noqa: PLC0415 - the daemon stays light
 
     return np.asarray(lfilter([1.0 - decay], [1.0, -decay], source))

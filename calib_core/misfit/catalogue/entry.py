@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.views import View
@@ -27,11 +28,22 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """An effect at one point of its grid. columns: one (b, n, k) for each of the scene's views."""
+    """An effect at one point of its grid. columns: one (b, n, k) for each of the scene's views.
+
+    trials: size of the bank it was taken from; 0 where all of its entry's hypotheses are fitted.
+    """
 
     entry: Entry
     grid: dict[str, float]
     columns: tuple[Array, ...]
+    trials: int = 0
+
+    @property
+    def axis_of(self) -> Array:
+        """Which axis (k,) of the sensor each parameter belongs to."""
+        count = sum(p.count for p in self.entry.parameters)
+        axes = np.repeat(np.arange(3), count // 3) if self.entry.by_row else np.arange(count) % 3
+        return np.asarray(axes)
 
     @property
     def sizes(self) -> Array:
@@ -50,6 +62,28 @@ class Linear:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Bank:
+    """Many curves an effect may follow, of which the best few are fitted.
+
+    curves: (K, q, N), each hypothesis q curves on every axis; grids: one grid point a hypothesis; trials: how
+    many of them are independent, about. pairs: (P, 2), if given the hypotheses are differences of two
+    curves, not the curves. blind: views it does not show in, or not alone.
+    """
+
+    grids: list[dict[str, float]]
+    curves: Array
+    trials: int
+    pairs: NDArray[np.int64] | None = None
+    blind: tuple[str, ...] = ()
+
+    def curve(self, k: int) -> Array:
+        """Return the curves (q, N) of hypothesis `k`."""
+        if self.pairs is None:
+            return np.asarray(self.curves[k])
+        return np.asarray(self.curves[self.pairs[k, 0]] - self.curves[self.pairs[k, 1]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Entry:
     """An effect of the catalogue.
 
@@ -59,7 +93,8 @@ class Entry:
     refine: hypotheses on a finer grid about a grid point. kin: what else
     belongs to the same cause and must not be named again once this is found. handicap: score it must
     give away.
-    recurs: whether it may be found more than once.
+    recurs: whether it may be found more than once. by_row: its parameters are a matrix, row by row of the
+    axis they act on; else the axes in turn. bank: instead of `propose`, curves too many to fit them all.
     """
 
     effect: str
@@ -75,6 +110,13 @@ class Entry:
     kin: Callable[[Entry, Scene], list[Hypothesis]] | None = None
     handicap: float = 0.0
     recurs: bool = False
+    by_row: bool = False
+    bank: Callable[[Scene], Bank | None] | None = None
+
+
+def no_hypotheses(_entry: Entry, _scene: Scene) -> list[Hypothesis]:
+    """Propose nothing: for entries with a bank, and those whose columns are made elsewhere."""
+    return []
 
 
 def bias_columns(scene: Scene, curve: Array, views: tuple[str, ...] = ()) -> tuple[Array, ...]:
@@ -102,7 +144,5 @@ def moves(curve: Array, least: float = 1e-9) -> bool:
 
 def nothing(scene: Scene) -> Hypothesis:
     """Return a hypothesis with one column of nothing: the baseline phone itself."""
-    entry = Entry(
-        "nothing", scene.sensor, "nothing", lambda _entry, _scene: [], (Linear("none", "1", 1, 1.0),), ""
-    )
+    entry = Entry("nothing", scene.sensor, "nothing", no_hypotheses, (Linear("none", "1", 1, 1.0),), "")
     return Hypothesis(entry, {}, tuple(np.zeros((*v.y.shape, 1)) for v in scene.views))

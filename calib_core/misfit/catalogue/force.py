@@ -8,16 +8,16 @@ from stillcal.calib_core.misfit.catalogue import drivers
 from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Linear, Scene
 from stillcal.calib_core.samples import Array
 
-ATTITUDES = 4
+ATTITUDES = 3
 
 
-def _own_force(scene: Scene) -> Array:
+def own_force(scene: Scene) -> Array:
     """Gravity on each axis in every bin, (N, 3), m/s^2."""
     assert scene.up is not None
     return np.asarray(scene.gravity * scene.up)
 
 
-def _per_axis(scene: Scene, errors: Array) -> tuple[Array, ...]:
+def per_axis(scene: Scene, errors: Array) -> tuple[Array, ...]:
     """Columns of an error `errors` (N, 3) on each axis, one parameter an axis."""
     return tuple(v.project * errors[v.bins][None] for v in scene.views)
 
@@ -25,10 +25,9 @@ def _per_axis(scene: Scene, errors: Array) -> tuple[Array, ...]:
 def _scale_temperature(entry: Entry, scene: Scene) -> list[Hypothesis]:
     if scene.up is None:
         return []
-    force = _own_force(scene)
+    force = own_force(scene)
     return [
-        Hypothesis(entry, grid, _per_axis(scene, force * t[:, None]))
-        for grid, t in drivers.temperature(scene)
+        Hypothesis(entry, grid, per_axis(scene, force * t[:, None])) for grid, t in drivers.temperature(scene)
     ]
 
 
@@ -36,22 +35,22 @@ def _nonlinearity(entry: Entry, scene: Scene) -> list[Hypothesis]:
     """Quadratic and cubic error of each axis about gravity: k2 f^2 + k3 f^3."""
     if scene.up is None or distinct(scene.up) < 10:
         return []
-    force = _own_force(scene)
-    powers = [_per_axis(scene, force**p) for p in (2, 3)]
+    force = own_force(scene)
+    powers = [per_axis(scene, force**p) for p in (2, 3)]
     return [Hypothesis(entry, {}, tuple(np.concatenate(c, axis=2) for c in zip(*powers, strict=True)))]
 
 
 def _quadratic(entry: Entry, scene: Scene) -> list[Hypothesis]:
     if scene.up is None or distinct(scene.up) < 6:
         return []
-    return [Hypothesis(entry, {}, _per_axis(scene, _own_force(scene) ** 2))]
+    return [Hypothesis(entry, {}, per_axis(scene, own_force(scene) ** 2))]
 
 
 def _g_sensitivity(entry: Entry, scene: Scene) -> list[Hypothesis]:
     """Each axis' rate by all three components of gravity: parameters row by row."""
     if scene.up is None or distinct(scene.up) < ATTITUDES:
         return []
-    force = _own_force(scene)
+    force = own_force(scene)
     columns = []
     for v in scene.views:
         rows = v.project[:, :, :, None] * force[v.bins][None, :, None, :]
@@ -117,5 +116,6 @@ def gyroscope_entries() -> list[Entry]:
             "The gyroscope's bias on {axes} follows gravity's direction and comes back with it.",
             ("gyro_bias_temperature",),
             "return to the same attitudes at another temperature",
+            by_row=True,
         )
     ]

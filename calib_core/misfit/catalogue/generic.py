@@ -5,39 +5,34 @@ They name no physics; where one of them wins, the answer says what is followed a
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from stillcal.calib_core.misfit.catalogue import drivers
+from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.catalogue import banks, drivers
 from stillcal.calib_core.misfit.catalogue.bias import SIZE, UNIT
 from stillcal.calib_core.misfit.catalogue.entry import (
     Entry,
     Hypothesis,
     Linear,
     Scene,
-    bias_columns,
     curves,
     moves,
+    no_hypotheses,
 )
-from stillcal.calib_core.misfit.catalogue.force import distinct
+from stillcal.calib_core.misfit.catalogue.force import distinct, own_force, per_axis
 from stillcal.calib_core.samples import Array
 
-PULSE_CUTS = 13
-PERIODS = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
+STRETCH_CUTS = 14
+GAIN = 0.02
+SAY = "Something outside the catalogue moves the bias on {axes}: it follows "
+GRID = {"t_start": "s", "t_end": "s", "period_s": "s"}
 
 
 def unit_range(curve: Array) -> Array:
     """Return a curve about its mean, scaled so that it spans one."""
     return np.asarray((curve - curve.mean()) / max(float(np.ptp(curve)), 1e-12))
-
-
-def _temperature_curvature(scene: Scene) -> list[drivers.Driver]:
-    return [({}, unit_range(c**2)) for _, c in drivers.temperature(scene)]
-
-
-def _temperature_rate(scene: Scene) -> list[drivers.Driver]:
-    return [
-        ({}, unit_range(np.gradient(c, scene.bins.t))) for _, c in drivers.temperature(scene) if len(c) > 3
-    ]
 
 
 def _vibration(scene: Scene) -> list[drivers.Driver]:
@@ -46,33 +41,19 @@ def _vibration(scene: Scene) -> list[drivers.Driver]:
     return [({}, unit_range(power))] if moves(power / size, 1.0) else []
 
 
-def _pulses(scene: Scene) -> list[drivers.Driver]:
-    """One between two of `PULSE_CUTS` times and nothing outside."""
-    start, end = scene.bins.span
-    cuts = np.linspace(start, end, PULSE_CUTS)[1:-1]
-    t = scene.bins.t
-    pairs = [(a, b) for i, a in enumerate(cuts) for b in cuts[i + 1 :]]
-    return [({"t_start": float(a), "t_end": float(b)}, ((t >= a) & (t < b)).astype(float)) for a, b in pairs]
-
-
-def _kinks(scene: Scene) -> list[drivers.Driver]:
-    """Return ramps that begin at a time."""
-    start, end = scene.bins.span
-    return [
-        ({"t_start": float(a)}, np.maximum(scene.bins.t - a, 0.0) / (end - start))
-        for a in np.linspace(start, end, 10)[1:-1]
-    ]
-
-
-def _periodic(entry: Entry, scene: Scene) -> list[Hypothesis]:
-    """Sine and cosine of a period, on each axis."""
-    span = scene.bins.span[1] - scene.bins.span[0]
+def _gain_of_a_stretch(entry: Entry, scene: Scene) -> list[Hypothesis]:
+    """Another gain of each axis in a stretch of time."""
+    if scene.up is None or scene.sensor != "accel" or distinct(scene.up) < 4:
+        return []
+    t, force = scene.bins.t, own_force(scene)
+    cuts = np.linspace(*scene.bins.span, STRETCH_CUTS)
     found = []
-    for cycles in PERIODS:
-        phase = 2.0 * np.pi * cycles * (scene.bins.t - scene.bins.span[0]) / span
-        both = [bias_columns(scene, wave(phase)) for wave in (np.sin, np.cos)]
-        columns = tuple(np.concatenate(c, axis=2) for c in zip(*both, strict=True))
-        found.append(Hypothesis(entry, {"period_s": span / cycles}, columns))
+    for i, a in enumerate(cuts):
+        for b in cuts[i + 1 :]:
+            inside = (t >= a) & (t < b)
+            if 2 < inside.sum() < t.size - 2:
+                columns = per_axis(scene, force * inside[:, None])
+                found.append(Hypothesis(entry, {"t_start": float(a), "t_end": float(b)}, columns))
     return found
 
 
@@ -94,27 +75,41 @@ def _outer(project: Array, terms: Array) -> Array:
 
 def entries(sensor: str) -> list[Entry]:
     """Return the generic entries of one sensor."""
-    unit = UNIT[sensor]
-    say = "Something outside the catalogue moves the bias on {axes}: it follows "
-    table = [
-        ("curvature in temperature", curves(_temperature_curvature), "amplitude", 3),
-        ("rate of temperature", curves(_temperature_rate), "amplitude", 3),
+    direct = [
         ("vibration power", curves(_vibration), "amplitude", 3),
-        ("a stretch of time", curves(_pulses), "amplitude", 3),
-        ("time from a moment on", curves(_kinks), "amplitude", 3),
-        ("a period in time", _periodic, "amplitude", 6),
         ("attitude, nonlinearly", _gravity_squared, "amplitude", 15),
+        ("own force in a stretch of time", _gain_of_a_stretch, "gain", 3),
     ]
-    grid = {"t_start": "s", "t_end": "s", "period_s": "s"}
-    return [
-        Entry(
+    banked = [
+        ("temperature's past or bend", banks.thermal_past, 1),
+        ("the past of charging or use", banks.other_pasts, 1),
+        ("a stretch of time", banks.pulses, 1),
+        ("time from a moment on", banks.moments, 1),
+        ("a period in time", banks.periods, 2),
+        ("a sawtooth in time", banks.sawteeth, 1),
+        ("time since the phone was moved", banks.since_moves, 1),
+        ("time since the last change of attitude", banks.strains, 3),
+    ]
+    sizes = {"amplitude": (UNIT[sensor], SIZE[sensor]), "gain": ("1", GAIN)}
+
+    def entry(follows: str, parameter: Linear) -> Entry:
+        return Entry(
             "unknown",
             sensor,
-            f,
-            propose,
-            (Linear(name, unit, k, SIZE[sensor]),),
-            say + f + ".",
-            grid_units=grid,
+            follows,
+            no_hypotheses,
+            (parameter,),
+            SAY + follows + ".",
+            grid_units=GRID,
+            handicap=thresholds.UNKNOWN_HANDICAP,
         )
-        for f, propose, name, k in table
+
+    found = [
+        replace(entry(f, Linear(name, sizes[name][0], k, sizes[name][1])), propose=propose, by_row=k == 15)
+        for f, propose, name, k in direct
     ]
+    found += [
+        replace(entry(f, Linear("amplitude", UNIT[sensor], 3 * q, SIZE[sensor])), bank=bank)
+        for f, bank, q in banked
+    ]
+    return found

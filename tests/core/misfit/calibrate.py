@@ -20,7 +20,7 @@ import nulls
 
 from stillcal.calib_core.misfit.catalogue import slow_entries
 from stillcal.calib_core.misfit.scenes import scenes
-from stillcal.calib_core.misfit.search import compete, proposals
+from stillcal.calib_core.misfit.search import ranking
 
 
 def largest(rng: np.random.Generator, family: str) -> dict[str, tuple[float, str]]:
@@ -30,7 +30,7 @@ def largest(rng: np.random.Generator, family: str) -> dict[str, tuple[float, str
     bins = nulls.bins_of(rng, day, family, thermometer=thermometer, charger=charger)
     best = {}
     for scene in scenes(bins, nulls.G):
-        ranked, _ = compete(scene, proposals(scene, slow_entries(scene.sensor)))
+        ranked = ranking(scene, slow_entries(scene.sensor))
         if ranked:
             top = ranked[0]
             note = f"{top.hypothesis.entry.effect}/{top.hypothesis.entry.follows} rests={day.rest.max() + 1}"

@@ -40,31 +40,50 @@ def pink(rng: np.random.Generator, n: int, m: int = 3) -> Array:
     return np.fft.irfft(spectrum / np.sqrt(f)[:, None], n=2 * n, axis=0)[:n] / np.sqrt(2 * np.log(2) * 2)
 
 
-def wander(rng: np.random.Generator, family: str, n: int, white: float) -> Array:
-    """Bias wander (n, 3) beside white noise of sd `white` at 1 s."""
+@dataclass
+class Wander:
+    """How one sensor's bias wanders: pink: scale of flicker; gm: (tau s, sd) each; walk: per sqrt(s)."""
 
-    def gm(tau: float, sd: float) -> Array:
-        a = np.exp(-1.0 / tau)
-        start = rng.normal(size=(1, 3)) * sd
-        drive = rng.normal(size=(n, 3)) * sd * np.sqrt(1 - a * a)
-        drive[0] = start[0]
-        return lfilter([1.0], [1.0, -a], drive, axis=0)
+    pink: float = 0.0
+    gm: tuple[tuple[float, float], ...] = ()
+    walk: float = 0.0
 
+    def series(self, rng: np.random.Generator, n: int) -> Array:
+        """Draw the bias of three axes, second by second (n, 3)."""
+        out = pink(rng, n) * self.pink if self.pink else np.zeros((n, 3))
+        for tau, sd in self.gm:
+            a = np.exp(-1.0 / tau)
+            drive = rng.normal(size=(n, 3)) * sd * np.sqrt(1 - a * a)
+            drive[0] = rng.normal(size=3) * sd
+            out = out + lfilter([1.0], [1.0, -a], drive, axis=0)
+        return out + np.cumsum(rng.normal(size=(n, 3)) * self.walk, axis=0) if self.walk else out
+
+    def covariance(self, average: Array) -> Array:
+        """Covariance (m, m) of averages (m, n) over the seconds."""
+        n = average.shape[1]
+        f = np.fft.rfftfreq(2 * n, 1.0)
+        f[0] = f[1]
+        acf = np.fft.irfft(self.pink**2 / (4 * np.log(2)) / f, n=2 * n)[: n + 1]
+        lag = np.arange(n + 1.0)
+        acf = acf + sum(sd**2 * np.exp(-lag / tau) for tau, sd in self.gm)
+        around = np.fft.rfft(np.concatenate([acf, acf[-2:0:-1]]))
+        blurred = np.fft.irfft(np.fft.rfft(average, 2 * n, axis=1) * around, n=2 * n, axis=1)[:, :n]
+        summed = np.cumsum(average[:, ::-1], axis=1)[:, ::-1] * self.walk
+        return blurred @ average.T + summed @ summed.T
+
+
+def wander(rng: np.random.Generator, family: str, white: float) -> Wander:
+    """Draw how a bias wanders beside white noise of sd `white` at 1 s."""
     size = white * 10 ** rng.uniform(-1.0, 0.7)
     if family == "white":
-        return np.zeros((n, 3))
+        return Wander()
     if family == "flicker":
-        return pink(rng, n) * size * 0.3
+        return Wander(pink=size * 0.3)
     if family.startswith("gm"):
-        return gm(float(family[2:]), size)
+        return Wander(gm=((float(family[2:]), size),))
     if family.startswith("walk"):
-        density = white * (0.003 if family == "walk_weak" else 0.05)
-        return np.cumsum(rng.normal(size=(n, 3)) * density, axis=0)
-    return (
-        pink(rng, n) * size * 0.1
-        + gm(200.0, size * 0.3)
-        + np.cumsum(rng.normal(size=(n, 3)), axis=0) * size * 0.004
-    )
+        return Wander(walk=white * (0.003 if family == "walk_weak" else 0.05))
+    return Wander(size * 0.1, ((200.0, size * 0.3),), size * 0.004)
 
 
 def schedule(rng: np.random.Generator, seconds: int = 3600) -> Day:
@@ -96,21 +115,10 @@ def random_attitudes(rng: np.random.Generator, n: int) -> Array:
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def bins_of(
-    rng: np.random.Generator, day: Day, family: str, accel_error: Array | None = None,
-    gyro_error: Array | None = None, thermometer: bool = True, charger: bool = True, length: float = 18.0,
-) -> Bins:  # fmt: skip
-    """Average a day into bins. accel_error, gyro_error: (seconds, 3) added to the true readings."""
-    n = day.t.size
-    zero = np.zeros((n, 3))
-    scale = np.eye(3) + rng.normal(0, 0.01, (3, 3))
-    force = G * day.up @ scale.T + rng.normal(0, 0.1, 3) + wander(rng, family, n, WHITE["accel"])
-    force = force + rng.normal(0, WHITE["accel"], (n, 3)) + (zero if accel_error is None else accel_error)
-    rate = (
-        rng.normal(0, 0.01, 3) + wander(rng, family, n, WHITE["gyro"]) + rng.normal(0, WHITE["gyro"], (n, 3))
-    )
-    rate = rate + (zero if gyro_error is None else gyro_error)
-    edges, owner = [], []
+def cut(day: Day, length: float = 18.0) -> tuple[Array, Array, Array]:
+    """Cut a day's rests into bins: edges (m, 2) s, the rest (m,) of each, averages (m, n) over seconds."""
+    edges: list[tuple[int, int]] = []
+    owner: list[int] = []
     for r in range(day.rest.max() + 1):
         rows = np.flatnonzero(day.rest == r)
         if rows.size < 5:
@@ -118,17 +126,36 @@ def bins_of(
         cuts = np.linspace(rows[0], rows[-1] + 1, max(1, round(rows.size / length)) + 1).round().astype(int)
         edges += list(pairwise(cuts))
         owner += [r] * (len(cuts) - 1)
-    mean = lambda x: np.array([x[a:b].mean(axis=0) for a, b in edges])  # noqa: E731
-    duration = np.array([float(b - a) for a, b in edges])
+    average = np.zeros((len(edges), day.t.size))
+    for row, (a, b) in zip(average, edges, strict=True):
+        row[a:b] = 1.0 / (b - a)
+    return np.array(edges), np.array(owner), average
+
+
+def bins_of(
+    rng: np.random.Generator, day: Day, family: str | dict[str, Wander], accel_error: Array | None = None,
+    gyro_error: Array | None = None, thermometer: bool = True, charger: bool = True,
+) -> Bins:  # fmt: skip
+    """Average a day into bins. accel_error, gyro_error: (seconds, 3) added to the true readings."""
+    n = day.t.size
+    if isinstance(family, str):
+        family = {sensor: wander(rng, family, WHITE[sensor]) for sensor in WHITE}
+    scale = np.eye(3) + rng.normal(0, 0.01, (3, 3))
+    force = G * day.up @ scale.T + rng.normal(0, 0.1, 3) + family["accel"].series(rng, n)
+    force = force + rng.normal(0, WHITE["accel"], (n, 3)) + (0.0 if accel_error is None else accel_error)
+    rate = rng.normal(0, 0.01, 3) + family["gyro"].series(rng, n) + rng.normal(0, WHITE["gyro"], (n, 3))
+    rate = rate + (0.0 if gyro_error is None else gyro_error)
+    edges, owner, average = cut(day)
+    duration = np.diff(edges, axis=1)[:, 0].astype(float)
     switches = np.flatnonzero(np.diff(day.charging)) + 1
     return Bins(
-        t=np.array([(a + b) / 2 for a, b in edges]), duration=duration, rest=np.array(owner),
-        force=mean(force), force_variance=np.repeat(WHITE["accel"] ** 2 / duration[:, None], 3, axis=1),
+        t=edges.mean(axis=1), duration=duration, rest=owner,
+        force=average @ force, force_variance=np.repeat(WHITE["accel"] ** 2 / duration[:, None], 3, axis=1),
         vibration=np.ones(len(edges)) + rng.normal(0, 0.01, len(edges)),
         activity=np.stack([day.t, (day.rest < 0).astype(float)], axis=1), span=(0.0, float(n)),
-        rate=mean(rate), rate_variance=np.repeat(WHITE["gyro"] ** 2 / duration[:, None], 3, axis=1),
-        temperature=mean(day.temperature) if thermometer else None,
-        charging=mean(day.charging) if charger else None,
+        rate=average @ rate, rate_variance=np.repeat(WHITE["gyro"] ** 2 / duration[:, None], 3, axis=1),
+        temperature=average @ day.temperature if thermometer else None,
+        charging=average @ day.charging if charger else None,
         charging_switches=np.array([[0.0, day.charging[0]], *([float(i), day.charging[i]] for i in switches)])
         if charger else None,
     )  # fmt: skip

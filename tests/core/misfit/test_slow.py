@@ -17,7 +17,7 @@ from stillcal.calib_core.misfit.catalogue.force import distinct
 from stillcal.calib_core.misfit.evidence import null_log_likelihood, posterior_weights
 from stillcal.calib_core.misfit.records import Finding
 from stillcal.calib_core.misfit.scenes import scenes
-from stillcal.calib_core.misfit.search import compete, proposals, reduce_scene, score
+from stillcal.calib_core.misfit.search import ranking, reduce_scene, score
 from stillcal.calib_core.misfit.slow import slow_findings
 
 
@@ -49,7 +49,7 @@ def test_silent_where_nothing_is_wrong(family: str) -> None:
         rng = np.random.default_rng([11, seed])
         bins = nulls.bins_of(rng, nulls.schedule(rng), family)
         for scene in scenes(bins, nulls.G):
-            ranked, _ = compete(scene, proposals(scene, slow_entries(scene.sensor)))
+            ranked = ranking(scene, slow_entries(scene.sensor))
             assert ranked[0].score < thresholds.SCORE if ranked else True
 
 

@@ -1,0 +1,135 @@
+"""Screening of banks: thousands of curves judged under a few covariances; the best of each are then fitted.
+
+A rank among curves of one bank needs no refitted noise; the score of those that go on does, and pays for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stillcal.calib_core.misfit.catalogue.entry import Bank, Entry, Hypothesis, Scene
+from stillcal.calib_core.misfit.evidence import Reduced, joint, log_terms, projected, stacked
+from stillcal.calib_core.misfit.shapes import families
+from stillcal.calib_core.misfit.views import View
+from stillcal.calib_core.samples import Array
+
+KEPT = 5
+"""Curves of a bank that go on, under each covariance."""
+
+CHUNK = 400
+MODERATE = "flicker"
+"""A wander of middling strength that is tried beside white noise and the likeliest."""
+
+
+def screened(
+    scene: Scene, entries: Sequence[Entry], reduced: Sequence[Reduced], found: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """Return the hypotheses of entries with a bank that go on. reduced: the scene with `found` taken out."""
+    choices = _choices(scene, reduced)
+    whitened = [_Whitened(v, choice, _extra(found, i)) for i, (v, choice) in enumerate(choices)]
+    kept = []
+    for entry in entries:
+        bank = None if entry.bank is None else entry.bank(scene)
+        if bank is None:
+            continue
+        best: set[int] = set()
+        for c in range(len(whitened[0].diagonals)):
+            gains = _gains(whitened, bank, c, entry.parameters[0].size)
+            best |= set(np.argsort(-gains)[:KEPT].tolist())
+        kept += [hypothesis(entry, scene, bank, k) for k in sorted(best)]
+    return kept
+
+
+def hypothesis(entry: Entry, scene: Scene, bank: Bank, k: int) -> Hypothesis:
+    """Return curve number `k` of a bank as a hypothesis, its curves on each axis one after another."""
+    columns = tuple(_columns(v, bank.curve(k)[None], bank.blind) for v in scene.views)
+    return Hypothesis(entry, bank.grids[k], columns, bank.trials)
+
+
+def _columns(view: View, curves: Array, blind: tuple[str, ...]) -> Array:
+    """Columns (b, n, K q 3) of a bias that follows curves (K, q, N) on each axis, but in `blind` views."""
+    if view.name in blind:
+        return np.zeros((*view.y.shape, 3 * curves.shape[0] * curves.shape[1]))
+    at = curves[:, :, view.bins].reshape(-1, view.bins.size).T
+    made = at[None, :, :, None] * view.project[:, :, None, :]
+    return np.asarray(made.reshape(*view.y.shape, -1))
+
+
+def _extra(found: Sequence[Hypothesis], i: int) -> Array | None:
+    if not found:
+        return None
+    extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2)
+    seen = np.abs(extra).max(axis=(0, 1)) > 0.0
+    return np.asarray(extra[:, :, seen]) if seen.any() else None
+
+
+def _choices(scene: Scene, reduced: Sequence[Reduced]) -> list[tuple[View, list[int]]]:
+    """Return for each view the numbers of the shapes to screen under: white, likeliest, a moderate one."""
+    _, weights = joint(reduced, [log_terms(r, r.yy) for r in reduced])
+    out = []
+    for view, r, weight in zip(scene.views, reduced, weights, strict=True):
+        moderate = [i for i, name in enumerate(r.family) if name == MODERATE]
+        middle = moderate[len(moderate) // 2 - 1] if moderate else 0
+        out.append((view, [0, int(np.argmax(weight)), middle]))
+    return out
+
+
+class _Whitened:
+    """A view under a few shapes: what whitens it, and its data so whitened."""
+
+    def __init__(self, view: View, choice: list[int], extra: Array | None) -> None:
+        shapes = [(f, g) for f in families(view) for g in range(f.strengths.size)]
+        self.view, self.extra = view, extra
+        self.rotations = [shapes[c][0].rotation for c in choice]
+        self.diagonals = [np.sqrt(shapes[c][0].diagonals[shapes[c][1]])[:, None] for c in choice]
+
+    def sums(self, columns: Array, c: int) -> tuple[Array, Array, float]:
+        """Return y' x (M,), whitened x (b n, M) and the white scale left, under shape number `c`."""
+        seen = np.abs(columns).max(axis=(0, 1)) > 0.0
+        everything = stacked(self.view, columns[:, :, seen], self.extra)
+        whitened = self.rotations[c] @ everything / self.diagonals[c]
+        y, part, _ = projected(whitened, self.view.baseline.shape[2], int(seen.sum()))
+        x = np.zeros((y.size, seen.size))
+        x[:, seen] = part
+        return y @ x, x, float(y @ y) / max(y.size - self.view.parameters, 1)
+
+
+def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array:
+    """Return about the gain of every hypothesis of a bank in log likelihood under shape number `c`."""
+    if bank.pairs is not None:
+        return _gains_of_pairs(views, bank, c, size)
+    out = []
+    width = 3 * bank.curves.shape[1]
+    for first in range(0, len(bank.curves), CHUNK):
+        curves = bank.curves[first : first + CHUNK]
+        gram, target = np.zeros((len(curves), width, width)), np.zeros((len(curves), width))
+        for view in views:
+            xy, x, scale = view.sums(_columns(view.view, curves, bank.blind) * size, c)
+            parts = x.reshape(len(x), len(curves), width)
+            gram += parts.transpose(1, 2, 0) @ parts.transpose(1, 0, 2) / scale
+            target += xy.reshape(len(curves), width) / scale
+        out.append(_least_squares(gram, target))
+    return np.concatenate(out)
+
+
+def _gains_of_pairs(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array:
+    """Return the same for differences of single curves, from the curves' own inner products."""
+    assert bank.pairs is not None
+    count = len(bank.curves)
+    gram, target = np.zeros((count, 3, count, 3)), np.zeros((count, 3))
+    for view in views:
+        xy, x, scale = view.sums(_columns(view.view, bank.curves, bank.blind) * size, c)
+        gram += (x.T @ x).reshape(count, 3, count, 3) / scale
+        target += xy.reshape(count, 3) / scale
+    a, b = bank.pairs.T
+    crossed = gram[a, :, b, :]
+    both = gram[a, :, a, :] + gram[b, :, b, :] - crossed - crossed.transpose(0, 2, 1)
+    return _least_squares(both, target[a] - target[b])
+
+
+def _least_squares(gram: Array, target: Array) -> Array:
+    """Gain (K,) of K least-squares fits whose parameters have unit prior variance."""
+    solved = np.linalg.solve(gram + np.eye(gram.shape[1]), target[:, :, None])[:, :, 0]
+    return np.asarray(0.5 * np.einsum("ki,ki->k", target, solved))
