@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -32,6 +32,8 @@ from stillcal.replay.phone.population import MODELS, population
 RESTS = (0, 1, 2, 3, 4, 6, 8, 12, 20)
 FAMILY_SD = 0.35  # m/s^2, of the bias that a model's phones share in the second population
 _OWN_SHARE = 0.3  # of a phone's own bias that is left where its model has one
+_WANDER = 0.0005  # m/s^2, of a population's phone from rest to rest, in the median
+SCATTER = 0.01  # m/s^2, of real phones' rests, where six faces leave nothing to tell it by
 _LONG = 30  # rests that each other phone of the fleet was calibrated from
 _BOOTSTRAPS, _INTERVAL = 2000, (0.025, 0.975)
 _DRAWN = 2000  # phones that tell the population's true covariance
@@ -44,8 +46,9 @@ Arms = dict[str, float]
 class Device:
     """A device of the fleet: rests in the order they came, its own full calibration, and how to judge one.
 
-    forces, uncertainties: (n, 3) m/s^2. values, covariance: of its full calibration. error: mean square, over
-    attitudes that were not used, of the norm that a model leaves, (m/s^2)^2.
+    forces, uncertainties: (n, 3) m/s^2. values, covariance: of its full calibration; scatter: m/s^2, what
+    that left at rest. error: mean square, over attitudes that were not used, of the norm that a model leaves,
+    (m/s^2)^2. shift: (3,) m/s^2, bias that its model's phones share, 0 where that is not known.
     """
 
     model: int
@@ -53,7 +56,9 @@ class Device:
     uncertainties: Array
     values: Array
     covariance: Array
+    scatter: float
     error: Callable[[SensorModel], float]
+    shift: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +87,7 @@ def left_out(devices: Sequence[Device]) -> Iterator[tuple[Device, FleetPrior, Fl
             [d.values for d in others],
             [d.covariance for d in others],
             [known.index(d.model) for d in others],
+            float(np.median([d.scatter for d in others])),
         )
         seen = known.index(device.model) if device.model in known else None
         yield device, _flat(learnt), learnt.prior(seen)
@@ -148,7 +154,8 @@ def simulated(n: int, seed: int, families: float = 0.0) -> list[Device]:
     for i, phone in enumerate(phones):
         model = names.index(phone.claims.device or names[0])
         own = phone if shared is None else _shifted(phone, shared[model])
-        found.append(_simulated(own, model, seed * 100_003 + i))
+        shift = np.zeros(3) if shared is None else shared[model]
+        found.append(_simulated(own, model, seed * 100_003 + i, shift))
     return found
 
 
@@ -157,7 +164,7 @@ def _shifted(phone: Phone, by: Array) -> Phone:
     return msgspec.structs.replace(phone, accel=msgspec.structs.replace(phone.accel, bias=(x, y, z)))
 
 
-def _simulated(phone: Phone, model: int, seed: int) -> Device:
+def _simulated(phone: Phone, model: int, seed: int, shift: Array) -> Device:
     full = draw_rests(phone, _LONG, seed)
     fit = accelerometer.fit(full.forces, full.uncertainties, full.gravity, parameters=9)
     first = draw_rests(phone, max(RESTS), seed + 50_000_017, attitudes="lying")
@@ -168,7 +175,8 @@ def _simulated(phone: Phone, model: int, seed: int) -> Device:
         return float(np.mean((np.linalg.norm(found.apply(raw), axis=1) - full.gravity) ** 2))
 
     sd = first.white_uncertainties
-    return Device(model, first.forces, sd, fit.values, np.asarray(fit.total_covariance), error)
+    covariance = np.asarray(fit.total_covariance)
+    return Device(model, first.forces, sd, fit.values, covariance, fit.rms_residual, error, shift)
 
 
 def real(folder: Path) -> list[Device]:
@@ -186,7 +194,7 @@ def _real(recordings: survey.Recordings, model: int) -> Device:
     def error(found: SensorModel) -> float:
         raise NotImplementedError("a real device is judged on the faces that were not used")
 
-    return Device(model, raw, sd, values, covariance, error)
+    return Device(model, raw, sd, values, covariance, SCATTER, error, np.zeros(3))
 
 
 def of_simulated(devices: Sequence[Device], truth: FleetPrior, tick: Callable[[int], None]) -> list[Point]:
@@ -194,7 +202,8 @@ def of_simulated(devices: Sequence[Device], truth: FleetPrior, tick: Callable[[i
     errors: dict[int, list[list[Arms]]] = {n: [] for n in RESTS}
     for done, (device, fleet, model) in enumerate(left_out(devices)):
         for n, tried in errors.items():
-            known = fleet_prior.fit(device.forces[:n], device.uncertainties[:n], STANDARD, truth)
+            own = replace(truth, mean=truth.mean + np.r_[device.shift, np.zeros(6)])
+            known = fleet_prior.fit(device.forces[:n], device.uncertainties[:n], STANDARD, own)
             left = fleet_prior.norm_variances(attitudes.sphere(), known.covariance, STANDARD)
             tried.append([ways(device, range(n), fleet, model, STANDARD) | {"bound": float(left.mean())}])
         tick(done + 1)
@@ -202,7 +211,7 @@ def of_simulated(devices: Sequence[Device], truth: FleetPrior, tick: Callable[[i
 
 
 def true_prior(families: float = 0.0) -> FleetPrior:
-    """Return the mean and covariance of the population itself, of phones whose model nobody knows."""
+    """Return the mean and covariance of the population itself, about what a model's phones share."""
     values = []
     for phone in population(_DRAWN, 1):
         scale = np.asarray(phone.accel.scale)
@@ -210,8 +219,7 @@ def true_prior(families: float = 0.0) -> FleetPrior:
         correction = (vectors * np.sqrt(size)) @ vectors.T  # symmetric, with the norms of the true one
         bias = np.asarray(phone.accel.bias) * (_OWN_SHARE if families else 1.0)
         values.append(np.r_[bias, np.diag(correction), correction[np.triu_indices(3, 1)]])
-    spread = np.cov(np.array(values).T) + np.diag(np.repeat([families**2, 0.0, 0.0], 3))
-    return FleetPrior(np.mean(values, axis=0), spread)
+    return FleetPrior(np.mean(values, axis=0), np.cov(np.array(values).T), _WANDER)
 
 
 def of_real(devices: Sequence[Device], tick: Callable[[int], None]) -> list[Point]:
@@ -230,10 +238,7 @@ def _on_others(device: Device, rows: Sequence[int], fleet: FleetPrior, model: Fl
     def error(found: SensorModel) -> float:
         return float(np.mean((np.linalg.norm(found.apply(others), axis=1) - STANDARD) ** 2))
 
-    judged = Device(
-        device.model, device.forces, device.uncertainties, device.values, device.covariance, error
-    )
-    return ways(judged, rows, fleet, model, STANDARD)
+    return ways(replace(device, error=error), rows, fleet, model, STANDARD)
 
 
 def table(found: Sequence[Point]) -> list[str]:
