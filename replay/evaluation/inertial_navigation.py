@@ -105,8 +105,8 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     head = ("grade", "", *(f"{mark:.0f} s" for mark in MARKS))
     text = (
         "Position error, m, of simulated phones at rest, attitude at the start known. Affine errors are the\n"
-        "true bias and scale: what is left is noise, which a perfect calibration leaves; zeroing takes the mean\n"
-        f"rate of two minutes before off as well.\n\n{table(head, rows)}\n\n"
+        "true bias and scale: what is left is noise, which a perfect calibration leaves; zeroing takes the \n"
+        f"mean rate of two minutes before off as well.\n\n{table(head, rows)}\n\n"
         + picture(
             _draw(curves, figures), "Growth of position errors: of single biases, and of each grade at rest"
         )
