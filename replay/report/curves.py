@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.heldout import FOLDS
 from stillcal.calib_core.misfit.records import Finding
+from stillcal.calib_core.misfit.slow import SLOW_BAND
 from stillcal.calib_core.misfit.views import norm_view
 from stillcal.calib_core.samples import Array, Sensor
 from stillcal.replay.report.mapping import Mapped
@@ -57,6 +58,15 @@ class Residual:
     baseline: Array
 
 
+def slow(finding: Finding) -> bool:
+    """Whether a finding is about a bias of the still bins, and so has a curve."""
+    return (
+        finding.sensor in SENSOR
+        and finding.where.band_hz[1] <= SLOW_BAND[1]
+        and finding.where.driver != "value"
+    )
+
+
 def residuals(sensor: str, bins: Bins, below: Affine, gravity: float) -> list[Residual]:
     """Return the residuals of gravity's norm, or of the three rates at rest."""
     if sensor == "accel":
@@ -80,11 +90,7 @@ def curves_of(
 ) -> list[Curve]:
     """Return the finding's curves, one a named axis; none where still bins do not show it."""
     finding = one.finding
-    if (
-        finding.sensor not in SENSOR
-        or finding.evidence.folds == 0
-        or (finding.sensor == "gyro" and bins.rate is None)
-    ):
+    if not slow(finding) or (finding.sensor == "gyro" and bins.rate is None):
         return []
     own = _term(one, bins, about, below, gravity)
     if own is None and finding.effect != "unknown":
@@ -102,7 +108,7 @@ def curves_of(
 
 def _term(one: Mapped, bins: Bins, about: Lived, below: Affine, gravity: float) -> Array | None:
     effect = one.effect
-    if effect is None or not observable(effect) or one.finding.evidence.folds == 0:
+    if effect is None or not observable(effect) or not slow(one.finding):
         return None
     moment = at_bins(bins, about, below.baseline.up, gravity)
     return added([effect], SENSOR[one.finding.sensor], moment, about, 0.1)

@@ -156,7 +156,10 @@ def spectrum_figure(three: Three, unit: str, mark: float | None) -> str:
                 continue
             f, power = spectra(still)
             density = np.sqrt(np.median(power, axis=0).max(axis=1))
-            axes.loglog(f[1:], density[1:], color=colour, lw=1.5, label=label, alpha=0.9)
+            dash = (
+                "--" if colour == AFTER else "-"
+            )  # what fits lies on what was recorded: both are to be seen
+            axes.loglog(f[1:], density[1:], dash, color=colour, lw=1.5, label=label)
         if mark is not None:
             axes.axvline(mark, color="#999999", lw=1.0, ls=":")
         axes.set_xlabel("frequency, Hz" if mark is None else f"frequency, Hz (dotted: {mark:.4g} Hz)")

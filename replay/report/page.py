@@ -15,6 +15,7 @@ import numpy as np
 from stillcal.calib_core.misfit.records import Finding
 from stillcal.replay.report import figures
 from stillcal.replay.report.case import Case, Trial
+from stillcal.replay.report.curves import UNIT, slow
 from stillcal.replay.report.mapping import Mapped
 from stillcal.replay.report.pictures import Picture, pictures
 from stillcal.replay.report.summary import told
@@ -104,8 +105,8 @@ def _map(case: Case) -> Picture:
     )
     caption = (
         "Each row is a channel: the norm of gravity and the rates at rest, the spread of single samples at"
-        " rest, how far intervals are off the period. Each column is a stretch of time; grey is where the phone moved."
-        " Colour is the departure from the twin before anything found is taken off; beyond"
+        " rest, how far intervals are off the period. Each column is a stretch of time; grey is where the"
+        " phone moved. Colour is the departure from the twin before anything found is taken off; beyond"
         f" {figures.CLIP:.0f} units it is full. One unit of noise in the row that departs most,"
         f" {loudest.name}, is {number(loudest.noise)} {loudest.unit}."
     )
@@ -163,7 +164,7 @@ def _parameters(finding: Finding) -> str:
 
 def _sure(finding: Finding) -> str:
     e, where = finding.evidence, finding.where
-    unit = {"accel": "m/s²", "gyro": "rad/s"}.get(finding.sensor, "")
+    unit = UNIT[finding.sensor] + " " if slow(finding) else ""
     span = f"from {where.t_start:.0f} to {where.t_end:.0f} s"
     text = (
         f"How sure: {certainty(e.p_value)} (p = {e.p_value:.1e}), {span}, following {escape(where.driver)}."
@@ -171,7 +172,7 @@ def _sure(finding: Finding) -> str:
     if e.folds:
         text += (
             f" Held out in {e.folds} parts, the residual falls from {number(e.heldout_rmse_before)} to"
-            f" {number(e.heldout_rmse_after)} {unit} rms, and the log score gains"
+            f" {number(e.heldout_rmse_after)} {unit}rms, and the log score gains"
             f" {number(e.heldout_log_score_gain)}."
         )
     elif e.heldout_rmse_before > 0.0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from stillcal.calib_core.misfit.records import Finding
@@ -15,8 +16,7 @@ from stillcal.replay.trace import Recording
 
 MOST_AXES = 3
 SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
-VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed")
-STAMPED = ("timestamp_jitter", "dropped_samples", "clock_skew")
+VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed", "unknown")
 LIMITED = ("accel_saturation", "gyro_saturation")
 
 
@@ -58,32 +58,49 @@ def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
 
 
 def _of_samples(case: Case, finding: Finding, both: tuple[Trial, Trial]) -> list[Picture]:
+    """Return the picture of what single samples or stamps do; none where no kind of picture shows it."""
     three = _three(case, finding, both)
-    if three is None:
+    kind = _kind(finding)
+    if three is None or kind is None:
         return []
-    unit, before_after = UNIT.get(finding.sensor, ""), "recorded, simulated before and simulated after"
+    draw, what, caption = kind
+    alt = f"{what}: recorded, simulated before and simulated after."
+    return [Picture(draw(three, UNIT.get(finding.sensor, "")), alt, caption)]
+
+
+Draw = Callable[[figures.Three, str], str]
+
+
+def _kind(finding: Finding) -> tuple[Draw, str, str] | None:
+    """Return how a finding is drawn, what the picture is of, and its caption."""
+    axis = "xyz".index(finding.axes[0]) if finding.axes else 0
     if finding.effect in SPECTRAL:
-        mark = next(
-            (finding.parameters[k].value for k in ("frequency", "cutoff") if k in finding.parameters), None
+        mark = _number(finding, "frequency", "cutoff")
+        draw: Draw = lambda three, unit: figures.spectrum_figure(three, unit, mark)  # noqa: E731 - one of five
+        return draw, "Noise density at rest", "Noise inside rests, by frequency."
+    if finding.effect in LIMITED:
+        limit = _number(finding, "limit") or 1.0
+        return (
+            lambda t, unit: figures.extremes_figure(t, unit, limit),
+            "Histogram of largest values",
+            "Values.",
         )
-        svg = figures.spectrum_figure(three, unit, mark if isinstance(mark, float) else None)
-        return [Picture(svg, f"Noise density at rest: {before_after}.", "Noise inside rests, by frequency.")]
+    if finding.sensor == "timing":
+        late = finding.effect == "arrival_bursts"
+        caption = "Intervals, on a logarithmic scale."
+        return lambda t, _: figures.intervals_figure(t, arrival=late), "Histogram of intervals", caption
     if finding.effect in VALUED:
-        axis = "xyz".index(finding.axes[0]) if finding.axes else 0
-        svg = figures.values_figure(three, unit, axis)
-        return [
-            Picture(svg, f"Histogram of samples at rest: {before_after}.", "Single samples inside rests.")
-        ]
-    limit = finding.parameters["limit"].value if finding.effect in LIMITED else None
-    if isinstance(limit, float):
-        svg = figures.extremes_figure(three, unit, limit)
-        return [Picture(svg, f"Histogram of largest values: {before_after}.", "Where values stop.")]
-    if finding.effect in STAMPED or finding.effect == "arrival_bursts":
-        svg = figures.intervals_figure(three, arrival=finding.effect == "arrival_bursts")
-        return [
-            Picture(svg, f"Histogram of intervals: {before_after}.", "Intervals, on a logarithmic scale.")
-        ]
-    return []
+        caption = "Single samples inside rests."
+        return lambda t, unit: figures.values_figure(t, unit, axis), "Histogram of samples at rest", caption
+    return None
+
+
+def _number(finding: Finding, *names: str) -> float | None:
+    for name in names:
+        value = finding.parameters[name].value if name in finding.parameters else None
+        if isinstance(value, float):
+            return value
+    return None
 
 
 def _three(case: Case, finding: Finding, both: tuple[Trial, Trial]) -> figures.Three | None:

@@ -1,0 +1,59 @@
+"""Recordings made once for all tests of the report; makes `report_days` importable by the tests beside it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from report_days import phone_with, recorded
+
+from stillcal.replay.diagnosing import diagnosis_of
+from stillcal.replay.report.case import Case, case_of
+from stillcal.replay.trace import Recording, TraceWriter
+
+
+@pytest.fixture(scope="session")
+def recording() -> Callable[..., Recording]:
+    """Give recordings of a phone with the effects named, by seed."""
+    made: dict[str, Recording] = {}
+
+    def of(*effects: Mapping[str, Any], seed: int = 3) -> Recording:
+        key = repr((effects, seed))
+        if key not in made:
+            made[key] = recorded(phone_with(*effects), seed)
+        return made[key]
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def case_with(recording: Callable[..., Recording]) -> Callable[..., Case]:
+    """Give diagnosed recordings of a phone with the effects named."""
+    made: dict[str, Case] = {}
+
+    def of(*effects: Mapping[str, Any]) -> Case:
+        if repr(effects) not in made:
+            real = recording(*effects)
+            made[repr(effects)] = case_of(real, diagnosis_of(real, "r"))
+        return made[repr(effects)]
+
+    return of
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[[Recording, str], Path]:
+    """Give a function that writes a recording as a file."""
+
+    def write(recording: Recording, name: str) -> Path:
+        path = tmp_path / name
+        with TraceWriter(path, temperature=True, arrival=True, claims=recording.claims) as writer:
+            writer.write(recording.accelerometer, recording.gyroscope, tuple(recording.events))
+        return path
+
+    return write
