@@ -60,7 +60,11 @@ class Coverage:
 
 
 def describe(up: Array) -> str:
-    """Say in words how to lay a phone so that `up` (3,), body axes, points up; to the nearest eighth turn."""
+    """Say in words how to lay a phone so that `up` (3,), body axes, points up; to the nearest eighth turn.
+
+    >>> describe(np.array([9.7, 0.3, -0.2]))
+    'lay it on its left edge (x axis up)'
+    """
     unit = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
     place = places()[int(np.argmax(places() @ unit))]
     faces = [FACES[k][0 if place[k] > 0 else 1] for k in range(3) if abs(place[k]) > 0.1]
@@ -100,7 +104,12 @@ def amplification(up: Array, parameters: int = 9) -> float:
 
 
 def most_helpful_attitude(up: Array, parameters: int = 9) -> Attitude:
-    """Return the attitude to add to distinct ones `up` (n, 3), which may be none."""
+    """Return the attitude to add to distinct ones `up` (n, 3), which may be none.
+
+    >>> all_but_one_face = np.delete(places()[:6], 0, axis=0)
+    >>> most_helpful_attitude(all_but_one_face, parameters=6).words
+    'lay it on its left edge (x axis up)'
+    """
     return _weakest(_information(up, parameters), parameters)
 
 

@@ -86,7 +86,14 @@ def fit_axis_angles(forces: Array, gravity: float, settings: AxisAngleSettings =
     """Fit approach 1 to raw forces (n, 3) of rests of any attitude, unweighted; gravity in m/s^2.
 
     Step 2 fits shifts and scalings with right angles, step 3 all nine from there. Raises NotSupported where
-    it does not converge, or fewer than nine rests are given.
+    it does not converge, or fewer than nine rests are given. The report's first phone, positions 1 to 20:
+
+    >>> from importlib import resources
+    >>> table = resources.files("stillcal.config").joinpath("esgi", "dataset1.csv")
+    >>> forces = np.loadtxt(table, delimiter=",", skiprows=1)[:20]
+    >>> fit = fit_axis_angles(forces, ESGI_GRAVITY, AxisAngleSettings("norm", signs=(-1, -1, -1)))
+    >>> fit.shifts.round(4), fit.scalings.round(4)  # printed: 0.304496 0.321482 -1.08995, -1.00457 ...
+    (array([ 0.3045,  0.3215, -1.09  ]), array([-1.0046, -1.0015, -0.9893]))
     """
     if len(forces) < 9:
         raise NotSupported(f"{len(forces)} rests for nine parameters", ["nine rests in different attitudes"])

@@ -59,6 +59,9 @@ def igf(latitude: float, altitude: float = 0.0) -> float:
     """Return g in m/s^2 from latitude (deg) and height (m): IGF plus free air correction.
 
     Grammenos et al. 2018, Eq. 16-18.
+
+    >>> round(igf(45.0), 5), round(igf(45.0, altitude=1000.0), 5)
+    (9.8062, 9.80311)
     """
     phi = np.radians(latitude)
     at_sea_level = 9.780327 * (1 + 0.0053024 * np.sin(phi) ** 2 - 0.0000058 * np.sin(2 * phi) ** 2)
@@ -70,6 +73,9 @@ def somigliana(latitude: float, altitude: float = 0.0) -> float:
 
     Closed formula of Somigliana (NGA TR8350.2, Eq. 4-1) with the second-order free air correction
     (Eq. 4-3): g_h = g (1 - 2/a (1 + f + m - 2 f sin^2 phi) h + 3 h^2 / a^2).
+
+    >>> somigliana(0.0) == EQUATOR, round(somigliana(90.0) - POLE, 9)
+    (True, 0.0)
     """
     a, f, m = 6378137.0, 1 / 298.257223563, 0.00344978650684
     k, e2 = 0.00193185265241, 0.00669437999014
@@ -84,6 +90,10 @@ def at(latitude: float, altitude: float | None, formula: Formula = "somigliana")
 
     The uncertainty holds the anomaly of the real field and, without an altitude, the height's.
     Raises LocationError outside +-90 deg or -500..12000 m.
+
+    >>> munich = at(48.137, altitude=519.0)
+    >>> round(munich.value, 4), munich.uncertainty
+    (9.8074, 0.0004)
     """
     if not -90 <= latitude <= 90:
         raise LocationError(f"latitude {latitude} deg is not within -90..90")

@@ -75,6 +75,13 @@ def zeroing(
 
     With a `known` bias the rests are weighed against it, it being uncertain by its covariance and its
     wander: a short rest then moves the bias less than a long one. Raises NotSupported without rates.
+
+    >>> sd = np.full(3, 1e-4)
+    >>> told = {"rate": np.array([0.01, -0.02, 0.0]), "rate_sd": sd, "rate_uncertainty": sd}
+    >>> rest = RestState(0.0, 10.0, 500, np.array([0, 0, 9.8]), sd, sd, 1e-3, **told)
+    >>> model, estimate = zeroing(SensorModel.identity(), [rest])
+    >>> model.bias.tolist(), estimate.n_rests
+    ([0.01, -0.02, 0.0], 1)
     """
     fresh = bias_from_rests(rests)
     if known is not None:

@@ -37,7 +37,13 @@ class SensorModel:
         return cls.of(np.eye(3), np.zeros(3))
 
     def apply(self, raw: Array) -> Array:
-        """Correct raw readings, shape (..., 3), to calibrated ones of the same shape (Eq. 2)."""
+        """Correct raw readings, shape (..., 3), to calibrated ones of the same shape (Eq. 2).
+
+        >>> model = SensorModel.of(scale=np.diag([2.0, 1.0, 1.0]), bias=[1.0, 0.0, 0.5])
+        >>> model.apply(np.array([[2.0, 0.0, 9.5], [1.0, 1.0, 0.5]]))
+        array([[2., 0., 9.],
+               [0., 1., 0.]])
+        """
         return (raw - self.bias) @ self.scale.T
 
     def correct(self, samples: Samples) -> Samples:

@@ -63,7 +63,16 @@ class Samples:
         temperature: ArrayLike | None = None,
         t_arrival: ArrayLike | None = None,
     ) -> Samples:
-        """Build from untrusted arrays. Raises SampleError on a wrong shape, NaN, or time running back."""
+        """Build from untrusted arrays. Raises SampleError on a wrong shape, NaN, or time running back.
+
+        >>> samples = Samples.checked(Sensor.ACCELEROMETER, t=[0.0, 0.1], xyz=[[0, 0, 9.8], [0, 0, 9.9]])
+        >>> len(samples), samples.between(0.05, 1.0).xyz.tolist()
+        (2, [[0.0, 0.0, 9.9]])
+        >>> Samples.checked(Sensor.GYROSCOPE, t=[0.1, 0.0], xyz=[[0, 0, 0], [0, 0, 0]])
+        Traceback (most recent call last):
+            ...
+        stillcal.calib_core.samples.SampleError: sample 1: time runs backwards, from 0.100000 to 0.000000 s
+        """
         block = cls(
             sensor,
             frozen(t),
