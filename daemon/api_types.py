@@ -16,6 +16,7 @@ class SensorCalibration:
     """One sensor: calibrated = scale @ (raw - bias). unit: of bias and its uncertainty (1 sd).
 
     rms_residual: m/s^2 of rests' norms, or rad of turns. zeroed_age_s: since the bias was measured alone.
+    most_helpful_attitude: how to lay the phone so that the accelerometer's would gain most.
     """
 
     scale: list[list[float]]
@@ -27,6 +28,7 @@ class SensorCalibration:
     bias_uncertainty: list[float] | None = None
     rms_residual: float | None = None
     zeroed_age_s: float | None = None
+    most_helpful_attitude: str | None = None
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import numpy as np
 
 from stillcal.calib_core.pool import HeldRest
 from stillcal.calib_core.record import CalibrationRecord, SensorRecord
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.samples import Array, Sensor
 from stillcal.calib_core.stillness_settings import Fate, Sense
+from stillcal.calib_core.terms import bias_terms
 from stillcal.daemon import api_types as api
 from stillcal.daemon.saved_state import SavedState
 from stillcal.daemon.service_energy import Day
@@ -97,6 +98,24 @@ def calibration(record: CalibrationRecord, daemon: Daemon) -> api.Calibration:
         accelerometer=_sensor(record.accelerometer, None),
         gyroscope=_sensor(record.gyroscope, _age(getattr(record.gyroscope, "zeroed_at", None), now)),
     )
+
+
+def corrected(
+    record: CalibrationRecord,
+    sensor: Sensor,
+    raw: Array,
+    temperature_c: float | None,
+    force: list[list[float]] | None,
+) -> Array:
+    """Correct raw readings (n, 3), with those terms for which there is what they follow.
+
+    Raises NotCalibratedError, and ValueError where `force` does not go with the readings.
+    """
+    felt = None if force is None else np.array(force, dtype=np.float64).reshape(-1, 3)
+    if felt is not None and felt.shape != raw.shape:
+        raise ValueError(f"force has {len(felt)} rows, the samples have {len(raw)}")
+    warmth = None if temperature_c is None else np.full(len(raw), temperature_c)
+    return record.apply(raw - bias_terms(record, sensor, warmth, felt), sensor)
 
 
 def status(daemon: Daemon) -> api.Status:
@@ -203,6 +222,7 @@ def _sensor(part: SensorRecord | None, zeroed_age_s: float | None) -> api.Sensor
         bias_uncertainty=_finite(part.bias_uncertainty),
         rms_residual=part.rms_residual,
         zeroed_age_s=zeroed_age_s,
+        most_helpful_attitude=getattr(part, "most_helpful_attitude", None),
     )
 
 

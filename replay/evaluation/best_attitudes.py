@@ -168,8 +168,8 @@ standard error: of the norm of a calibrated force along the worst direction, in 
 
 {sets}
 
-The best are spread evenly: twelve as an icosahedron's corners reach the optimum exactly; six faces do not show
-the angles at all. From nothing, `stillcal` asks first: {first}.
+The best are spread evenly: twelve as an icosahedron's corners reach the optimum exactly; six faces do not
+show the angles at all. From nothing, `stillcal` asks first: {first}.
 
 {picture}"""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import json
 import os
 import socket
@@ -131,6 +132,24 @@ def test_the_current_calibration_is_the_stores(folder: Path, make_record: Any) -
             assert [e["what"] for e in entries] == ["current", "replaced"]
             status = (await asked(folder, lambda c: c.GetStatus()))["status"]
             assert not status["connected"] and status["calibration"] == record.id
+
+    within_reason(test())
+
+
+def test_a_calibration_says_which_attitude_would_help_most(folder: Path, make_record: Any) -> None:
+    words = "lay it on its left edge (x axis up)"
+    record = make_record(3)
+    known = dataclasses.replace(record.accelerometer, most_helpful_attitude=words)
+    stored(folder, make_record(2), dataclasses.replace(record, accelerometer=known))
+
+    async def test() -> None:
+        async with answering(folder):
+            found = (await asked(folder, lambda c: c.GetCalibration()))["calibration"]
+            assert found["accelerometer"]["most_helpful_attitude"] == words
+            assert not found["gyroscope"].get("most_helpful_attitude")
+            command = [STILLCAL, "query", "--socket", str(folder / "socket")]
+            said = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True)
+            assert words in said.stdout, said.stderr
 
     within_reason(test())
 
