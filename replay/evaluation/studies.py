@@ -29,6 +29,7 @@ STUDIES: dict[str, str] = {
     "biases": "stillcal.replay.evaluation.hetero_biases:study",
     "intervals": "stillcal.replay.evaluation.hetero_timing:study",
     "clusters": "stillcal.replay.evaluation.hetero_clusters:study",
+    "still-devices": "stillcal.replay.evaluation.hetero_rests:study",
     "heterogeneity": "stillcal.replay.evaluation.hetero_families:study",
     "modes": "stillcal.replay.evaluation.hetero_modes:study",
 }

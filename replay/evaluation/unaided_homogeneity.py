@@ -250,9 +250,9 @@ def _own_error(windows: Windows) -> str:
     """Return what the activity's own phone is off by: it is part of what all devices are given."""
     norm = np.linalg.norm(windows.of("stand").accel.mean(axis=1), axis=1).mean()
     return (
-        f"\n\nThe phone behind ucihar is not without error itself: standing, its norm is {norm:.2f} m/s² on the"
-        " mean. Every device here carries that as if it were motion, so that it makes no difference between"
-        " them."
+        f"\n\nThe phone behind ucihar is not without error itself: standing, its norm is {norm:.2f} m/s²"
+        " on the mean. Every device here carries that as if it were motion, so that it makes no difference"
+        " between them."
     )
 
 

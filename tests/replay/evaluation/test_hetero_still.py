@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillcal.replay.evaluation import hetero_biases, hetero_clusters, hetero_timing
+from stillcal.replay.evaluation import hetero_biases, hetero_clusters, hetero_rests, hetero_timing
 from stillcal.replay.evaluation.claim import Verdict
 from stillcal.replay.evaluation.hetero_recordings import Still, read_still, stamp_unit
 
@@ -59,8 +59,15 @@ def test_deviations_follow_the_reference(still: list[Still]) -> None:
     assert abs(found.value.mean()) < 3 * found.value.std(ddof=1) / np.sqrt(6)
 
 
+def test_one_device_is_at_rest_and_a_frozen_one_is_not(still: list[Still]) -> None:
+    phone = next(r for r in still if r.model == "LG-Nexus4")
+    frozen = next(r for r in still if r.frozen)
+    assert hetero_rests.detect(phone).share > 0.9
+    assert hetero_rests.detect(frozen).rests == 0
+
+
 def test_without_recordings_nothing_is_judged(tmp_path: Path) -> None:
-    for module in (hetero_biases, hetero_timing, hetero_clusters):
+    for module in (hetero_biases, hetero_timing, hetero_clusters, hetero_rests):
         study = module.study(None, tmp_path, 0, lambda share: None)
         assert {c.verdict for c in study.claims} == {Verdict.UNTESTED}
         assert not study.figures
