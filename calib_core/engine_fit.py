@@ -13,6 +13,7 @@ from stillcal.calib_core.quality import QualitySettings, Verdict
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.calib_core.schedule import Occasion
+from stillcal.calib_core.terms import carried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +58,7 @@ def fitted(task: FitTask) -> FitOutcome:
     if isinstance(found, NotSupported):
         return FitOutcome(None, False, found.reason, found.missing)
     decision = calibrate.decide(found, task.current, task.degraded, task.quality)
-    record = found.accepted(decision, task.occasion)
+    record = carried(task.current, found.accepted(decision, task.occasion))
     return FitOutcome(record, decision.accepted, decision.reason, (), decision.settled, recent_only)
 
 

@@ -262,7 +262,7 @@ class CalibrationRecord:
         return part.model
 
     def apply(self, raw: Array, sensor: Sensor) -> Array:
-        """Correct raw readings (..., 3) of one sensor by its affine model; `terms` are not applied."""
+        """Correct raw readings (..., 3) of one sensor by its affine model; terms.py has the terms."""
         return self.model(sensor).apply(raw)
 
 

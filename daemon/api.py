@@ -107,8 +107,19 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         return views.energy(self._daemon.saved.energy.days, _within("limit", limit))
 
     @varlinkmethod(return_parameter="samples")
-    def Correct(self, *, sensor: api.SensorName, samples: list[list[float]]) -> list[list[float]]:  # noqa: N802
-        """Correct at most 1000 raw samples [x, y, z] of a sensor by the current calibration."""
+    def Correct(  # noqa: N802
+        self,
+        *,
+        sensor: api.SensorName,
+        samples: list[list[float]],
+        temperature_c: float | None = None,
+        force: list[list[float]] | None = None,
+    ) -> list[list[float]]:
+        """Correct at most 1000 raw samples [x, y, z] of a sensor by the current calibration.
+
+        temperature_c: of the sensor; force: corrected [x, y, z] beside each sample of a gyroscope. Without
+        them, terms of the calibration that follow them are left out.
+        """
         record = self._daemon.view.record
         if len(samples) > MAX_ROWS or any(len(row) != 3 for row in samples):
             raise InvalidParameter(parameter="samples")
@@ -117,9 +128,11 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         raw = np.array(samples, dtype=np.float64).reshape(-1, 3)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
-                corrected = record.apply(raw, Sensor(sensor))
+                corrected = views.corrected(record, Sensor(sensor), raw, temperature_c, force)
         except NotCalibratedError as error:
             raise NotCalibrated(reason=str(error), missing=[sensor]) from None
+        except ValueError:
+            raise InvalidParameter(parameter="force") from None
         if not np.isfinite(corrected).all():
             raise InvalidParameter(parameter="samples")
         rows: list[list[float]] = corrected.tolist()

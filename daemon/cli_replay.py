@@ -19,6 +19,7 @@ from stillcal.calib_core.events import Reject, Store
 from stillcal.calib_core.gravity import given
 from stillcal.calib_core.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.samples import Samples
+from stillcal.calib_core.terms import correct, interpolated
 from stillcal.daemon import store as storage
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
@@ -148,16 +149,20 @@ def _writer(opened: Trace, out: Path, record: CalibrationRecord) -> Iterator[Cal
     ) as writer:
 
         def write(chunk: Chunk) -> None:
-            gyro = _corrected(chunk.gyroscope, record) if opened.has_gyroscope else None
-            writer.write(_corrected(chunk.accelerometer, record), gyro, chunk.events)
+            accel = _corrected(chunk.accelerometer, record)
+            gyro = _corrected(chunk.gyroscope, record, accel) if opened.has_gyroscope else None
+            writer.write(accel, gyro, chunk.events)
 
         yield write
 
 
-def _corrected(samples: Samples, record: CalibrationRecord) -> Samples:
-    """Correct one sensor's samples; a sensor that the store knows nothing of stays as it is."""
+def _corrected(samples: Samples, record: CalibrationRecord, felt: Samples | None = None) -> Samples:
+    """Correct one sensor's samples; a sensor that the store knows nothing of stays as it is.
+
+    felt: the corrected accelerometer beside a gyroscope, whose samples may be at other times.
+    """
     try:
-        return record.model(samples.sensor).correct(samples)
+        return correct(record, samples, None if felt is None else interpolated(felt, samples.t))
     except NotCalibratedError:
         return samples
 

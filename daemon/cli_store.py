@@ -18,6 +18,8 @@ from rich.console import Console
 from rich.table import Table
 
 from stillcal.calib_core.record import CalibrationRecord, SensorRecord
+from stillcal.calib_core.samples import Array
+from stillcal.calib_core.terms import with_terms
 from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.store import Reading, Store
@@ -101,6 +103,42 @@ def rollback(path: Path, identity: str | None, steps: int) -> None:
         click.echo(note, err=True)
     if outcome.document.current is not None:
         click.echo(f"{path}: calibration {outcome.document.current.id} is current again")
+
+
+@store_group.command(
+    "adopt-terms",
+    epilog=examples(
+        "stillcal diagnose day.csv --json day.diagnosis.json",
+        "stillcal store adopt-terms store.json day.diagnosis.json",
+    ),
+)
+@path_argument
+@click.argument("diagnosis", type=click.Path(path_type=Path))
+def adopt_terms(path: Path, diagnosis: Path) -> None:
+    """Take what a diagnosis has found into the current calibration; `stillcal apply` then corrects for it.
+
+    Bias against temperature and a gyroscope's answer to force can be taken; DIAGNOSIS is what `stillcal
+    diagnose --json` wrote. The calibration without them stays in the history.
+    """
+    with _one_line(), Store(_existing(path)) as store:
+        document = store.load()
+        if document is None or document.current is None:
+            raise ValueError(f"{path}: holds no calibration: run stillcal replay or the daemon first")
+        try:
+            record = with_terms(document.current, _findings(diagnosis))
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{diagnosis}: {error}") from error
+        store.publish(record, f"terms from {diagnosis.name}")
+    click.echo(f"{path}: calibration {record.id} with {', '.join(term.effect for term in record.terms)}")
+
+
+def _findings(path: Path) -> list[dict[str, Any]]:
+    """Read a diagnosis. Raises ValueError where it is none."""
+    try:
+        findings = json.loads(path.read_text(encoding="utf-8"))["findings"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError("not a diagnosis: write one with stillcal diagnose --json") from error
+    return [dict(finding) for finding in findings]
 
 
 @store_group.command(
@@ -213,10 +251,18 @@ def _facts(record: CalibrationRecord) -> Iterator[str]:
     if record.gravity is not None:
         gravity = record.gravity
         yield f"gravity: {gravity.value:.5f} ± {gravity.uncertainty:.5f} m/s² ({gravity.source})"
+    for term in record.terms:
+        values = ", ".join(f"{name} {_numbers(p.value)} {p.unit}" for name, p in term.parameters.items())
+        since = "".join(f", from {t:.1f} degC on" for t in term.reference.values())
+        yield f"term {term.effect}: {values}{since}"
     yield f"fitted at: {_figure(record.fitted_at)} s"
     yield f"accepted: {record.acceptance.how}, {record.acceptance.reason or 'no reason recorded'}"
     if record.provenance.software:
         yield f"by: {record.provenance.software} from {record.provenance.source or 'an unnamed source'}"
+
+
+def _numbers(values: Array) -> str:
+    return "[" + ", ".join(_numbers(v) if v.ndim else f"{v:.4g}" for v in values) + "]"
 
 
 def _reading(reading: Reading) -> dict[str, Any]:
