@@ -121,11 +121,13 @@ def _spreads(sensor: str, samples: Samples, bins: Bins, claims: Claims, edges: A
         return []
     rate = 1.0 / float(np.median(np.diff(samples.t)))
     declared = _declared(sensor, claims, rate)
+    floor = ((claims.accel_lsb if sensor == "accel" else claims.gyro_lsb) or 0.0) / np.sqrt(12.0)
     rows = []
     for a, axis in enumerate("xyz"):
         spread = np.sqrt(np.maximum(made.variance[inside, a], 1e-24))
         middle = float(np.median(spread)) if declared is None else declared
-        log = np.log(spread / middle)
+        # A step coarser than the noise hides it: less spread than the step's own tells nothing.
+        log = np.log(np.maximum(spread, floor) / middle)
         noise = max(1.4826 * float(np.median(np.abs(log - np.median(log)))), LEAST_NOISE)
         value, mean = _cells(made.t[inside], spread, edges), _cells(made.t[inside], log, edges)
         rows.append(Channel(f"{sensor} {axis} noise", UNIT[sensor], noise * middle, value, mean / noise))

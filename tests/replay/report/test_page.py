@@ -102,10 +102,13 @@ def test_nothing_is_written_over_what_is_read(recording: Maker, written: Writer,
 
 
 def test_a_recording_without_stillness_is_not_called_adequate_without_a_word(recording: Maker) -> None:
-    rng = np.random.default_rng(0)
     real = recording()
-    shaken = real.accelerometer.xyz + rng.normal(0.0, 3.0, (len(real.accelerometer), 1))
-    samples = Samples.checked(Sensor.ACCELEROMETER, real.accelerometer.t, shaken)
+    rng = np.random.default_rng(0)
+    up = rng.normal(size=(2000, 3))  # turned elsewhere every two seconds
+    up *= 9.81 / np.linalg.norm(up, axis=1, keepdims=True)
+    t = real.accelerometer.t
+    turning = up[((t - t[0]) / 2.0).astype(int)] + rng.normal(0.0, 0.01, (t.size, 3))
+    samples = Samples.checked(Sensor.ACCELEROMETER, t, turning)
     answer = diagnosed(Recording(samples, None, [], real.claims, []), "shaken.csv")
     assert any("never lies still" in text for text in answer["limits"])
     undone = [c["what"] for c in answer["checked"] if not c["done"]]
