@@ -18,6 +18,10 @@ Index = NDArray[np.int64]
 
 WINDOW = 1.0
 SHORTEST_REST = 5
+BRIEFEST_REST = 2
+FEW = 12
+"""Where rests of `SHORTEST_REST` windows give fewer bins than this, rests of `BRIEFEST_REST` count too."""
+
 STILL_FORCE = 0.08
 STILL_RATE = 0.03
 BINS = 200
@@ -42,7 +46,8 @@ class Bins:
     force_variance, rate_variance: (n, 3) of the means, white noise only. temperature: (n,) degC or None;
     charging: (n,) part of the bin on the charger, None without events; charging_switches: (m, 2) s and state.
     activity: (w, 2) s and 1 where the phone moved, per window. vibration: (n,) (m/s^2)^2. span: (start, end)
-    s of the recording. Columns that were not recorded are None.
+    s of the recording. Columns that were not recorded are None. force_rounding, rate_rounding: (3,) sd of the
+    error that a coarse step of the values leaves in the mean of a rest, the same in all its bins.
     """
 
     t: Array
@@ -58,6 +63,8 @@ class Bins:
     temperature: Array | None = None
     charging: Array | None = None
     charging_switches: Array | None = None
+    force_rounding: Array | None = None
+    rate_rounding: Array | None = None
 
     def __len__(self) -> int:
         return int(self.t.size)
@@ -109,11 +116,26 @@ def _not_turning(rate: Windows, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(slow & (turn < 3.0 * floor + 2.0 * STILL_RATE) & (rate.count >= 3))
 
 
-def rest_runs(still: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _rounding(samples: Samples, parts: Windows, still: NDArray[np.bool_]) -> Array:
+    """Return the sd (3,) of a rest's mean by rounding: a sine of amplitude step / pi, dithered by noise.
+
+    Widrow and Kollar, Quantization Noise (2008), ch. 7: exp(-2 pi^2 sd^2 / step^2); at most one value's.
+    """
+    from stillcal.calib_core.misfit.values import comb_step  # noqa: PLC0415 - values are read of quiet bins
+
+    if not still.any():
+        return np.zeros(3)
+    step = np.array([comb_step(column) or 0.0 for column in samples.xyz.T])
+    noise = np.maximum(np.median(parts.variance[still], axis=0) - step**2 / 12.0, 0.0)
+    dither = np.exp(-2.0 * np.pi**2 * noise / np.maximum(step, 1e-12) ** 2)
+    return np.asarray(np.minimum(step / np.sqrt(12.0), step / np.pi / np.sqrt(2.0) * dither))
+
+
+def rest_runs(still: NDArray[np.bool_], shortest: int = SHORTEST_REST) -> list[tuple[int, int]]:
     """Return [first, last) windows of runs of stillness, one window trimmed at either end."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
     runs = [(int(a) + 1, int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [(a, b) for a, b in runs if b - a >= SHORTEST_REST]
+    return [(a, b) for a, b in runs if b - a >= shortest]
 
 
 def cut(
@@ -129,6 +151,8 @@ def cut(
     still = still_windows(force, rate)
     length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
     first, last, rest = _bin_edges(rest_runs(still), length)
+    if first.size < FEW:
+        first, last, rest = _bin_edges(rest_runs(still, BRIEFEST_REST), length)
     duration = (last - first) * WINDOW
     return Bins(
         t=span[0] + (first + last) * 0.5 * WINDOW,
@@ -142,6 +166,8 @@ def cut(
         rate=None if rate is None else _bin_means(rate.mean, first, last),
         rate_variance=None if rate is None else _white_variances(rate.mean, first, last),
         temperature=_bin_temperatures(accelerometer, span[0], first, last),
+        force_rounding=_rounding(accelerometer, force, still),
+        rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, still),
         **_charging(events, span, first, last),
     )
 

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.catalogue import nameless
 from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Scene, nothing
 from stillcal.calib_core.misfit.evidence import (
     Fit,
@@ -164,7 +165,34 @@ def forward(scene: Scene, entries: Sequence[Entry], threshold: float = threshold
         step = refined(scene, step, before)
         steps.append(step)
         entries = [e for e in entries if not _spent(e, step.winner.hypothesis.entry)]
-    return steps
+    return adequate(steps)
+
+
+def adequate(steps: Sequence[Step]) -> list[Step]:
+    """Withhold names that leave too much: beside structure without a name a named effect must tower.
+
+    A neighbour's name explains part of what something outside the catalogue does and leaves the rest. What
+    the best of names leaves of a large effect, its model being a model, is not reported.
+    """
+    steps = [_one_of_many(s, steps) for s in steps]
+    strange = max((s.winner.gain for s in steps if _effect(s) == "unknown"), default=0.0)
+    named = max((s.winner.gain for s in steps if _effect(s) != "unknown"), default=0.0)
+    least = {True: thresholds.MODELLED * named, False: thresholds.TOWERING * strange}
+    return [s for s in steps if s.winner.gain >= least[_effect(s) == "unknown"]]
+
+
+def _effect(step: Step) -> str:
+    return step.winner.hypothesis.entry.effect
+
+
+def _one_of_many(step: Step, steps: Sequence[Step]) -> Step:
+    """Take the name off an effect that comes once but was found several times: to and fro is no step."""
+    if _effect(step) == "unknown" or sum(_effect(s) == _effect(step) for s in steps) < 2:
+        return step
+    hypothesis = step.winner.hypothesis
+    return replace(
+        step, winner=replace(step.winner, hypothesis=replace(hypothesis, entry=nameless(hypothesis.entry)))
+    )
 
 
 def ranking(scene: Scene, entries: Sequence[Entry], found: Sequence[Hypothesis] = ()) -> list[Scored]:
@@ -205,7 +233,8 @@ def prefer_named(step: Step) -> Step:
     near = [
         s
         for s in step.others
-        if s.hypothesis.entry.effect != "unknown" and step.winner.score - s.score < thresholds.UNKNOWN_MARGIN
+        if s.hypothesis.entry.effect != "unknown"
+        and step.winner.score - s.score - s.hypothesis.entry.handicap < thresholds.UNKNOWN_MARGIN
     ]
     if not near:
         return step

@@ -57,18 +57,27 @@ class Family:
 @lru_cache(maxsize=KEPT)
 def families(view: View) -> list[Family]:
     """Return every family of a view; they weigh alike, white alone as one of them."""
-    root = np.sqrt(view.variance)
+    whiten = np.linalg.inv(np.linalg.cholesky(_base(view)))
     made = kinds(view)
     n, weight = view.t.size, 1.0 / (len(made) + 1)
     none, alone = np.zeros(1), np.array([weight])
-    found = [Family("white", none, alone, none, np.diag(1.0 / root), np.ones((1, n)))]
+    found = [Family("white", none, alone, none, whiten, np.ones((1, n)))]
     prior = strength_prior() * weight
     median = float(np.median(view.variance))
     for name, (unit, rate) in made.items():
-        values, vectors = np.linalg.eigh(unit * median / np.outer(root, root))
+        values, vectors = np.linalg.eigh(whiten @ (unit * median) @ whiten.T)
         diagonals = 1.0 + STRENGTHS[:, None] * np.maximum(values, 0.0)
-        found.append(Family(name, STRENGTHS, prior, STRENGTHS * median * rate, vectors.T / root, diagonals))
+        found.append(Family(name, STRENGTHS, prior, STRENGTHS * median * rate, vectors.T @ whiten, diagonals))
     return found
+
+
+def _base(view: View) -> Array:
+    """White noise, and what rounding does to whole rests: part of every shape (n, n)."""
+    white = np.diag(view.variance)
+    if view.rounding is None or not view.rounding.any():
+        return white
+    shared = view.rest[:, None] == view.rest[None, :]
+    return np.asarray(white + shared * np.outer(view.rounding, view.rounding))
 
 
 def strength_prior() -> Array:

@@ -136,7 +136,10 @@ def named_axes(found: Estimate) -> list[str]:
     strength = np.abs(found.value) / np.maximum(found.sigma, 1e-300)
     by_axis = [float(strength[owner == a].max(initial=0.0)) for a in range(3)]
     least = min(thresholds.AXIS_SIGMA, max(by_axis))
-    return [AXES[a] for a in range(3) if by_axis[a] >= least]
+    size = np.abs(found.value) / found.hypothesis.sizes
+    share = np.array([size[owner == a].max(initial=0.0) for a in range(3)])
+    large = share >= thresholds.AXIS_SHARE * share.max()
+    return [AXES[a] for a in range(3) if by_axis[a] >= least and large[a]]
 
 
 def _where(scene: Scene, hypothesis: Hypothesis) -> Where:

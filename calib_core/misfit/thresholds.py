@@ -14,6 +14,9 @@ MARGIN = 1.3
 AXIS_SIGMA = 2.6
 """An axis is named where its parameter is this many standard errors from nothing (two-sided 1 %)."""
 
+AXIS_SHARE = 0.05
+"""An axis is named where its parameter is at least this part of the largest axis'."""
+
 MAX_FINDINGS = 3
 """Forward steps a sensor."""
 
@@ -25,6 +28,13 @@ UNKNOWN_HANDICAP = 0.3
 
 UNKNOWN_MARGIN = 0.7
 """A named effect wins over structure without a name that scores better by less than this."""
+
+TOWERING = 3.0
+"""Gain in log likelihood of a named effect over that of nameless structure in the same views, for its name to
+stand."""
+
+MODELLED = 0.05
+"""Part of a named effect's gain below which what it leaves is its model's fault and no finding."""
 
 PAIRS = 5
 """Named effects that are tried two together before structure is called unknown."""

@@ -25,7 +25,8 @@ class View:
 
     y: (b, n) residual; baseline: (b, n, p) columns projected out of each block; variance: (n,) white;
     coupling: (n, n) how the bias of two bins is shared; project: (b, n, 3) what an error vector of the
-    sensor in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,).
+    sensor in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,);
+    rounding: (n,) sd of an error that all bins of a rest share, None for none.
     """
 
     name: str
@@ -38,6 +39,7 @@ class View:
     t: Array
     duration: Array
     rest: Index
+    rounding: Array | None = None
 
     @property
     def parameters(self) -> int:
@@ -126,6 +128,7 @@ def norm_view(bins: Bins, baseline: Baseline, gravity: float) -> View:
         t=bins.t,
         duration=bins.duration,
         rest=bins.rest,
+        rounding=None if bins.force_rounding is None else np.sqrt(baseline.up**2 @ bins.force_rounding**2),
     )
 
 
@@ -196,6 +199,7 @@ def rate_views(bins: Bins) -> list[View]:
             t=bins.t,
             duration=bins.duration,
             rest=bins.rest,
+            rounding=None if bins.rate_rounding is None else np.full(n, bins.rate_rounding[a]),
         )
         for a in range(3)
     ]

@@ -32,13 +32,15 @@ def _centred(curves: Array) -> Array:
 
 def pulses(scene: Scene) -> Bank | None:
     """One between two borders of bins and nothing outside."""
-    known = drivers.steps(scene)
-    if known is None:
+    n = len(scene.bins)
+    if n < 6:
         return None
-    first, last = np.triu_indices(len(known.grids), 1)
-    times = [g["t_start"] for g in known.grids]
+    borders = np.unique(np.linspace(2, n - 2, drivers.STEPS).round().astype(int))
+    first, last = np.triu_indices(borders.size, 1)
+    times = [drivers.border(scene.bins, int(i)) for i in borders]
     grids = [{"t_start": times[a], "t_end": times[b]} for a, b in zip(first, last, strict=True)]
-    return Bank(grids, known.curves, first.size // 3, np.stack([first, last], axis=1), known.blind)
+    curves = (np.arange(n) >= borders[:, None]).astype(float)[:, None]
+    return Bank(grids, curves, first.size // 3, np.stack([first, last], axis=1), JUMPS)
 
 
 def periods(scene: Scene) -> Bank | None:
@@ -116,7 +118,8 @@ def thermal_past(scene: Scene) -> Bank | None:
     now = known[0][1]
     lagged = [_lagged(bins.t, now, tau) for tau in LAGS]
     span = float(np.ptp(now))
-    curves = [*lagged, now**2, now**3, np.gradient(now, bins.t), np.maximum(now, 0.0)]
+    curves = [*lagged, *(now - past for past in lagged)]
+    curves += [now**2, now**3, np.gradient(now, bins.t), np.maximum(now, 0.0)]
     curves += [_play(now, share * span) for share in PLAYS]
     for share in PLAYS[1:4]:
         curves.append(np.maximum(now - now.min() - share * span, 0.0))

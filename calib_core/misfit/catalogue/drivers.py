@@ -13,6 +13,7 @@ from stillcal.calib_core.samples import Array
 Driver = tuple[dict[str, float], Array]
 TAUS = (60.0, 120.0, 240.0, 480.0, 960.0, 1920.0)
 STEPS = 250
+PARTS = 6
 JUMPS = ("tangent",)
 """Views in which a nudge of the phone looks like a jump of the sensor."""
 
@@ -48,28 +49,32 @@ def drift(scene: Scene) -> list[Driver]:
 
 
 def steps(scene: Scene) -> Bank | None:
-    """One at and after a time: at up to `STEPS` borders of bins, two bins from either end.
+    """One at and after a time, which may be within a bin: two bins from either end.
 
     A nudged phone steps across gravity too, so the tangent view is left out.
     """
-    t = scene.bins.t
-    if t.size < 6:
+    n = scene.bins.t.size
+    if n < 6:
         return None
-    borders = np.unique(np.linspace(2, t.size - 2, STEPS).round().astype(int))
-    made = [_step_at(scene.bins, int(i)) for i in borders]
-    return Bank([g for g, _ in made], np.array([c for _, c in made])[:, None], borders.size, None, JUMPS)
+    inside = np.unique(np.linspace(2, n - 3, STEPS).round().astype(int))
+    made = [_step_at(scene.bins, int(i), part) for i in inside for part in np.arange(PARTS) / PARTS]
+    return Bank([g for g, _ in made], np.array([c for _, c in made])[:, None], 3 * inside.size, None, JUMPS)
 
 
 def steps_near(scene: Scene, t_start: float) -> list[Driver]:
-    """Return steps at every border of bins within eight borders of `t_start`, s."""
+    """Return steps within three bins of `t_start`, s, more finely."""
     n = scene.bins.t.size
-    reach = max(8, 2 * (n // STEPS))
     middle = int(np.searchsorted(scene.bins.t, t_start))
-    return [_step_at(scene.bins, i) for i in range(max(2, middle - reach), min(n - 1, middle + reach))]
+    fine = np.arange(4 * PARTS) / (4 * PARTS)
+    around = range(max(1, middle - 3), min(n - 1, middle + 3))
+    return [_step_at(scene.bins, i, float(part)) for i in around for part in fine]
 
 
-def _step_at(bins: Bins, i: int) -> Driver:
-    return {"t_start": border(bins, i)}, (np.arange(bins.t.size) >= i).astype(float)
+def _step_at(bins: Bins, i: int, part: float) -> Driver:
+    """Step after a part of bin i, which keeps what is left of it; at its very start for a part of zero."""
+    t_start = border(bins, i) if part == 0.0 else float(bins.t[i] + (part - 0.5) * bins.duration[i])
+    index = np.arange(bins.t.size)
+    return {"t_start": t_start}, np.where(index == i, 1.0 - part, (index > i).astype(float))
 
 
 def border(bins: Bins, i: int) -> float:
