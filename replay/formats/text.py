@@ -178,15 +178,19 @@ class TextTable:
     ) -> Array:
         """Return the cells at `places` of the chosen rows, (n, k). Raises TraceError naming a guilty row."""
         columns = sorted(set(places))
-        flat = _cut_out(text, ends, rows, columns)
+        flat, filled = _cut_out(text, ends, rows, columns)
         values = _read_numbers(flat) if flat else np.empty(0)
         if values is None:
-            raise self._accused(flat, lines[rows], columns)
-        return values.reshape(-1, len(columns))[:, np.searchsorted(columns, places)]
+            raise self._accused(flat, filled, lines[rows], columns)
+        table = np.full(filled.shape, EMPTY)
+        table[filled] = values
+        return table[:, np.searchsorted(columns, places)]
 
-    def _accused(self, flat: bytes, lines: NDArray[np.int64], columns: Sequence[int]) -> TraceError:
+    def _accused(
+        self, flat: bytes, filled: NDArray[np.bool_], lines: NDArray[np.int64], columns: Sequence[int]
+    ) -> TraceError:
         """Return the error that names the first cell that is not a number."""
-        for i, cell in enumerate(flat.split(b",")):
+        for i, cell in zip(np.flatnonzero(filled).tolist(), flat.split(b","), strict=True):
             if not _is_number(cell):
                 text = cell.decode("utf-8", "backslashreplace").strip()[:40]
                 what = f"{self.column_name(columns[i % len(columns)])} holds {text!r}, which is not a number"
@@ -234,25 +238,26 @@ def _holding(text: bytes, ends: NDArray[np.intp], key: Sequence[tuple[int, str]]
     return rows
 
 
-def _cut_out(text: bytes, ends: NDArray[np.intp], rows: NDArray[np.bool_], columns: Sequence[int]) -> bytes:
-    """Return the cells of the chosen rows and columns, row by row, with commas between."""
-    if len(columns) < ends.shape[1] or not rows.all():
-        wanted = np.zeros(ends.shape, dtype=np.bool_)
-        wanted[:, columns] = rows[:, None]
-        mask = np.repeat(wanted.ravel(), np.diff(ends.ravel(), prepend=-1))
+def _cut_out(
+    text: bytes, ends: NDArray[np.intp], rows: NDArray[np.bool_], columns: Sequence[int]
+) -> tuple[bytes, NDArray[np.bool_]]:
+    """Return the cells of the chosen rows and columns that hold something, with commas between.
+
+    Row by row; with them which ones those are, (chosen rows, columns).
+    """
+    lengths = np.diff(ends.ravel(), prepend=-1)
+    filled = (lengths > 1).reshape(ends.shape)
+    wanted = np.zeros(ends.shape, dtype=np.bool_)
+    wanted[:, columns] = rows[:, None]
+    wanted &= filled
+    if not wanted.all():
+        mask = np.repeat(wanted.ravel(), lengths)
         text = np.frombuffer(text, dtype=np.uint8)[: mask.size][mask].tobytes()
-    return text[:-1].replace(b"\n", b",")
+    return text[:-1].replace(b"\n", b","), filled[rows][:, columns]
 
 
 def _read_numbers(flat: bytes) -> Array | None:
-    """Read comma-separated numbers, empty cells as EMPTY; None where a cell is not a number."""
-    empty = repr(EMPTY).encode()
-    if b",," in flat:
-        flat = flat.replace(b",,", b"," + empty + b",").replace(b",,", b"," + empty + b",")
-    if flat.startswith(b","):
-        flat = empty + flat
-    if flat.endswith(b","):
-        flat += empty
+    """Read comma-separated numbers; None where a cell is not a number."""
     try:
         return np.array(_numbers.decode(b"[" + flat + b"]"), dtype=np.float64)
     except msgspec.DecodeError:
