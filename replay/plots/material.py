@@ -30,8 +30,10 @@ JOINED_ANGLE = 0.02
 LEAST_S, LEAST_SAMPLES = 30.0, 1000
 """The shortest stretch that an Allan curve is drawn of."""
 
-EVEN = 1.5
-"""A step between samples longer than so many median steps is a gap, across which nothing is averaged."""
+GAP_S, GAP_STEPS = 1.0, 1.5
+"""A step between samples longer than both (s, median steps) is a gap, across which nothing is averaged.
+
+Shorter ones are left alone: a host's stamps of samples that were taken evenly come in bursts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +178,9 @@ def even(samples: Samples) -> Stretch | None:
     steps = np.diff(samples.t)
     if not steps.size:
         return None
-    edges = np.r_[0, np.flatnonzero(steps > EVEN * np.median(steps)) + 1, len(samples)]
+    edges = np.r_[
+        0, np.flatnonzero(steps > max(GAP_S, GAP_STEPS * float(np.median(steps)))) + 1, len(samples)
+    ]
     longest_run = int(np.argmax(np.diff(edges)))
     part = samples[int(edges[longest_run]) : int(edges[longest_run + 1])]
     length = float(part.t[-1] - part.t[0])

@@ -1,0 +1,59 @@
+"""docs/commands.md is what the commands say of themselves; the shells' scripts are there; no link is dead."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from stillcal.daemon.cli import COMMANDS
+from stillcal.daemon.manual import page
+
+ROOT = Path(__file__).parents[2]
+STILLCAL = str(Path(sys.executable).with_name("stillcal"))
+
+
+def test_the_page_is_what_the_commands_say() -> None:
+    written = (ROOT / "docs" / "commands.md").read_text()
+    assert written == page() + "\n", "run: python -m stillcal.daemon.manual > docs/commands.md"
+
+
+def test_every_command_has_a_section_and_says_what_it_does() -> None:
+    sections = re.split(r"^## ", page(), flags=re.MULTILINE)
+    for name in COMMANDS:
+        (section,) = [s for s in sections if s.startswith(f"stillcal {name}\n")]
+        assert "Usage:" in section and len(section.split("\n\n")[2].strip()) > 10
+
+
+@pytest.mark.parametrize(
+    ("shell", "holds"), [("bash", "complete -o"), ("zsh", "#compdef"), ("fish", "complete ")]
+)
+def test_a_shell_is_told_how_to_complete(shell: str, holds: str) -> None:
+    environment = os.environ | {"_STILLCAL_COMPLETE": f"{shell}_source"}
+    done = subprocess.run([STILLCAL], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and holds in done.stdout and "stillcal" in done.stdout, done.stderr
+
+
+def test_bash_completes_commands_and_options() -> None:
+    for words, number, wanted in (("stillcal wa", 1, "watch"), ("stillcal watch --on", 2, "--once")):
+        environment = os.environ | {
+            "_STILLCAL_COMPLETE": "bash_complete",
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(number),
+        }
+        done = subprocess.run([STILLCAL], env=environment, capture_output=True, text=True, check=False)
+        assert f"plain,{wanted}" in done.stdout
+
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_links_between_pages_lead_somewhere(path: Path) -> None:
+    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", path.read_text()):
+        if not target.startswith(("http:", "https:")):
+            assert (path.parent / target).exists(), target
