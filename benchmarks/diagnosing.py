@@ -19,7 +19,7 @@ def run(quick: bool) -> Iterator[Row]:
     taken = {}
     for minutes in MINUTES[:3] if quick else MINUTES:
         part = [s.between(0.0, 60.0 * minutes) for s in (subject.accelerometer, subject.gyroscope)]
-        timed = rounds({"ours": lambda p=part: diagnose(p[0], p[1])}, 1 if quick else 2)["ours"]
+        timed = rounds({"ours": lambda p=part: diagnose(p[0], p[1])}, 1)["ours"]
         taken[minutes] = timed.best
     slope = np.polyfit(np.log(list(taken)), np.log(list(taken.values())), 1)[0]
     yield Row(

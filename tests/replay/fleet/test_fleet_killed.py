@@ -17,7 +17,7 @@ import pytest
 from stillcal.replay.fleet import kept, listing, running
 from stillcal.replay.fleet.work import CALIBRATED, Examined, Task, examined
 
-COPIES = 40
+COPIES = 24
 
 
 @contextmanager
