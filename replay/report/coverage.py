@@ -19,6 +19,12 @@ LEAST_PIECES = 3
 """Still bins that noise and spectra are taken from, at least."""
 
 
+NEVER_STILL = (
+    "the phone never lies still: bias, scale, temperature and noise could not be checked at all; what is said is"
+    " about stamps, values and motion"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Check:
     """One family of departures. how: what it was checked on, or why it could not be."""
@@ -120,7 +126,9 @@ def _of_gyroscope(facts: Facts) -> list[Check]:
 
 
 def limits(facts: Facts) -> list[str]:
-    """Say in words what a table of rests cannot be checked for, beside what the diagnosis says itself."""
+    """Say in words what could not be checked at all, beside what the diagnosis says itself."""
+    if facts.bins == 0:
+        return [NEVER_STILL]
     if facts.samples == 0:
         said = ["a table of rests: stamps, noise, values, vibration and motion could not be checked"]
         return said if facts.stamps else [*said, "its rows have no time: nothing that follows time was tried"]
