@@ -90,7 +90,7 @@ def _norm(outcomes: list[Outcome]) -> Claim:
     before, after = np.mean(pairs, axis=0)
     ours = f"{before:.3f} → {after:.3f} m/s² ({len(pairs)} devices with six true faces)"
     bar = AccelerometerSettings().max_norm_sd
-    why = f"holds below {bar} m/s², what a fit may leave open; on faces that were fitted (others: `homogeneity`)"
+    why = f"holds below {bar} m/s², what a fit may leave open; on faces that were fitted"
     return Claim(SEED, *PAPER["norm"], ours, DATA, holds(bool(after < bar)), why)
 
 
