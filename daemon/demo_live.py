@@ -110,10 +110,14 @@ async def _live(
         ]
         began = time.monotonic()
         process.terminate()
-        await _until(log, "stopped")
-        await process.wait()
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                await _until(log, "stopped")
+                await process.wait()
+                await listening
+        except TimeoutError:
+            raise DaemonDiedError(f"the daemon has not stopped {PATIENCE_S:.0f} s after SIGTERM") from None
         stopping_s = time.monotonic() - began
-        await listening
     events = [reply["parameters"]["event"] for reply in news]
     return Lived(calibration, status, energy, events, lived_s, stopping_s)
 

@@ -13,6 +13,8 @@ from stillcal.daemon.wire_messages import Status
 
 DAY_S = 86400.0
 KEPT_DAYS = 400
+MOMENT_S = 1.0
+"""What comes so shortly after a day, s, is counted to it: a stream that lasts a day ends just beyond it."""
 
 
 @dataclass(slots=True)
@@ -76,10 +78,20 @@ class EnergyLedger:
         """Return the day of t (s), or the newest where t is older."""
         if self.began is None:
             self.began = self.newest = t
-        number = max(int((t - self.began) // DAY_S), self.days[-1].number if self.days else 0)
-        if not self.days or number > self.days[-1].number:
-            self.days = [*self.days, Day(number)][-KEPT_DAYS:]
+        number = max(int((t - self.began - MOMENT_S) // DAY_S), self.days[-1].number if self.days else 0)
+        if not self.days:
+            self.days = [Day(number)]
+        elif number > self.days[-1].number:
+            self._turn_to(number)
         day = self.days[-1]
         day.observed_s += max(t - self.newest, 0.0)
         self.newest = max(t, self.newest)
         return day
+
+    def _turn_to(self, number: int) -> None:
+        """Begin a new day: what went by up to midnight was the old one's; days nobody saw have no account."""
+        assert self.began is not None
+        last = self.days[-1]
+        last.observed_s += max(self.began + (last.number + 1) * DAY_S - self.newest, 0.0)
+        self.newest = max(self.newest, self.began + number * DAY_S)
+        self.days = [*self.days, Day(number)][-KEPT_DAYS:]

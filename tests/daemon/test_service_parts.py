@@ -32,12 +32,23 @@ def test_a_day_adds_up_what_the_phone_and_the_engine_say():
     ledger.status(1060.0, Status(1060.0, 20.0, True, 2))
     ledger.status(1100.0, Status(1100.0, 30.0, False, 3))
     ledger.totals(1100.0, 25.0, 1.5)
-    ledger.samples(1000.0 + DAY_S, 7)
-    ledger.totals(1000.0 + DAY_S, 26.0, 1.75)
+    ledger.samples(1010.0 + DAY_S, 7)
+    ledger.totals(1010.0 + DAY_S, 26.0, 1.75)
     first, second = ledger.days
     assert (first.number, first.samples, first.sensors_on_s, first.wakeups) == (0, 100, 30.0, 3)
-    assert (first.asked_s, first.cpu_s, first.observed_s) == (25.0, 1.5, 100.0)
+    assert (first.asked_s, first.cpu_s, first.observed_s) == (25.0, 1.5, DAY_S)
     assert (second.number, second.samples, second.asked_s, second.cpu_s) == (1, 7, 1.0, 0.25)
+    assert second.observed_s == 10.0
+
+
+def test_time_goes_to_the_day_it_went_by_in_and_a_day_ends_with_its_last_moment():
+    ledger = EnergyLedger()
+    for t in (-1e-4, 86_340.0, 86_400.0):
+        ledger.samples(t, 1)
+    assert [(d.number, round(d.observed_s, 3)) for d in ledger.days] == [(0, 86_400.0)]
+    ledger.samples(86_400.0 + 3600.0, 1)
+    ledger.samples(4 * 86_400.0 + 60.0, 1)
+    assert [(d.number, round(d.observed_s)) for d in ledger.days] == [(0, 86_400), (1, 86_400), (4, 60)]
 
 
 def test_a_phone_that_counts_anew_loses_nothing():
