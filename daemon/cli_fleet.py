@@ -156,6 +156,7 @@ def report_command(results: Path, json_path: Path | None) -> None:
     else:
         if json_path is not None:
             write_atomically(json_path, text.encode())
+        click.echo(", ".join(f"{n} {status}" for status, n in found.recordings.items()) or "no recordings")
         for table in tables(found):
             Console().print(table)
         for limit in found.limits:

@@ -12,9 +12,8 @@ from stillcal.replay.fleet.spread import ALL
 
 def tables(report: Report) -> Iterator[Table]:
     """Yield the tables that have rows."""
-    counts = ", ".join(f"{n} {status}" for status, n in report.recordings.items())
     for title, columns, rows in (
-        (f"{counts}: all devices", ("", "unit", "devices", "median", "middle half"), _spreads(report)),
+        ("All devices", ("quantity", "unit", "devices", "median", "middle half"), _spreads(report)),
         ("Bias by model, m/s²", ("model", "devices", "x", "y", "z"), _biases(report)),
         ("Left-out effects", ("model", "effect", "sensor", "recordings", "size"), _effects(report)),
         ("Outlier devices", ("device", "model", "distance", "limit", "most"), _outliers(report)),

@@ -45,7 +45,7 @@ def local(workers: int | None = None) -> Iterator[Client]:
             cluster = LocalCluster(
                 n_workers=workers or len(os.sched_getaffinity(0)),
                 threads_per_worker=1,
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
             )
         finally:
