@@ -12,6 +12,7 @@ import click
 
 from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.engine_state import EngineSettings
+from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.exits import TOO_LITTLE
@@ -102,9 +103,16 @@ def _stored(path: Path) -> Material:
 
 
 def _moments(document: StoreDocument) -> list[Moment]:
-    found = [Moment(e.what, e.calibration.fitted_at, e.calibration) for e in document.history]
+    found = [Moment(e.what, _since(e.calibration), e.calibration) for e in document.history]
     current = document.current
-    return found if current is None else [*found, Moment("current", current.fitted_at, current)]
+    return found if current is None else [*found, Moment("current", _since(current), current)]
+
+
+def _since(record: CalibrationRecord) -> float | None:
+    """Return since when a calibration is as it is, s: its fit, or when its gyroscope was zeroed after it."""
+    zeroed = None if record.gyroscope is None else record.gyroscope.zeroed_at
+    times = [t for t in (record.fitted_at, zeroed) if t is not None]
+    return max(times, default=None)
 
 
 def _replayed(opened: Trace, settings: EngineSettings, noise: bool, quiet: bool) -> Material:

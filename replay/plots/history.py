@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 
 DEG = 180 / np.pi
+BESIDE = 0.012
+"""How far the marks of one moment's axes stand beside each other, as a share of the whole time."""
+
 Part = Callable[[CalibrationRecord], SensorRecord | None]
 
 
@@ -53,10 +56,19 @@ def draw(part: FigureBase, material: Material) -> None:
         _panel(axis, moments, sensor, names, (gain, length))
         axis.set_ylabel(label, fontsize="small")
         if axis.has_data():
-            axis.legend(fontsize="small", title="change from", title_fontsize="small")
+            above: dict[str, Any] = {
+                "loc": "lower left",
+                "bbox_to_anchor": (0.0, 1.0),
+                "ncols": 3,
+                "frameon": False,
+            }
+            axis.legend(fontsize="small", handletextpad=0.1, columnspacing=1.0, **above)
     for axis in panels[2:]:
         axis.set_xlabel(unit)
-    part.suptitle("bars: 95 %; hollow: fitted and not taken", fontsize="small")
+    part.suptitle(
+        "change from the last value (above each panel); bars: 95 %; hollow: fitted and not taken",
+        fontsize="small",
+    )
 
 
 def _panel(
@@ -64,6 +76,7 @@ def _panel(
 ) -> None:
     """Draw one kind of parameter less its last value. units: factor to what is shown; s in one of time."""
     gain, length = units
+    span = np.ptp([m.at or 0.0 for m in moments]) / length or 1.0
     last = [sensor(m.record) for m in moments if m.what != "rejected" and sensor(m.record) is not None]
     zero = _values(last[-1], names)[0] if last else np.zeros(3)
     for taken in (True, False):
@@ -74,7 +87,7 @@ def _panel(
         values = np.array([_values(sensor(m.record), names) for m in chosen])
         for k, (name, colour, mark) in enumerate(AXES):
             axis.errorbar(
-                when,
+                when + (k - 1) * BESIDE * span,
                 gain * (values[:, 0, k] - zero[k]),
                 gain * NORMAL_95 * values[:, 1, k],
                 fmt=mark,

@@ -12,6 +12,8 @@ import pytest
 
 from stillcal.daemon.cli import COMMANDS
 from stillcal.daemon.manual import page
+from stillcal.daemon.settings import parse_settings
+from stillcal.replay.formats.columns import parse_map
 
 ROOT = Path(__file__).parents[2]
 STILLCAL = str(Path(sys.executable).with_name("stillcal"))
@@ -57,3 +59,12 @@ def test_links_between_pages_lead_somewhere(path: Path) -> None:
     for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", path.read_text()):
         if not target.startswith(("http:", "https:")):
             assert (path.parent / target).exists(), target
+
+
+def test_the_maps_and_settings_on_the_page_of_own_logs_are_valid() -> None:
+    blocks = re.findall(r"^```toml\n(.*?)^```$", (ROOT / "docs" / "own_log.md").read_text(), re.M | re.S)
+    maps = [block for block in blocks if "[accelerometer]" in block]
+    settings = [block for block in blocks if "[source]" in block]
+    assert len(maps) == len(settings) == 1
+    assert parse_map(maps[0].encode(), Path("map.toml")).decimal == "auto"
+    assert parse_settings(settings[0]).source.kind == "iio"
