@@ -29,7 +29,7 @@ TURN_S = 0.01
 GOODBYE_S = 0.02
 """How long those who listen have for the last news, s."""
 
-WAITING = 128
+WAITING = 1024
 """Clients that the kernel lets wait to be let in (listen(2))."""
 
 RETRY_S = 1.0
