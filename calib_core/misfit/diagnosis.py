@@ -126,7 +126,7 @@ def _at_rest(stream: _Stream, claims: Claims, factor: float) -> list[Finding | N
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, stream.still.rate / 2.0), "noise at rest")
     other = None if stream.steps.blurs_level() else changing(stream.spectra, stream.levels, sensor)
     coarse = stream.steps.largest / float(stream.steps.sd.min())
-    wide = tails(stream.still, sensor, where, coarse) if coarse < 1.0 else None
+    wide = tails(stream.still, sensor, where, stream.steps.largest) if coarse < 1.0 else None
     claim = noise.claimed(sensor, claims)
     claim = None if claim is None else factor * claim
     found: list[Finding | None] = [other, wide]

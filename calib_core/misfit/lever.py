@@ -16,7 +16,7 @@ from stillcal.calib_core.misfit.turns import LEAST_TURNS, Turn
 from stillcal.calib_core.misfit.views import Baseline
 from stillcal.calib_core.samples import Array, Samples
 
-PARTS = 10
+PARTS = 15
 MEMORY = 0.25
 """s for which a hand's acceleration keeps its direction."""
 

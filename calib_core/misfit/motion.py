@@ -21,6 +21,7 @@ LONGEST_LAG = 0.1
 LEAST_RATE = 0.3
 LEAST_STRETCHES = 5
 STRETCH = 20.0
+PARTS = 40
 MEMORY = 0.25
 """s for which a hand's acceleration, the noise of this view, keeps its direction."""
 
@@ -141,8 +142,8 @@ def _left_out(lags: Array, misfits: Array, count: Array, step: float, sigmas: fl
 
 
 def jackknife(lags: Array, misfits: Array) -> Measured:
-    """Return the lag of least misfit with its standard error from leaving out tenths of the stretches."""
-    parts = np.arange(len(misfits)) % min(10, len(misfits))
+    """Return the lag of least misfit with its standard error from leaving out parts of the stretches."""
+    parts = np.arange(len(misfits)) % min(PARTS, len(misfits))
     best = _lowest(lags, misfits.sum(axis=0))
     left_out = np.array([_lowest(lags, misfits[parts != p].sum(axis=0)) for p in np.unique(parts)])
     n = left_out.size

@@ -100,7 +100,9 @@ def convention(measured: dict[str, Levels], claims: Claims) -> float:
     above its claim, and none is as claimed.
     """
     told = {s: claimed(s, claims) for s in measured}
-    ratios = np.array([float(np.median(m.values())) / t for s, m in measured.items() if (t := told[s])])
+    ratios = np.array(
+        [float(np.median(m.values())) / t for s, m in measured.items() if (t := told[s]) and m.own]
+    )
     if ratios.size < 2:
         return 1.0
     near = 1.0 + thresholds.LEVEL_TOLERANCE

@@ -26,6 +26,8 @@ ORDERS = (1, 2, 4)
 USED_RANGE = 3.5
 LEAST_PIECES = 3
 CLEAN = 0.02
+MODEL = 0.008
+"""Relative error of a cutoff for not knowing how the filter was made."""
 SHARED = 1.9
 """Numbers of a spectrum under overlapping Hann windows for each independent one."""
 
@@ -157,8 +159,17 @@ def _low_pass(
     if cutoffs[k] > thresholds.BANDWIDTH_LIMIT * rate or gain < thresholds.BANDWIDTH_GAIN or not clean:
         return None
     near = cutoffs[seen.size * (misfit - least) / least < 4.0]
-    spread = max(float(near[-1] - near[0]) / 4.0, 0.004 * float(cutoffs[k]))
-    return LowPass(Measured(float(cutoffs[k]), spread), shape, gain, order)
+    spread = max(float(np.sqrt(SHARED)) * float(near[-1] - near[0]) / 4.0, MODEL * float(cutoffs[k]))
+    return LowPass(Measured(_between(cutoffs, misfit, k), spread), shape, gain, order)
+
+
+def _between(cutoffs: Array, misfit: Array, k: int) -> float:
+    """Return the least of a curve between the places of a logarithmic grid, by a parabola."""
+    k = int(np.clip(k, 1, cutoffs.size - 2))
+    left, middle, right = misfit[k - 1 : k + 2]
+    bend = left - 2.0 * middle + right
+    shift = 0.0 if bend <= 0.0 else float(np.clip(0.5 * (left - right) / bend, -1.0, 1.0))
+    return float(cutoffs[k] * (cutoffs[k + 1] / cutoffs[k]) ** shift)
 
 
 def bandwidth(spectrum: Spectra, sensor: str, where: Where) -> Finding | None:

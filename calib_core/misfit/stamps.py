@@ -141,6 +141,9 @@ def jitter(grid: Grid, where: Where) -> Finding | None:
     rounding = grid.step**2 / 12.0
     pieces = np.sqrt(np.maximum(grid.sigmas() ** 2 - rounding, 0.0))
     sigma = mean_of(pieces, 1e-3 * grid.period / np.sqrt(grid.apart.size))
+    # Stamps that scatter by a fifth of the period and more are put in order, or held apart, by somebody.
+    sorted_by = 0.15 * max(sigma.value / grid.period - 0.2, 0.0) * sigma.value
+    sigma = Measured(sigma.value, float(np.hypot(sigma.error, sorted_by)))
     allowed = thresholds.JITTER_TOLERANCE * grid.period
     sigmas = sigma.beyond(0.0, max(allowed, 1.5 * np.sqrt(rounding)))
     if sigmas < SIGNIFICANT:

@@ -30,6 +30,8 @@ SPIKE = 8.0
 LEAST_SPIKES = 5
 EDGES = 400
 FARTHEST = 60.0
+MODEL = 0.01
+"""Relative error of a ratio for steps, and spreads that differ by axis and rest."""
 
 
 def fast(piece: Array) -> Array:
@@ -39,26 +41,34 @@ def fast(piece: Array) -> Array:
     return np.asarray(piece - course @ np.linalg.lstsq(course, piece, rcond=None)[0])
 
 
-def standardised(pieces: Sequence[Array]) -> list[Array]:
-    """Return pieces free of their slow course in units of their robust spread.
+def _spread(quick: Array) -> Array:
+    """Return the spread (3,) by the mean absolute deviation, far samples cut; steps do not make it jump."""
+    size = np.abs(quick)
+    limit = 3.0 * np.maximum(1.4826 * np.median(size, axis=0), size.mean(axis=0))
+    return np.asarray(np.sqrt(np.pi / 2.0) * np.minimum(size, limit).mean(axis=0))
 
-    All pieces', where they are alike.
+
+def standardised(pieces: Sequence[Array]) -> tuple[list[Array], Array]:
+    """Return pieces free of their slow course in units of their robust spread, and the typical spread (3,).
+
+    The unit is the spread of all pieces, where they are alike.
     """
     quick = [fast(p) for p in pieces]
-    own = np.array([1.4826 * np.median(np.abs(q), axis=0) for q in quick])
+    own = np.array([_spread(q) for q in quick])
     typical = np.maximum(np.median(own, axis=0), 1e-300)
-    # The median absolute deviation of n normal values scatters by 1.17 / sqrt(n).
-    chance = 1.17 / np.sqrt(np.median([len(q) for q in quick]))
-    alike = 1.4826 * np.median(np.abs(own / typical - 1.0), axis=0) < 1.5 * chance + 0.02
-    return [q / np.where(alike, typical, np.maximum(s, 1e-300)) for q, s in zip(quick, own, strict=True)]
+    # The mean absolute deviation of n normal values scatters by 0.76 / sqrt(n).
+    chance = 0.76 / np.sqrt(np.median([len(q) for q in quick]))
+    alike = 1.4826 * np.median(np.abs(own / typical - 1.0), axis=0) < 1.5 * chance + 0.03
+    units = [np.where(alike, typical, np.maximum(s, 1e-300)) for s in own]
+    return [q / unit for q, unit in zip(quick, units, strict=True)], typical
 
 
-def tails(still: Quiet, sensor: str, where: Where, coarse: float) -> Finding | None:
+def tails(still: Quiet, sensor: str, where: Where, step: float) -> Finding | None:
     """Find far samples that come alone: not with others in time, nor on the other axes.
 
-    coarse: the step over the samples' spread; its share of the variance is taken off.
+    step: of the values; its share of the variance is taken off.
     """
-    scaled = standardised(still.pieces)
+    scaled, spread = standardised(still.pieces)
     kurtosis = [_kurtosis(scaled, a) for a in range(3)]
     sigmas = [k.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE) for k in kurtosis]
     axes = [a for a in range(3) if sigmas[a] >= SIGNIFICANT]
@@ -66,7 +76,7 @@ def tails(still: Quiet, sensor: str, where: Where, coarse: float) -> Finding | N
     if not axes or _clustered(everything[:, axes]) or _together(everything):
         return None
     values = np.abs(everything[:, axes]).ravel()
-    fit = contaminated(values, coarse**2 / 12.0)
+    fit = contaminated(values, (step / float(spread[axes].mean())) ** 2 / 12.0)
     if fit.fraction.value > MOST_WIDE:
         return None
     share = fit.fraction.value
@@ -167,7 +177,7 @@ def contaminated(size: Array, steps: float = 0.0) -> Contaminated:
     ratio = float(np.sqrt(max(wide - steps, 1e-12) / max(narrow - steps, 1e-12)))
     share = float(1.0 / (1.0 + np.exp(-x[2])))
     return Contaminated(
-        Measured(ratio, ratio * float(error[1])),
+        Measured(ratio, ratio * float(np.hypot(error[1], MODEL))),
         Measured(share, share * (1.0 - share) * float(error[2])),
         float(np.sqrt(narrow)),
     )
