@@ -11,6 +11,7 @@ STUDIES: dict[str, str] = {
     "smoothing": "stillcal.replay.evaluation.unaided_smoothing:study",
     "homogeneity": "stillcal.replay.evaluation.unaided_homogeneity:study",
     "classes": "stillcal.replay.evaluation.unaided_classes:study",
+    "new-phone": "stillcal.replay.evaluation.unaided_newphone:study",
     "gravity": "stillcal.replay.evaluation.unaided_gravity:study",
     "power": "stillcal.replay.evaluation.unaided_power:study",
     "people": "stillcal.replay.evaluation.unaided_people:study",
