@@ -200,6 +200,7 @@ def _draw(found: Recovered, figures: Path) -> str:
         alone = np.sqrt(part[0] ** 2 / curve.tau + (FLOOR * part[1]) ** 2 + part[2] ** 2 * curve.tau / 3.0)
         left.loglog(curve.tau, alone, ":", color=drawing.GREY)
         left.annotate(name, (curve.tau[-1 if name == "K" else 0], alone[-1 if name == "K" else 0]))
+    left.plot([], [], ":", color=drawing.GREY, label="true parts")
     left.set(xlabel="averaging time, s", ylabel="Allan deviation", ylim=(curve.low.min() / 4, None))
     left.legend()
     places = np.arange(3)

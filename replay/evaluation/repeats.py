@@ -170,13 +170,15 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
 
 
 def _small_claim() -> Claim:
-    ratio = float(
-        max((PRINTED_SD_X[OFF] / np.abs(PRINTED_X[OFF])).max(), (PRINTED_SD_Y / np.abs(PRINTED_Y)).max())
-    )
+    x, y = PRINTED_SD_X / np.abs(PRINTED_X), PRINTED_SD_Y / np.abs(PRINTED_Y)
+    row, column = np.unravel_index(np.where(OFF, x, 0.0).argmax(), x.shape)
+    ratio = max(float(x[row, column]), float(y.max()))
     return Claim(
         SEED, WHERE, "standard deviations are well below the magnitudes of the parameters", "well below",
         f"at most {ratio:.0%} of them", "its own printed figures", holds(ratio < 0.5),
-        "below half of each, taken literally; the largest is that of X12, which the hand lays",
+        f"would hold where each is below half; X{row + 1}{column + 1} is known to {x[row, column]:.0%} of"
+        " itself, "
+        f"all of y to {y.max():.1%}",
     )  # fmt: skip
 
 
