@@ -16,9 +16,6 @@ from stillcal.calib_core.misfit.shapes import families
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.samples import Array
 
-PRIOR_DOF = 60.0
-"""How well the white noise within bins tells that between them: to about a fifth in variance."""
-
 ITERATIONS = 25
 ALIKE = 0.95
 """Prior probability that the wander of a sensor's axes is of one kind and nearly one strength."""
@@ -33,7 +30,7 @@ class Reduced:
 
     prior: (G,) log; constant: (G,) prior and determinants; yy: (G,); xy: (G, M); blocks: one (G, k, k) a
     hypothesis; columns: its column indices; dof: nu0 + n - p; walk: (G,) variance rate, 1/s, of random walks;
-    near: (G, G) how an axis' shape scatters about the one that the axes share.
+    near: (G, G) how an axis' shape scatters about the one that the axes share; known: nu0.
     """
 
     prior: Array
@@ -46,6 +43,7 @@ class Reduced:
     family: tuple[str, ...]
     walk: Array
     near: Array
+    known: float
 
 
 def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | None = None) -> Reduced:
@@ -81,10 +79,11 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
         np.array(xy).reshape(len(yy), -1),
         [np.array(b) for b in zip(*grams, strict=True)],
         columns,
-        PRIOR_DOF + view.y.size - baseline,
+        view.known + view.y.size - baseline,
         names,
         np.concatenate([f.walk for f in made]),
         _nearness(names),
+        view.known,
     )
 
 
@@ -170,7 +169,7 @@ def joint(views: Sequence[Reduced], terms: list[Array]) -> tuple[float, list[Arr
 
 def log_terms(view: Reduced, residual: Array) -> Array:
     """Return log prior plus log likelihood (G,) of every shape at sums of squares `residual` (G,)."""
-    return np.asarray(view.constant - 0.5 * view.dof * np.log(PRIOR_DOF + residual))
+    return np.asarray(view.constant - 0.5 * view.dof * np.log(view.known + residual))
 
 
 def log_sum(terms: Array) -> float:
@@ -200,7 +199,7 @@ def _least(view: Reduced, h: int) -> Array:
 def fit_hypothesis(views: Sequence[Reduced], h: int) -> Fit:
     """Fit hypothesis `h` to all views at once; the better of two starts (likely shapes, and white noise)."""
     _, likely = joint(views, [log_terms(v, v.yy) for v in views])
-    informed = [w * v.dof / (PRIOR_DOF + v.yy) for v, w in zip(views, likely, strict=True)]
+    informed = [w * v.dof / (v.known + v.yy) for v, w in zip(views, likely, strict=True)]
     plain = [np.eye(len(v.yy))[0] for v in views]
     fits = [_climb(views, h, start) for start in (informed, plain)]
     return max(fits, key=lambda f: f.log_likelihood)
@@ -212,7 +211,7 @@ def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> Fit:
     for _ in range(ITERATIONS):
         left = [residuals(v, h, beta) for v in views]
         _, likely = joint(views, [log_terms(v, r) for v, r in zip(views, left, strict=True)])
-        weights = [w * v.dof / (PRIOR_DOF + r) for v, w, r in zip(views, likely, left, strict=True)]
+        weights = [w * v.dof / (v.known + r) for v, w, r in zip(views, likely, left, strict=True)]
         previous, beta = beta, _solve(views, h, weights)
         if np.allclose(previous, beta, rtol=1e-5, atol=1e-9):
             break
@@ -242,7 +241,7 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Arra
     expected = np.zeros((beta.size, beta.size))
     missing = np.zeros_like(expected)
     for v, weight in zip(views, likely, strict=True):
-        rate = v.dof / (PRIOR_DOF + residuals(v, h, beta))
+        rate = v.dof / (v.known + residuals(v, h, beta))
         score = rate[:, None] * (v.xy[:, v.columns[h]] - v.blocks[h] @ beta)
         mean = weight @ score
         expected += np.einsum("g,gij->ij", weight * rate, v.blocks[h])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit.catalogue.entry import Hypothesis, Scene
-from stillcal.calib_core.misfit.evidence import PRIOR_DOF, Reduced, log_terms, residuals
+from stillcal.calib_core.misfit.evidence import Reduced, log_terms, residuals
 from stillcal.calib_core.misfit.shapes import families
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.samples import Array
@@ -36,7 +36,7 @@ def best_covariance(view: View, reduced: Reduced, h: int | None, beta: Array) ->
     top = int(np.argmax(log_terms(reduced, residual)))
     shapes = [(family, g) for family in families(view) for g in range(family.strengths.size)]
     family, g = shapes[top]
-    return np.asarray(family.covariance(g) * (PRIOR_DOF + residual[top]) / reduced.dof)
+    return np.asarray(family.covariance(g) * (view.known + residual[top]) / reduced.dof)
 
 
 def held_out(scene: Scene, covariances: Sequence[Array], effects: Sequence[Hypothesis]) -> HeldOut:

@@ -92,10 +92,10 @@ def kinds(view: View) -> dict[str, tuple[Array, float]]:
 
     The rate of the slowest Gauss-Markov process is that with which it begins.
     All views of a sensor have the same families in the same unit, a bias that scatters between the view's
-    bins like their white noise. Turns have none: each begins anew.
+    bins like their white noise. Turns begin anew each, but their errors may grow with the angle.
     """
     if view.name == "turn":
-        return {}
+        return {"growing": (np.diag((view.duration / np.median(view.duration)) ** 2), 0.0)}
     walk = random_walk_covariance(view.t, view.duration)
     raw = {"flicker": flicker_covariance(view.t, view.duration), "walk": walk}
     raw |= {f"gauss_markov_{tau:.0f}": gauss_markov_covariance(view.t, view.duration, tau) for tau in TAUS}

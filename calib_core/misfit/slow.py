@@ -96,11 +96,11 @@ def _finding(scene: Scene, step: Step, others: list[Hypothesis]) -> Finding:
 
 
 def _shown(step: Step) -> list[Scored]:
-    """Return the best other effects, one a name."""
+    """Return the best other effects that have a name, each once."""
     shown: dict[str, Scored] = {}
     for s in step.others:
         effect = s.hypothesis.entry.effect
-        if effect != step.winner.hypothesis.entry.effect:
+        if effect not in ("unknown", step.winner.hypothesis.entry.effect):
             shown.setdefault(effect, s)
     return list(shown.values())[:ALTERNATIVES]
 

@@ -18,10 +18,13 @@ from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.rotation import attitudes, matrix
 from stillcal.calib_core.samples import Array, Samples
 
-LEAST_TURNS = 15
+LEAST_TURNS = 9
 LONGEST_TURN = 60.0
 LEAST_ANGLE = 0.2
-OUTLIER = 5.0
+OUTLIER = 8.0
+KNOWN = 2.0
+"""Degrees of freedom with which the errors of turns are known beforehand."""
+
 MARGIN = 0.5
 
 
@@ -101,12 +104,16 @@ def turn_scene(gyroscope: Samples, bins: Bins, up: Array, gravity: float) -> tup
 
 
 def turn_view(found: list[Turn]) -> View:
-    """Two residuals a turn across gravity; the nine numbers of scale and misalignment are the baseline."""
+    """Two residuals a turn across gravity; the nine numbers of scale and misalignment are the baseline.
+
+    `duration` holds the angle turned through, with which errors may grow.
+    """
     across = np.array([_tangents(t.up) for t in found])
     scale = _columns(found, lambda t: np.einsum("ai,nj->naij", np.eye(3), t.rate).reshape(len(t.rate), 3, 9))
     y = np.einsum("kbi,ki->kb", across, np.array([t.miss for t in found])).ravel()
     baseline = np.einsum("kbi,kip->kbp", across, scale).reshape(y.size, 9)
     n = y.size
+    angles = np.repeat([np.linalg.norm(np.gradient(t.t)[:, None] * t.rate, axis=1).sum() for t in found], 2)
     rough = View(
         "turn",
         y[None],
@@ -116,22 +123,12 @@ def turn_view(found: list[Turn]) -> View:
         across.reshape(1, n, 3),
         np.arange(n),
         np.repeat([t.end for t in found], 2),
-        np.ones(n),
+        angles,
         np.arange(n),
+        known=KNOWN,
     )
     spread = max(1.4826 * float(np.median(np.abs(_left(rough)))), 1e-6)
-    return View(
-        "turn",
-        y[None],
-        baseline[None],
-        np.full(n, spread**2),
-        np.eye(n),
-        rough.project,
-        rough.bins,
-        rough.t,
-        rough.duration,
-        rough.rest,
-    )
+    return replace(rough, variance=np.full(n, spread**2))
 
 
 def _left(view: View) -> Array:

@@ -15,6 +15,9 @@ from stillcal.calib_core.samples import Array
 
 BIAS_SIZE = 0.5
 SCALE_SIZE = 0.05
+WITHIN_BINS = 60.0
+"""How well the white noise within bins tells that between them: to about a fifth in variance."""
+
 CREEP_BINS = 6
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
@@ -26,7 +29,8 @@ class View:
     y: (b, n) residual; baseline: (b, n, p) columns projected out of each block; variance: (n,) white;
     coupling: (n, n) how the bias of two bins is shared; project: (b, n, 3) what an error vector of the
     sensor in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,);
-    rounding: (n,) sd of an error that all bins of a rest share, None for none.
+    rounding: (n,) sd of an error that all bins of a rest share, None for none; known: degrees of freedom
+    with which `variance` is known.
     """
 
     name: str
@@ -40,6 +44,7 @@ class View:
     duration: Array
     rest: Index
     rounding: Array | None = None
+    known: float = WITHIN_BINS
 
     @property
     def parameters(self) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.catalogue.bias import NAME, UNIT
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
-from stillcal.calib_core.misfit.evidence import PRIOR_DOF, Reduced, joint, log_terms
+from stillcal.calib_core.misfit.evidence import Reduced, joint, log_terms
 from stillcal.calib_core.misfit.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.misfit.search import reduce_scene
 from stillcal.calib_core.samples import Array
@@ -57,7 +57,7 @@ def walks_of(views: Sequence[Reduced]) -> list[Walk]:
     _, weights = joint(views, [log_terms(v, v.yy) for v in views])
     out = []
     for view, weight in zip(views, weights, strict=True):
-        scale = (PRIOR_DOF + view.yy) / max(view.dof - 2.0, 1.0)
+        scale = (view.known + view.yy) / max(view.dof - 2.0, 1.0)
         some = view.walk > 0.0
         bounded = np.array(["walk" not in name for name in view.family])
         out.append(Walk(weight[some], np.sqrt(view.walk * scale)[some], bounded[some]))
