@@ -29,6 +29,7 @@ from stillcal.daemon.cli_simulate import truth_of
 from stillcal.daemon.demo_live import DaemonDiedError, Files, Lived, live
 from stillcal.daemon.week import at_rate
 from stillcal.replay.phone import Phone, Simulation, load_phone, load_scenario, simulate
+from stillcal.replay.plots import style
 
 DEG = 180 / np.pi
 RATE_HZ = 50.0
@@ -203,20 +204,18 @@ def _drawn(lived: Lived, simulation: Simulation, path: Path) -> str:
     """Draw how wrong the published calibration was through the day, and say where."""
     if importlib.util.find_spec("matplotlib") is None:
         return "No figure: it takes matplotlib (pip install 'stillcal[report]')."
-    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
-
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    panels = figure.subplots(2, 1, sharex=True)
+    figure = style.figure(1.8, 1.5)
+    panels = style.within(figure, 1, 2, sharex=True)
     true = truth_of(simulation)
     for panel, (sensor, label, size, gain) in zip(panels, _PANELS, strict=True):
         t, errors = _errors_through(lived, true[sensor], sensor, size, simulation.duration)
-        panel.step(t / 3600, gain * errors, where="post")
+        panel.step(t / 3600, gain * errors, where="post", color=style.BLUE)
         panel.set(yscale="log", ylabel=label)
         for begin, end in _charging(simulation):
             panel.axvspan(begin / 3600, end / 3600, color="0.9")
     panels[0].set_title("Error of the published calibration (before the first: of the raw sensor)")
     panels[1].set_xlabel(f"h; grey: on the charger\n{CONSTANT_PART}")
-    figure.savefig(path, dpi=120)
+    style.save(figure, path)
     return f"Figure: {path}"
 
 
