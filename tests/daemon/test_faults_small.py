@@ -15,15 +15,17 @@ from click.testing import CliRunner
 
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.record import CalibrationRecord
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.samples import Array, Samples
 from stillcal.daemon import faults, week
 from stillcal.daemon.faults_disk import failing_disks
 from stillcal.daemon.faults_fit import calibrating
 from stillcal.daemon.faults_kill import example, killed
 from stillcal.daemon.faults_live import killed_live
 from stillcal.daemon.faults_socket import attacked
+from stillcal.daemon.service_clock import PhoneClock
 from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.store import Store
+from stillcal.daemon.week_clock import Mishap, through_clock
 from stillcal.replay.phone import load_phone, load_scenario, simulate
 from stillcal.replay.wire_faults import Figures
 
@@ -91,6 +93,24 @@ def test_a_life_is_accounted_for_and_its_errors_are_the_calibrations() -> None:
     assert len(account.hours) == simulation.duration // 60
     assert np.diff(account.hours["offered"]) == pytest.approx(6000, abs=1)  # 100 Hz; a stamp jitters
     assert {line.what for line in account.first} >= {"watch", "gravity", "calibrated"}
+
+
+def test_whatever_befalls_the_clock_checks_keep_to_their_grid_and_files_to_their_number() -> None:
+    """Ten minutes, looked at every minute: silent for two, set forward by a year, restarted.
+
+    A chunk of a minute comes at once, so that each of the two new offsets may be off by as much.
+    """
+    mishaps = (Mishap(120.0, silent=120.0), Mishap(300.0, shift=3e7), Mishap(420.0, shift=-400.0))
+    simulation = simulate(load_scenario("lab"), load_phone("typical"), 1)
+    clock, ends = PhoneClock(), [0.0]
+    for _, items in through_clock(simulation.chunks(), clock, mishaps):
+        ends += [float(item.t[-1]) for item in items if isinstance(item, Samples)]
+    assert (clock.leaps, clock.restarts) == (1, 1)
+    assert max(ends) == pytest.approx(simulation.duration, abs=2 * 60.0 + 5.0)
+    *_, account = week.live(simulation, every_s=60.0, mishaps=mishaps)
+    assert account.counters.rests >= 10
+    assert account.hours["off_grid_s"].max() < 1e-3
+    assert account.hours["files"].max() <= 4
 
 
 def test_a_known_error_is_measured() -> None:
