@@ -14,6 +14,7 @@ from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.progress import progress
 from stillcal.replay.evaluation import page, studies
+from stillcal.replay.evaluation.claim import Study
 
 NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
 
@@ -61,16 +62,24 @@ def evaluate_command(  # noqa: PLR0917 - click hands every option over by name
         for done, name in enumerate(chosen):
             begin = time.monotonic()
             study = studies.run(name, data, folder, seed, _within(step, done))
-            page.keep(folder, study)
+            write_atomically(page.kept_at(folder, name), page.encoded(study))
             if not quiet:
                 click.echo(f"{name}: {len(study.claims)} claims, {time.monotonic() - begin:.0f} s")
-    write_atomically(out / page.PAGE, page.page(page.kept(folder)).encode())
+    write_atomically(out / page.PAGE, page.page(_kept(folder)).encode())
     if not quiet:
         click.echo(f"{out / page.PAGE}")
 
 
 def _within(step: Callable[[float], None], done: int) -> Callable[[float], None]:
     return lambda share: step(done + share)
+
+
+def _kept(folder: Path) -> list[Study]:
+    """Read what every study left. Raises UsageError where that is damaged."""
+    try:
+        return page.kept(folder)
+    except page.KeptError as error:
+        raise click.UsageError(str(error)) from error
 
 
 def _chosen(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -41,17 +41,34 @@ _SECTION = """## {title}
 """
 
 
-def keep(folder: Path, study: Study) -> Path:
-    """Write a study's result beside its figures and return its path."""
-    path = folder / f"{study.name}.json"
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(study), indent=1) + b"\n")
-    return path
+class KeptError(ValueError):
+    """A kept result that cannot be read."""
+
+
+def encoded(study: Study) -> bytes:
+    """Return a study's result as it is kept, in `kept_at`."""
+    return msgspec.json.format(msgspec.json.encode(study), indent=1) + b"\n"
+
+
+def kept_at(folder: Path, name: str) -> Path:
+    """Return where a study's result is kept, beside its figures."""
+    return folder / f"{name}.json"
 
 
 def kept(folder: Path, names: Iterable[str] = STUDIES) -> list[Study]:
-    """Read the results that were kept, in the order of `names`; those never run are left out."""
-    paths = [folder / f"{name}.json" for name in names]
-    return [msgspec.json.decode(path.read_bytes(), type=Study) for path in paths if path.is_file()]
+    """Read the results that were kept, in the order of `names`; those never run are left out.
+
+    Raises KeptError naming the file and the remedy.
+    """
+    return [_read(kept_at(folder, name), name) for name in names if kept_at(folder, name).is_file()]
+
+
+def _read(path: Path, name: str) -> Study:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Study)
+    except msgspec.MsgspecError as error:
+        remedy = f"run `stillcal evaluate {name}` anew, or delete it"
+        raise KeptError(f"{path}: not a study's result ({error}): {remedy}") from error
 
 
 def page(studies: list[Study]) -> str:

@@ -23,7 +23,7 @@ def test_agreement_is_judged_by_the_tolerance() -> None:
 
 
 def test_what_is_kept_comes_back(tmp_path: Path) -> None:
-    page.keep(tmp_path, a_study())
+    page.kept_at(tmp_path, "laboratory").write_bytes(page.encoded(a_study()))
     assert page.kept(tmp_path) == [a_study()]
 
 
@@ -66,3 +66,13 @@ def test_a_missing_library_is_named_with_its_remedy(tmp_path: Path, monkeypatch:
     result = CliRunner().invoke(evaluate_command, ["laboratory", "--out", str(tmp_path)])
     assert result.exit_code == 2
     assert "no-such-package not installed: pip install 'stillcal[evaluation]'" in result.output
+
+
+def test_a_damaged_result_is_named_with_its_remedy(tmp_path: Path) -> None:
+    folder = tmp_path / "evaluation"
+    folder.mkdir()
+    (folder / "allan.json").write_text('{"name": "allan"')
+    result = CliRunner().invoke(evaluate_command, ["laboratory", "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "allan.json: not a study's result" in result.output
+    assert "stillcal evaluate allan" in result.output
