@@ -50,11 +50,11 @@ def judged_recording(
     recording = read_all(trace, format_, gyro)
     tell("judging: stamps, noise, bias, motion")
     if wanted.phone is None:
-        found = Judged(diagnosis_of(recording, trace.name), recording)
+        found = Judged(diagnosis_of(recording, trace.name))
     else:
         found = judged(recording, trace.name, _loaded(wanted.phone))
     tell("mapping where it departs")
-    case = case_of(found.beyond, found.diagnosis)
+    case = case_of(recording, found.diagnosis, found.known())
     answer = answered(found.diagnosis, facts(recording, case.bins))
     answer |= {"map": case.map.plain(), **found.plain()}
     if wanted.simulated is not None:
@@ -68,7 +68,7 @@ def judged_recording(
             "comparison_after": both[1].comparison.plain(),
         }
     tell("drawing" if wanted.report is not None else "writing")
-    phone = None if wanted.phone_out is None else _better(case, found, trace.name)
+    phone = None if wanted.phone_out is None else phone_text(case.phone(), case.found, trace.name)
     return Answered(answer, None if wanted.report is None else page(case, answer, both), phone)
 
 
@@ -83,7 +83,3 @@ def _compared(case: Case, simulated: Path) -> dict[str, Any]:
     other = read_all(simulated)
     gravity = claims_of(other).gravity
     return compare(case.side(), side_of(other, bins_of(other), gravity)).plain()
-
-
-def _better(case: Case, found: Judged, name: str) -> str:
-    return phone_text(found.with_known(case.phone()), case.found, name)

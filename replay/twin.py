@@ -99,6 +99,9 @@ class Affine:
 def affine(bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float, rounds: int = 2) -> Affine:
     """Fit the affine phone to the still bins with the effects off; a faultless phone where there are none."""
     accel = gyro = np.zeros_like(bins.force)
+    if len(bins) == 0:
+        faultless = Baseline(np.eye(3), np.zeros(3), np.empty((0, 3)), np.empty(0), np.empty((0, 9)))
+        return Affine(faultless, np.zeros(3), accel, gyro)
     for _ in range(rounds):
         baseline = fit_baseline(bins.force - accel, bins.force_variance, bins.rest, gravity)
         moment = at_bins(bins, about, baseline.up, gravity)
@@ -109,6 +112,6 @@ def affine(bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float, 
 
 
 def _mean_rate(bins: Bins, gyro: Array) -> Array:
-    if bins.rate is None or len(bins) == 0:
+    if bins.rate is None:
         return np.zeros(3)
     return np.asarray(np.average(bins.rate - gyro, axis=0, weights=bins.duration))

@@ -48,13 +48,12 @@ NEAR = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A diagnosis of what a phone leaves unexplained. beyond: the recording free of the phone's known terms.
+    """A diagnosis of what a phone leaves unexplained.
 
     already: findings that the phone has; only: what the phone has and the recording does not show.
     """
 
     diagnosis: Diagnosis
-    beyond: Recording
     already: list[dict[str, str]] = field(default_factory=list)
     only: list[dict[str, str]] = field(default_factory=list)
     phone: Phone | None = None
@@ -65,12 +64,12 @@ class Judged:
             return {}
         return {"already_simulated": self.already, "only_simulated": self.only}
 
-    def with_known(self, better: Phone) -> Phone:
-        """Return a better phone with the judged phone's own observable terms in it again."""
+    def known(self) -> tuple[Effect, ...]:
+        """Return the judged phone's effects that the recording bears out or observes the course of."""
         if self.phone is None:
-            return better
-        known = tuple(e for e in self.phone.effects if observable(e))
-        return msgspec.structs.replace(better, effects=(*known, *better.effects))
+            return ()
+        shown = {k["effect"] for k in self.already}
+        return tuple(e for e in self.phone.effects if observable(e) or e.name in shown)
 
 
 def judged(recording: Recording, name: str, phone: Phone) -> Judged:
@@ -80,17 +79,16 @@ def judged(recording: Recording, name: str, phone: Phone) -> Judged:
     known = [e for e in phone.effects if observable(e)]
     bins = bins_of(recording)
     if not known or not len(bins):
-        beyond, left = recording, raw
+        left = raw
     else:
-        beyond = without(recording, bins, phone, known)
-        left = diagnosis_of(beyond, name, claims)
+        left = diagnosis_of(without(recording, bins, phone, known), name, claims)
     found = [f for f in raw.findings if f.effect.endswith(ON_SAMPLES)]
     found += [f for f in left.findings if not f.effect.endswith(ON_SAMPLES)]
     news = [f for f in found if not _has(phone, f)]
     gone = [f for f in raw.findings if not any(_same(f, g) for g in news)]
     already = [{"effect": f.effect, "sensor": f.sensor, "why": f.statement} for f in gone]
     diagnosis = replace(raw, findings=news, verdict=verdict_of(news))
-    return Judged(diagnosis, beyond, already, _only(phone, raw, news), phone)
+    return Judged(diagnosis, already, _only(phone, raw, news), phone)
 
 
 def _same(one: Finding, other: Finding) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.records import Diagnosis
 from stillcal.replay.diagnosing import bins_of, claims_of
+from stillcal.replay.phone.effect import Effect
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.report.comparison import Comparison, Side, compare, side_of
 from stillcal.replay.report.curves import Curve, curves_of
@@ -26,7 +27,10 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """A recording, what was found in it, and the affine phones with nothing and with all of it known."""
+    """A recording, what was found in it, and the affine phones with nothing and with all of it known.
+
+    known: effects that the judged simulation had already.
+    """
 
     recording: Recording
     diagnosis: Diagnosis
@@ -34,17 +38,19 @@ class Case:
     gravity: float
     about: Lived
     found: tuple[Mapped, ...]
+    known: tuple[Effect, ...]
     plain: Affine
     better: Affine
     map: Map
 
     def phone(self) -> Phone:
         """Return the phone that the recording shows, with what was found."""
-        return phone_of(self.recording, self.bins, self.found, self.about, self.gravity)
+        effects = (*self.known, *(m.effect for m in self.found if m.effect is not None))
+        return phone_of(self.recording, self.bins, effects, self.about, self.gravity)
 
     def curves(self, one: Mapped) -> list[Curve]:
         """Return the curves of one finding."""
-        return curves_of(one, self.found, self.bins, self.about, self.better, gravity=self.gravity)
+        return curves_of(one, self.bins, self.about, self.better, self.gravity)
 
     def side(self) -> Side:
         """Return the recording as one side of a comparison."""
@@ -60,22 +66,22 @@ class Trial:
     comparison: Comparison
 
 
-def case_of(recording: Recording, diagnosis: Diagnosis) -> Case:
-    """Work out what is to be shown."""
+def case_of(recording: Recording, diagnosis: Diagnosis, known: Sequence[Effect] = ()) -> Case:
+    """Work out what is to be shown. known: effects that the judged simulation had already."""
     bins, claims = bins_of(recording), claims_of(recording)
     about = lived(bins)
     found = tuple(mapped(diagnosis.findings, bins, about))
-    effects = [m.effect for m in found if m.effect is not None]
-    plain, better = (affine(bins, chosen, about, claims.gravity) for chosen in ((), effects))
+    effects = [*known, *(m.effect for m in found if m.effect is not None)]
+    plain, better = (affine(bins, chosen, about, claims.gravity) for chosen in (known, effects))
     drawn = map_of(recording, bins, (plain, better), claims)
-    return Case(recording, diagnosis, bins, claims.gravity, about, found, plain, better, drawn)
+    return Case(recording, diagnosis, bins, claims.gravity, about, found, tuple(known), plain, better, drawn)
 
 
 def trials(case: Case, tell: Tell = lambda stage: None) -> tuple[Trial, Trial]:
     """Simulate the recording's day with the phone before and after the findings, and compare both with it."""
     tell("simulating the phone before and after")
     phone = case.phone()
-    before = plain_phone(phone, case.found, case.recording, case.plain)
+    before = plain_phone(phone, case.found, case.known, case.recording, case.plain)
     side = case.side()
     pairs: Sequence[tuple[Phone, Affine]] = ((before, case.plain), (phone, case.better))
     done = [_trial(case, side, p, below, seed) for (p, below), seed in zip(pairs, SEEDS, strict=True)]

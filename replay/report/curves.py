@@ -7,7 +7,6 @@ the recording that it is drawn in.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -85,18 +84,15 @@ def left_over(part: Residual, explained: Array) -> Array:
     return np.asarray(y - part.baseline @ np.linalg.lstsq(part.baseline, y, rcond=None)[0])
 
 
-def curves_of(
-    one: Mapped, found: Sequence[Mapped], bins: Bins, about: Lived, below: Affine, *, gravity: float
-) -> list[Curve]:
-    """Return the finding's curves, one a named axis; none where still bins do not show it."""
+def curves_of(one: Mapped, bins: Bins, about: Lived, below: Affine, gravity: float) -> list[Curve]:
+    """Return the finding's curves, one a named axis. below: the phone with all that is known."""
     finding = one.finding
     if not slow(finding) or (finding.sensor == "gyro" and bins.rate is None):
         return []
     own = _term(one, bins, about, below, gravity)
     if own is None and finding.effect != "unknown":
         return []
-    others = [_term(m, bins, about, below, gravity) for m in found if m.finding.sensor == finding.sensor]
-    everything = sum((o for o in others if o is not None), start=np.zeros((len(bins), 3)))
+    everything = below.accel if finding.sensor == "accel" else below.gyro
     parts = residuals(finding.sensor, bins, below, gravity)
     return [
         curve

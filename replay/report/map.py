@@ -87,14 +87,13 @@ def _slow(
 ) -> list[Channel]:
     plain, better = below
     names = ["accel norm"] if sensor == "accel" else [f"gyro {a} at rest" for a in "xyz"]
-    nothing = np.zeros((len(bins), 3))
-    explained = better.accel if sensor == "accel" else better.gyro
+    known, explained = ((b.accel if sensor == "accel" else b.gyro) for b in below)
     parts = zip(
         names, residuals(sensor, bins, plain, gravity), residuals(sensor, bins, better, gravity), strict=True
     )
     rows = []
     for name, before, after in parts:
-        departure, left = left_over(before, nothing), left_over(after, explained)
+        departure, left = left_over(before, known), left_over(after, explained)
         noise = _bin_to_bin(left, bins)
         value = _cells(bins.t, departure, edges)
         rows.append(Channel(name, UNIT[sensor], noise, value, value / noise))

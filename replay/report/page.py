@@ -76,7 +76,7 @@ def page(case: Case, answer: dict[str, Any], both: tuple[Trial, Trial] | None) -
 def _verdict(case: Case, answer: dict[str, Any]) -> Iterator[str]:
     checks = answer["checked"]
     done = sum(c["done"] for c in checks)
-    kind, words = answer["verdict"], headline(case.diagnosis, checked=done, of=len(checks))
+    kind, words = answer["verdict"], headline(answer["verdict"], done, len(checks))
     said = kind.replace("_", " ").capitalize()
     yield f'<p class="verdict {escape(kind)}"><strong>{escape(said)}</strong>: {escape(words)}.</p>'
     yield _list(f["statement"] for f in answer["findings"])

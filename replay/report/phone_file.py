@@ -41,10 +41,9 @@ TAUS = (240.0,)
 
 
 def phone_of(
-    recording: Recording, bins: Bins, found: Sequence[Mapped], about: Lived, gravity: float
+    recording: Recording, bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float
 ) -> Phone:
     """Return the phone that would have made the recording, as far as it shows. bins: at least one."""
-    effects = tuple(m.effect for m in found if m.effect is not None)
     below = affine(bins, effects, about, gravity)
     wander = _force_wander(bins, below, gravity)
     return Phone(
@@ -63,14 +62,16 @@ def phone_of(
         clock=ClockSettings(shared=_together(recording.accelerometer, recording.gyroscope)),
         heat=_heat(recording.accelerometer, about),
         claims=_claims(recording),
-        effects=effects,  # type: ignore[arg-type]  # every member of the registry
+        effects=tuple(effects),  # type: ignore[arg-type]  # every member of the registry
     )
 
 
-def plain_phone(phone: Phone, found: Sequence[Mapped], recording: Recording, below: Affine) -> Phone:
+def plain_phone(
+    phone: Phone, found: Sequence[Mapped], known: Sequence[Effect], recording: Recording, below: Affine
+) -> Phone:
     """Return the phone as it was before anything was found: affine, with the same wander, as it is claimed.
 
-    below: the affine phone fitted with no effects.
+    below: the affine phone fitted with no effects but those known before.
     """
     scale = _matrix(np.asarray(np.linalg.inv(below.baseline.scale), dtype=np.float64))
     loud = {m.finding.sensor for m in found if m.finding.effect in IN_WHITE}
@@ -81,7 +82,7 @@ def plain_phone(phone: Phone, found: Sequence[Mapped], recording: Recording, bel
         quiet_gyro = _as_claimed(gyro, claims.gyro_noise_density if "gyro" in loud else None, "gyro" in loud)
         gyro = msgspec.structs.replace(quiet_gyro, bias=_vector(below.rate_bias))
     accel = msgspec.structs.replace(accel, bias=_vector(below.baseline.bias), scale=scale)
-    return msgspec.structs.replace(phone, accel=accel, gyro=gyro, effects=())
+    return msgspec.structs.replace(phone, accel=accel, gyro=gyro, effects=tuple(known))
 
 
 def _as_claimed(settings: SensorSettings, density: float | None, loud: bool) -> SensorSettings:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from stillcal.replay.report.wording import VERDICTS
+from stillcal.replay.report.wording import headline
 
 LINES = 10
 
@@ -19,10 +19,9 @@ def summary(answer: dict[str, Any]) -> list[str]:
 
 
 def _verdict(answer: dict[str, Any]) -> str:
-    checks = answer.get("checked", [])
-    missed = sum(not c["done"] for c in checks)
-    text = f"{answer['recording']}: {answer['verdict'].replace('_', ' ')} - {VERDICTS[answer['verdict']]}"
-    return f"{text}; {missed} of {len(checks)} checks could not be made" if missed else text
+    checks = answer["checked"]
+    words = headline(answer["verdict"], sum(c["done"] for c in checks), len(checks))
+    return f"{answer['recording']}: {answer['verdict'].replace('_', ' ')} - {words}"
 
 
 def _findings(answer: dict[str, Any]) -> Iterator[str]:

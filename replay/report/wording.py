@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stillcal.calib_core.misfit.catalogue import slow_entries
-from stillcal.calib_core.misfit.records import Diagnosis, Finding
+from stillcal.calib_core.misfit.records import Finding
 
 VERDICTS = {
     "adequate": "the simulated twin already explains this recording",
@@ -92,12 +92,14 @@ def certainty(p: float) -> str:
     return "likely"
 
 
-def headline(diagnosis: Diagnosis, *, checked: int, of: int) -> str:
+def headline(verdict: str, checked: int, of: int) -> str:
     """Return the verdict in words, with how much of what could be checked was."""
-    text = VERDICTS[diagnosis.verdict]
-    if checked < of:
-        text += f", as far as it can be told: {of - checked} of {of} checks could not be made"
-    return text
+    if checked >= of:
+        return VERDICTS[verdict]
+    missed = f"{of - checked} of {of} checks could not be made"
+    if verdict == "adequate":
+        return f"nothing that could be checked speaks against its simulated twin; {missed}"
+    return f"{VERDICTS[verdict]}; {missed}"
 
 
 def number(value: float) -> str:

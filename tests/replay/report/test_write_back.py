@@ -79,7 +79,7 @@ def test_what_the_judged_phone_has_is_no_news_and_what_it_has_wrong_is(recording
     slope = left.parameters["slope"].value
     assert isinstance(slope, list)
     np.testing.assert_allclose(slope, [0.0, -0.004, 0.0], atol=4e-4)
-    merged = wrong.with_known(case_of(wrong.beyond, wrong.diagnosis).phone())
+    merged = case_of(real, wrong.diagnosis, wrong.known()).phone()
     total = sum(np.asarray(e.slope) for e in merged.effects if e.name == "accel_bias_temperature")  # type: ignore[union-attr]
     np.testing.assert_allclose(total, THERMAL["slope"], atol=4e-4)
     absent = judged(recording(), "r", phone_with(TONE))
