@@ -57,6 +57,10 @@ PAPER = {
     "load": ("4.2, Figure 9", "trained without load, tested under load", "said"),
     "gyro": ("4.2, Figure 8", "gyroscope instead of accelerometer: much the same", "said"),
 }
+Modes = dict[str, Array]
+Sweep = dict[tuple[str, float], float]
+"""Scores by mode, (4, 4) each; F1 by method and target rate."""
+
 Split = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 """Rows to train on and rows to test, (n,) masks."""
 
@@ -163,7 +167,7 @@ def _at_most(mask: NDArray[np.bool_], most: int, seed: int) -> Labels:
 
 def interpolated(
     windows: Windows, devices: list[Device], recorded: list[Recorded], labels: list[int], seed: int
-) -> dict[tuple[str, float], float]:
+) -> Sweep:
     """Return the F1 of an SVM on frequency features, model out, by method and rate; ("none", 0) without."""
     few = np.arange(0, len(windows), 2)
     part = windows.only(few)
@@ -183,9 +187,6 @@ def _model_out(rows: Rows, seed: int) -> float:
 
 def _mean(values: Array) -> float:
     return 100.0 * float(values[:3].mean())
-
-
-Modes = dict[str, Array]
 
 
 def _figure_5(found: Modes, data: str) -> list[Claim]:
@@ -217,7 +218,7 @@ def _figure_5(found: Modes, data: str) -> list[Claim]:
     return claims
 
 
-def _remedies(found: Modes, sweep: dict[tuple[str, float], float], data: str) -> list[Claim]:
+def _remedies(found: Modes, sweep: Sweep, data: str) -> list[Claim]:
     inside, whole = _mean(found["cluster, user out"]), _mean(found["fifth of users out"])
     why = "holds where training within a cluster is the better; on as many rows, with as many people left out"
     none, best = 100 * sweep["none", 0.0], 100 * sweep["linear", 25.0]
@@ -253,7 +254,7 @@ def _untested() -> list[Claim]:
     return [Claim(SEED, *PAPER[k], "", "none", Verdict.UNTESTED, why) for k, why in reasons.items()]
 
 
-def _draw(found: Modes, sweep: dict[tuple[str, float], float], folder: Path) -> str:
+def _draw(found: Modes, sweep: Sweep, folder: Path) -> str:
     figure, (left, right) = panels(2)
     figure.set_size_inches(10.0, 4.2)
     place = np.arange(len(MODES))
@@ -272,13 +273,7 @@ def _draw(found: Modes, sweep: dict[tuple[str, float], float], folder: Path) -> 
     return save(figure, folder, NAME)
 
 
-def _text(
-    found: Modes,
-    sweep: dict[tuple[str, float], float],
-    devices: list[Device],
-    labels: list[int],
-    file: str,
-) -> str:
+def _text(found: Modes, sweep: Sweep, devices: list[Device], labels: list[int], file: str) -> str:
     rows = [
         (mode, family, *(f"{100 * v:.1f}" for v in found[mode][f]))
         for mode in MODES

@@ -39,12 +39,7 @@ TABLE_6: Cells = {
     PAIRS[1]: {"25": (2, 4.5), "50": (2, 4.5), "100": (4, 5), "SVM": (8, 8)},
     PAIRS[2]: {"25": (5, 10), "50": (5, 8), "100": (6, 9), "SVM": (9, 9)},
 }
-KALMAN: Cells = {
-    PAIRS[0]: {"25": (0.5, 2), "50": (1, 3), "100": (2, 3), "SVM": (1, 1)},
-    PAIRS[1]: {"25": (1, 1.5), "50": (1, 2.5), "100": (2, 2.5), "SVM": (0.5, 0.5)},
-    PAIRS[2]: {"25": (1, 2), "50": (2.5, 4), "100": (3, 4), "SVM": (2, 2)},
-}
-"""Gains in accuracy, percentage points: by calibration and by the Kalman filter; hidden units or SVM."""
+"""Gains in accuracy by calibration, percentage points, by hidden units or SVM."""
 
 LEARNERS: dict[str, Learner] = {"25": network(25), "50": network(50), "100": network(100), "SVM": radial_svm}
 WAYS = ("raw", "calibrated", "Kalman", "no errors")

@@ -16,13 +16,7 @@ from stillcal.calib_core.smoothing import window_for_rate
 from stillcal.replay.evaluation.claim import Claim, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.evaluation.drawing import BLUE, GREEN, GREY, RED, panels, save
 from stillcal.replay.evaluation.hetero_recordings import FOLDER
-from stillcal.replay.evaluation.learning_data import DATA as ACTIVITY
-from stillcal.replay.evaluation.learning_data import (
-    RATE_HZ,
-    Windows,
-    read_windows,
-    without_recordings,
-)
+from stillcal.replay.evaluation.learning_data import DATA, RATE_HZ, Windows, read_windows, without_recordings
 from stillcal.replay.evaluation.learning_devices import CARRIED, Device, read_devices
 from stillcal.replay.survey import read, survey
 
@@ -206,8 +200,8 @@ def _similar(windows: Windows, rng: np.random.Generator) -> list[Claim]:
     )
     chance = f"holds for the pair in {share:.0%} of samples of people drawn anew"
     return [
-        Claim(SEED, *PAPER["similar"], ours, ACTIVITY, holds(best == ("walk", "stairs down")), chance),
-        Claim(SEED, *PAPER["threshold"], ours, ACTIVITY, Verdict.UNTESTED, why),
+        Claim(SEED, *PAPER["similar"], ours, DATA, holds(best == ("walk", "stairs down")), chance),
+        Claim(SEED, *PAPER["threshold"], ours, DATA, Verdict.UNTESTED, why),
     ]
 
 
@@ -249,11 +243,8 @@ def _rest(rest: Rest, sit: Homogeneity, rng: np.random.Generator) -> Claim:
 def _own_error(windows: Windows) -> str:
     """Return what the activity's own phone is off by: it is part of what all devices are given."""
     norm = np.linalg.norm(windows.of("stand").accel.mean(axis=1), axis=1).mean()
-    return (
-        f"\n\nThe phone behind ucihar is not without error itself: standing, its norm is {norm:.2f} m/s²"
-        " on the mean. Every device here carries that as if it were motion, so that it makes no difference"
-        " between them."
-    )
+    words = "\n\nThe phone behind ucihar has errors of its own, that all devices here carry alike: standing,"
+    return f"{words} its norm is {norm:.2f} m/s² on the mean."
 
 
 def _draw(found: dict[str, Homogeneity], rest: Rest, folder: Path) -> str:
