@@ -151,7 +151,11 @@ def _on_grid(values: Array) -> Seen:
 def saturation(samples: Samples, sensor: str, noise: Array, declared: float | None) -> Finding | None:
     """Find a value short of the declared range that nothing exceeds and on which samples pile up."""
     size = np.abs(samples.xyz)
-    flat = {a: _flat_top(size[:, a], float(noise[a]), LEAST_LIMIT[sensor]) for a in range(3)}
+    flat = {
+        a: _hard_stop(samples.xyz[:, a], float(noise[a]))
+        or _flat_top(size[:, a], float(noise[a]), LEAST_LIMIT[sensor])
+        for a in range(3)
+    }
     tops = {a: t for a, t in flat.items() if t is not None and (not declared or t[0] < 0.97 * declared)}
     if not tops:
         return None
@@ -173,6 +177,27 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
     hits, of = np.array([float(on[p].sum()) for p in parts]), np.array([float(p.size) for p in parts])
     seen = of_counts(hits, of, 0.5, 30.0)
     return direct_finding(f"{sensor}_saturation", sensor, axes, where, parameter, statement=say, seen=seen)
+
+
+def _hard_stop(values: Array, noise: float) -> tuple[float, float] | None:
+    """Return limit and its error where samples lie on the very largest value, of either sign, time and again.
+
+    Clipped after its noise, a sensor returns one value; noise would have spread over the steps below it. Only
+    where steps are finer than the noise, so that no rest ends on the largest value by itself.
+    """
+    step = comb_step(values) or 0.0
+    found = []
+    for signed in (values, -values):
+        top = float(signed.max())
+        least = top - max(1e-6 * abs(top), 0.1 * step)
+        on = signed >= least
+        below = int(((signed > top - 3.0 * noise) & ~on).sum())
+        runs = int((on[1:] & ~on[:-1]).sum())
+        if on.sum() >= max(thresholds.LEAST_PILE, 5.0 * (below * step / (3.0 * noise) + 1.0)) and runs >= 3:
+            found.append(abs(top))
+    if not found or step > noise:
+        return None
+    return max(found), max(step / np.sqrt(12.0), 1e-6 * max(found))
 
 
 def _flat_top(size: Array, noise: float, least: float) -> tuple[float, float] | None:
