@@ -42,6 +42,9 @@ SETTINGS = {
 }
 """Findings about the clock: their parameter, and the clock's setting that is the same."""
 
+SAME_RATE = 0.05
+"""Relative difference of rates up to which a clock is to blame, and not another setting."""
+
 NEAR = 0.1
 """Relative difference from the phone's own value that is none, where the interval is narrower still."""
 
@@ -74,7 +77,10 @@ class Judged:
 
 def judged(recording: Recording, name: str, phone: Phone) -> Judged:
     """Judge a phone by a recording. Raises NotSupported on too little data."""
-    claims = _claims(phone, claims_of(recording))
+    told = claims_of(recording)
+    rate_hz = 1.0 / float(np.median(np.diff(recording.accelerometer.t)))
+    alike = abs(phone.accel.rate_hz / rate_hz - 1.0) < SAME_RATE
+    claims = _claims(phone, told, phone.accel.rate_hz if alike else None)
     raw = diagnosis_of(recording, name, claims)
     known = [e for e in phone.effects if observable(e)]
     bins = bins_of(recording)
@@ -88,23 +94,28 @@ def judged(recording: Recording, name: str, phone: Phone) -> Judged:
     gone = [f for f in raw.findings if not any(_same(f, g) for g in news)]
     already = [{"effect": f.effect, "sensor": f.sensor, "why": f.statement} for f in gone]
     diagnosis = replace(raw, findings=news, verdict=verdict_of(news))
-    return Judged(diagnosis, already, _only(phone, raw, news), phone)
+    only = _only(phone, raw, news)
+    if not alike:
+        why = f"the phone file samples at {phone.accel.rate_hz:g} Hz, the recording at {rate_hz:.4g} Hz"
+        only.append({"effect": "rate", "why": why})
+    return Judged(diagnosis, already, only, phone)
 
 
 def _same(one: Finding, other: Finding) -> bool:
     return one.effect == other.effect and one.sensor == other.sensor
 
 
-def _claims(phone: Phone, told: Claims) -> Claims:
-    """Return the phone's own range, step, noise and rate as claims; gravity stays the recording's."""
-    own: dict[str, float | None] = {"nominal_rate_hz": phone.accel.rate_hz}
+def _claims(phone: Phone, told: Claims, rate_hz: float | None) -> Claims:
+    """Return the phone's own range, step and noise as claims, with a nominal rate and what else is told."""
+    own: dict[str, float | None] = {}
     for name, sensor in (("accel", Sensor.ACCELEROMETER), ("gyro", Sensor.GYROSCOPE)):
         settings = phone.sensor(sensor)
         if settings is not None:
             own[f"{name}_range"] = settings.range
             own[f"{name}_lsb"] = settings.lsb or None
             own[f"{name}_noise_density"] = float(np.median(per_axis(settings.noise.white))) or None
-    return replace(told, **{k: v for k, v in own.items() if v is not None})
+    known = {k: v for k, v in own.items() if v is not None}
+    return replace(replace(told, nominal_rate_hz=rate_hz), **known)
 
 
 def without(recording: Recording, bins: Bins, phone: Phone, known: Sequence[Effect]) -> Recording:
