@@ -59,7 +59,7 @@ def stillness(now: Snapshot, before: Snapshot | None) -> str:
         return "no phone"
     if not status.get("sensing"):
         return "sensors asleep"
-    if before is None or not before.stillness:
+    if before is None or not before.stillness or not seen:
         return "being watched"
     still = seen["windows_still"] - before.stillness["windows_still"]
     looked = seen["windows"] - before.stillness["windows"]
