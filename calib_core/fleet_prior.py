@@ -31,7 +31,7 @@ _CROSS_AXIS = 0.005  # half of the 1 % of cross-axis sensitivity that phones' da
 _UNKNOWN = 1.0  # variance of what a device's fit did not estimate, far beyond any phone's
 _ROUNDS, _SETTLED = 500, 1e-6
 _REWEIGHED = 2
-_ATTITUDE_ANGLE = 0.0872665  # 5 degrees, as in AccelerometerSettings
+ATTITUDE_ANGLE = 0.0872665  # 5 degrees, as in AccelerometerSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,7 +190,7 @@ def fit(
     unit = np.r_[np.full(3, gravity), np.ones(6)]
     mean, covariance = prior.mean / unit, prior.covariance / np.outer(unit, unit)
     root = np.linalg.inv(np.linalg.cholesky(covariance))
-    labels = attitude_labels(raw, _ATTITUDE_ANGLE)
+    labels = attitude_labels(raw, ATTITUDE_ANGLE)
     norms = Norms(raw / gravity, sd / gravity, np.ones(len(raw)), labels, matrix)
     v, after, iterations = mean, covariance, 0
     for _ in range(_REWEIGHED if len(raw) else 0):

@@ -30,6 +30,7 @@ COMMANDS = {
     "evaluate": "stillcal.daemon.cli_evaluate:evaluate_command",
     "fleet": "stillcal.daemon.cli_fleet:fleet_command",
     "fleet-report": "stillcal.daemon.cli_fleet:report_command",
+    "fleet-first": "stillcal.daemon.cli_fleet:first_command",
 }
 
 

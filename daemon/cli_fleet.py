@@ -164,3 +164,47 @@ def report_command(results: Path, json_path: Path | None) -> None:
     if not found.spreads:
         click.echo(f"stillcal: {results}: no device was calibrated", err=True)
         sys.exit(TOO_LITTLE)
+
+
+@click.command(
+    "fleet-first",
+    epilog=examples(
+        "stillcal fleet-report results --json fleet.json",
+        "stillcal fleet-first new-phone.csv --prior fleet.json",
+        "stillcal fleet-first new-phone.csv --prior fleet.json --model 'LG Nexus 4' --json first.json",
+    ),
+)
+@click.argument("trace", type=click.Path(path_type=Path))
+@click.option(
+    "--prior", "report_path", type=click.Path(path_type=Path), required=True, help="A fleet's report."
+)
+@click.option("--model", help="The phone's model [default: what its maker claims].")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write it there ('-': print it).")
+@click.option("--format", "format_", default="csv", show_default=True, help="As for stillcal replay.")
+def first_command(
+    trace: Path, report_path: Path, model: str | None, json_path: Path | None, format_: str
+) -> None:
+    """Calibrate a new phone's accelerometer from however few rests, with what a fleet says of its model.
+
+    What the rests do not show stays what the fleet makes likely; how far each parameter is the rests' own is
+    said beside it.
+    """
+    from stillcal.replay.fleet.first import document, first_calibration, read_prior  # noqa: PLC0415
+    from stillcal.replay.trace import open_trace  # noqa: PLC0415
+
+    opened = open_trace(trace, format_)
+    prior = read_prior(report_path, model or opened.claims.device)
+    fit, rests = first_calibration(opened, prior)
+    found = document(fit, rests, prior)
+    text = pretty(found) + "\n"
+    if json_path == STANDARD_OUTPUT:
+        click.echo(text, nl=False)
+        return
+    if json_path is not None:
+        write_atomically(json_path, text.encode())
+    states = found["accelerometer"]["n_states"]
+    click.echo(f"{trace}: {len(rests)} rests in {states} attitudes, prior of {prior.model or 'any model'}")
+    sds = fit.covariance.diagonal() ** 0.5
+    for name, value, sd, shown in zip(prior.names, fit.values, sds, fit.shown, strict=True):
+        click.echo(f"  {name:5} {value:+9.4f} ± {sd:.4f}   {shown:4.0%} from the rests")
+    click.echo(f"  norm at rest known to {fit.worst_norm_uncertainty:.3f} m/s² along the worst direction")

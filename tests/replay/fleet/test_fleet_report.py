@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from stillcal.calib_core.parameters import names
 from stillcal.replay.fleet import kept, listing
+from stillcal.replay.fleet.first import document, first_calibration, read_prior
 from stillcal.replay.fleet.outliers import distances
 from stillcal.replay.fleet.report import report
 from stillcal.replay.fleet.work import Examined, Task
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.phone.population import population
+from stillcal.replay.trace import open_trace
 
 
 def fleet_of(folder: Path, values: np.ndarray, models: list[str]) -> Path:
@@ -68,3 +73,29 @@ def test_a_small_fleet_says_what_it_cannot_show(tmp_path: Path) -> None:
     found = report(fleet_of(tmp_path / "fleet", drawn(3, 0), ["A"] * 3))
     assert (found.outliers, found.clusters, found.priors) == ([], [], [])
     assert found.limits == ["3 calibrated devices: outliers, clusters and priors need 5"]
+
+
+def test_a_new_phone_is_calibrated_from_its_first_minutes(phones: Path, tmp_path: Path) -> None:
+    """From three to six rests, which alone support nothing; the true bias within 4 standard deviations."""
+    results = fleet_of(tmp_path / "fleet", drawn(40, 1), ["A"] * 40)
+    (tmp_path / "fleet.json").write_bytes(msgspec.json.encode(report(results).document()))
+    prior = read_prior(tmp_path / "fleet.json", "LG Nexus 4")
+    assert prior.model == "" and prior.devices == 40
+    for number, phone in enumerate(population(4)):
+        whole = next(p for p in phones.glob(f"*/phone-{number:04d}/*.csv") if "Spoilt" not in str(p))
+        lines = whole.read_text().splitlines()[:4000]
+        (tmp_path / "new.csv").write_text("\n".join(lines) + "\n")
+        fit, rests = first_calibration(open_trace(tmp_path / "new.csv"), prior)
+        assert 0 < len(rests) <= 6
+        off = np.abs(fit.values[:3] - phone.accel.bias) / np.sqrt(np.diag(fit.covariance)[:3])
+        assert off.max() < 4.0
+        alone = np.abs(prior.mean[:3] - phone.accel.bias)
+        assert np.abs(fit.values[:3] - phone.accel.bias).max() < alone.max()
+        told = document(fit, rests, prior)["accelerometer"]
+        assert told["n_rests"] == len(rests) and 1 <= told["n_states"] <= len(rests)
+
+
+def test_what_is_no_report_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "store.json").write_text("{}")
+    with pytest.raises(TraceError, match="no fleet's report"):
+        read_prior(tmp_path / "store.json")
