@@ -89,7 +89,14 @@ def fit(
 
     rests: further rests for the bias. parameters: what to estimate; None takes the largest model that
     the turns support and says in `missing` what a larger one needs. Raises NotSupported where the
-    model asked for is beyond the turns, or no rest has a gyroscope mean.
+    model asked for is beyond the turns, or no rest has a gyroscope mean. Without any turn it is the bias:
+
+    >>> sd = np.full(3, 1e-4)
+    >>> told = {"rate": np.array([0.01, -0.02, 0.0]), "rate_sd": sd, "rate_uncertainty": sd}
+    >>> rest = RestState(0.0, 10.0, 500, np.array([0, 0, 9.8]), sd, sd, 1e-3, **told)
+    >>> found = fit([], SensorModel.identity(), gravity=9.81, rests=[rest])
+    >>> found.model.bias.tolist(), len(found.missing)  # turns to make before a scale can be known
+    ([0.01, -0.02, 0.0], 3)
     """
     bias = bias_from_rests(_distinct(turns, rests))
     if not turns:

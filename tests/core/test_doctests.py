@@ -16,6 +16,7 @@ MODULES = {
     "stillcal.calib_core.accelerometer": 1,
     "stillcal.calib_core.attitudes": 2,
     "stillcal.calib_core.gyro_bias": 1,
+    "stillcal.calib_core.gyroscope": 1,
     "stillcal.daemon.iio_sysfs": 1,
     "stillcal.daemon.watch_words": 1,
 }
