@@ -145,9 +145,8 @@ def _frequency(found: Scores, data: str, rng: np.random.Generator) -> Claim:
     mean = dict(zip(FAMILIES, lost.mean(axis=1), strict=True))
     others = min(value for name, value in mean.items() if name != "frequency")
     why = (
-        "by far: twice the loss of any other; F1 over learners and devices, trained on a clean device at"
-        " 50 Hz,"
-        " intervals by the five folds of people"
+        "by far: twice the loss of any other; F1 over learners and devices, trained on a clean device at 50"
+        " Hz, intervals by the five folds of people"
     )
     good = mean["frequency"] < 2.0 * others
     return Claim(SEED, *PAPER["frequency"], _by_family(lost, rng), data, holds(good), why)
@@ -226,13 +225,11 @@ def _text(found: Scores, devices: list[Device], file: str) -> str:
     return "\n\n".join(
         [
             "Six activities (lying stands in for biking), two-second windows. Recognisers are trained on a"
-            " device"
-            " without errors at 50 Hz and tested, on other people, on what real devices would have recorded:"
-            f" {listed}. *Errors*: their measured scale, cross-axis and bias, and their own noise. *Rate*:"
-            " their"
-            " own. *Uneven*: real creation stamps of the still experiment. Interpolation is linear, to 25"
-            " Hz, for"
-            " training too. The activity itself has nothing above 20 Hz, as ucihar was filtered there.",
+            " device without errors at 50 Hz and tested, on other people, on what real devices would have"
+            f" recorded: {listed}. *Errors*: their measured scale, cross-axis and bias, and their own noise."
+            " *Rate*: their own. *Uneven*: real creation stamps of the still experiment. Interpolation is"
+            " linear, to 25 Hz, for training too. The activity itself has nothing above 20 Hz, as ucihar"
+            " was filtered there.",
             picture(file, "F1 by heterogeneity and remedy"),
             table(("features", "learner", *COLUMNS), rows),
         ]

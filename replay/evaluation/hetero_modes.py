@@ -193,8 +193,7 @@ def _figure_5(found: Modes, data: str) -> list[Claim]:
     ours = {mode: _mean(values) for mode, values in found.items()}
     why = (
         "within 5 points, half of what the paper's modes differ by; other people, activities (lying for"
-        " biking)"
-        " and one phone's walk behind all devices"
+        " biking) and one phone's walk behind all devices"
     )
     claims = [
         Claim(SEED, *PAPER[key], f"{ours[mode]:.1f} %", data, agreement(paper, ours[mode], 5.0), why)
@@ -284,11 +283,10 @@ def _text(found: Modes, sweep: Sweep, devices: list[Device], labels: list[int], 
     return "\n\n".join(
         [
             f"Every window of thirty people through each of {len(devices)} devices, errors, rates and uneven"
-            f" sampling on: as if each had carried all of them. A recogniser trains on {MOST} rows drawn"
-            " at most"
-            f" and is tested on {MOST}. *User out* leaves one of thirty people out; the modes of one model"
-            " and of"
-            f" a cluster leave a fifth of them out. Clusters are those of all still devices: {members}.",
+            f" sampling on: as if each had carried all of them. A recogniser trains on {MOST} rows drawn at"
+            f" most and is tested on {MOST}. *User out* leaves one of thirty people out; the modes of one"
+            " model and of a cluster leave a fifth of them out. Clusters are those of all still devices:"
+            f" {members}.",
             picture(file, "F1 by mode and family; interpolation by method and rate"),
             table(("mode", "features", *LEARNERS), rows),
             f"SVM on frequency features with a model left out: {100 * sweep['none', 0.0]:.1f} % without"

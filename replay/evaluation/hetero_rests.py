@@ -117,10 +117,9 @@ def _text(found: list[Found], outcomes: list[Outcome]) -> str:
     return "\n\n".join(
         [
             "Default settings, accelerometer alone (nothing else was recorded), each recording from"
-            " nothing: the"
-            " detector has to learn the noise floor within about seventy seconds. Devices are calibrated"
-            " where"
-            " all six faces were recorded; `docs/hhar_still.md` has them one by one, with those refused.",
+            " nothing: the detector has to learn the noise floor within about seventy seconds. Devices are"
+            " calibrated where all six faces were recorded; `docs/hhar_still.md` has them one by one, with"
+            " those refused.",
             table(head, rows),
         ]
     )

@@ -190,8 +190,7 @@ def _gains(pair: tuple[str, str], mixed: Found, data: str, rng: np.random.Genera
     base = ", ".join(f"{name} {100 * mixed[pair, name].values[:, 0].mean():.0f} %" for name in LEARNERS)
     why = (
         "reproduced where all four 95 % intervals by people reach the paper's lower figure; people and"
-        " devices"
-        f" mixed, nobody in both parts. Raw accuracy: {base}"
+        f" devices mixed, nobody in both parts. Raw accuracy: {base}"
     )
     return Claim(SEED, *_table_6(pair), ours, data, holds(all(inside)), why)
 
@@ -274,15 +273,11 @@ def _text(mixed: Found, other: Found, file: str, rng: np.random.Generator) -> st
     return "\n\n".join(
         [
             "Slices of 40 samples at 50 Hz, fed as they are (120 numbers, standardised) to networks of one"
-            " hidden"
-            " layer and an SVM with Gaussian kernels; *tilt* is a decision tree on two angles and the mean"
-            " norm."
-            " Every window went through one of the real devices' measured errors and noise, drawn for it;"
-            " devices"
-            " are calibrated by the product's fit to twelve drawn rests. Five folds by people, at most 900"
-            " slices to train. *No errors*"
-            " is what"
-            " a perfect calibration without noise would reach: where it gains nothing, no calibration can.",
+            " hidden layer and an SVM with Gaussian kernels; *tilt* is a decision tree on two angles and"
+            " the mean norm. Every window went through one of the real devices' measured errors and noise,"
+            " drawn for it; devices are calibrated by the product's fit to twelve drawn rests. Five folds"
+            " by people, at most 900 slices to train. *No errors* is what a perfect calibration without"
+            " noise would reach: where it gains nothing, no calibration can.",
             picture(file, "Gains over raw by pair and learner, with 95 % intervals by people"),
             table(head, rows),
         ]

@@ -159,10 +159,11 @@ def _text(found: Found, errors: Attitude, devices: list[Device], rng: np.random.
     return "\n\n".join(
         [
             "Between people a recogniser has more to get over than between phones. Here nothing changes but"
-            f" the phone: half of a person's windows on one device train, the other half on another test,"
-            f" {CHANGES} changes a person. Slices of 40 samples as in `classes`. The windows overlap by half, so"
-            " that the accuracies are too good; that is so for all ways alike. Gains of the size that the paper"
-            " reports come out here, where the same people are in both parts, not where they are kept apart.",
+            " the phone: half of a person's windows on one device train, the other half on another test,"
+            f" {CHANGES} changes a person. Slices of 40 samples as in `classes`. The windows overlap by"
+            " half, so that the accuracies are too good; that is so for all ways alike. Gains of the size"
+            " that the paper reports come out here, where the same people are in both parts, not where they"
+            " are kept apart.",
             table(("pair", "learner", *(f"{w}, %" for w in WAYS), "gain, points"), rows),
             table(("device", "tilt off, degrees", "calibrated", "norm off, m/s²", "calibrated"), angles),
         ]

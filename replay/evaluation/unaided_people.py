@@ -214,9 +214,8 @@ def _engine(found: list[Life], lived: list[Life]) -> Claim:
     here, there = _column(lived, "calibrated_at"), _column(found[: len(lived)], "calibrated_at")
     late = int(np.sum(here > there + HOUR_S))
     ours = (
-        f"{share:.0%} of the rests on the median, sensing {np.median(_column(lived, 'sensing')):.1%} of"
-        " the time;"
-        f" first calibration over an hour later for {late} of {len(lived)}"
+        f"{share:.0%} of the rests on the median, sensing {np.median(_column(lived, 'sensing')):.1%} of the"
+        f" time; first calibration over an hour later for {late} of {len(lived)}"
     )
     why = "holds where no more than a quarter are calibrated over an hour later than all rests would allow"
     data = f"{len(lived)} of these people, sample by sample at {RATE_HZ:.0f} Hz through the engine"
@@ -260,11 +259,9 @@ def _text(found: list[Life], lived: list[Life], fewest: Array, file: str) -> str
         [
             "Each person lives the first twelve hours of the scenario `day` with a course, attitudes and a"
             " phone of their own. Rests are drawn as they lie, with the phone's errors and noise, and"
-            " calibrated"
-            " by the product's fit whenever a charger is plugged in and after each rest while it is. For a"
-            " few"
-            " of them the engine itself lives through the day, with its detector and its energy allowance. An"
-            " infinite time means not within the twelve hours.",
+            " calibrated by the product's fit whenever a charger is plugged in and after each rest while it"
+            " is. For a few of them the engine itself lives through the day, with its detector and its"
+            " energy allowance. An infinite time means not within the twelve hours.",
             picture(file, "Attitudes found in twelve hours; time to nine attitudes and to a calibration"),
             table(("", "5 %", "median", "95 %"), rows),
         ]

@@ -208,10 +208,8 @@ def _overhead(found: Day, clock: Times) -> Claim:
     share = busy * CORE_MA / IMU_MA
     why = (
         f"engine ({found.engine:.1f} s of processor time a day) and correction at an assumed {CORE_MA:.0f}"
-        " mA,"
-        " over the sensor's own current alone, which is as hard on us as can be. Holds where that is below"
-        " 5 %;"
-        f" a core {0.05 / share:.1f} times slower than this host's would reach it"
+        " mA, over the sensor's own current alone, which is as hard on us as can be. Holds where that is"
+        f" below 5 %; a core {0.05 / share:.1f} times slower than this host's would reach it"
     )
     ours = f"{share:.1%} of the bare sensor; {busy * CORE_MA / 57.0:.2%} of the paper's 57 mA for polling"
     return _claim("overhead", ours, share < 0.05, "a simulated day at 25 Hz, typical phone", why)
@@ -246,17 +244,13 @@ def _text(done: dict[str, dict[str, int]], clock: Times, found: Day) -> str:
             "Operations are counted by numbers that count. Times are processor time on the host that made"
             " this page, best of seven runs that take turns; their ratio travels, their size does not. The"
             " filter has one state a sensor and full 3x3 matrices, as a library would write it. Its gain"
-            " settles"
-            " within a second, and with the gain fixed it needs 6 additions and 3 multiplications, fewer than"
-            " the correction: what a Kalman filter costs is a matter of how it is written.",
+            " settles within a second, and with the gain fixed it needs 6 additions and 3 multiplications,"
+            " fewer than the correction: what a Kalman filter costs is a matter of how it is written.",
             table(head, rows),
             f"The model: mean current = {IMU_MA} mA for both sensors in full operation (Bosch BMI160 data"
             f" sheet, BST-BMI160-DS000-07) x share of time sensing + {CORE_MA:.0f} mA (assumed) x share of"
-            " time"
-            f" that a core is busy. A day at {APP_HZ:.0f} Hz took the engine {found.engine:.1f} s of"
-            " processor"
-            f" time for {found.samples} samples of each sensor, and it asked for them {found.sensing:.1%}"
-            " of the"
-            " time.",
+            f" time that a core is busy. A day at {APP_HZ:.0f} Hz took the engine {found.engine:.1f} s of"
+            f" processor time for {found.samples} samples of each sensor, and it asked for them"
+            f" {found.sensing:.1%} of the time.",
         ]
     )

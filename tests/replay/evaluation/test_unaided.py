@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.gravity import STANDARD, at
+from stillcal.calib_core.model import SensorModel
 from stillcal.replay.evaluation import (
     unaided_gravity,
     unaided_homogeneity,
+    unaided_newphone,
     unaided_people,
     unaided_power,
     unaided_smoothing,
 )
 from stillcal.replay.evaluation.claim import Verdict
 from stillcal.replay.evaluation.hetero_recordings import read_still
-from stillcal.replay.evaluation.learning_devices import read_devices
+from stillcal.replay.evaluation.learning_devices import Device, read_devices
 from stillcal.replay.evaluation.unaided_homogeneity import aggregate_error, at_rest, similarity, smoothed
 from stillcal.replay.evaluation.unaided_kalman import Kalman, inverse, settled, steady_gain
 from stillcal.replay.evaluation.unaided_smoothing import filtered, middle
@@ -115,6 +117,24 @@ def test_real_devices(data_dir: Path) -> None:
         assert off[1] < 0.1 * off[0]
 
 
+def test_tilt_and_norm_of_a_known_error() -> None:
+    """A bias of b across gravity g tilts by b / g; over all attitudes by pi / 4 of that, to first order."""
+    device = Device("m d", "m", np.eye(3), np.array([0.0, 0.0, 0.1]), ())
+    exact = SensorModel.of(np.eye(3), device.bias)
+    errors = unaided_newphone.attitude_errors([device], [exact], 0)
+    spread = np.sqrt(2 / 3 - (np.pi / 4) ** 2) / (np.pi / 4) / np.sqrt(unaided_newphone.DIRECTIONS)
+    assert errors.tilt[0, 0] == pytest.approx(np.degrees(np.pi / 4 * 0.1 / STANDARD), rel=4 * spread + 0.01)
+    assert errors.tilt[0, 1] < 1e-5
+    assert errors.norm[0] == pytest.approx([0.05, 0.0], abs=4 * 0.1 / np.sqrt(12 * 500))
+
+
+def test_drawn_life_and_its_charger() -> None:
+    day = msgspec.structs.replace(load_scenario("day"), duration_s=9000.0)
+    life = unaided_people.drawn_life(load_phone("typical"), day, 1)
+    assert life.rests >= life.attitudes >= 1
+    assert life.calibrated_at == np.inf or life.iterations > 0
+
+
 def test_a_face_held_out_comes_nearer_to_gravity(data_dir: Path) -> None:
     rest = at_rest(data_dir)
     before, after = np.sqrt(np.mean(np.square(rest.norms), axis=0))
@@ -128,6 +148,6 @@ def test_the_middle_of_a_recording_is_twenty_seconds(data_dir: Path) -> None:
 
 
 def test_without_recordings_nothing_is_judged(tmp_path: Path) -> None:
-    for module in (unaided_homogeneity, unaided_smoothing):
+    for module in (unaided_homogeneity, unaided_smoothing, unaided_newphone):
         study = module.study(None, tmp_path, 0, lambda share: None)
         assert {c.verdict for c in study.claims} == {Verdict.UNTESTED}
