@@ -52,7 +52,8 @@ def evaluate_command(  # noqa: PLR0917 - click hands every option over by name
     What each study found is kept beside its figures: one may be run anew, and the page still holds all.
     """
     if listing:
-        click.echo("\n".join(f"{name:16} {studies.title(name)}" for name in studies.STUDIES))
+        width = max(map(len, studies.STUDIES))
+        click.echo("\n".join(f"{name:{width}}  {studies.title(name)}" for name in studies.STUDIES))
         return
     chosen = _chosen(names)
     _require_extra()

@@ -23,6 +23,7 @@ STUDIES: dict[str, str] = {
     "noise-processes": "stillcal.replay.evaluation.noise_processes:study",
     "grades": "stillcal.replay.evaluation.grades:study",
     "inertial-navigation": "stillcal.replay.evaluation.inertial_navigation:study",
+    "steps": "stillcal.replay.evaluation.step_detection:study",
     "pedestrian-tables": "stillcal.replay.evaluation.pedestrian_tables:study",
     "pedestrian-calibration": "stillcal.replay.evaluation.pedestrian_calibration:study",
     "motion-modes": "stillcal.replay.evaluation.motion_modes:study",

@@ -1,12 +1,14 @@
 """Reckoning a simulated walk: what a bias does to it, and that true sensors reckon the truth."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stillcal.calib_core.samples import Samples
 from stillcal.replay.evaluation.pedestrian_calibration import Life, reckon
+from stillcal.replay.evaluation.step_detection import real_cadences, walked
 from stillcal.replay.phone import Scenario, load_phone, simulate
 from stillcal.replay.phone.moving import Walk
 
@@ -43,3 +45,15 @@ def test_error_is_the_distance_between_ends_over_the_way(walk: tuple[Samples, Sa
     assert life.error(true) == 0.0
     assert longer.distance == pytest.approx(1.01 * true.distance)
     assert life.error(longer) == pytest.approx(0.01 * np.linalg.norm(true.position[-1]) / true.distance)
+
+
+@pytest.mark.parametrize("carry", ["pocket", "bag"])
+def test_steps_found_are_those_taken(carry: str) -> None:
+    true, found = walked(carry, "consumer", 1)
+    assert found == pytest.approx(true, rel=0.05)
+
+
+def test_real_walkers_step_at_the_frequency_of_their_spectrum(data_dir: Path) -> None:
+    steps, spectrum = real_cadences(data_dir)
+    # half a bin of a window of 2.56 s, and 5 % for the few steps of one
+    assert np.mean(np.abs(steps - spectrum) <= 0.5 / 2.56 + 0.05 * spectrum) > 0.9
