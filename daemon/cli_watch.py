@@ -42,7 +42,8 @@ def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None
     """Watch a running daemon: stillness, rests on the sphere of attitudes, calibration, energy.
 
     Shows what it waits for and which attitude would help most. A daemon that restarts is found again;
-    Ctrl-C ends it. With --once, exit code 4 where no daemon answers.
+    Ctrl-C ends it. In a terminal of less than 122 columns the sphere stands below the rest. With --once, exit
+    code 4 where no daemon answers.
     """
     console, where = Console(), answering_path(path)
     glyphs = ASCII if console.options.ascii_only else Glyphs()
