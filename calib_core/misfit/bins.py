@@ -25,6 +25,9 @@ FEW = 12
 STILL_FORCE = 0.08
 STILL_RATE = 0.03
 BINS = 200
+MOST_BINS = 300
+"""More bins, where rests are very many, are thinned: work grows with their cube."""
+
 SHORTEST_BIN = 10.0
 POOLED_WEIGHT = 30.0
 
@@ -153,6 +156,8 @@ def cut(
     first, last, rest = _bin_edges(rest_runs(still), length)
     if first.size < FEW:
         first, last, rest = _bin_edges(rest_runs(still, BRIEFEST_REST), length)
+    kept = _longest(last - first)
+    first, last, rest = first[kept], last[kept], rest[kept]
     duration = (last - first) * WINDOW
     return Bins(
         t=span[0] + (first + last) * 0.5 * WINDOW,
@@ -178,6 +183,14 @@ def _bin_edges(runs: list[tuple[int, int]], length: float) -> tuple[Array, Array
         return np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)
     rest = np.repeat(np.arange(len(parts), dtype=np.int64), [p.size - 1 for p in parts])
     return np.concatenate([p[:-1] for p in parts]), np.concatenate([p[1:] for p in parts]), rest
+
+
+def _longest(length: Array) -> Index:
+    """Return which bins are kept: all, or the longest of each of `MOST_BINS` groups of neighbours."""
+    if length.size <= MOST_BINS:
+        return np.arange(length.size)
+    groups = np.array_split(np.arange(length.size), MOST_BINS)
+    return np.array([g[np.argmax(length[g])] for g in groups], dtype=np.int64)
 
 
 def _bin_means(values: Array, first: Array, last: Array) -> Array:

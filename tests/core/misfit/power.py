@@ -158,10 +158,14 @@ def main() -> None:
         attempt([options.seed, k, count], kinds, count, options.what == "left_out")
         for k in range(options.trials)
     )
-    trials = [t for t in made if t is not None]
+    trials = []
+    for trial in made:
+        if trial is not None:
+            trials.append(trial)
+        if trial is not None and options.json:
+            with Path(options.json).open("a") as out:
+                out.write(json.dumps(row(trial)) + "\n")
     table(trials)
-    if options.json:
-        Path(options.json).write_text("\n".join(json.dumps(row(t)) for t in trials))
 
 
 def row(trial: Trial) -> dict[str, Any]:
