@@ -40,9 +40,11 @@ def read_rest_table(path: Path | str) -> list[RestState]:
         raise TraceError(path, "all rests read zero", "give the means in ax, ay, az")
     rate = _axes(columns, ("gx", "gy", "gz"))
     force_sd = _axes(columns, ("sax", "say", "saz"))
-    counted = np.ones(len(force)) if force_sd is None else np.maximum(columns.get("n", np.ones(len(force))), 1.0)
     if force_sd is None:
+        counted = np.ones(len(force))
         force_sd = np.full_like(force, _rounding(force))
+    else:
+        counted = np.maximum(columns.get("n", np.ones(len(force))), 1.0)
     rate_sd = np.zeros_like(force) if rate is None else np.full_like(rate, _rounding(rate))
     return [
         RestState(
