@@ -81,14 +81,14 @@ def power(d: list[float], found: list[bool], false_alarm: float, seed: int = 0) 
     likelihood = y * np.log(chance) + (1.0 - y) * np.log1p(-chance)
     counts = rng.multinomial(x.size, np.full(x.size, 1.0 / x.size), size=500)
     best = np.argmax(np.vstack([np.ones(x.size), counts]) @ likelihood, axis=1)
-    ninety = _ninety(d50[best], slope[best], false_alarm)
+    ninety = _ninety(d50[best], slope[best], false_alarm, float(x.max()))
     low, high = np.quantile(ninety[1:], (0.025, 0.975), method="nearest")
     told = [float(v) if np.isfinite(v) else None for v in (ninety[0], low, high)]
     return Power(float(d50[best[0]]), float(slope[best[0]]), false_alarm, *told)
 
 
-def _ninety(d50: Array, slope: Array, false_alarm: float) -> Array:
-    """Return the d' at which curves reach 90 %; infinity for those that reach a half nowhere on the grid.
+def _ninety(d50: Array, slope: Array, false_alarm: float, largest: float) -> Array:
+    """Return the d' at which curves reach 90 %; infinity where that is beyond the largest that was tried.
 
     Who alarms in 90 % of nulls detects nothing, however often something is there.
     """
@@ -96,4 +96,4 @@ def _ninety(d50: Array, slope: Array, false_alarm: float) -> Array:
         return np.full(d50.size, np.inf)
     share = (0.9 - false_alarm) / (1.0 - false_alarm)
     reached = d50 * (share / (1.0 - share)) ** (1.0 / slope)
-    return np.where(d50 < D50[-1], reached, np.inf)
+    return np.where(reached <= largest, reached, np.inf)
