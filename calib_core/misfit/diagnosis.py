@@ -60,9 +60,9 @@ def diagnose(
     made = scenes(slow, claims.gravity) if len(slow) else []
     found += [f for scene in made for f in slow_findings(scene, without)]
     if gyroscope is not None:
-        found += motion_findings(accelerometer, gyroscope, clear, claims, where)
-        if len(slow):
-            found += turn_findings(accelerometer, gyroscope, slow, claims.gravity, without)
+        turned = turn_findings(accelerometer, gyroscope, slow, claims.gravity, without) if len(slow) else None
+        scanned = turned is None
+        found += motion_findings(accelerometer, gyroscope, clear, claims, where) if scanned else turned or []
     stated = [f for f in without_group_delay([f for f in found if f]) if f.effect not in without]
     return Diagnosis(1, recording, verdict_of(stated), stated, [*limits(bins), *_hidden(both, claims)])
 

@@ -1,4 +1,4 @@
-"""What motion says: the time between the sensors, and the accelerometer's distance from the pivot.
+"""What motion says of the time between the sensors where there are not rests enough to carry gravity between.
 
 Gravity as the accelerometer sees it must turn as the gyroscope says it turns: d up/dt = -rate x up.
 """
@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.beyond import MEMORY
 from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.delay import delay_finding
 from stillcal.calib_core.misfit.left_out import blocks, rms
-from stillcal.calib_core.misfit.quick import SIGNIFICANT, Measured, Seen, direct_finding
-from stillcal.calib_core.misfit.records import Alternative, Claims, Finding, Where
+from stillcal.calib_core.misfit.quick import Measured, Seen
+from stillcal.calib_core.misfit.records import Claims, Finding, Where
 from stillcal.calib_core.samples import Array, Samples
 
 LAGS = 41
@@ -22,8 +23,6 @@ LEAST_RATE = 0.3
 LEAST_STRETCHES = 5
 STRETCH = 20.0
 PARTS = 40
-MEMORY = 0.25
-"""s for which a hand's acceleration, the noise of this view, keeps its direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,22 +102,11 @@ def time_offset(motion: Turning) -> Finding | None:
     if len(misfits) < LEAST_STRETCHES:
         return None
     delay = jackknife(lags, misfits)
-    sigmas, tolerance = delay.beyond(0.0, 0.0), thresholds.DELAY_TOLERANCE
-    outside = delay.beyond(-tolerance, tolerance) > thresholds.OUTSIDE
-    if sigmas < SIGNIFICANT or not outside or abs(delay.value) > 0.9 * LONGEST_LAG:
+    if abs(delay.value) > 0.9 * LONGEST_LAG:
         return None
     where = Where(float(motion.t[0]), float(motion.t[-1]), (0.1, 0.5 / motion.step), "rate of turn")
-    delays = {"delay": delay.parameter("s")}
-    side = "behind" if delay.value > 0 else "ahead of"
-    say = f"The gyroscope is {abs(delay.value) * 1e3:.1f} ms {side} the accelerometer; shift its stamps."
-    seen = _left_out(lags, misfits, count, motion.step, sigmas)
-    # A second-order low-pass of this cutoff delays as much; beyond the band no noise would show it.
-    cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))
-    hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / motion.step)
-    alike = [Alternative("bandwidth", seen.gain, indistinguishable=hidden)]
-    return direct_finding(
-        "accel_gyro_time_offset", "timing", [], where, delays, statement=say, seen=seen, alternatives=alike
-    )
+    seen = _left_out(lags, misfits, count, motion.step, delay.beyond(0.0, 0.0))
+    return delay_finding(delay, seen, where, motion.step)
 
 
 def _left_out(lags: Array, misfits: Array, count: Array, step: float, sigmas: float) -> Seen:

@@ -26,6 +26,8 @@ from stillcal.calib_core.misfit.evidence import (
 from stillcal.calib_core.misfit.screen import screened
 from stillcal.calib_core.samples import Array
 
+LN10 = float(np.log(10.0))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
@@ -58,12 +60,24 @@ class Step:
 
 def score(gain: float, parameters: int, dof: float, trials: int) -> float:
     """Return S: minus log10 of the F tail of a gain in log likelihood, less log10 of the grid's size."""
-    from scipy.stats import f as f_distribution  # noqa: PLC0415 - the daemon stays light
+    return -log_tail(2.0 * max(gain, 0.0) / dof, parameters, max(dof - parameters, 1.0)) / LN10 - np.log10(
+        trials
+    )
 
-    explained = -np.expm1(-2.0 * max(gain, 0.0) / dof)
-    ratio = (explained / parameters) / (max(1.0 - explained, 1e-15) / max(dof - parameters, 1.0))
-    log_tail = float(f_distribution.logsf(ratio, parameters, max(dof - parameters, 1.0)))
-    return float(-log_tail / np.log(10.0) - np.log10(trials))
+
+def log_tail(fall: float, parameters: int, dof: float) -> float:
+    """Return the log probability that chance lowers the log of a sum of squares by `fall` and more.
+
+    The tail of F is I_x(dof/2, parameters/2), x = exp(-fall) (Abramowitz and Stegun, 26.6.2); where that is
+    less than a double holds, its series in x (26.5.4) is summed as if b were small beside a.
+    """
+    from scipy.special import betainc, betaln  # noqa: PLC0415 - the daemon stays light
+
+    a, b = dof / 2.0, parameters / 2.0
+    tail = float(betainc(a, b, np.exp(-fall)))
+    if tail > np.finfo(np.float64).tiny:
+        return float(np.log(tail))
+    return float(-a * fall + (b - 1.0) * np.log1p(-np.exp(-fall)) - np.log(a) - betaln(a, b))
 
 
 def proposals(scene: Scene, entries: Sequence[Entry]) -> list[Hypothesis]:

@@ -11,6 +11,7 @@ from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.catalogue import nameless, slow_entries
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
+from stillcal.calib_core.misfit.delay import carried_delay
 from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
 from stillcal.calib_core.misfit.evidence import fit_hypothesis
 from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
@@ -50,19 +51,19 @@ def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
 
 def turn_findings(
     accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float, without: Collection[str] = ()
-) -> list[Finding]:
-    """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out."""
+) -> list[Finding] | None:
+    """Return what gravity carried by the gyroscope from rest to rest shows, None without turns enough.
+
+    without: effects that are left out of the catalogue.
+    """
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
     made = turn_scene(gyroscope, bins, baseline.up, gravity)
     if made is None:
-        return []
+        return None
     scene, found = made
-    arm = lever_arm(accelerometer, baseline, found, gravity)
+    direct = [of(accelerometer, baseline, found, gravity) for of in (carried_delay, lever_arm)]
     entries = [nameless(e) if e.effect in without else e for e in turn_entries(found, scene)]
-    return [
-        *findings_of(scene, forward(scene, entries)),
-        *([] if arm is None else [arm]),
-    ]
+    return [*findings_of(scene, forward(scene, entries)), *(f for f in direct if f)]
 
 
 def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:

@@ -17,9 +17,9 @@ def own_force(scene: Scene) -> Array:
     return np.asarray(scene.gravity * scene.up)
 
 
-def per_axis(scene: Scene, errors: Array) -> tuple[Array, ...]:
-    """Columns of an error `errors` (N, 3) on each axis, one parameter an axis."""
-    return tuple(v.project * errors[v.bins][None] for v in scene.views)
+def per_axis(scene: Scene, errors: Array, blind: tuple[str, ...] = ()) -> tuple[Array, ...]:
+    """Columns of an error `errors` (N, 3) on each axis, one parameter an axis; none in `blind` views."""
+    return tuple(v.project * errors[v.bins][None] * (v.name not in blind) for v in scene.views)
 
 
 def _scale_temperature(entry: Entry, scene: Scene) -> list[Hypothesis]:

@@ -52,7 +52,7 @@ def _gain_of_a_stretch(entry: Entry, scene: Scene) -> list[Hypothesis]:
         for b in cuts[i + 1 :]:
             inside = (t >= a) & (t < b)
             if 2 < inside.sum() < t.size - 2:
-                columns = per_axis(scene, force * inside[:, None])
+                columns = per_axis(scene, force * inside[:, None], drivers.JUMPS)
                 found.append(Hypothesis(entry, {"t_start": float(a), "t_end": float(b)}, columns))
     return found
 
