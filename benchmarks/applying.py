@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from peers import peer
 from subject import BIAS, FORWARD
-from timing import Row, ratio, rounds
+from timing import Row, middle, ratio, rounds
 
 from stillcal.calib_core.model import SensorModel
 
@@ -47,34 +47,21 @@ def run(quick: bool) -> Iterator[Row]:
         cases["vqf"] = lambda: vqf.VQF(0.02).updateBatch(gyro, accel)
     timed = rounds(cases, 5 if quick else 25)
     update = timed["Kalman"].seconds / SINGLE
-    for name, count, filtered in (("block", BLOCK, "block"), ("single", SINGLE, "single")):
+    for name, count in (("block", BLOCK), ("single", SINGLE)):
         own = timed[name].seconds / count
-        low, median, high = np.quantile(update / own, (0.25, 0.5, 0.75))
-        yield Row(
-            "3",
-            f"correcting a sample, {filtered}",
-            float(own.min() * 1e9),
-            "ns",
-            "a Kalman update, numpy",
-            (float(median), float(low), float(high)),
-            "at most a third",
-            bool(median >= 3.0),
-        )
+        versus = middle(update / own)
+        goal, met = "at most a third", versus[0] >= 3.0
+        what = f"correcting a sample, {name}"
+        yield Row("3", what, middle(own * 1e9), "ns", "a Kalman update, numpy", versus, goal, met)
+    own = timed["block"]
     if vqf is not None:
-        own = timed["block"].seconds
-        yield Row(
-            "3",
-            "correcting a sample, block",
-            float(own.min() / BLOCK * 1e9),
-            "ns",
-            "vqf's whole filter, C++",
-            ratio(timed["block"], timed["vqf"]),
-        )
-    copied = rounds({"ours": lambda: model.apply(raw), "copy": raw.copy}, 5 if quick else 25)
+        versus, what = ratio(own, timed["vqf"]), "correcting a sample, block"
+        yield Row("3", what, own.spread(1e9 / BLOCK), "ns", "vqf's whole filter, C++", versus)
+    copied = rounds({"ours": lambda: model.apply(raw), "copy": raw.copy}, 5 if quick else 25, 20)
     yield Row(
         "3",
         "copying a sample, block: the memory's limit",
-        copied["copy"].best / BLOCK * 1e9,
+        copied["copy"].spread(1e9 / BLOCK),
         "ns",
         accuracy=f"correcting takes {1 / ratio(copied['ours'], copied['copy'])[0]:.1f} times as long",
     )

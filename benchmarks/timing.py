@@ -1,7 +1,7 @@
 """Timing side by side: every round runs each case once, so that what disturbs one disturbs all.
 
 Times are of the processor, which other programs on the machine disturb less than the clock's; ratios are
-taken within a round, and their median and middle half over the rounds are what is reported.
+taken within a round. What is reported, of times and of ratios, is the median and the middle half of the rounds.
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ from typing import Any
 
 import numpy as np
 
+Spread = tuple[float, float, float]
+"""Median, lower and upper quartile."""
+
 
 @dataclass(frozen=True, slots=True)
 class Timed:
@@ -22,14 +25,17 @@ class Timed:
     answer: Any
 
     @property
-    def best(self) -> float:
-        """The least, which disturbances only add to."""
-        return float(self.seconds.min())
-
-    @property
     def median(self) -> float:
         """The usual."""
         return float(np.median(self.seconds))
+
+    def spread(self, factor: float) -> Spread:
+        """Return the seconds times `factor`, as in nanoseconds a sample."""
+        return middle(self.seconds * factor)
+
+    def rate(self, count: float) -> Spread:
+        """Return how many of `count` things are done a second."""
+        return middle(count / self.seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +47,10 @@ class Row:
 
     item: str
     what: str
-    value: float
+    value: float | Spread
     unit: str
     peer: str = ""
-    ratio: tuple[float, float, float] | None = None
+    ratio: Spread | None = None
     goal: str = ""
     met: bool | None = None
     accuracy: str = ""
@@ -65,7 +71,12 @@ def rounds(cases: Mapping[str, Callable[[], Any]], count: int, calls: int = 1) -
     return {name: Timed(np.array(own), answers[name]) for name, own in taken.items()}
 
 
-def ratio(ours: Timed, peer: Timed) -> tuple[float, float, float]:
-    """Return by how many times the peer takes longer, median and middle half of the rounds' ratios."""
-    low, median, high = np.quantile(peer.seconds / ours.seconds, (0.25, 0.5, 0.75))
+def middle(values: np.ndarray) -> Spread:
+    """Return median, lower and upper quartile."""
+    low, median, high = np.quantile(values, (0.25, 0.5, 0.75))
     return float(median), float(low), float(high)
+
+
+def ratio(ours: Timed, peer: Timed) -> Spread:
+    """Return by how many times the peer takes longer."""
+    return middle(peer.seconds / ours.seconds)

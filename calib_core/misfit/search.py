@@ -27,6 +27,8 @@ from stillcal.calib_core.misfit.screen import screened
 from stillcal.calib_core.samples import Array
 
 LN10 = float(np.log(10.0))
+ACROSS = 13.8
+"""Chi-squared of two components that chance exceeds once in 1000."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,9 +62,8 @@ class Step:
 
 def score(gain: float, parameters: int, dof: float, trials: int) -> float:
     """Return S: minus log10 of the F tail of a gain in log likelihood, less log10 of the grid's size."""
-    return -log_tail(2.0 * max(gain, 0.0) / dof, parameters, max(dof - parameters, 1.0)) / LN10 - np.log10(
-        trials
-    )
+    tail = log_tail(2.0 * max(gain, 0.0) / dof, parameters, max(dof - parameters, 1.0))
+    return float(-tail / LN10 - np.log10(trials))
 
 
 def log_tail(fall: float, parameters: int, dof: float) -> float:
@@ -188,11 +189,38 @@ def adequate(steps: Sequence[Step]) -> list[Step]:
     A neighbour's name explains part of what something outside the catalogue does and leaves the rest. What
     the best of names leaves of a large effect, its model being a model, is not reported.
     """
-    steps = [_one_of_many(s, steps) for s in steps]
+    steps = [_one_of_many(s, steps) for s in _one_heat(steps)]
     strange = max((s.winner.gain for s in steps if _effect(s) == "unknown"), default=0.0)
     named = max((s.winner.gain for s in steps if _effect(s) != "unknown"), default=0.0)
     least = {True: thresholds.MODELLED * named, False: thresholds.TOWERING * strange}
     return [s for s in steps if s.winner.gain >= least[_effect(s) == "unknown"]]
+
+
+def _one_heat(steps: Sequence[Step]) -> list[Step]:
+    """Leave out what without a name moves the axes as heat does that was found: of its curve little is known.
+
+    Charging and use stand for heat that was not recorded; the room's share of it is on the same axes.
+    """
+    heat = next((s for s in steps if _effect(s) == "thermal_latent"), None)
+    if heat is None:
+        return list(steps)
+    sensitivity = heat.winner.fit.beta[:3]
+    return [s for s in steps if _effect(s) != "unknown" or not _along(s.winner, sensitivity)]
+
+
+def _along(one: Scored, direction: Array) -> bool:
+    """Whether every curve of a bias moves the axes as `direction` (3,) does, within its errors."""
+    entry, owner = one.hypothesis.entry, one.hypothesis.axis_of
+    if entry.by_row or entry.parameters[0].name != "amplitude":
+        return False
+    unit = direction / np.linalg.norm(direction)
+    across = np.linalg.svd(unit[None])[2][1:]
+    for of in np.stack([np.flatnonzero(owner == a) for a in range(3)], axis=1):
+        away = across @ one.fit.beta[of]
+        spread = across @ one.fit.covariance[np.ix_(of, of)] @ across.T
+        if away @ np.linalg.solve(spread, away) > ACROSS:
+            return False
+    return True
 
 
 def _effect(step: Step) -> str:

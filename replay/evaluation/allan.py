@@ -151,9 +151,9 @@ def _fit_claims(found: Recovered, data: str) -> list[Claim]:
         fit, read = rms_error(found.fitted[:, axis]), rms_error(found.read[:, axis])
         claims.append(
             Claim(
-                SEED, "2.1.2, Fig. 2", f"{name} from a curve: read off its slopes, or fitted to all of it",
-                f"read: {np.median(found.read[:, axis]):.2f} of the truth, rms {read:.0%}",
-                f"fitted: {np.median(found.fitted[:, axis]):.2f} of the truth, rms {fit:.0%}", data,
+                SEED, "2.1.2, Fig. 2", f"{name} is found from a curve", "read off its slopes",
+                f"fitted to all of it: {np.median(found.fitted[:, axis]):.2f} of the truth, rms {fit:.0%};"
+                f" read off: {np.median(found.read[:, axis]):.2f}, rms {read:.0%}", data,
                 holds(fit <= read), "the fit's rms relative error is not the larger",
             )
         )  # fmt: skip
@@ -201,7 +201,7 @@ def _draw(found: Recovered, figures: Path) -> str:
         left.loglog(curve.tau, alone, ":", color=drawing.GREY)
         left.annotate(name, (curve.tau[-1 if name == "K" else 0], alone[-1 if name == "K" else 0]))
     left.plot([], [], ":", color=drawing.GREY, label="true parts")
-    left.set(xlabel="averaging time, s", ylabel="Allan deviation", ylim=(curve.low.min() / 4, None))
+    left.set(xlabel="averaging time, s", ylabel="Allan deviation, deg/s", ylim=(curve.low.min() / 4, None))
     left.legend()
     places = np.arange(3)
     for shift, colour, values, label in (

@@ -98,7 +98,7 @@ def _order_claim(errors: dict[str, Array]) -> Claim:
         SEED, "4.2, Fig. 12", "coning is large on a walker, clearly less in a car, negligible at rest",
         "a watch > a car > a table", ", ".join(f"{f:.2g}" for f in found) + " deg (medians)",
         "; ".join(names),
-        holds(found[0] > 3.0 * found[1] > 3.0 * found[2]), "each at least a third of the one before at most",
+        holds(found[0] > 3.0 * found[1] > 3.0 * found[2]), "each at most a third of the one before",
     )  # fmt: skip
 
 
@@ -139,9 +139,11 @@ def _draw(simulations: dict[str, tuple[Array, Array]], errors: dict[str, Array],
     figure, axes = drawing.panels(3, 2)
     for column, (name, (t, rates)) in enumerate(simulations.items()):
         rows = (t > t[0] + 60.0) & (t < t[0] + 90.0)
-        axes[column].plot(t[rows] - t[rows][0], np.degrees(rates[rows]), linewidth=0.8, label=["x", "y", "z"])
+        for (axis, colour, _), rate in zip(drawing.AXES, np.degrees(rates[rows]).T, strict=True):
+            axes[column].plot(t[rows] - t[rows][0], rate, color=colour, linewidth=0.8, label=axis)
         axes[column].set(title=name.removesuffix(", simulated"), ylabel="rate, deg/s", xlabel="time, s")
         axes[3 + column].plot(np.degrees(errors[name]), linewidth=0.8, color=drawing.BLUE)
         axes[3 + column].set(ylabel="coning error, deg", xlabel="time, s", ylim=(0.0, None))
-    axes[0].legend()
+    axes[0].legend(ncols=3, loc="upper right")
+    axes[0].set_ylim(top=1.3 * axes[0].get_ylim()[1])
     return drawing.save(figure, figures, "coning")

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stillcal.replay.plots import style
-from stillcal.replay.plots.style import BLUE, COLOURS, GREEN, GREY, ORANGE, PURPLE, RED, panels
+from stillcal.replay.plots.style import AXES, BLUE, COLOURS, GREEN, GREY, ORANGE, PURPLE, RED, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["BLUE", "COLOURS", "GREEN", "GREY", "ORANGE", "PURPLE", "RED", "panels", "save"]
+__all__ = ["AXES", "BLUE", "COLOURS", "GREEN", "GREY", "ORANGE", "PURPLE", "RED", "panels", "save"]
 
 
 def save(figure: Figure, folder: Path, name: str) -> str:

@@ -187,7 +187,7 @@ def _draw(recordings: list[Still], found: Deviations, folder: Path) -> str:
         right.axvline(bound, color=RED, linestyle="--", linewidth=1.0)
     right.xaxis.set_major_formatter(lambda x, _: f"{100 * x:.0f} %")
     right.set(
-        xlabel="mean deviation from g (dashed: the paper's range)", ylabel="recordings", title="All faces"
+        xlabel="mean deviation from g\n(dashed: the paper's range)", ylabel="recordings", title="All faces"
     )
     return save(figure, folder, NAME)
 

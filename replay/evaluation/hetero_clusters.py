@@ -148,6 +148,6 @@ def _text(
             f" {len(half)} clusters, with the four features behind Figure 12 {len(four)}: the number is the"
             " algorithm's, not the devices'. Members of the paper's clusters are told by its figure only.",
             picture(file, "Devices by bias and steadiness of rate"),
-            table(("exemplar", FEATURES[0], FEATURES[1], "members"), rows),
+            table(("exemplar", f"mean {FEATURES[0]}", f"mean {FEATURES[1]}", "members"), rows),
         ]
     )

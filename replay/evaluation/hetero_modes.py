@@ -1,8 +1,8 @@
-"""Recognisers tested on people and devices they were not trained on (Stisen et al. 2015, Figures 5 to 15)."""
+"""Recognisers tested on people and devices they were not trained on (Stisen et al. 2015, Figures 5 to 12)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from stillcal.replay.evaluation.claim import Claim, Progress, Study, Verdict, ag
 from stillcal.replay.evaluation.drawing import COLOURS, panels, save
 from stillcal.replay.evaluation.hetero_clusters import clusters, described
 from stillcal.replay.evaluation.hetero_families import few_devices, some
-from stillcal.replay.evaluation.hetero_recorded import METHODS, Kinds, Recorded, record, resample
+from stillcal.replay.evaluation.hetero_recorded import Kinds, record
 from stillcal.replay.evaluation.hetero_recordings import read_still
 from stillcal.replay.evaluation.learning_data import Windows, read_windows, without_recordings
 from stillcal.replay.evaluation.learning_devices import CARRIED, Device, read_devices
@@ -25,13 +25,12 @@ from stillcal.replay.evaluation.learning_scoring import (
     Learner,
     fitted,
     folds,
-    linear_svm,
     weighted_f1,
 )
 
-NAME, TITLE, SEED = "modes", "Unknown people, unknown devices (Figures 5 to 15)", "004"
-EACH, MOST, RATES_HZ = 12, 400, (25.0, 50.0, 100.0, 200.0)
-"""Windows of each person on every device; rows a recogniser is trained on at most; target rates."""
+NAME, TITLE, SEED = "modes", "Unknown people, unknown devices (Figures 5 to 12)", "004"
+EACH, MOST = 12, 400
+"""Windows of each person on every device; rows a recogniser is trained on at most."""
 
 MODES = (
     "ten-fold",
@@ -52,14 +51,11 @@ PAPER = {
         "training within the cluster against on all devices",
         "69.1 against 66.7 %",
     ),
-    "interpolation": ("5.2, Figure 13", "interpolation, SVM on frequency, model out: F1", "55 → 86 %"),
-    "low": ("5.2, Figure 13", "low rates with nearest or linear are best", "25 Hz"),
     "load": ("4.2, Figure 9", "trained without load, tested under load", "said"),
     "gyro": ("4.2, Figure 8", "gyroscope instead of accelerometer: much the same", "said"),
 }
 Modes = dict[str, Array]
-Sweep = dict[tuple[str, float], float]
-"""Scores by mode, (4, 4) each; F1 by method and target rate."""
+"""Scores by mode, (4, 4) each."""
 
 Split = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 """Rows to train on and rows to test, (n,) masks."""
@@ -92,14 +88,12 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     progress(0.1)
     found = {}
     for k, mode in enumerate(MODES):
-        found[mode] = score(rows, list(splits(rows, mode, seed)), seed)
-        progress(0.1 + 0.6 * (k + 1) / len(MODES))
-    sweep = interpolated(windows, devices, recorded, labels, seed)
+        found[mode] = score(rows, list(splits(rows, mode, seed)), seed).mean(axis=2)
+        progress(0.1 + 0.9 * (k + 1) / len(MODES))
     carried = f"{CARRIED.format(len(devices))}, their rates and stamps; {len(windows)} windows on each"
-    claims = (*_figure_5(found, carried), *_remedies(found, sweep, carried), *_untested())
-    file = _draw(found, sweep, figures)
-    progress(1.0)
-    return Study(NAME, TITLE, claims, _text(found, sweep, devices, labels, file), (file,), seed)
+    claims = (*_figure_5(found, carried), _cluster(found, carried), *_untested())
+    file = _draw(found, figures)
+    return Study(NAME, TITLE, claims, _text(found, devices, labels, file), (file,), seed)
 
 
 def device_clusters(data: Path, devices: list[Device], seed: int) -> list[int]:
@@ -144,15 +138,15 @@ def splits(rows: Rows, mode: str, seed: int) -> Iterator[Split]:
                 yield (inside == k) & ~out, tested & out
 
 
-def score(rows: Rows, parts: list[Split], seed: int) -> Array:
-    """Return the weighted F1 of every family (and all together) and learner, mean over splits; (4, 4)."""
-    values = np.zeros((len(rows.features), len(LEARNERS), len(parts)))
+def score(rows: Rows, parts: list[Split], seed: int, learners: Mapping[str, Learner] = LEARNERS) -> Array:
+    """Return the weighted F1 of every family of features, learner and split; (families, learners, splits)."""
+    values = np.zeros((len(rows.features), len(learners), len(parts)))
     for f, features in enumerate(rows.features.values()):
-        for k, learner in enumerate(LEARNERS.values()):
+        for k, learner in enumerate(learners.values()):
             values[f, k] = [
                 _one(learner, features, rows.label, part, seed + s) for s, part in enumerate(parts)
             ]
-    return np.asarray(values.mean(axis=2))
+    return values
 
 
 def _one(learner: Learner, features: Array, label: Labels, part: Split, seed: int) -> float:
@@ -163,26 +157,6 @@ def _one(learner: Learner, features: Array, label: Labels, part: Split, seed: in
 
 def _at_most(mask: NDArray[np.bool_], most: int, seed: int) -> Labels:
     return np.random.default_rng(seed).permutation(np.flatnonzero(mask))[:most]
-
-
-def interpolated(
-    windows: Windows, devices: list[Device], recorded: list[Recorded], labels: list[int], seed: int
-) -> Sweep:
-    """Return the F1 of an SVM on frequency features, model out, by method and rate; ("none", 0) without."""
-    few = np.arange(0, len(windows), 2)
-    part = windows.only(few)
-    cut = [Recorded(r.samples[few], r.stamps[few]) for r in recorded]
-    found = {("none", 0.0): _model_out(gathered(part, devices, labels, [r.samples for r in cut]), seed)}
-    for method in METHODS:
-        for rate in RATES_HZ:
-            samples = [resample(r, rate, method) for r in cut]
-            found[method, rate] = _model_out(gathered(part, devices, labels, samples), seed)
-    return found
-
-
-def _model_out(rows: Rows, seed: int) -> float:
-    parts = splits(rows, "model out", seed)
-    return float(np.mean([_one(linear_svm, rows.features["frequency"], rows.label, p, seed) for p in parts]))
 
 
 def _mean(values: Array) -> float:
@@ -217,35 +191,11 @@ def _figure_5(found: Modes, data: str) -> list[Claim]:
     return claims
 
 
-def _remedies(found: Modes, sweep: Sweep, data: str) -> list[Claim]:
+def _cluster(found: Modes, data: str) -> Claim:
     inside, whole = _mean(found["cluster, user out"]), _mean(found["fifth of users out"])
     why = "holds where training within a cluster is the better; on as many rows, with as many people left out"
-    none, best = 100 * sweep["none", 0.0], 100 * sweep["linear", 25.0]
-    low = max(sweep["nearest", 25.0], sweep["linear", 25.0])
-    high = max(v for (m, r), v in sweep.items() if r > 25.0)
-    top = max(sweep, key=lambda k: sweep[k])
-    return [
-        Claim(
-            SEED, *PAPER["cluster"], f"{inside:.1f} against {whole:.1f} %", data, holds(inside > whole), why
-        ),
-        Claim(
-            SEED,
-            *PAPER["interpolation"],
-            f"{none:.1f} → {best:.1f} % (linear, 25 Hz)",
-            data,
-            holds(best - none >= 15.0),
-            "holds with half of the paper's gain of 31 points or more",
-        ),
-        Claim(
-            SEED,
-            *PAPER["low"],
-            f"25 Hz: {100 * low:.1f} %, best above it: {100 * high:.1f} %",
-            data,
-            holds(low >= high),
-            f"holds where nearest or linear at 25 Hz is the best of all; the best is {top[0]} at"
-            f" {top[1]:.0f} Hz",
-        ),
-    ]
+    ours = f"{inside:.1f} against {whole:.1f} %"
+    return Claim(SEED, *PAPER["cluster"], ours, data, holds(inside > whole), why)
 
 
 def _untested() -> list[Claim]:
@@ -253,9 +203,9 @@ def _untested() -> list[Claim]:
     return [Claim(SEED, *PAPER[k], "", "none", Verdict.UNTESTED, why) for k, why in reasons.items()]
 
 
-def _draw(found: Modes, sweep: Sweep, folder: Path) -> str:
-    figure, (left, right) = panels(2)
-    figure.set_size_inches(10.0, 4.2)
+def _draw(found: Modes, folder: Path) -> str:
+    figure, (left,) = panels(1)
+    figure.set_size_inches(7.0, 3.8)
     place = np.arange(len(MODES))
     for f, family in enumerate((*FAMILIES, "all three")):
         heights = [100 * found[mode][f].mean() for mode in MODES]
@@ -264,21 +214,15 @@ def _draw(found: Modes, sweep: Sweep, folder: Path) -> str:
     left.set(ylabel="F1, mean of learners, %", title="All heterogeneities on")
     left.set_ylim(0, 108)
     left.legend(fontsize=7, ncols=4)
-    for m, method in enumerate(METHODS):
-        right.plot(RATES_HZ, [100 * sweep[method, r] for r in RATES_HZ], "o-", color=COLOURS[m], label=method)
-    right.axhline(100 * sweep["none", 0.0], color="0.5", linestyle="--", label="no interpolation")
-    right.set(xlabel="target rate, Hz", ylabel="F1, %", title="SVM on frequency, model out")
-    right.legend(fontsize=7)
     return save(figure, folder, NAME)
 
 
-def _text(found: Modes, sweep: Sweep, devices: list[Device], labels: list[int], file: str) -> str:
+def _text(found: Modes, devices: list[Device], labels: list[int], file: str) -> str:
     rows = [
         (mode, family, *(f"{100 * v:.1f}" for v in found[mode][f]))
         for mode in MODES
         for f, family in enumerate((*FAMILIES, "all three"))
     ]
-    table_13 = [(method, *(f"{100 * sweep[method, r]:.1f}" for r in RATES_HZ)) for method in METHODS]
     members = ", ".join(f"{d.name} in {k}" for d, k in zip(devices, labels, strict=True))
     return "\n\n".join(
         [
@@ -287,10 +231,7 @@ def _text(found: Modes, sweep: Sweep, devices: list[Device], labels: list[int], 
             f" most and is tested on {MOST}. *User out* leaves one of thirty people out; the modes of one"
             " model and of a cluster leave a fifth of them out. Clusters are those of all still devices:"
             f" {members}.",
-            picture(file, "F1 by mode and family; interpolation by method and rate"),
+            picture(file, "F1 by mode and family"),
             table(("mode", "features", *LEARNERS), rows),
-            f"SVM on frequency features with a model left out: {100 * sweep['none', 0.0]:.1f} % without"
-            " interpolation; with it, by target rate (half of the windows):",
-            table(("method", *(f"{r:.0f} Hz" for r in RATES_HZ)), table_13),
         ]
     )

@@ -101,11 +101,11 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     rows = []
     for grade, (t, *errors) in curves.items():
         for name, error in zip(("raw", "affine errors out", "and zeroed"), errors, strict=True):
-            rows.append((grade, name, *(f"{np.interp(mark, t, error):.3g}" for mark in MARKS)))
+            rows.append((grade, name, *(_metres(float(np.interp(mark, t, error))) for mark in MARKS)))
     head = ("grade", "", *(f"{mark:.0f} s" for mark in MARKS))
     text = (
         "Position error, m, of simulated phones at rest, attitude at the start known. Affine errors are the\n"
-        "true bias and scale: what is left is noise, which a perfect calibration leaves; zeroing takes the \n"
+        "true bias and scale: what is left is noise, which a perfect calibration leaves; zeroing takes the\n"
         f"mean rate of two minutes before off as well.\n\n{table(head, rows)}\n\n"
         + picture(
             _draw(curves, figures), "Growth of position errors: of single biases, and of each grade at rest"
@@ -143,12 +143,19 @@ def _hour_claim() -> Claim:
     )  # fmt: skip
 
 
+def _metres(error: float) -> str:
+    """Return three digits without an exponent, from micrometres to thousands of kilometres."""
+    digits = max(0, 2 - math.floor(math.log10(max(error, 1e-6))))
+    return f"{error:,.{digits}f}"
+
+
 def _grade_claim(curves: dict[str, tuple[Array, Array, Array, Array]]) -> Claim:
     at = {grade: float(np.interp(60.0, t, raw)) for grade, (t, raw, *_) in curves.items()}
     return Claim(
         SEED, "2.2, 3.1", "consumer sensors cannot navigate by integration",
         "not capable of autonomous navigation",
-        "after one minute at rest: " + ", ".join(f"{grade} {error:.2g} m" for grade, error in at.items()),
+        "after one minute at rest: "
+        + ", ".join(f"{grade} {_metres(error)} m" for grade, error in at.items()),
         "simulated phones of Table 1", holds(at["consumer"] > 100.0 > at["tactical"] > at["navigation"]),
         "over 100 m within a minute, and in the order of the grades",
     )  # fmt: skip

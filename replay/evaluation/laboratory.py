@@ -23,7 +23,14 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     text += table(
         ("figure", "paper", "ours", "rounding", "agrees", "why"),
         [
-            (r.figure, r.paper, f"{r.ours:.7g}", f"{r.slack:.0e}", "yes" if r.agrees else "no", r.why)
+            (
+                r.figure,
+                r.paper,
+                f"{r.ours:.7g}",
+                f"{r.slack:.0e}" if r.slack else "-",
+                "yes" if r.agrees else "no",
+                r.why,
+            )
             for r in rows
         ],
     )

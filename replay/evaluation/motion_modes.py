@@ -212,7 +212,6 @@ def _draw(people: Motion, figures: Path) -> str:
     left.set(xlabel="standard deviation, g", ylabel="peak frequency, Hz")
     left.legend()
     right.set(xlabel="coning error within 1 s, deg", ylabel="windows")
-    ticks = [t for t in right.get_xticks() if t == round(t)]
-    right.set_xticks(ticks, [f"{10.0**t:g}" for t in ticks])
+    right.set_xticks(range(-6, 3), [f"$10^{{{power}}}$" for power in range(-6, 3)])
     right.legend()
     return drawing.save(figure, figures, "motion-modes")

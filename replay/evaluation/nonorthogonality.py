@@ -141,7 +141,7 @@ def _problem_claims(error: float, readings: Array, angles: Array, seed: int) -> 
         Claim(SEED, "2.3, problem 2", "largest relative error, %", "3.192", f"{100 * exact:.4f}", DATA,
               agreement(3.192, 100 * exact, 5e-4), "the digits printed"),
         Claim(SEED, "2.3, problem 2", "the same for ranges of 4, 8 and 16 g", "approximately the same",
-              f"differ by {_scale_effect(seed):.0e}", DATA, holds(_scale_effect(seed) < 1e-12),
+              f"differ by {_scale_effect(seed):.1g}", DATA, holds(_scale_effect(seed) < 1e-12),
               "rounding alone: the error has no scale"),
     ]  # fmt: skip
 

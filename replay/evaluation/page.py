@@ -22,20 +22,39 @@ PAPERS = {
 
 _HEAD = """# What the papers claim, and what comes out here
 
-Made by `stillcal evaluate` (extra `evaluation`); one study anew by `stillcal evaluate NAME`. Every verdict is
-computed: *reproduced* where our figure is within the tolerance that the last column gives, *differs*
-otherwise, *cannot be tested here* where the data it needs are not to be had.
+Made by `stillcal evaluate` (extra `evaluation`); each row names the command that makes it anew, with the
+seed that it was drawn with. Every verdict is computed: *reproduced* where our figure is within the tolerance
+that the column *why* gives, *differs* otherwise, *cannot be tested here* where the data it needs are not to
+be had.
 
 {papers}
 
 {counts}
 
 {claims}
+
+## What stands in for what
+
+The activity recordings of paper 000 were never published, and those of paper 004 (HHAR: nine people, twelve
+devices in motion) are not to be had whole: of them there are the first 10,000 rows of each sensor of one
+phone and one watch, whose wearers stand and sit (`hhar`). There is the still experiment (`hhar_still`): real
+phones and watches at rest on up to six faces, of which a device's errors, noise, rate and stamps are
+measured. Activity is that of thirty people with one Galaxy S II at the waist (`ucihar`). Where a claim is of
+many devices in motion, that activity is carried through the measured devices, and the row says
+*semi-synthetic*: one phone's walk stands behind all of them, nothing above 20 Hz is in it, and nobody rides a
+bicycle or loads a phone with other work. Where nothing was recorded at all the phone is simulated
+([phone.md](phone.md)). Where the recordings come from: [data.md](data.md).
+
+The studies are the package `stillcal.replay.evaluation`. It lies inside `replay` because all it does is feed
+recordings and simulated phones through the product, as the rest of `replay` does, and nothing of the product
+imports it.
 """
+
+_COMMAND = "stillcal evaluate {name} --seed {seed}"
 
 _SECTION = """## {title}
 
-`stillcal evaluate {name} --seed {seed}`
+`{command}`
 
 {text}
 """
@@ -79,7 +98,10 @@ def page(studies: list[Study]) -> str:
         claims=_claims(studies),
     )
     sections = [
-        _SECTION.format(title=s.title, name=s.name, seed=s.random_seed, text=s.text.strip()) for s in studies
+        _SECTION.format(
+            title=s.title, command=_COMMAND.format(name=s.name, seed=s.random_seed), text=s.text.strip()
+        )
+        for s in studies
     ]
     return "\n".join([head, *sections])
 
@@ -99,9 +121,9 @@ def _claims(studies: list[Study]) -> str:
             c.data,
             f"**{c.verdict}**" if c.verdict is Verdict.DIFFERS else str(c.verdict),
             c.because,
-            f"`{s.name}`",
+            f"`{_COMMAND.format(name=s.name, seed=s.random_seed)}`",
         )
         for s in studies
         for c in s.claims
     ]
-    return table(("where", "claim", "paper", "ours", "data", "verdict", "why", "study"), rows)
+    return table(("where", "claim", "paper", "ours", "data", "verdict", "why", "command"), rows)

@@ -204,7 +204,12 @@ def _followed(name: str) -> str:
 
 
 def _percents(errors: Array) -> str:
-    return f"{100 * np.median(errors):.2g} ({100 * errors.min():.2g} to {100 * errors.max():.2g})"
+    return f"{_two(np.median(errors))} ({_two(errors.min())} to {_two(errors.max())})"
+
+
+def _two(share: float) -> str:
+    """Return a share in percent to two digits, without an exponent."""
+    return f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
 
 
 def _lengths(lives: list[Life]) -> tuple[str, str]:
@@ -225,5 +230,5 @@ def _draw(lives: list[Life], figures: Path) -> str:
             style = "--" if which is one.calibrated else "-"
             axis.plot(which.position[:, 0], which.position[:, 1], style, color=colour, label=label)
         axis.set(xlabel="x, m", ylabel="y, m", title=name, aspect="equal", adjustable="datalim")
-        axis.legend(fontsize="small")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return drawing.save(figure, figures, "pedestrian-calibration")

@@ -240,5 +240,5 @@ def _draw(figures: Path) -> str:
         middle.legend()
         right.plot(walked.t / 60.0, 100.0 * walked.relative_error)
         right.axhline(3.0, color=drawing.GREY, linestyle=":")
-        right.set(xlabel="time, min", ylabel="relative position error, %", ylim=(0.0, None))
+        right.set(xlabel="time, min", ylabel="relative position error, %", ylim=(0.0, 6.0))
     return drawing.save(figure, figures, "pedestrian-tables")

@@ -234,7 +234,7 @@ def _again(angles: Array) -> str:
     return (
         f"On {angles.size} occasions a real phone (hhar_still) was recorded twice on one face: the"
         " attitudes are\n"
-        f"{middle:.2g} mrad apart (median; {low:.2g} to {high:.2g}), more than what is behind the paper's"
+        f"{middle:.2g} mrad apart (median; {low:.1f} to {high:.0f}), more than what is behind the paper's"
         " figures:\n"
         "six faces laid by an ordinary hand are not known to a milliradian."
     )

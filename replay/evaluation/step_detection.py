@@ -126,6 +126,7 @@ def _draw(seed: int, figures: Path) -> str:
     axis.plot(starts, np.interp(starts, steps.t, steps.norm), "o", color=drawing.RED, label="step")
     axis.axhline(STANDARD, color=drawing.GREY, linestyle=":", label="g")
     axis.set(xlabel="time, s", ylabel="norm of the force, m/s²")
-    axis.legend(fontsize="small", loc="upper right")
+    axis.legend(loc="upper right", ncols=3)
+    axis.set_ylim(top=13.9)
     figure.set_size_inches(7.0, 3.2)
     return drawing.save(figure, figures, "steps")

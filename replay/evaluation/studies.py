@@ -34,6 +34,7 @@ STUDIES: dict[str, str] = {
     "still-devices": "stillcal.replay.evaluation.hetero_rests:study",
     "heterogeneity": "stillcal.replay.evaluation.hetero_families:study",
     "modes": "stillcal.replay.evaluation.hetero_modes:study",
+    "remedies": "stillcal.replay.evaluation.hetero_remedies:study",
 }
 """Name to "module:function", in the order of the page (papers 000, 002, 003, 004)."""
 

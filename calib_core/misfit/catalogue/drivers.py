@@ -111,8 +111,8 @@ def latent_heat(scene: Scene) -> list[Driver]:
 def other_lags(bins: Bins) -> list[Array]:
     """Return the slow and fast parts that heat from the same sources, and a start off balance, may have."""
     plugged = bins.charging_switches is not None and moves(bins.charging_switches[:, 1])
-    source = (1.0, 0.0) if plugged else (0.0, 1.0)
-    found = [heat(bins, tau, *source, 0.0) for tau in (100.0, 600.0, 2400.0)]
+    found = [heat(bins, tau, 1.0, 0.0, 0.0) for tau in (100.0, 600.0, 2400.0) if plugged]
+    found += [heat(bins, tau, 0.0, 1.0, 0.0) for tau in (100.0, 600.0, 2400.0)]
     found += [relaxation(bins, tau) for tau in (150.0, 900.0, 2400.0)]
     return [curve / np.ptp(curve) for curve in found if moves(curve, 1e-3)]
 

@@ -31,7 +31,8 @@ def test_page_has_every_claim_and_the_command_of_each_section() -> None:
     text = page.page([a_study()])
     assert "1 claims: 0 reproduced, 1 differs" in text
     assert (
-        "| 002, 2.4 | s1 \\| s2 | 0.3 | 0.4 | its tables | **differs** | off by 0.1 | `laboratory` |" in text
+        "| 002, 2.4 | s1 \\| s2 | 0.3 | 0.4 | its tables | **differs** | off by 0.1 |"
+        " `stillcal evaluate laboratory --seed 7` |" in text
     )
     assert "`stillcal evaluate laboratory --seed 7`" in text
 

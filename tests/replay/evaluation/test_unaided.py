@@ -72,6 +72,7 @@ def test_latitude_of_a_gravity() -> None:
 def test_correction_takes_nine_additions_and_nine_multiplications() -> None:
     done = unaided_power.counts()
     assert done["apply"] == {"additions": 9, "multiplications": 9}
+    assert done["gain fixed"] == {"additions": 6, "multiplications": 3}
     assert sum(done["Kalman"].values()) > 10 * sum(done["apply"].values())
 
 
