@@ -99,3 +99,4 @@ def _require_extra() -> None:
             f"{' and '.join(missing)} not installed: pip install 'stillcal[evaluation]' has what this needs"
         )
     os.environ.setdefault("MPLBACKEND", "Agg")
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # small fits: more threads wait for each other

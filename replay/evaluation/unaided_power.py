@@ -241,8 +241,8 @@ def _fit(spent: float) -> Claim:
 def _probing(found: Day, always: Day) -> Claim:
     ours = (
         f"sensors on {found.sensing / always.sensing:.1%} of the time: {found.sensing * IMU_MA:.3f} mA"
-        f" instead of {always.sensing * IMU_MA:.3f} mA; {found.engine / always.engine:.2f} times the processor time;"
-        f" {found.rests} of {always.rests} rests"
+        f" instead of {always.sensing * IMU_MA:.3f} mA; {found.engine / always.engine:.2f} times the"
+        f" processor time; {found.rests} of {always.rests} rests"
     )
     why = "holds where less than a tenth is asked for; the first hour is sensed without a break"
     return _claim("probing", ours, found.sensing < 0.1, "a simulated day at 25 Hz, typical phone", why)
