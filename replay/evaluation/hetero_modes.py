@@ -14,7 +14,7 @@ from stillcal.replay.evaluation.claim import Claim, Progress, Study, Verdict, ag
 from stillcal.replay.evaluation.drawing import COLOURS, panels, save
 from stillcal.replay.evaluation.hetero_clusters import clusters, described
 from stillcal.replay.evaluation.hetero_families import few_devices, some
-from stillcal.replay.evaluation.hetero_recorded import Kinds, record
+from stillcal.replay.evaluation.hetero_recorded import Kinds, Recorded, record
 from stillcal.replay.evaluation.hetero_recordings import read_still
 from stillcal.replay.evaluation.learning_data import Windows, read_windows, without_recordings
 from stillcal.replay.evaluation.learning_devices import CARRIED, Device, read_devices
@@ -74,15 +74,13 @@ class Rows:
 
 
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
-    """Run the paper's modes of evaluation with all heterogeneities on, and its remedies."""
+    """Run the paper's modes of evaluation with all heterogeneities on."""
     if data is None:
         return without_recordings(NAME, TITLE, [(SEED, *row) for row in PAPER.values()], seed)
     rng = np.random.default_rng(seed)
     devices = few_devices(read_devices(data))
     windows = some(read_windows(data), EACH, rng)
-    recorded = [
-        record(windows.accel, d, Kinds(), np.random.default_rng(seed + k)) for k, d in enumerate(devices)
-    ]
+    recorded = record_all(windows, devices, seed)
     labels = device_clusters(data, devices, seed)
     rows = gathered(windows, devices, labels, [r.samples for r in recorded])
     progress(0.1)
@@ -94,6 +92,12 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     claims = (*_figure_5(found, carried), _cluster(found, carried), *_untested())
     file = _draw(found, figures)
     return Study(NAME, TITLE, claims, _text(found, devices, labels, file), (file,), seed)
+
+
+def record_all(windows: Windows, devices: list[Device], seed: int) -> list[Recorded]:
+    """Return the windows as each device would have recorded them, all its heterogeneities on."""
+    draws = [np.random.default_rng(seed + k) for k in range(len(devices))]
+    return [record(windows.accel, d, Kinds(), rng) for d, rng in zip(devices, draws, strict=True)]
 
 
 def device_clusters(data: Path, devices: list[Device], seed: int) -> list[int]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from stillcal.replay.evaluation import hetero_families, hetero_modes, unaided_classes
+from stillcal.replay.evaluation import hetero_families, hetero_modes, hetero_remedies, unaided_classes
 from stillcal.replay.evaluation.claim import Verdict
 from stillcal.replay.evaluation.hetero_recorded import (
     METHODS,
@@ -109,6 +110,44 @@ def test_modes_keep_apart_what_they_say() -> None:
         assert not set(rows.person[train]) & set(rows.person[test])
 
 
+def test_both_device_splits_test_the_same_devices() -> None:
+    """Device 3 is in a cluster of its own: it is tested by neither; the others' training differs."""
+    rows = replace(some_rows(), cluster=np.array([0, 0, 0, 1])[np.arange(240) // 60])
+    everywhere = list(hetero_remedies.parts(rows, "device out", 0))
+    inside = list(hetero_remedies.parts(rows, "device out, within cluster", 0))
+    for parts in (everywhere, inside):
+        assert [sorted(set(rows.device[test])) for _, test in parts] == [[0], [1], [2]]
+        assert all(not (train & test).any() for train, test in parts)
+    assert [sorted(set(rows.device[train])) for train, _ in inside] == [[1, 2], [0, 2], [0, 1]]
+    assert all(3 in rows.device[train] for train, _ in everywhere)
+
+
+def test_displacement_of_a_shift_is_the_shift_in_spreads() -> None:
+    """Normal features of spread 2, two moved by 3: 1.5 spreads; one that never changes is left out."""
+    clean = np.c_[RNG.normal(scale=2.0, size=(4000, 2)), np.ones(4000)]
+    moved = clean + np.array([3.0, -3.0, 9.0])
+    assert hetero_families.displacement(clean, clean) == 0.0
+    # a sample's spread is uncertain by 1 / sqrt(2 n)
+    assert hetero_families.displacement(clean, moved) == pytest.approx(1.5, rel=4 / np.sqrt(8000))
+
+
+def test_calibration_and_interpolation_undo_a_device() -> None:
+    """Carried by a device of known errors, samples come back to within its noise and the interpolation."""
+    device = a_device()
+    accel = waves(frequency=0.5)
+    recorded = record(accel, device, Kinds(), np.random.default_rng(2))
+    carried = hetero_remedies.Carried(
+        hetero_remedies.Windows(accel, np.zeros(4, int), np.arange(4)), [device], [0], [recorded], 0
+    )
+    clean = at_times(accel, np.tile(0.2 + np.arange(50) / 25.0, (4, 1)))
+    off = {
+        way: carried.handled(way, 25.0, 0)[:, :-3] - clean[:, :-3]
+        for way in ("linear", "calibrated and linear")
+    }
+    assert np.sqrt(np.square(off["linear"]).mean()) > 0.2  # 2 % of 9.8 and the bias
+    assert np.sqrt(np.square(off["calibrated and linear"]).mean()) < 0.05  # its noise is 0.01
+
+
 def test_ten_folds_test_every_row_once() -> None:
     parts = list(hetero_modes.splits(some_rows(), "ten-fold", 0))
     assert len(parts) == 10
@@ -136,6 +175,6 @@ def test_tilt_is_the_angle_of_the_mean() -> None:
 
 
 def test_without_recordings_nothing_is_judged(tmp_path: Path) -> None:
-    for module in (hetero_families, hetero_modes, unaided_classes):
+    for module in (hetero_families, hetero_modes, hetero_remedies, unaided_classes):
         study = module.study(None, tmp_path, 0, lambda share: None)
         assert {c.verdict for c in study.claims} == {Verdict.UNTESTED}
