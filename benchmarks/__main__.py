@@ -1,17 +1,18 @@
 """`python benchmarks [ITEM ...]`: everything that is claimed of speed, measured here and now.
 
-Writes out/benchmarks/results.json and prints the table. Ratios are taken within one run, on one machine.
+Writes out/benchmarks/results.json after every item and the page docs/performance.md after the last; prints
+each row as it comes. Ratios are taken within one run, on one machine. An item that fails is said so.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import platform
 import sys
+import time
 import warnings
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # one thread for all alike; before numpy is imported
@@ -26,11 +27,15 @@ ITEMS = {
     "allan": "5",
     "diagnosing": "6",
 }
+PAGE, TRIED = Path("docs/performance.md"), Path("out/benchmarks/performance.md")
 
 
 def machine() -> dict[str, object]:
-    """Say what this is measured on, and how busy it is."""
+    """Say what this is measured on."""
+    import platform  # noqa: PLC0415
+
     import numpy as np  # noqa: PLC0415 - after the threads are set
+    import scipy  # noqa: PLC0415
 
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
@@ -38,45 +43,65 @@ def machine() -> dict[str, object]:
     return {
         "processor": model or platform.processor(),
         "cores": os.cpu_count(),
-        "load": os.getloadavg()[0],
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "system": platform.platform(),
+        "scipy": scipy.__version__,
+        "system": f"{platform.system()} {platform.machine()}",
     }
 
 
-def line(row: dict[str, object]) -> str:
-    """Return one row of the table in Markdown."""
-    ratio = row["ratio"]
-    versus = "" if not isinstance(ratio, list | tuple) else "{:.2f} ({:.2f} to {:.2f})".format(*ratio)
-    met = {True: "yes", False: "no", None: ""}[row["met"]]  # type: ignore[index]
-    value = f"{row['value']:.3g} {row['unit']}"
-    cells = (row["item"], row["what"], value, row["peer"], versus, row["accuracy"], row["goal"], met)
-    return "| " + " | ".join(map(str, cells)) + " |"
+def measured(name: str, quick: bool, document: dict[str, Any]) -> None:
+    """Measure one item; rows, time taken and what went wrong go into the document."""
+    import importlib  # noqa: PLC0415 - each item when its turn comes
+
+    from page import line  # noqa: PLC0415
+
+    began = time.monotonic()
+    try:
+        for row in importlib.import_module(name).run(quick):
+            document["rows"].append(asdict(row))
+            click.echo(line(document["rows"][-1]))
+            sys.stdout.flush()
+    except Exception as error:  # the others are still worth measuring
+        document["failed"][ITEMS[name]] = f"{type(error).__name__}: {error}"
+        click.echo(f"item {ITEMS[name]} failed: {type(error).__name__}: {error}", err=True)
+    document["taken_s"][name] = time.monotonic() - began
+    document["load"].append(os.getloadavg()[0])
 
 
 @click.command()
 @click.argument("items", nargs=-1, type=click.Choice(list(ITEMS)))
 @click.option("--json", "out", default="out/benchmarks/results.json", type=click.Path(path_type=Path))
+@click.option(
+    "--page", "page_path", type=click.Path(path_type=Path), help=f"[default: {PAGE}; of a part: {TRIED}]"
+)
 @click.option("--quick", is_flag=True, help="Fewer rounds, shorter inputs: to see that it works.")
-def main(items: tuple[str, ...], out: Path, quick: bool) -> None:
+def main(items: tuple[str, ...], out: Path, page_path: Path | None, quick: bool) -> None:
     """Measure ITEMS, or all of them."""
-    import importlib  # noqa: PLC0415 - each item when its turn comes
-
+    from page import HEAD, page  # noqa: PLC0415
     from peers import versions  # noqa: PLC0415
 
+    from stillcal.daemon.atomic import write_atomically  # noqa: PLC0415
+    from stillcal.daemon.store_document import pretty  # noqa: PLC0415
+
     warnings.simplefilter("ignore", RuntimeWarning)
-    rows: list[dict[str, object]] = []
-    click.echo("| item | what | ours | peer | times as fast | accuracy | goal | met |\n|" + "---|" * 8)
-    for name in items or ITEMS:
-        for row in importlib.import_module(name).run(quick):
-            rows.append(asdict(row))
-            click.echo(line(rows[-1]))
-            sys.stdout.flush()
+    names = items or tuple(ITEMS)
+    document: dict[str, Any] = {"schema": 2, "machine": machine(), "peers": versions(), "quick": quick}
+    document |= {"load": [os.getloadavg()[0]], "rows": [], "taken_s": {}, "failed": {}}
+    click.echo(HEAD)
     out.parent.mkdir(parents=True, exist_ok=True)
-    document = {"schema": 1, "machine": machine(), "peers": versions(), "quick": quick, "rows": rows}
-    out.write_text(json.dumps(document, indent=2) + "\n")
-    click.echo(f"\n{out}: {len(rows)} rows; load {machine()['load']:.1f} on {os.cpu_count()} cores")
+    for name in names:
+        click.echo(f"{ITEMS[name]}: {name} ...", err=True)
+        measured(name, quick, document)
+        write_atomically(out, (pretty(document) + "\n").encode())
+    whole = len(names) == len(ITEMS) and not quick
+    target = page_path or (PAGE if whole else TRIED)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(target, page(document).encode())
+    click.echo(
+        f"\n{out}, {target}: {len(document['rows'])} rows in {sum(document['taken_s'].values()):.0f} s"
+    )
+    sys.exit(bool(document["failed"]))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Timing side by side: every round runs each case once, so that what disturbs one disturbs all.
 
 Times are of the processor, which other programs on the machine disturb less than the clock's; ratios are
-taken within a round. What is reported, of times and of ratios, is the median and the middle half of the rounds.
+taken within a round. What is reported, of times as of ratios, is median and middle half of the rounds.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ class Row:
     """One line of the table. value, unit: ours; ratio: of the peer's time to ours, median (middle half).
 
     goal: in words; met: whether it is, None where there is none to meet. accuracy: in words, beside speed.
+    margin: by how many times the goal's figure is bettered, below 1 where it is missed.
     """
 
     item: str
@@ -54,6 +55,7 @@ class Row:
     goal: str = ""
     met: bool | None = None
     accuracy: str = ""
+    margin: float | None = None
     more: dict[str, Any] = field(default_factory=dict)
 
 

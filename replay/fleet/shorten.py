@@ -197,9 +197,11 @@ def _real(recordings: survey.Recordings, model: int) -> Device:
     return Device(model, raw, sd, values, covariance, SCATTER, error, np.zeros(3))
 
 
-def of_simulated(devices: Sequence[Device], truth: FleetPrior, tick: Callable[[int], None]) -> list[Point]:
+def of_simulated(
+    devices: Sequence[Device], truth: FleetPrior, tick: Callable[[int], None], rests: Sequence[int] = RESTS
+) -> list[Point]:
     """Take each device's first rests, in the order they came. truth: of the population they are from."""
-    errors: dict[int, list[list[Arms]]] = {n: [] for n in RESTS}
+    errors: dict[int, list[list[Arms]]] = {n: [] for n in rests}
     for done, (device, fleet, model) in enumerate(left_out(devices)):
         for n, tried in errors.items():
             own = replace(truth, mean=truth.mean + np.r_[device.shift, np.zeros(6)])
@@ -222,9 +224,11 @@ def true_prior(families: float = 0.0) -> FleetPrior:
     return FleetPrior(np.mean(values, axis=0), np.cov(np.array(values).T), _WANDER)
 
 
-def of_real(devices: Sequence[Device], tick: Callable[[int], None]) -> list[Point]:
-    """Take every choice of a device's faces, and judge on those left."""
-    errors: dict[int, list[list[Arms]]] = {n: [] for n in range(6)}
+def of_real(
+    devices: Sequence[Device], tick: Callable[[int], None], faces: Sequence[int] = range(6)
+) -> list[Point]:
+    """Take every choice of so many of a device's faces, and judge on those left."""
+    errors: dict[int, list[list[Arms]]] = {n: [] for n in faces}
     for done, (device, fleet, model) in enumerate(left_out(devices)):
         for n, tried in errors.items():
             tried.append([_on_others(device, rows, fleet, model) for rows in combinations(range(6), n)])

@@ -15,8 +15,9 @@ import pytest
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
 from stillcal.daemon.exits import BAD_INPUT, INTERRUPTED
-from stillcal.replay.fleet import kept
+from stillcal.replay.fleet import kept, listing
 from stillcal.replay.fleet.make import fleet
+from stillcal.replay.fleet.work import Task, examined
 
 
 def command(*arguments: str | Path) -> list[str]:
@@ -30,50 +31,18 @@ def called(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.fixture(scope="module")
-def phones(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("phones")
-    fleet(folder, 3, bad=1)
+@pytest.fixture
+def phones(tmp_path: Path) -> Path:
+    """Four recordings of two phones, and one that is spoilt."""
+    folder = tmp_path / "phones"
+    first, second = (path.parent for path in fleet(folder, 2, bad=1))
+    for i, copied in enumerate((first, second)):
+        shutil.copytree(copied, folder / "Copied" / f"phone-{i}")
     return folder
 
 
-def test_a_bad_recording_is_a_row_and_what_is_finished_is_not_done_again(
-    phones: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "results"
-    first = called("fleet", phones, "--out", out, "--workers", 1)
-    assert (first.returncode, first.stderr) == (0, "")
-    rows, _ = kept.read(out)
-    assert [row["status"] for row in rows].count("calibrated") == 3
-    bad = next(row for row in rows if row["status"] == "error")
-    assert "recording.csv:3: column 'ax' holds nan" in bad["reason"]
-    assert {row["verdict"] for row in rows} <= {
-        "adequate",
-        "explained",
-        "partly_explained",
-        "unexplained",
-        None,
-    }
-
-    path = phones / bad["name"]
-    path.write_text(path.read_text().replace("nan", "0.1"))
-    touched = phones / rows[0]["name"]
-    os.utime(touched)  # as a copy would: another time, the same content
-    second = called("fleet", phones, "--out", out, "--workers", 1)
-    assert "4 recordings, 3 of them finished before" in second.stdout
-    again, _ = kept.read(out)
-    assert [row["calibrate_s"] for row in again if row["status"] == "calibrated"] == [
-        row["calibrate_s"] for row in rows if row["status"] == "calibrated"
-    ]
-    assert next(row for row in again if row["name"] == bad["name"])["reason"] != bad["reason"]
-
-
-def test_ctrl_c_leaves_a_folder_that_the_next_run_goes_on_from(phones: Path, tmp_path: Path) -> None:
-    good = sorted(p.parent for p in phones.rglob("recording.csv") if "Spoilt" not in str(p))
-    for i in range(24):
-        shutil.copytree(good[i % 3], tmp_path / "many" / "model" / f"phone-{i:03d}")
-    out = tmp_path / "results"
-    call = command("fleet", tmp_path / "many", "--out", out, "--no-diagnosis", "--workers", "1")
+def interrupted(call: list[str], out: Path) -> str:
+    """Run the command until it has kept something, then press Ctrl-C; return what it said."""
     with subprocess.Popen(call, stderr=subprocess.PIPE, text=True, start_new_session=True) as running:
         deadline = time.monotonic() + 60
         while not list(out.glob("parts/*.recordings.parquet")) and time.monotonic() < deadline:
@@ -81,14 +50,38 @@ def test_ctrl_c_leaves_a_folder_that_the_next_run_goes_on_from(phones: Path, tmp
         os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to every process of the group
         _, said = running.communicate(timeout=60)
     assert running.returncode == INTERRUPTED
+    return said
+
+
+def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp_path: Path) -> None:
+    out = tmp_path / "results"
+    said = interrupted(command("fleet", phones, "--out", out, "--workers", "1"), out)
     assert "finished and kept: the same command goes on" in said
     assert "Traceback" not in said
+    before, _ = kept.read(out)
+    assert 0 < len(before) < 5
+    assert {row["status"] for row in before} == {"calibrated"}
+
+    again = called("fleet", phones, "--out", out, "--workers", 1)
+    assert (again.returncode, again.stderr) == (0, "")
+    assert f"5 recordings, {len(before)} of them finished before" in again.stdout
     rows, _ = kept.read(out)
-    assert 0 < len(rows) < 24
-    assert {row["status"] for row in rows} == {"calibrated"}
-    again = called("fleet", tmp_path / "many", "--out", out, "--no-diagnosis")
-    assert f"24 recordings, {len(rows)} of them finished before" in again.stdout
-    assert len(kept.read(out)[0]) == 24
+    assert [row["status"] for row in rows].count("calibrated") == 4
+    by_name = {row["name"]: row for row in rows}
+    assert all(by_name[row["name"]] == row for row in before)
+    bad = next(row for row in rows if row["status"] == "error")
+    assert "recording.csv:3: column 'ax' holds nan" in bad["reason"]
+    verdicts = {row["verdict"] for row in rows if row is not bad}
+    assert verdicts <= {"adequate", "explained", "partly_explained", "unexplained"}
+
+    path = phones / bad["name"]
+    path.write_text(path.read_text().replace("nan", "0.1"))
+    os.utime(phones / rows[0]["name"])  # as a copy would: another time, the same content
+    results = kept.Results(out, bad["made_by"])
+    (changed,) = results.todo([Task(found) for found in listing.find(str(phones))])
+    assert changed.found.name == bad["name"]
+    results.keep(changed, examined(changed))
+    assert next(r for r in results.finish()[0] if r["name"] == bad["name"])["reason"] != bad["reason"]
 
 
 @pytest.mark.parametrize(

@@ -89,9 +89,8 @@ def test_two_devices_are_no_fleet() -> None:
 
 def test_a_fleet_shortens_the_first_calibration_of_phones_alike_within_a_model() -> None:
     """Three rests on a table: no ordinary fit exists; the model's prior must halve the factory's error."""
-    found = shorten.of_simulated(
-        shorten.simulated(40, 0, shorten.FAMILY_SD), shorten.true_prior(shorten.FAMILY_SD), lambda _: None
-    )
+    phones, truth = shorten.simulated(40, 0, shorten.FAMILY_SD), shorten.true_prior(shorten.FAMILY_SD)
+    found = shorten.of_simulated(phones, truth, lambda _: None, (0, 3, 20))
     by = {(p.way, p.rests): p for p in found}
     assert by["rests alone", 3].calibrated == 0.0
     assert by["fleet, by model", 3].high < by["factory", 3].low
@@ -101,7 +100,7 @@ def test_a_fleet_shortens_the_first_calibration_of_phones_alike_within_a_model()
 
 
 def test_real_phones_are_calibrated_where_faces_are_missing(data_dir: Path) -> None:
-    found = shorten.of_real(shorten.real(data_dir / "hhar_still"), lambda _: None)
+    found = shorten.of_real(shorten.real(data_dir / "hhar_still"), lambda _: None, (5,))
     by = {(p.way, p.rests): p for p in found}
     assert by["rests alone", 5].calibrated == 0.0
     for way in ("datasheet", "fleet", "fleet, by model"):

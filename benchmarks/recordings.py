@@ -1,0 +1,119 @@
+"""Item 1, from files: CSV through parser and engine, a recording as a whole process, growth with length."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from peers import peer
+from subject import FOLDER, RATE_HZ, day, flat_file
+from timing import Row, middle, ratio, rounds
+
+from stillcal.calib_core.engine import Engine
+from stillcal.calib_core.engine_state import EngineSettings
+from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.runner import replay
+from stillcal.replay.trace import open_trace
+
+LENGTHS_S = {"1 min": 60, "10 min": 600, "1 h": 3600, "6 h": 21600, "1 day": 86400, "7 days": 604800}
+LONGEST = {"30 days": 30 * 86400}
+FOREIGN_S = 0.9
+"""What a C++ tool is said to take for the Xsens recording on such a machine; not measured here."""
+
+
+def from_csv(quick: bool) -> Iterator[Row]:
+    """Read an hour of both sensors, beside pandas' parser, which checks nothing; then calibrate from it."""
+    file, n, subject = FOLDER / "hour.csv", int(3600 * RATE_HZ), day()
+    with TraceWriter(file, gyroscope=True, temperature=False, arrival=False) as writer:
+        writer.write(subject.accelerometer[:n], subject.gyroscope[:n])
+    pandas = peer("pandas")
+    cases = {"reading": lambda: sum(len(c.accelerometer) for c in open_trace(file).chunks())}
+    cases |= {watch: lambda w=watch: _replayed(file, w) for watch in ("continuous", "auto")}
+    if pandas is not None:
+        cases["pandas"] = lambda: len(pandas.read_csv(file))
+    timed = rounds(cases, 2 if quick else 7)
+    versus = ratio(timed["reading"], timed["pandas"]) if pandas is not None else None
+    rows, what = timed["reading"].answer / 1e6, "reading CSV, seven columns"
+    yield Row("1", what, timed["reading"].rate(rows), "million rows/s", "pandas", versus)
+    for watch, name in (("continuous", "continuous"), ("auto", "duty-cycled")):
+        what = f"an hour of both sensors from CSV through the engine, {name}"
+        yield Row("1", what, timed[watch].rate(2 * rows), "million samples/s")
+
+
+def _replayed(file: Path, watch: str) -> int:
+    settings = EngineSettings()
+    schedule = replace(settings.schedule, watch=watch)  # type: ignore[arg-type]
+    engine = Engine(replace(settings, schedule=schedule))
+    return replay(open_trace(file).chunks(), engine, lambda _: None).samples
+
+
+def whole_process(quick: bool) -> Iterator[Row]:
+    """Calibrate the Xsens recording from the shell: start, imports, parsing and both fits. By the clock."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "data"
+    file = Path(os.environ.get("STILLCAL_DATA", default)) / "imu_tk" / "xsens_acc.mat.gz"
+    what, goal = "the Xsens recording, whole process, by the clock", f"{FOREIGN_S:g} s, a C++ tool's"
+    if not file.is_file():
+        yield Row("1", what, float("nan"), "s", goal=goal, accuracy="not measured: set STILLCAL_DATA")
+        return
+    command = [Path(sys.executable).with_name("stillcal"), "replay", file, "--format", "imu_tk"]
+    taken, said = [], ""
+    for _ in range(4 if quick else 12):
+        began = time.perf_counter()
+        said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        taken.append(time.perf_counter() - began)
+    spread = middle(np.array(taken[1:]))
+    rest = " ".join(next(line for line in said.splitlines() if "at rest" in line).split("rest", 1)[1].split())
+    met, margin = spread[0] <= FOREIGN_S, FOREIGN_S / spread[0]
+    yield Row("1", what, spread, "s", goal=goal, met=met, accuracy=f"at rest {rest}", margin=margin)
+
+
+def growth(quick: bool) -> Iterator[Row]:
+    """Time and peak memory of the engine against the length of what it is fed, a process each."""
+    flat_file()
+    lengths = LENGTHS_S if quick else LENGTHS_S | LONGEST
+    last = list(lengths)[-1]
+    for watch, name in (("continuous", "continuous"), ("auto", "duty-cycled")):
+        found = {length: _taken(seconds, watch) for length, seconds in lengths.items()}
+        slope, early = _slope(found, 86400), _slope(found, 3600)
+        peaks = [v["peak_mb"] for v in found.values()]
+        yield Row(
+            "1",
+            f"time against length, 1 day to {last}, {name}: exponent",
+            slope,
+            "",
+            goal="1",
+            met=slope < 1.1,
+            accuracy=f"from 1 h on {early:.2f}, of hours unlike each other",
+            margin=1.0 / slope,
+            more=found,
+        )
+        yield Row(
+            "1",
+            f"peak memory after {last}, {name}",
+            peaks[-1],
+            "MB",
+            accuracy=f"{peaks[0]:.0f} MB after 1 min, {peaks[2]:.0f} after 1 h, {peaks[4]:.0f} after 1 day",
+            goal="flat from a day on",
+            met=peaks[-1] < 1.1 * peaks[4],
+        )
+
+
+def _slope(found: dict[str, dict[str, float]], least_s: float) -> float:
+    """Return the exponent of time against length, of the lengths from `least_s` on."""
+    long = [v for v in found.values() if v["samples"] >= least_s * RATE_HZ]
+    log = [np.log([v[k] for v in long]) for k in ("samples", "seconds")]
+    return float(np.polyfit(log[0], log[1], 1)[0])
+
+
+def _taken(seconds: int, watch: str) -> dict[str, float]:
+    command = [sys.executable, str(Path(__file__).with_name("length.py")), str(seconds), watch]
+    said = subprocess.run(command, check=True, capture_output=True, text=True)
+    found: dict[str, float] = json.loads(said.stdout)
+    return found
