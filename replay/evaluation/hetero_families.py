@@ -14,7 +14,14 @@ from stillcal.replay.evaluation.hetero_recorded import Kinds, Recorded, record, 
 from stillcal.replay.evaluation.learning_data import Windows, read_windows, without_recordings
 from stillcal.replay.evaluation.learning_devices import CARRIED, Device, read_devices
 from stillcal.replay.evaluation.learning_features import FAMILIES
-from stillcal.replay.evaluation.learning_scoring import LEARNERS, fitted, folds, interval, weighted_f1
+from stillcal.replay.evaluation.learning_scoring import (
+    LEARNERS,
+    fitted,
+    folds,
+    interval,
+    weighted_f1,
+    with_interval,
+)
 
 NAME, TITLE, SEED = "heterogeneity", "Which heterogeneity hurts which features", "004"
 EACH, FOLDS, COMMON_HZ = 20, 5, 25.0
@@ -75,18 +82,17 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     """Train on a clean device, test on others with one heterogeneity at a time, and with remedies."""
     if data is None:
         return without_recordings(NAME, TITLE, [(SEED, *row) for row in PAPER.values()], seed)
-    rng = np.random.default_rng(seed)
-    windows = some(read_windows(data), EACH, rng)
+    windows = some(read_windows(data), EACH, np.random.default_rng(seed))
     devices = few_devices(read_devices(data))
     found = scores(windows, devices, seed, progress)
     carried = f"{CARRIED.format(len(devices))}, their rates and stamps; {len(windows)} windows"
     claims = (
-        _frequency(found, carried, rng),
-        _time(found, carried, rng),
+        _frequency(found, carried),
+        _time(found, carried),
         _ensemble(found, carried),
-        _uneven(found, carried, rng),
-        _ecdf(found, carried, rng),
-        _calibration(found, carried, rng),
+        _uneven(found, carried),
+        _ecdf(found, carried),
+        _calibration(found, carried),
         _moved(found, carried),
     )
     file = _draw(found, figures)
@@ -165,16 +171,12 @@ def _features(samples: Array) -> dict[str, Array]:
     return {name: make(samples) for name, make in FAMILIES.items()}
 
 
-def _words(values: Array, rng: np.random.Generator) -> str:
-    low, high = interval(values, rng)
-    return f"{values.mean():+.1f} ({low:+.1f} to {high:+.1f})"
+def by_family(changes: Array) -> str:
+    """Say what each family gains or loses, points (3, n), with intervals over its second axis."""
+    return ", ".join(f"{name} {with_interval(changes[k])}" for k, name in enumerate(FAMILIES)) + " points"
 
 
-def _by_family(changes: Array, rng: np.random.Generator) -> str:
-    return ", ".join(f"{name} {_words(changes[k], rng)}" for k, name in enumerate(FAMILIES)) + " points"
-
-
-def _frequency(found: Scores, data: str, rng: np.random.Generator) -> Claim:
+def _frequency(found: Scores, data: str) -> Claim:
     lost = found.change("all")
     mean = dict(zip(FAMILIES, lost.mean(axis=1), strict=True))
     others = min(value for name, value in mean.items() if name != "frequency")
@@ -183,13 +185,13 @@ def _frequency(found: Scores, data: str, rng: np.random.Generator) -> Claim:
         " Hz, intervals by the five folds of people"
     )
     good = mean["frequency"] < 2.0 * others
-    return Claim(SEED, *PAPER["frequency"], _by_family(lost, rng), data, holds(good), why)
+    return Claim(SEED, *PAPER["frequency"], by_family(lost), data, holds(good), why)
 
 
-def _time(found: Scores, data: str, rng: np.random.Generator) -> Claim:
+def _time(found: Scores, data: str) -> Claim:
     row = list(FAMILIES).index("time")
     errors, rate = found.change("errors")[row], found.change("rate")[row]
-    ours = f"errors {_words(errors, rng)}, rate {_words(rate, rng)} points"
+    ours = f"errors {with_interval(errors)}, rate {with_interval(rate)} points"
     why = "holds where the mean loss by errors is the larger"
     return Claim(SEED, *PAPER["time"], ours, data, holds(errors.mean() < rate.mean()), why)
 
@@ -204,13 +206,13 @@ def _ensemble(found: Scores, data: str) -> Claim:
     return Claim(SEED, *PAPER["ensemble"], ours, data, holds(good), why)
 
 
-def _uneven(found: Scores, data: str, rng: np.random.Generator) -> Claim:
+def _uneven(found: Scores, data: str) -> Claim:
     row = list(FAMILIES).index("frequency")
     lost = [found.change(c)[row] for c in ("rate", "uneven")]
     back = found.change("all, interpolated", "all")[row]
     ours = (
-        f"frequency features lose {_words(lost[0], rng)} by rate, {_words(lost[1], rng)} by uneven sampling;"
-        f" interpolation of all: {_words(back, rng)} points"
+        f"frequency features lose {with_interval(lost[0])} by rate, {with_interval(lost[1])} by uneven"
+        f" sampling; interpolation of all: {with_interval(back)} points"
     )
     why = (
         "holds where interpolation gains less than all has lost by a point or more; here it is by creation"
@@ -220,18 +222,18 @@ def _uneven(found: Scores, data: str, rng: np.random.Generator) -> Claim:
     return Claim(SEED, *PAPER["uneven"], ours, data, holds(good), why)
 
 
-def _ecdf(found: Scores, data: str, rng: np.random.Generator) -> Claim:
+def _ecdf(found: Scores, data: str) -> Claim:
     lost = found.change("all")
     least = list(FAMILIES)[int(lost.mean(axis=1).argmax())]
     why = "holds where they lose least; points as above"
-    return Claim(SEED, *PAPER["ecdf"], _by_family(lost, rng), data, holds(least == "ECDF"), why)
+    return Claim(SEED, *PAPER["ecdf"], by_family(lost), data, holds(least == "ECDF"), why)
 
 
-def _calibration(found: Scores, data: str, rng: np.random.Generator) -> Claim:
+def _calibration(found: Scores, data: str) -> Claim:
     back = found.change("all, calibrated", "all")
     why = "holds where some family's interval by folds of people lies above zero"
-    good = any(interval(row, rng)[0] > 0.0 for row in back)
-    return Claim(SEED, *PAPER["calibration"], _by_family(back, rng), data, holds(good), why)
+    good = any(interval(row)[0] > 0.0 for row in back)
+    return Claim(SEED, *PAPER["calibration"], by_family(back), data, holds(good), why)
 
 
 def _moved(found: Scores, data: str) -> Claim:

@@ -11,7 +11,7 @@ import numpy as np
 from stillcal.calib_core.samples import Array
 from stillcal.replay.evaluation.claim import Claim, Progress, Study, holds, picture, table
 from stillcal.replay.evaluation.drawing import COLOURS, panels, save
-from stillcal.replay.evaluation.hetero_families import COMMON_HZ, few_devices, some
+from stillcal.replay.evaluation.hetero_families import COMMON_HZ, by_family, few_devices, some
 from stillcal.replay.evaluation.hetero_modes import (
     EACH,
     Rows,
@@ -114,10 +114,9 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
         Carried(windows, devices, device_clusters(data, devices, seed), recorded, seed), progress
     )
     words = f"{CARRIED.format(len(devices))}, their rates and stamps; {len(windows)} windows on each"
-    rng = np.random.default_rng(seed)
-    claims = (*_figure_13(found, words), *_figure_14(found, words, rng), *_given_back(found, words, rng))
+    claims = (*_figure_13(found, words), *_figure_14(found, words), *_given_back(found, words))
     file = _draw(found, figures)
-    return Study(NAME, TITLE, claims, _text(found, rng, file), (file,), seed)
+    return Study(NAME, TITLE, claims, _text(found, file), (file,), seed)
 
 
 def score_all(carried: Carried, progress: Progress) -> Found:
@@ -160,15 +159,6 @@ def parts(rows: Rows, split: str, seed: int) -> Iterator[Split]:
                 yield ~test & (inside if "cluster" in split else True), test
 
 
-def _words(values: Array, rng: np.random.Generator) -> str:
-    """Say what each family gains, mean over learners, with its interval over the parts of a split."""
-    said = []
-    for name, row in zip(FAMILIES, values.mean(axis=1), strict=True):
-        low, high = interval(row, rng)
-        said.append(f"{name} {row.mean():+.1f} ({low:+.1f} to {high:+.1f})")
-    return ", ".join(said) + " points"
-
-
 def _figure_13(found: Found, data: str) -> list[Claim]:
     none, best = 100 * found.sweep["raw", 0.0], 100 * found.sweep["linear", COMMON_HZ]
     low = max(found.sweep[method, COMMON_HZ] for method in ("nearest", "linear"))
@@ -188,12 +178,12 @@ def _figure_13(found: Found, data: str) -> list[Claim]:
     ]
 
 
-def _figure_14(found: Found, data: str, rng: np.random.Generator) -> list[Claim]:
+def _figure_14(found: Found, data: str) -> list[Claim]:
     cells = np.stack([found.gain("model out", m).mean(axis=2) for m in METHODS])  # (methods, families, 4)
     by_method = cells.mean(axis=2)
     frequency, time, ecdf = (list(FAMILIES).index(name) for name in ("frequency", "time", "ECDF"))
     sure = sum(
-        interval(found.gain("model out", m)[frequency, k], rng)[0] > 0.0
+        interval(found.gain("model out", m)[frequency, k])[0] > 0.0
         for m in METHODS
         for k in range(len(LEARNERS))
     )
@@ -234,7 +224,7 @@ def _figure_14(found: Found, data: str, rng: np.random.Generator) -> list[Claim]
     ]  # fmt: skip
 
 
-def _given_back(found: Found, data: str, rng: np.random.Generator) -> list[Claim]:
+def _given_back(found: Found, data: str) -> list[Claim]:
     rows = (
         (
             "cluster",
@@ -245,13 +235,13 @@ def _given_back(found: Found, data: str, rng: np.random.Generator) -> list[Claim
     )
     why = "holds where some family's interval lies above zero and none below; {}"
     return [
-        Claim(SEED, *PAPER[key], _words(gain, rng), data, holds(_helps(gain, rng)), why.format(how))
+        Claim(SEED, *PAPER[key], by_family(gain.mean(axis=1)), data, holds(_helps(gain)), why.format(how))
         for key, gain, how in rows
     ]
 
 
-def _helps(gain: Array, rng: np.random.Generator) -> bool:
-    spans = [interval(row, rng) for row in gain.mean(axis=1)]
+def _helps(gain: Array) -> bool:
+    spans = [interval(row) for row in gain.mean(axis=1)]
     return any(low > 0.0 for low, _ in spans) and all(high >= 0.0 for _, high in spans)
 
 
@@ -274,7 +264,7 @@ def _draw(found: Found, folder: Path) -> str:
     return save(figure, folder, NAME)
 
 
-def _text(found: Found, rng: np.random.Generator, file: str) -> str:
+def _text(found: Found, file: str) -> str:
     rows = [
         (split, family, f"{100 * found.scores[split, 'raw'][f].mean():.1f}",
          *(f"{found.gain(split, way)[f].mean():+.1f}" for way in WAYS[1:]))
@@ -292,7 +282,8 @@ def _text(found: Found, rng: np.random.Generator, file: str) -> str:
             " paper does, whose people carried all devices at once; *user out* leaves a fifth of them out.",
             picture(file, "F1 gained by remedy and family; interpolation by method and rate"),
             table(("split", "features", "raw, %", *WAYS[1:]), rows),
-            f"Clustering, trained on its cluster instead of on all: {_words(found.clustering(), rng)}.",
+            "Clustering, trained on its cluster instead of on all:"
+            f" {by_family(found.clustering().mean(axis=1))}.",
             "SVM on frequency features with a model left out (Figure 13):"
             f" {100 * found.sweep['raw', 0.0]:.1f} % without interpolation; with it, by target rate:",
             table(("method", *(f"{rate:.0f} Hz" for rate in RATES_HZ)), figure_13),

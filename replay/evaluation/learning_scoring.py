@@ -104,8 +104,15 @@ def by_person(right: Array, person: Labels) -> Array:
     return np.array([right[person == p].mean() for p in np.unique(person)])
 
 
-def interval(values: Array, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the 95 % interval of a mean over people (n,), by drawing people anew."""
+def interval(values: Array) -> tuple[float, float]:
+    """Return the 95 % interval of a mean over people (n,), by drawing people anew; always the same draws."""
+    rng = np.random.default_rng(0)
     drawn = values[rng.integers(0, len(values), (BOOTSTRAPS, len(values)))].mean(axis=1)
     low, high = np.percentile(drawn, [2.5, 97.5])
     return float(low), float(high)
+
+
+def with_interval(values: Array) -> str:
+    """Say a mean over people (n,) with its interval, all with their signs."""
+    low, high = interval(values)
+    return f"{values.mean():+.1f} ({low:+.1f} to {high:+.1f})"

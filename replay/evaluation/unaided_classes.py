@@ -23,6 +23,7 @@ from stillcal.replay.evaluation.learning_scoring import (
     network,
     radial_svm,
     tree,
+    with_interval,
 )
 from stillcal.replay.evaluation.unaided_kalman import settled
 
@@ -153,17 +154,16 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
             progress((p + (k + 1) / len(LEARNERS)) / len(pairs))
         other[pair, "tilt"] = compare(cut, tree, tilt, seed, True)
         mixed[pair, "tilt"] = compare(cut, tree, tilt, seed, False)
-    rng = np.random.default_rng(seed)
     carried = CARRIED.format(len(devices))
     claims = (
-        *(_gains(pair, mixed, carried, rng) for pair in PAIRS),
+        *(_gains(pair, mixed, carried) for pair in PAIRS),
         Claim(SEED, *PAPER["biking"], "", "none", Verdict.UNTESTED, "nobody rides a bicycle in ucihar"),
         _kalman(mixed, carried),
         _svm(mixed, carried),
-        _small(other, carried, rng),
+        _small(other, carried),
     )
-    file = _draw(mixed, other, figures, rng)
-    return Study(NAME, TITLE, claims, _text(mixed, other, file, rng), (file,), seed)
+    file = _draw(mixed, other, figures)
+    return Study(NAME, TITLE, claims, _text(mixed, other, file), (file,), seed)
 
 
 def _table_6(pair: tuple[str, str]) -> tuple[str, str, str]:
@@ -175,18 +175,13 @@ def _points(span: tuple[float, float]) -> str:
     return f"{span[0]:g}" if span[0] == span[1] else f"{span[0]:g}-{span[1]:g}"
 
 
-def _words(gain: Array, rng: np.random.Generator) -> str:
-    low, high = interval(gain, rng)
-    return f"{gain.mean():+.1f} ({low:+.1f} to {high:+.1f})"
-
-
 Found = dict[tuple[tuple[str, str], str], Accuracy]
 
 
-def _gains(pair: tuple[str, str], mixed: Found, data: str, rng: np.random.Generator) -> Claim:
+def _gains(pair: tuple[str, str], mixed: Found, data: str) -> Claim:
     gains = {name: mixed[pair, name].gain("calibrated") for name in LEARNERS}
-    inside = [interval(g, rng)[1] >= TABLE_6[pair][name][0] for name, g in gains.items()]
-    ours = ", ".join(f"{name}: {_words(g, rng)}" for name, g in gains.items())
+    inside = [interval(g)[1] >= TABLE_6[pair][name][0] for name, g in gains.items()]
+    ours = ", ".join(f"{name}: {with_interval(g)}" for name, g in gains.items())
     base = ", ".join(f"{name} {100 * mixed[pair, name].values[:, 0].mean():.0f} %" for name in LEARNERS)
     why = (
         "reproduced where all four 95 % intervals by people reach the paper's lower figure; people and"
@@ -213,18 +208,18 @@ def _svm(mixed: Found, data: str) -> Claim:
     return Claim(SEED, *PAPER["svm"], ours, data, holds(good), why)
 
 
-def _small(other: Found, data: str, rng: np.random.Generator) -> Claim:
+def _small(other: Found, data: str) -> Claim:
     found = other[STILL_PAIR, "tilt"]
     gain = found.gain("calibrated")
     ours = (
         f"sit against stand, a tree on tilt and norm: {100 * found.values[:, 0].mean():.1f} →"
-        f" {100 * found.values[:, 1].mean():.1f} %, {_words(gain, rng)} points"
+        f" {100 * found.values[:, 1].mean():.1f} %, {with_interval(gain)} points"
     )
     why = "holds where the interval by people lies above zero; three devices trained on, twelve others tested"
-    return Claim(SEED, *PAPER["small"], ours, data, holds(interval(gain, rng)[0] > 0.0), why)
+    return Claim(SEED, *PAPER["small"], ours, data, holds(interval(gain)[0] > 0.0), why)
 
 
-def _draw(mixed: Found, other: Found, folder: Path, rng: np.random.Generator) -> str:
+def _draw(mixed: Found, other: Found, folder: Path) -> str:
     figure, axes = panels(2, sharey=True)
     figure.set_size_inches(9.4, 5.4)
     keys = list(mixed)
@@ -237,7 +232,7 @@ def _draw(mixed: Found, other: Found, folder: Path, rng: np.random.Generator) ->
             (0.25, GREY, "no errors"),
         ):
             means = np.array([found[k].gain(way).mean() for k in keys])
-            ends = np.array([interval(found[k].gain(way), rng) for k in keys])
+            ends = np.array([interval(found[k].gain(way)) for k in keys])
             reach = np.abs(ends.T - means)
             axis.errorbar(
                 means,
@@ -257,14 +252,14 @@ def _draw(mixed: Found, other: Found, folder: Path, rng: np.random.Generator) ->
     return save(figure, folder, NAME)
 
 
-def _text(mixed: Found, other: Found, file: str, rng: np.random.Generator) -> str:
+def _text(mixed: Found, other: Found, file: str) -> str:
     rows = [
         (
             f"{pair[0]} / {pair[1]}",
             name,
             where,
             *(f"{100 * v:.1f}" for v in found[pair, name].values.mean(axis=0)),
-            _words(found[pair, name].gain("calibrated"), rng),
+            with_interval(found[pair, name].gain("calibrated")),
         )
         for where, found in (("mixed", mixed), ("other devices", other))
         for pair, name in found

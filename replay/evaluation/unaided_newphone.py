@@ -13,7 +13,14 @@ from stillcal.calib_core.samples import Array
 from stillcal.replay.evaluation.claim import Claim, Progress, Study, holds, table
 from stillcal.replay.evaluation.learning_data import Windows, read_windows, without_recordings
 from stillcal.replay.evaluation.learning_devices import CARRIED, Device, read_devices
-from stillcal.replay.evaluation.learning_scoring import Learner, fitted, interval, radial_svm, tree
+from stillcal.replay.evaluation.learning_scoring import (
+    Learner,
+    fitted,
+    interval,
+    radial_svm,
+    tree,
+    with_interval,
+)
 from stillcal.replay.evaluation.unaided_classes import PAIRS, SLICE, STILL_PAIR, flat, tilt
 
 NAME, TITLE, SEED = "new-phone", "Where calibration brings something", "000"
@@ -102,13 +109,12 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
         for k, name in enumerate(SMALL):
             found[pair, name] = own_accuracy(windows.of(*pair), devices, models, name, seed)
             progress((2 * p + k + 1) / 4)
-    rng = np.random.default_rng(seed)
     claims = (
         _attitude(errors),
-        _gain("own", STILL_PAIR, found, len(devices), rng),
-        _gain("steps", PAIRS[0], found, len(devices), rng),
+        _gain("own", STILL_PAIR, found, len(devices)),
+        _gain("steps", PAIRS[0], found, len(devices)),
     )
-    return Study(NAME, TITLE, claims, _text(found, errors, devices, rng), (), seed)
+    return Study(NAME, TITLE, claims, _text(found, errors, devices), (), seed)
 
 
 Found = dict[tuple[tuple[str, str], str], Array]
@@ -125,30 +131,25 @@ def _attitude(errors: Attitude) -> Claim:
     return Claim(SEED, *PAPER["tilt"], ours, data, holds(good), why)
 
 
-def _gain(key: str, pair: tuple[str, str], found: Found, devices: int, rng: np.random.Generator) -> Claim:
+def _gain(key: str, pair: tuple[str, str], found: Found, devices: int) -> Claim:
     gains = {name: 100 * (found[pair, name][:, 1] - found[pair, name][:, 0]) for name in SMALL}
     ours = "; ".join(
         f"{name} {100 * found[pair, name][:, 0].mean():.1f} → {100 * found[pair, name][:, 1].mean():.1f} %,"
-        f" {_words(gains[name], rng)} points"
+        f" {with_interval(gains[name])} points"
         for name in SMALL
     )
     why = "holds where an interval by people lies above zero; half of a person's windows on the old phone"
-    good = any(interval(gain, rng)[0] > 0.0 for gain in gains.values())
+    good = any(interval(gain)[0] > 0.0 for gain in gains.values())
     return Claim(SEED, *PAPER[key], ours, CARRIED.format(devices), holds(good), why)
 
 
-def _words(gain: Array, rng: np.random.Generator) -> str:
-    low, high = interval(gain, rng)
-    return f"{gain.mean():+.1f} ({low:+.1f} to {high:+.1f})"
-
-
-def _text(found: Found, errors: Attitude, devices: list[Device], rng: np.random.Generator) -> str:
+def _text(found: Found, errors: Attitude, devices: list[Device]) -> str:
     rows = [
         (
             f"{a} / {b}",
             name,
             *(f"{100 * v:.1f}" for v in values.mean(axis=0)),
-            _words(100 * (values[:, 1] - values[:, 0]), rng),
+            with_interval(100 * (values[:, 1] - values[:, 0])),
         )
         for ((a, b), name), values in found.items()
     ]

@@ -83,9 +83,10 @@ def test_folds_never_share_a_person() -> None:
 
 def test_interval_holds_the_mean_of_a_normal_sample() -> None:
     values = RNG.normal(2.0, 1.0, 400)
-    low, high = scoring.interval(values, np.random.default_rng(2))
+    low, high = scoring.interval(values)
     assert low < values.mean() < high
     assert high - low == pytest.approx(2 * 1.96 / np.sqrt(400), rel=0.15)
+    assert scoring.with_interval(values) == f"{values.mean():+.1f} ({low:+.1f} to {high:+.1f})"
 
 
 @pytest.mark.parametrize("learner", [*scoring.LEARNERS.values(), scoring.radial_svm, scoring.network(25)])
