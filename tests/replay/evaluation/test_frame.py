@@ -9,6 +9,8 @@ from stillcal.daemon.cli_evaluate import evaluate_command
 from stillcal.replay.evaluation import page, studies
 from stillcal.replay.evaluation.claim import Claim, Study, Verdict, agreement, holds, table
 
+DOCS = Path(__file__).parents[3] / "docs"
+
 
 def a_study(name: str = "laboratory") -> Study:
     claim = Claim("002", "2.4", "s1 | s2", "0.3", "0.4", "its tables", Verdict.DIFFERS, "off by 0.1")
@@ -35,6 +37,18 @@ def test_page_has_every_claim_and_the_command_of_each_section() -> None:
         " `stillcal evaluate laboratory --seed 7` |" in text
     )
     assert "`stillcal evaluate laboratory --seed 7`" in text
+
+
+def test_the_page_in_the_documents_is_what_was_kept_and_whole() -> None:
+    """Nothing on it is written by hand, no study is missing, and every figure is there and shown."""
+    folder = DOCS / page.FOLDER
+    kept = page.kept(folder)
+    assert [study.name for study in kept] == list(studies.STUDIES)
+    text = (DOCS / page.PAGE).read_text()
+    assert text == page.page(kept)
+    figures = {figure for study in kept for figure in study.figures}
+    assert figures == {file.name for file in folder.glob("*.png")}
+    assert all(f"({page.FOLDER}/{figure})" in text for figure in figures)
 
 
 def test_table_has_a_row_a_line() -> None:
