@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from stillcal.replay.fleet.work import Task
 
+_BAD, _NAMED = ("error", "lost"), 3
 _LACKING = "this needs what the extra `fleet` brings: pip install 'stillcal[fleet]' ({})"
 
 
@@ -90,6 +91,8 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
     rows, findings = results.finish()
     if not quiet:
         counts = ", ".join(f"{n} {status}" for status, n in _counted(rows).items())
+        for line in _bad(rows):
+            click.echo(line)
         click.echo(f"{out}: {counts}; {len(findings)} findings; {time.monotonic() - began:.1f} s")
 
 
@@ -123,6 +126,14 @@ def _examine(todo: list[Task], results: object, opened: AbstractContextManager[C
         raise
     finally:
         results.flush()
+
+
+def _bad(rows: list[dict[str, object]]) -> list[str]:
+    """Name the first recordings that could not be examined, each with what is wrong with it."""
+    found = [[str(row[k]) for k in ("status", "name", "reason")] for row in rows if row["status"] in _BAD]
+    bad = [f"{status}: {why if name in why else f'{name}: {why}'}" for status, name, why in found]
+    more = [f"and {len(bad) - _NAMED} more: `reason` in recordings.parquet"] if len(bad) > _NAMED else []
+    return bad[:_NAMED] + more
 
 
 def _counted(rows: list[dict[str, object]]) -> dict[str, int]:

@@ -64,7 +64,8 @@ def find(where: str, format: str = "csv") -> list[Found]:
     others = {other for p in recordings if (other := other_file(p, rules)) is not None}
     found = [_found(p, root, rules) for p in recordings if p not in others]
     if not found:
-        what = "no file fits" if wild else f"no {' or '.join(PLAIN)} below"
+        there = f"no {' or '.join(PLAIN)} below" if root.exists() else "no file or folder"
+        what = "no file fits" if wild else there
         raise NoRecordingsError(f"{what} {where}: name a folder of recordings or a pattern in quotes")
     return found
 

@@ -65,6 +65,7 @@ def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp
     again = called("fleet", phones, "--out", out, "--workers", 1)
     assert (again.returncode, again.stderr) == (0, "")
     assert f"5 recordings, {len(before)} of them finished before" in again.stdout
+    assert again.stdout.count("Spoilt/phone-0000/recording.csv:3: column 'ax' holds nan") == 1
     rows, _ = kept.read(out)
     assert [row["status"] for row in rows].count("calibrated") == 4
     by_name = {row["name"]: row for row in rows}

@@ -57,5 +57,7 @@ def test_what_belongs_to_a_recording_changes_it(tmp_path: Path) -> None:
 def test_nothing_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(NoRecordingsError, match=r"no \.csv or \.csv\.gz below"):
         find(str(tmp_path))
+    with pytest.raises(NoRecordingsError, match="no file or folder"):
+        find(str(tmp_path / "nowhere"))
     with pytest.raises(NoRecordingsError, match="no file fits"):
         find(f"{tmp_path}/*.csv")
