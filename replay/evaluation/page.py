@@ -35,15 +35,15 @@ be had.
 
 ## What stands in for what
 
-The activity recordings of paper 000 were never published, and those of paper 004 (HHAR: nine people, twelve
-devices in motion) are not to be had whole: of them there are the first 10,000 rows of each sensor of one
-phone and one watch, whose wearers stand and sit (`hhar`). There is the still experiment (`hhar_still`): real
-phones and watches at rest on up to six faces, of which a device's errors, noise, rate and stamps are
-measured. Activity is that of thirty people with one Galaxy S II at the waist (`ucihar`). Where a claim is of
-many devices in motion, that activity is carried through the measured devices, and the row says
-*semi-synthetic*: one phone's walk stands behind all of them, nothing above 20 Hz is in it, and nobody rides a
-bicycle or loads a phone with other work. Where nothing was recorded at all the phone is simulated
-([phone.md](phone.md)). Where the recordings come from: [data.md](data.md).
+The activity recordings of paper 000 are not to be had, and those of paper 004 (HHAR: nine people, twelve
+devices in motion) not whole: of them there are the first 10,000 rows of each sensor of one phone and one
+watch, whose wearer stands and sits (`hhar`). There is the still experiment (`hhar_still`): real phones and
+watches at rest on up to six faces, of which a device's errors, noise, rate and stamps are measured. Activity
+is that of thirty people with one Galaxy S II at the waist (`ucihar`). Where a claim is of many devices in
+motion, that activity is carried through the measured devices, and the row says *semi-synthetic*: one phone's
+walk stands behind all of them, nothing above 20 Hz is in it, and nobody rides a bicycle or loads a phone with
+other work. Where nothing was recorded at all the phone is simulated ([phone.md](phone.md)). Where the
+recordings come from: [data.md](data.md).
 
 The studies are the package `stillcal.replay.evaluation`. It lies inside `replay` because all it does is feed
 recordings and simulated phones through the product, as the rest of `replay` does, and nothing of the product
