@@ -1,6 +1,6 @@
-"""What the accelerometer shows beyond gravity as the gyroscope carries it from rest to rest, turn by turn.
+"""What the accelerometer shows beyond gravity as the gyroscope carries it, piece by piece of the motion.
 
-A linear model of it is fitted to all turns together; errors come from leaving turns out, and so does what
+A linear model of it is fitted to all pieces together; errors come from leaving pieces out, and so does what
 speaks for the model.
 """
 
@@ -12,31 +12,19 @@ import numpy as np
 
 from stillcal.calib_core.misfit.left_out import blocks, rms
 from stillcal.calib_core.misfit.quick import Seen
-from stillcal.calib_core.misfit.turns import Turn
-from stillcal.calib_core.misfit.views import Baseline
-from stillcal.calib_core.samples import Array, Samples
+from stillcal.calib_core.samples import Array
 
-MEMORY = 0.25
-"""s for which a hand's acceleration, the noise of this view, keeps its direction."""
+PARTS = 40
+"""Groups of pieces that are left out in turn."""
 
-
-def beyond_gravity(
-    samples: Samples, baseline: Baseline, turn: Turn, gravity: float, late: float = 0.0
-) -> Array:
-    """Return specific force less carried gravity (n, 3), m/s^2, the gyroscope's stamps being `late` by s."""
-    raw = np.stack([np.interp(turn.t - late, samples.t, samples.xyz[:, a]) for a in range(3)], axis=1)
-    return np.asarray((raw - baseline.bias) @ baseline.scale.T - gravity * turn.gravity())
+TAPERED = 1.5
+"""Rows of a spectrum by a Hann window that share one independent value (its noise bandwidth)."""
 
 
-def of_arm(turn: Turn) -> Array:
-    """Return what an arm r (3,) m does, (n, 3, 3): rate x (rate x r) + d rate/dt x r."""
-    spin = _cross_matrix(turn.rate)
-    return np.asarray(spin @ spin + _cross_matrix(np.gradient(turn.rate, turn.t, axis=0)))
-
-
-def of_delay(turn: Turn, gravity: float) -> Array:
-    """Return what a gyroscope that is late by 1 s does, (n, 3, 1) m/s^2: carried gravity is behind."""
-    return np.asarray(-gravity * np.cross(turn.rate, turn.gravity())[:, :, None])
+def of_arm(t: Array, rate: Array) -> Array:
+    """Return what an arm r (3,) m does at times t (n,), (n, 3, 3): rate x (rate x r) + d rate/dt x r."""
+    spin = _cross_matrix(rate)
+    return np.asarray(spin @ spin + _cross_matrix(np.gradient(rate, t, axis=0)))
 
 
 def _cross_matrix(v: Array) -> Array:
@@ -48,7 +36,7 @@ def _cross_matrix(v: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Regression:
-    """Normal equations of K turns: information (K, k, k), target (K, k), power (K,), count (K,) samples."""
+    """Normal equations of K pieces: information (K, k, k), target (K, k), power (K,), count (K,) samples."""
 
     information: Array
     target: Array
@@ -57,7 +45,7 @@ class Regression:
 
     @classmethod
     def of(cls, designs: list[Array], lefts: list[Array]) -> Regression:
-        """Add up designs (n, 3, k) and what they are to explain (n, 3), a turn each."""
+        """Add up designs (n, 3, k) and what they are to explain (n, 3), a piece each."""
         return cls(
             np.array([np.einsum("nij,nik->jk", d, d) for d in designs]),
             np.array([np.einsum("nij,ni->j", d, y) for d, y in zip(designs, lefts, strict=True)]),
@@ -65,21 +53,27 @@ class Regression:
             np.array([len(y) for y in lefts], dtype=np.float64),
         )
 
-    def fitted(self, turns: Array | None = None) -> Array:
-        """Return the parameters (k,) that fit the turns chosen by (K,) bool, all by default."""
-        use = np.ones(len(self.power), dtype=bool) if turns is None else turns
+    def fitted(self, pieces: Array | None = None) -> Array:
+        """Return the parameters (k,) that fit the pieces chosen by (K,) bool, all by default."""
+        use = np.ones(len(self.power), dtype=bool) if pieces is None else pieces
         return np.asarray(
             np.linalg.solve(self.information[use].sum(axis=0), self.target[use].sum(axis=0)), dtype=np.float64
         )
 
+    def only(self, columns: Array) -> Regression:
+        """Return the same without the columns that (k,) bool does not choose."""
+        rows = np.flatnonzero(columns)
+        information = self.information[:, rows[:, None], rows]
+        return Regression(information, self.target[:, rows], self.power, self.count)
+
     def left(self, x: Array) -> Array:
-        """Return the sum of squares (K,) that parameters `x` leave in each turn."""
+        """Return the sum of squares (K,) that parameters `x` leave in each piece."""
         return np.asarray(
             self.power - 2.0 * self.target @ x + np.einsum("a,nab,b->n", x, self.information, x)
         )
 
     def jackknifed(self, parts: int) -> tuple[Array, Array, float]:
-        """Return parameters, their covariance and the part of the power of left-out turns explained."""
+        """Return parameters, their covariance and the part of the power of left-out pieces explained."""
         part = np.arange(len(self.power)) % parts
         chosen = np.unique(part)
         others = np.array([self.fitted(part != p) for p in chosen])
@@ -91,18 +85,15 @@ class Regression:
         covariance = (n - 1) / n * away.T @ away + 1e-12 * np.eye(others.shape[1])
         return self.fitted(), covariance, explained / float(self.power.sum())
 
-    def seen(self, sigmas: float, interval: float, free: Array | None = None) -> Seen:
-        """Predict turns left out with the others' parameters, and with those of `free` (k,) bool alone.
-
-        Three normal residuals each `MEMORY` s; interval: of samples, s.
-        """
+    def seen(self, sigmas: float, free: Array | None = None) -> Seen:
+        """Predict pieces left out with the others' parameters, and with those of `free` (k,) bool alone."""
         fold, gain = blocks(len(self.power)), 0.0
         kept = np.zeros(self.target.shape[1], dtype=bool) if free is None else free
         before, after = np.empty(len(self.power)), np.empty(len(self.power))
         for k in np.unique(fold):
             train, test = fold != k, fold == k
             own, null = self._spread(train, ~np.zeros_like(kept)), self._spread(train, kept)
-            independent = self.count[test].sum() * interval / MEMORY
+            independent = self.count[test].sum() / TAPERED
             after[test], before[test] = own[1][test], null[1][test]
             ratios = before[test].sum() / null[0] - after[test].sum() / own[0]
             gain += float(1.5 * independent * (np.log(null[0] / own[0]) + ratios / self.count[test].sum()))
@@ -110,7 +101,7 @@ class Regression:
         return Seen(sigmas, gain, rms(level[0]), rms(level[1]))
 
     def _spread(self, train: Array, use: Array) -> tuple[float, Array]:
-        """Return what parameters `use` leave: power a sample in `train`, and the sums (K,) of all turns."""
+        """Return what parameters `use` leave: power a sample in `train`, and the sums (K,) of all."""
         x = np.zeros(use.size)
         rows = np.flatnonzero(use)
         if rows.size:
@@ -118,8 +109,3 @@ class Regression:
             x[rows] = np.linalg.solve(sums, self.target[train].sum(axis=0)[rows])
         left = self.left(x)
         return float(left[train].sum() / self.count[train].sum()), left
-
-
-def whitened(values: Array, interval: float) -> Array:
-    """Take from each sample (n, ...) what `MEMORY` says the one before foretold."""
-    return np.asarray(values[1:] - np.exp(-interval / MEMORY) * values[:-1])

@@ -6,7 +6,8 @@ A bin belongs to one rest; between two rests the phone moved. Cuts are made on w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,19 @@ MOST_BINS = 300
 
 SHORTEST_BIN = 10.0
 POOLED_WEIGHT = 30.0
+PER_BIN = (
+    "t",
+    "duration",
+    "rest",
+    "force",
+    "force_variance",
+    "vibration",
+    "rate",
+    "rate_variance",
+    "temperature",
+    "charging",
+)
+"""The columns of `Bins` that have a row a bin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +85,14 @@ class Bins:
 
     def __len__(self) -> int:
         return int(self.t.size)
+
+    def chosen(self, keep: NDArray[np.bool_]) -> Bins:
+        """Return the bins where `keep` (n,) holds, their rests numbered anew."""
+        kept: dict[str, Any] = {
+            c: None if getattr(self, c) is None else getattr(self, c)[keep] for c in PER_BIN
+        }
+        kept["rest"] = np.unique(self.rest[keep], return_inverse=True)[1].astype(np.int64)
+        return replace(self, **kept)
 
 
 def windows(samples: Samples, t_start: float, t_end: float) -> Windows:

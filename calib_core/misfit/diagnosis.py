@@ -27,6 +27,12 @@ from stillcal.calib_core.samples import Array, Samples
 __all__ = ["Claims", "Diagnosis", "diagnose", "limits"]
 
 LEAST_SAMPLES = 200
+CLEAR = 4.0
+"""Standard deviations of the noise that a mean must be below a limit."""
+
+COARSEST = 1.6
+"""Steps, in standard deviations of the noise, up to which single samples show its tails: the fourth moment of
+normal noise is then off by 0.001 (the first harmonic, exp(-2 pi^2 / 1.6^2))."""
 
 
 def diagnose(
@@ -56,13 +62,13 @@ def diagnose(
     clear = bins if where is None else outside(bins, where.t_start, where.t_end)
     both = [_Stream.of(s, x, clear, claims) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
     found = [spoiled, repeats.doubled(accelerometer, twice), *direct_findings(both, claims)]
-    slow = _roughened(clear, {s.sensor: s.steps for s in both})
+    slow = _roughened(_unlimited(clear, [f for f in found if f], both[0]), {s.sensor: s.steps for s in both})
     made = scenes(slow, claims.gravity) if len(slow) else []
     found += [f for scene in made for f in slow_findings(scene, without)]
     if gyroscope is not None:
-        turned = turn_findings(accelerometer, gyroscope, slow, claims.gravity, without) if len(slow) else None
-        scanned = turned is None
-        found += motion_findings(accelerometer, gyroscope, clear, claims, where) if scanned else turned or []
+        found += motion_findings(accelerometer, gyroscope, slow, claims.gravity, where)
+        if len(slow):
+            found += turn_findings(gyroscope, slow, claims.gravity, without)
     stated = [f for f in without_group_delay([f for f in found if f]) if f.effect not in without]
     return Diagnosis(1, recording, verdict_of(stated), stated, [*limits(bins), *_hidden(both, claims)])
 
@@ -126,7 +132,7 @@ def _at_rest(stream: _Stream, claims: Claims, factor: float) -> list[Finding | N
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, stream.still.rate / 2.0), "noise at rest")
     other = None if stream.steps.blurs_level() else changing(stream.spectra, stream.levels, sensor)
     coarse = stream.steps.largest / float(stream.steps.sd.min())
-    wide = tails(stream.still, sensor, where, stream.steps.largest) if coarse < 1.0 else None
+    wide = tails(stream.still, sensor, where, stream.steps.largest) if coarse < COARSEST else None
     claim = noise.claimed(sensor, claims)
     claim = None if claim is None else factor * claim
     found: list[Finding | None] = [other, wide]
@@ -147,6 +153,15 @@ def _one_tone(found: list[Finding]) -> list[Finding]:
         return found
     a, b = (float(np.mean(f.where.band_hz)) for f in tones)
     return [f for f in found if f is not tones[1]] if abs(a - b) < 0.05 else found
+
+
+def _unlimited(bins: Bins, found: Sequence[Finding], force: _Stream) -> Bins:
+    """Return the bins whose force is clear of a limit that was found: what is cut off shifts the mean."""
+    limits = [f.parameters["limit"].value for f in found if f.effect == "accel_saturation"]
+    if not limits or not len(bins):
+        return bins
+    clear = limits[0] - CLEAR * force.steps.sd
+    return bins.chosen(np.asarray((np.abs(bins.force) < clear).all(axis=1)))
 
 
 def _roughened(bins: Bins, seen: dict[str, Steps]) -> Bins:

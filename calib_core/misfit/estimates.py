@@ -35,6 +35,14 @@ class Estimate:
         """Standard errors (k,)."""
         return np.asarray(np.sqrt(np.maximum(self.covariance.diagonal(), 0.0)))
 
+    def chance(self) -> float:
+        """Return the probability of values as far from nothing by chance (Wald's chi-squared)."""
+        from scipy.special import chdtrc  # noqa: PLC0415 - the daemon stays light
+
+        scaled = self.covariance / np.outer(self.sigma, self.sigma)
+        unit = self.value / self.sigma
+        return float(chdtrc(float(unit.size), float(unit @ np.linalg.solve(scaled, unit))))
+
 
 def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> Estimate:
     """Fit one finding with the others' columns free beside it."""

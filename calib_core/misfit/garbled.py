@@ -9,14 +9,13 @@ not, and one exchange of axes or signs of one sensor, the same for the whole str
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations, product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.misfit.bins import Bins, Index
+from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.quick import Seen, unknown
 from stillcal.calib_core.misfit.records import Finding, Where
 from stillcal.calib_core.misfit.turns import turns
@@ -167,22 +166,4 @@ def _stated(found: list[Step], size: Array, span: tuple[int, int], sensor: str, 
 
 def outside(bins: Bins, t_start: float, t_end: float) -> Bins:
     """Return the bins that do not touch a stretch of time."""
-    keep = (bins.t + bins.duration / 2 < t_start) | (bins.t - bins.duration / 2 > t_end)
-    rows: Index = np.flatnonzero(keep)
-    columns = (
-        "t",
-        "duration",
-        "rest",
-        "force",
-        "force_variance",
-        "vibration",
-        "rate",
-        "rate_variance",
-        "temperature",
-        "charging",
-    )
-    kept: dict[str, Any] = {c: None if getattr(bins, c) is None else getattr(bins, c)[rows] for c in columns}
-    kept["rest"] = (
-        np.unique(kept["rest"], return_inverse=True)[1].astype(np.int64) if rows.size else kept["rest"]
-    )
-    return replace(bins, **kept)
+    return bins.chosen((bins.t + bins.duration / 2 < t_start) | (bins.t - bins.duration / 2 > t_end))

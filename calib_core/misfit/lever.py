@@ -1,7 +1,7 @@
 """The accelerometer's distance from the point the motion turns about.
 
-Between two rests gravity is carried by the gyroscope; what the accelerometer shows beyond it is
-rate x (rate x r) + d rate/dt x r, where the motion has a pivot, plus whatever else moved the phone.
+Beyond gravity it shows rate x (rate x r) + d rate/dt x r, where the motion has a pivot, plus whatever else
+moved the phone.
 """
 
 from __future__ import annotations
@@ -9,31 +9,36 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
-from stillcal.calib_core.misfit.beyond import Regression, beyond_gravity, of_arm
-from stillcal.calib_core.misfit.quick import SIGNIFICANT, direct_finding, vector
+from stillcal.calib_core.misfit.beyond import PARTS, Regression
+from stillcal.calib_core.misfit.quick import direct_finding, vector
 from stillcal.calib_core.misfit.records import Finding, Where
-from stillcal.calib_core.misfit.turns import Turn
-from stillcal.calib_core.misfit.views import Baseline
-from stillcal.calib_core.samples import Samples
 
-PARTS = 15
+SURE = 4.5
+"""Normal deviations from nothing, a walker's steps being no pure chance."""
 
 
-def lever_arm(
-    accelerometer: Samples, baseline: Baseline, found: list[Turn], gravity: float
-) -> Finding | None:
-    """Find a lever arm that all turns agree on and that predicts the turns it was not fitted to."""
-    lefts = [beyond_gravity(accelerometer, baseline, turn, gravity) for turn in found]
-    sums = Regression.of([of_arm(turn) for turn in found], lefts)
+def lever_arm(sums: Regression, where: Where) -> Finding | None:
+    """Find an arm, three columns, that all windows agree on and that predicts those it was not fitted to."""
     arm, covariance, gain = sums.jackknifed(PARTS)
-    sigmas = float(np.sqrt(arm @ np.linalg.solve(covariance, arm)))
-    if sigmas < SIGNIFICANT + 1.0 or gain < thresholds.LEVER_GAIN:
+    square = float(arm @ np.linalg.solve(covariance, arm))
+    sigmas = _sigmas(square, min(PARTS, len(sums.power)))
+    if sigmas < SURE or gain < thresholds.LEVER_GAIN:
         return None
     error = np.sqrt(covariance.diagonal())
     axes = [a for a in range(3) if abs(arm[a]) > thresholds.AXIS_SIGMA * error[a]]
-    where = Where(found[0].end - found[0].duration, found[-1].end, (0.1, 10.0), "rate of turn")
     text = ", ".join(f"{100.0 * x:.1f}" for x in arm)
     say = f"The accelerometer sits {text} cm from the point that the phone turns about."
     parameters = {"position": vector(arm, error, "m")}
-    seen = sums.seen(sigmas, float(np.median(np.diff(found[0].t))))
+    seen = sums.seen(sigmas)
     return direct_finding("lever_arm", "accel", axes, where, parameters, statement=say, seen=seen)
+
+
+def _sigmas(square: float, parts: int) -> float:
+    """Return how sure a vector of three is with a covariance from `parts` parts, as a normal deviation.
+
+    Hotelling's T^2 is F with 3 and parts - 3 degrees of freedom (Hotelling, Ann. Math. Statist. 2, 1931).
+    """
+    from scipy.special import fdtrc, ndtri  # noqa: PLC0415 - the daemon stays light
+
+    chance = fdtrc(3.0, parts - 3.0, square * (parts - 3.0) / (3.0 * (parts - 1.0)))
+    return float(-ndtri(max(chance, 1e-300) / 2.0))

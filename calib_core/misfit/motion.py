@@ -1,148 +1,175 @@
-"""What motion says of the time between the sensors where there are not rests enough to carry gravity between.
+"""What motion says of the time between the sensors, and of where the accelerometer sits.
 
-Gravity as the accelerometer sees it must turn as the gyroscope says it turns: d up/dt = -rate x up.
+Over some seconds of motion the gyroscope carries gravity: turned back by it, specific force stays where it
+was, but for a hand's acceleration. A gyroscope that is late carries gravity late. Windows are compared in
+frequency, each frequency as sure as what hands do there is small.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stillcal.calib_core.misfit.beyond import MEMORY
+from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.beyond import PARTS, Regression, of_arm
 from stillcal.calib_core.misfit.bins import Bins
-from stillcal.calib_core.misfit.delay import delay_finding
-from stillcal.calib_core.misfit.left_out import blocks, rms
-from stillcal.calib_core.misfit.quick import Measured, Seen
-from stillcal.calib_core.misfit.records import Claims, Finding, Where
+from stillcal.calib_core.misfit.lever import lever_arm
+from stillcal.calib_core.misfit.quick import Measured, direct_finding
+from stillcal.calib_core.misfit.records import Alternative, Finding, Where
+from stillcal.calib_core.misfit.views import Baseline, fit_baseline
+from stillcal.calib_core.rotation import attitudes, matrix
 from stillcal.calib_core.samples import Array, Samples
 
-LAGS = 41
-LONGEST_LAG = 0.1
-LEAST_RATE = 0.3
-LEAST_STRETCHES = 5
-STRETCH = 20.0
-PARTS = 40
+Spectrum = NDArray[np.complex128]
 
+WINDOW = 8.0
+"""s over which gravity is carried; what the gyroscope's scale does meanwhile is nearly steady in time."""
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Turning:
-    """Gravity's turning on an even grid. t: (n,) s; up, up_dot, rate: (n, 3); use: (n,) bool."""
+LEAST_RATE = 0.5
+"""rad/s, rms, in a window that is looked at."""
 
-    t: Array
-    force: Array
-    up: Array
-    up_dot: Array
-    rate: Array
-    use: Array
-    step: float
+LEAST_WINDOWS = 8
+LONGEST = 0.2
+LINEARISED = 4
+"""Times that the model is taken about the delay found before."""
+
+REWEIGHTED = 3
+SMOOTHED = 1.25
+"""Factor of frequency over which the power of what is left is averaged to weigh by."""
+
+SURE = 4.0
+"""Standard errors from nothing: 6e-5 two-sided, one number a recording."""
+
+LEAST_ERROR = 2e-4
+ARM = np.array([True, True, True, False])
+"""The columns of an arm; the fourth is the delay's."""
 
 
 def motion_findings(
-    accelerometer: Samples, gyroscope: Samples, bins: Bins, claims: Claims, spoiled: Where | None = None
+    accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float, spoiled: Where | None = None
 ) -> list[Finding]:
-    """Return what stretches of motion show; nothing where there are too few. spoiled: when not to look."""
+    """Return what motion shows; nothing where there is too little. spoiled: when not to look."""
     if len(gyroscope) < 200:
         return []
-    motion = turning(accelerometer, gyroscope, bins, claims.gravity)
-    if spoiled is not None:
-        motion.use[(motion.t > spoiled.t_start) & (motion.t < spoiled.t_end)] = False
-    found = time_offset(motion)
-    return [] if found is None else [found]
+    baseline, bias = _corrections(bins, gravity)
+    parts = [p for p in _windows(gyroscope, bias) if spoiled is None or _apart(p, spoiled)]
+    if len(parts) < LEAST_WINDOWS:
+        return []
+    interval = float(np.median(np.diff(gyroscope.t)))
+    total, sums = 0.0, []
+    for _ in range(LINEARISED):
+        made = [_equations(_force(accelerometer, baseline, t - total), t, w, gravity) for t, w in parts]
+        sums.append(_weighed([x for x, _ in made], [y for _, y in made]))
+        total = float(np.clip(total + sums[-1].fitted()[3], -LONGEST, LONGEST))
+    where = Where(float(parts[0][0][0]), float(parts[-1][0][-1]), (0.1, 0.5 / interval), "rate of turn")
+    error = float(np.sqrt(sums[-1].jackknifed(PARTS)[1][3, 3]))
+    # Errors from few windows are themselves uncertain: Student's t, to first order.
+    delay = Measured(total, max(error * (1.0 + 2.0 / len(parts)), LEAST_ERROR))
+    found = [_delayed(delay, sums[0], where, interval), lever_arm(sums[-1].only(ARM), where)]
+    return [f for f in found if f]
 
 
-def turning(accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float) -> Turning:
-    """Bring both sensors on one grid and smooth both alike, over three samples."""
-    step = float(np.median(np.diff(accelerometer.t)))
-    t = np.arange(accelerometer.t[0], accelerometer.t[-1], step)
-    force, rate = (_smooth(_on(t, s)) for s in (accelerometer, gyroscope))
-    rate = rate - (np.median(bins.rate, axis=0) if bins.rate is not None and len(bins) else 0.0)
-    norm = np.linalg.norm(force, axis=1)
-    up = force / np.maximum(norm, 1e-9)[:, None]
-    quiet = np.abs(norm - gravity) < 0.15 * gravity
-    fast = np.linalg.norm(rate, axis=1) > LEAST_RATE
-    return Turning(t, force, up, np.gradient(up, step, axis=0), rate, quiet & fast, step)
+def _corrections(bins: Bins, gravity: float) -> tuple[Baseline | None, Array]:
+    """Return what rests say of the accelerometer, None without rests, and the gyroscope's bias (3,)."""
+    if not len(bins):
+        return None, np.zeros(3)
+    bias = np.zeros(3) if bins.rate is None else np.median(bins.rate, axis=0)
+    return fit_baseline(bins.force, bins.force_variance, bins.rest, gravity), bias
 
 
-def _on(t: Array, samples: Samples) -> Array:
-    return np.stack([np.interp(t, samples.t, samples.xyz[:, a]) for a in range(3)], axis=1)
+def _windows(gyroscope: Samples, bias: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield stamps (n,) and rate (n, 3) of unbroken windows in which the phone turns."""
+    n = round(WINDOW / float(np.median(np.diff(gyroscope.t))))
+    for first in range(0, len(gyroscope) - n, n):
+        t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
+        if t[-1] - t[0] < 1.5 * WINDOW and np.sqrt((rate**2).sum(axis=1).mean()) > LEAST_RATE:
+            yield t, rate
 
 
-def _smooth(values: Array) -> Array:
-    out = values.copy()
-    out[1:-1] = (values[:-2] + 2.0 * values[1:-1] + values[2:]) / 4.0
-    return out
+def _apart(part: tuple[Array, Array], spoiled: Where) -> bool:
+    return bool(part[0][-1] < spoiled.t_start or part[0][0] > spoiled.t_end)
 
 
-def lag_misfits(motion: Turning) -> tuple[Array, Array, Array]:
-    """Return lags (L,) s, misfits (stretches, L) and samples (stretches,).
+def _force(samples: Samples, baseline: Baseline | None, t: Array) -> Array:
+    """Return calibrated specific force (n, 3) at times t (n,)."""
+    raw = np.stack([np.interp(t, samples.t, samples.xyz[:, a]) for a in range(3)], axis=1)
+    return raw if baseline is None else np.asarray((raw - baseline.bias) @ baseline.scale.T)
 
-    Misfits are sums of squares of d up/dt + rate(t + lag) x up, (rad/s)^2.
+
+def _equations(force: Array, t: Array, rate: Array, gravity: float) -> tuple[Spectrum, Spectrum]:
+    """Return what an arm and a delay do (f, 3, 4) and what there is to explain (f, 3), as spectra.
+
+    Both are turned back to the window's start, and free of gravity and of what grows steadily.
     """
-    lags: Array = np.linspace(-LONGEST_LAG, LONGEST_LAG, LAGS)
-    stretch = ((motion.t - motion.t[0]) / STRETCH).astype(int)
-    rows = np.flatnonzero(motion.use)
-    where, up, dot = stretch[rows], motion.up[rows], motion.up_dot[rows]
-    misfits = []
-    for lag in lags:
-        rate = np.stack(
-            [np.interp(motion.t[rows] + lag, motion.t, motion.rate[:, a]) for a in range(3)], axis=1
-        )
-        left = np.minimum(((dot + np.cross(rate, up)) ** 2).sum(axis=1), 1.0)
-        misfits.append(np.bincount(where, weights=left, minlength=stretch[-1] + 1))
-    count = np.bincount(where, minlength=stretch[-1] + 1)
-    enough = count > 1.0 / motion.step
-    kept = np.asarray(np.array(misfits, dtype=np.float64).T[enough], dtype=np.float64)
-    return lags, kept, np.asarray(count[enough], dtype=np.float64)
+    back = matrix(attitudes(t, rate))
+    still = np.einsum("nij,nj->ni", back, force)
+    up = still.mean(axis=0) / np.linalg.norm(still.mean(axis=0))
+    late = -gravity * np.cross(rate, np.einsum("nji,j->ni", back, up))
+    effects = back @ np.concatenate([of_arm(t, rate), late[:, :, None]], axis=2)
+    slow = np.linalg.qr(np.linspace(-1.0, 1.0, t.size)[:, None] ** np.arange(2.0))[0]
+    taper = np.hanning(t.size + 2)[1:-1]
+
+    def spectrum(values: Array) -> Spectrum:
+        flat = values.reshape(t.size, -1)
+        free = (flat - slow @ (slow.T @ flat)) * taper[:, None]
+        return np.asarray(np.fft.rfft(free, axis=0).reshape(-1, *values.shape[1:]))
+
+    return spectrum(effects), spectrum(still)
 
 
-def time_offset(motion: Turning) -> Finding | None:
-    """Find the delay of the gyroscope behind the accelerometer; its error from leaving stretches out."""
-    lags, misfits, count = lag_misfits(motion)
-    if len(misfits) < LEAST_STRETCHES:
-        return None
-    delay = jackknife(lags, misfits)
-    if abs(delay.value) > 0.9 * LONGEST_LAG:
-        return None
-    where = Where(float(motion.t[0]), float(motion.t[-1]), (0.1, 0.5 / motion.step), "rate of turn")
-    seen = _left_out(lags, misfits, count, motion.step, delay.beyond(0.0, 0.0))
-    return delay_finding(delay, seen, where, motion.step)
+def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> Regression:
+    """Return normal equations with each frequency weighed by the power of what is left there.
 
-
-def _left_out(lags: Array, misfits: Array, count: Array, step: float, sigmas: float) -> Seen:
-    """Predict stretches left out with the others' delay, and with none.
-
-    Two normal residuals each `MEMORY` s.
+    Maximum likelihood of a stationary noise of unknown spectrum (Whittle, 1953).
     """
-    fold, gain = blocks(len(misfits)), 0.0
-    left = np.empty((len(misfits), 2))
-    for k in np.unique(fold):
-        train, test = fold != k, fold == k
-        delay = _lowest(lags, misfits[train].sum(axis=0))
-        both = np.array([[np.interp(x, lags, m) for x in (0.0, delay)] for m in misfits])
-        null, own = both[train].sum(axis=0) / count[train].sum()
-        independent = count[test].sum() * step / MEMORY
-        none, shifted = both[test].sum(axis=0) / count[test].sum()
-        gain += float(independent * (np.log(null / own) + none / null - shifted / own))
-        left[test] = both[test] / count[test, None]
-    before, after = np.sqrt(left).T
-    return Seen(sigmas, gain, rms(before), rms(after))
+    x = np.zeros(effects[0].shape[2])
+    for _ in range(REWEIGHTED):
+        left = np.array([y - e @ x for e, y in zip(effects, still, strict=True)])
+        weight = 1.0 / np.sqrt(_smooth((np.abs(left) ** 2).mean(axis=(0, 2))))
+        sums = Regression.of([_parts(e, weight) for e in effects], [_parts(y, weight) for y in still])
+        x = sums.fitted()
+    return sums
 
 
-def jackknife(lags: Array, misfits: Array) -> Measured:
-    """Return the lag of least misfit with its standard error from leaving out parts of the stretches."""
-    parts = np.arange(len(misfits)) % min(PARTS, len(misfits))
-    best = _lowest(lags, misfits.sum(axis=0))
-    left_out = np.array([_lowest(lags, misfits[parts != p].sum(axis=0)) for p in np.unique(parts)])
-    n = left_out.size
-    error = float(np.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum()))
-    return Measured(best, max(error, 2e-4))
+def _smooth(power: Array) -> Array:
+    """Average a spectrum (f,) over `SMOOTHED` to either side."""
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    k = np.arange(power.size)
+    low = np.maximum((k / SMOOTHED).astype(int) - 1, 0)
+    high = np.minimum((k * SMOOTHED).astype(int) + 2, power.size)
+    return np.asarray((total[high] - total[low]) / (high - low) + 1e-300)
 
 
-def _lowest(lags: Array, misfit: Array) -> float:
-    """Return the minimum of a curve by a parabola through its three lowest points."""
-    k = int(np.clip(np.argmin(misfit), 1, lags.size - 2))
-    left, middle, right = misfit[k - 1 : k + 2]
-    curvature = left - 2.0 * middle + right
-    shift = 0.0 if curvature <= 0.0 else 0.5 * (left - right) / curvature
-    return float(lags[k] + np.clip(shift, -1.0, 1.0) * (lags[1] - lags[0]))
+def _parts(values: Spectrum, weight: Array) -> Array:
+    """Stack real and imaginary parts (2 f, ...), weighed (f,)."""
+    shaped = values * weight.reshape(-1, *[1] * (values.ndim - 1))
+    return np.concatenate([shaped.real, shaped.imag])
+
+
+def _delayed(delay: Measured, sums: Regression, where: Where, interval: float) -> Finding | None:
+    """State a delay that is surely not nothing and outside its tolerance; interval: of samples, s."""
+    sigmas, tolerance = delay.beyond(0.0, 0.0), thresholds.DELAY_TOLERANCE
+    if (
+        abs(delay.value) >= LONGEST
+        or sigmas < SURE
+        or delay.beyond(-tolerance, tolerance) <= thresholds.OUTSIDE
+    ):
+        return None
+    side = "behind" if delay.value > 0 else "ahead of"
+    say = f"The gyroscope is {abs(delay.value) * 1e3:.1f} ms {side} the accelerometer; shift its stamps."
+    seen = sums.seen(sigmas, ARM)
+    # A second-order low-pass of this cutoff delays as much; beyond the band no noise would show it.
+    cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))
+    hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / interval)
+    return direct_finding(
+        "accel_gyro_time_offset",
+        "timing",
+        [],
+        where,
+        {"delay": delay.parameter("s")},
+        statement=say,
+        seen=seen,
+        alternatives=[Alternative("bandwidth", seen.gain, indistinguishable=hidden)],
+    )

@@ -17,7 +17,7 @@ from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.noise import flicker_covariance, gauss_markov_covariance, random_walk_covariance
 from stillcal.calib_core.samples import Array
 
-STRENGTHS = 10.0 ** np.arange(-1.5, 4.6, 0.5)
+STRENGTHS = 10.0 ** np.arange(-1.5, 6.1, 0.5)
 TAUS = (60.0, 240.0, 960.0)
 SLOWEST = f"gauss_markov_{TAUS[-1]:.0f}"
 """Over an hour hardly to be told from a random walk, as which it begins."""

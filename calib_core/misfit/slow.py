@@ -11,11 +11,9 @@ from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.catalogue import nameless, slow_entries
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
-from stillcal.calib_core.misfit.delay import carried_delay
 from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
 from stillcal.calib_core.misfit.evidence import fit_hypothesis
 from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
-from stillcal.calib_core.misfit.lever import lever_arm
 from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
 from stillcal.calib_core.misfit.search import Scored, Step, forward, reduce_scene
 from stillcal.calib_core.misfit.turns import turn_entries, turn_scene
@@ -28,6 +26,9 @@ SLOW_BAND = (0.0, 0.05)
 
 ENTRIES = 20
 """How many entries compete, to make one p value of the best one's."""
+
+CHANCE = 1e-3
+"""Probability of parameters as large by chance, above which a finding beside others is none."""
 
 ALTERNATIVES = 3
 """How many other effects are reported beside a finding."""
@@ -50,30 +51,35 @@ def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
 
 
 def turn_findings(
-    accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float, without: Collection[str] = ()
-) -> list[Finding] | None:
-    """Return what gravity carried by the gyroscope from rest to rest shows, None without turns enough.
-
-    without: effects that are left out of the catalogue.
-    """
+    gyroscope: Samples, bins: Bins, gravity: float, without: Collection[str] = ()
+) -> list[Finding]:
+    """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out."""
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
     made = turn_scene(gyroscope, bins, baseline.up, gravity)
     if made is None:
-        return None
+        return []
     scene, found = made
-    direct = [of(accelerometer, baseline, found, gravity) for of in (carried_delay, lever_arm)]
     entries = [nameless(e) if e.effect in without else e for e in turn_entries(found, scene)]
-    return [*findings_of(scene, forward(scene, entries)), *(f for f in direct if f)]
+    return findings_of(scene, forward(scene, entries))
 
 
 def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
-    """Turn forward steps into findings, each estimated with the others beside it."""
-    found = [step.winner.hypothesis for step in steps]
-    return [_finding(scene, step, [f for f in found if f is not step.winner.hypothesis]) for step in steps]
+    """Turn forward steps into findings, each estimated with the others beside it.
+
+    What is nothing once the others are free to move with it was their model's fault, and is left out.
+    """
+    while True:
+        found = [step.winner.hypothesis for step in steps]
+        others = [[f for f in found if f is not own] for own in found]
+        estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
+        chances = [e.chance() for e in estimates]
+        if len(steps) < 2 or max(chances) < CHANCE:
+            return [_finding(scene, *each) for each in zip(steps, estimates, others, strict=True)]
+        least = int(np.argmax(chances))
+        steps = [s for i, s in enumerate(steps) if i != least]
 
 
-def _finding(scene: Scene, step: Step, others: list[Hypothesis]) -> Finding:
-    found = estimate(scene, step.winner.hypothesis, others)
+def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:
     before = _evidence(scene, None, others)
     after = _evidence(scene, found.hypothesis, others)
     alternatives = [_alternative(scene, s, step.winner, others, before) for s in _shown(step)]

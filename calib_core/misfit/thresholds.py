@@ -83,8 +83,8 @@ CERTAIN = 0.95
 BANDWIDTH_GAIN = 60.0
 """Least reduction of chi-squared by a cutoff over a flat spectrum."""
 
-LEVER_GAIN = 0.04
-"""Part of the motion's power, in turns left out of the fit, that a lever arm must explain."""
+LEVER_GAIN = 0.008
+"""Part of the motion's power, whitened, in windows left out of the fit, that a lever arm must explain."""
 
 OUTSIDE = 2.0
 """Standard errors that a delay must be outside its tolerance, once it is surely not nothing."""

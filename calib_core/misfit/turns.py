@@ -41,13 +41,6 @@ class Turn:
     miss: Array
     temperature: float
 
-    def gravity(self) -> Array:
-        """Return gravity's direction (n, 3) on the way, the miss at the end spread evenly over the turn."""
-        back = self.carried / np.gradient(self.t)[:, None, None]
-        way = np.einsum("nij,i->nj", back, self.up - self.miss)
-        share = (self.t - self.t[0]) / (self.t[-1] - self.t[0])
-        return np.asarray(way + share[:, None] * np.einsum("nij,i->nj", back, self.miss))
-
     def column(self, term: Array) -> Array:
         """Return what an error of the rate `term` (n, 3) does to gravity's direction at the end, (3,) rad."""
         return np.cross(np.einsum("nij,nj->i", self.carried, term), self.up)

@@ -19,6 +19,9 @@ from stillcal.calib_core.samples import Array
 BOUNDED = 2.0
 """How far beyond what a walk may have a slow Gauss-Markov process must begin to be called a walk."""
 
+MIXED = 0.25
+"""Odds beforehand of a second wander as strong as a walk that is itself a fault."""
+
 LEAST_SPREAD = 0.15
 """Strengths of walks are tried half a decade of variance apart: no density is known better than this (ln)."""
 
@@ -28,20 +31,25 @@ class Walk:
     """Posterior of one view.
 
     density: (G,) unit/sqrt(s) of shapes that walk; weight: (G,) their probability; bounded: (G,) whether a
-    shape is a Gauss-Markov process, a walk only at first.
+    shape is a Gauss-Markov process, a walk only at first; mixed: (G,) whether another wander is in it.
     """
 
     weight: Array
     density: Array
     bounded: NDArray[np.bool_]
+    mixed: NDArray[np.bool_]
 
     def beyond(self, limit: float) -> float:
         """Probability of a walk above `limit`, or of a bounded one above `BOUNDED` times that."""
         return float(self.weight[self.density > limit * np.where(self.bounded, BOUNDED, 1.0)].sum())
 
     def summary(self) -> tuple[float, float, float]:
-        """Return the middle and 95 % interval of the density, given that there is a walk."""
-        share = self.weight / max(float(self.weight.sum()), 1e-300)
+        """Return the middle and 95 % interval of the density, given that there is a walk.
+
+        Where a walk is beyond what a phone may have, that nothing else wanders as strongly is likelier.
+        """
+        share = self.weight * np.where(self.mixed, MIXED, 1.0)
+        share = share / max(float(share.sum()), 1e-300)
         logs = np.log(self.density)
         middle = float(share @ logs)
         spread = float(np.hypot(np.sqrt(share @ (logs - middle) ** 2), LEAST_SPREAD))
@@ -60,7 +68,8 @@ def walks_of(views: Sequence[Reduced]) -> list[Walk]:
         scale = (view.known + view.yy) / max(view.dof - 2.0, 1.0)
         some = view.walk > 0.0
         bounded = np.array(["walk" not in name for name in view.family])
-        out.append(Walk(weight[some], np.sqrt(view.walk * scale)[some], bounded[some]))
+        mixed = np.array(["+" in name for name in view.family])
+        out.append(Walk(weight[some], np.sqrt(view.walk * scale)[some], bounded[some], mixed[some]))
     return out
 
 
