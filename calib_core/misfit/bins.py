@@ -25,6 +25,12 @@ FEW = 12
 
 STILL_FORCE = 0.08
 STILL_RATE = 0.03
+KNOCK = 3.0
+"""Spread of a window over that of its rest, above which something touched the phone."""
+
+RARE = 0.1
+"""Part of a rest's windows that may be so; where it is more, coarse steps or a steady shake do it."""
+
 BINS = 200
 MOST_BINS = 300
 """More bins, where rests are very many, are thinned: work grows with their cube."""
@@ -132,6 +138,17 @@ def still_windows(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
     return np.asarray(still)
 
 
+def without_knocks(still: NDArray[np.bool_], force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
+    """Return the still windows (n,) that are not far louder than their rest is as a rule: it ends there."""
+    kept = still.copy()
+    for sensor in (force, rate):
+        spread = np.zeros(still.size) if sensor is None else np.sqrt(sensor.variance.sum(axis=1))
+        for first, last in rest_runs(still):
+            loud = spread[first:last] > KNOCK * float(np.median(spread[first:last]))
+            kept[first:last] &= ~loud | (loud.mean() > RARE)
+    return np.asarray(kept)
+
+
 def _not_turning(rate: Windows, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
     turn = np.sqrt(rate.variance.sum(axis=1))
     floor = float(np.quantile(turn[still], 0.1))
@@ -173,7 +190,7 @@ def cut(
     span = (float(accelerometer.t[0]), float(accelerometer.t[-1]))
     force = windows(accelerometer, *span)
     rate = None if gyroscope is None or len(gyroscope) == 0 else windows(gyroscope, *span)
-    still = still_windows(force, rate)
+    still = without_knocks(still_windows(force, rate), force, rate)
     length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
     first, last, rest = _bin_edges(rest_runs(still), length)
     if first.size < FEW:

@@ -64,13 +64,33 @@ def diagnose(
     found = [spoiled, repeats.doubled(accelerometer, twice), *direct_findings(both, claims)]
     slow = _roughened(_unlimited(clear, [f for f in found if f], both[0]), {s.sensor: s.steps for s in both})
     made = scenes(slow, claims.gravity) if len(slow) else []
-    found += [f for scene in made for f in slow_findings(scene, without)]
+    found += [f for scene in made if not _is_of(spoiled, scene.sensor) for f in slow_findings(scene, without)]
     if gyroscope is not None:
         found += motion_findings(accelerometer, gyroscope, slow, claims.gravity, where)
-        if len(slow):
+        if len(slow) and spoiled is None:
             found += turn_findings(gyroscope, slow, claims.gravity, without)
-    stated = [f for f in without_group_delay([f for f in found if f]) if f.effect not in without]
-    return Diagnosis(1, recording, verdict_of(stated), stated, [*limits(bins), *_hidden(both, claims)])
+    stated = [_named(f, without) for f in without_group_delay([f for f in found if f])]
+    said = [*limits(bins), *_hidden(both, claims), *_unjudged(spoiled)]
+    return Diagnosis(1, recording, verdict_of(stated), stated, said)
+
+
+def _is_of(spoiled: Finding | None, sensor: str) -> bool:
+    """Whether axes of a sensor were found exchanged: when exactly is known too roughly for more of it."""
+    return spoiled is not None and spoiled.sensor == sensor
+
+
+def _unjudged(spoiled: Finding | None) -> list[str]:
+    if spoiled is None:
+        return []
+    return [f"the {spoiled.sensor} sensor's axes were exchanged: its slow effects, and turns, are not judged"]
+
+
+def _named(found: Finding, without: Collection[str]) -> Finding:
+    """Take the name off a finding that the catalogue does not have."""
+    if found.effect not in without:
+        return found
+    say = f"Something outside the catalogue shows in the {found.sensor}: it follows {found.where.driver}."
+    return replace(found, effect="unknown", alternatives=[], statement=say)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,8 @@ from stillcal.calib_core.misfit.search import reduce_scene
 from stillcal.calib_core.samples import Array
 
 GRID_PARAMETERS = ("tau_s", "period_s")
+WIDENED = 1.15
+"""Standard errors are widened by this: the curvature at the maximum knows nothing of the search before it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +71,7 @@ def _averaged(fits: list[Fit], weight: Array, sizes: Array) -> tuple[Array, Arra
     mean = weight @ betas
     away = betas - mean
     total = sum(w * (f.covariance + np.outer(a, a)) for w, f, a in zip(weight, fits, away, strict=True))
-    return np.asarray(mean * sizes), np.asarray(np.asarray(total) * np.outer(sizes, sizes))
+    return np.asarray(mean * sizes), np.asarray(np.asarray(total) * np.outer(sizes, sizes) * WIDENED**2)
 
 
 def _quantiles(candidates: list[Hypothesis], name: str, weight: Array) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ from stillcal.calib_core.misfit.beyond import PARTS, Regression
 from stillcal.calib_core.misfit.quick import direct_finding, vector
 from stillcal.calib_core.misfit.records import Finding, Where
 
-SURE = 4.5
+SURE = 5.0
 """Normal deviations from nothing, a walker's steps being no pure chance."""
 
 
@@ -22,9 +22,10 @@ def lever_arm(sums: Regression, where: Where) -> Finding | None:
     arm, covariance, gain = sums.jackknifed(PARTS)
     square = float(arm @ np.linalg.solve(covariance, arm))
     sigmas = _sigmas(square, min(PARTS, len(sums.power)))
-    if sigmas < SURE or gain < thresholds.LEVER_GAIN:
-        return None
     error = np.sqrt(covariance.diagonal())
+    # A covariance from few windows may be far too narrow in some direction, hardly along an axis.
+    if min(sigmas, float(np.abs(arm / error).max())) < SURE or gain < thresholds.LEVER_GAIN:
+        return None
     axes = [a for a in range(3) if abs(arm[a]) > thresholds.AXIS_SIGMA * error[a]]
     text = ", ".join(f"{100.0 * x:.1f}" for x in arm)
     say = f"The accelerometer sits {text} cm from the point that the phone turns about."

@@ -1,8 +1,7 @@
 """Lines in the spectrum of steady stretches, all along the recording or for a while.
 
-A line stands in the same place in several stretches of `LINE_SECONDS` and above its own neighbourhood of 1
-Hz,
-which a hand's tremor, typing or a road do not. Its frequency and amplitude come from the stamps themselves.
+A line stands in the same place in several stretches and above its own neighbourhood, which a hand's tremor,
+typing or a road do not. Its frequency and amplitude come from the stamps themselves.
 """
 
 from __future__ import annotations
@@ -17,14 +16,19 @@ from stillcal.calib_core.misfit.records import Finding, Parameter, Where
 from stillcal.calib_core.misfit.values import UNIT
 from stillcal.calib_core.samples import Array, Samples
 
-LINE_SECONDS = 20.0
+SHORT, LONG = 20.0, 60.0
+"""s of a stretch: short ones tell when a line comes and goes, long ones show faint lines."""
+
+PLAIN = 1e-20
+"""Probability of a line by chance below which short stretches show it well enough."""
+
 LEAST_LINE_HZ = 4.0
 LINE_P = 1e-7
 LEAST_STRETCHES = 5
 LEAST_STACK = 10
 STEADY = {"accel": 0.1, "gyro": 0.03}
-STACK_ALLOWANCE = 1.3
-LOUDEST = 6.0
+STACK_ALLOWANCE = 1.15
+LOUDEST = 10.0
 FLANK = 0.15
 FINE = 0.05
 MOST_REFINED = 60
@@ -52,7 +56,14 @@ class Stretches:
 
 def tone(samples: Samples, sensor: str) -> Finding | None:
     """Find the strongest line of one sensor above `LEAST_LINE_HZ`, or None."""
-    seen = _stretches(samples, sensor)
+    found = _tone(samples, sensor, SHORT)
+    if found is not None and found.evidence.p_value < PLAIN:
+        return found
+    return _tone(samples, sensor, LONG) or found
+
+
+def _tone(samples: Samples, sensor: str, seconds: float) -> Finding | None:
+    seen = _stretches(samples, sensor, seconds)
     if seen is None:
         return None
     rate = 2.0 * float(seen.f[-1])
@@ -71,16 +82,16 @@ def tone(samples: Samples, sensor: str) -> Finding | None:
     return _stated(samples, sensor, seen, lasting, middle)
 
 
-def _stretches(samples: Samples, sensor: str) -> Stretches | None:
+def _stretches(samples: Samples, sensor: str, seconds: float) -> Stretches | None:
     rate = 1.0 / float(np.median(np.diff(samples.t)))
-    length = int(LINE_SECONDS * rate)
+    length = int(seconds * rate)
     count = len(samples) // max(length, 1)
     if length < 100 or count < 3:
         return None
     cut = samples.xyz[: count * length].reshape(count, length, 3)
     t = samples.t[: count * length].reshape(count, length)
     steady = _steady(cut, round(rate), STEADY[sensor])
-    steady = steady[np.ptp(t[steady], axis=1) < 1.2 * LINE_SECONDS]
+    steady = steady[np.ptp(t[steady], axis=1) < 1.2 * seconds]
     if steady.size < 3:
         return None
     values = cut[steady] - cut[steady].mean(axis=1, keepdims=True)
@@ -98,7 +109,7 @@ def _steady(cut: Array, second: int, most: float) -> Index:
 
 
 def _ratios(values: Array) -> tuple[Array, Array]:
-    """Return powers (S, F, 3) and their ratio to the mean power within 1 Hz, a line's own bins apart."""
+    """Return powers (S, F, 3) and their ratio to the mean of 34 neighbours, a line's own bins apart."""
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
 
     spectrum = np.fft.rfft(values * np.hanning(values.shape[1])[None, :, None], axis=1)
@@ -121,9 +132,9 @@ def _line(ratio: Array) -> int | None:
 
 
 def _stacked(ratio: Array) -> int | None:
-    """Return the frequency at which the mean power of all, half or a quarter of the stretches stands out.
+    """Return where the mean power of all, half or a quarter of the stretches stands out, or None.
 
-    Or None.
+    On one axis, or in the sum of the three.
     """
     from scipy.stats import gamma  # noqa: PLC0415 - the daemon stays light
 
@@ -134,11 +145,13 @@ def _stacked(ratio: Array) -> int | None:
         if count < LEAST_STACK:
             break
         first = np.arange(0, len(ratio) - count + 1, max(count // 2, 1))
-        mean = ((total[first + count] - total[first]) / count).max(axis=2)
-        # The background of 34 lines scatters by a sixth: the mean of powers is widened by as much and more.
-        limit = float(gamma.isf(LINE_P / mean.size, count, scale=1.0 / count)) * STACK_ALLOWANCE
-        if mean.max() > limit and (best is None or mean.max() / limit > best[0]):
-            best = float(mean.max() / limit), int(np.argmax(mean.max(axis=0)))
+        mean = (total[first + count] - total[first]) / count
+        # The background of 34 lines scatters by a sixth, which widens the tail of means of powers.
+        for values, freedom in ((mean.max(axis=2), count), (mean.mean(axis=2), 3 * count)):
+            limit = float(gamma.isf(LINE_P / mean.size, freedom, scale=1.0 / freedom)) * STACK_ALLOWANCE
+            top = float(values.max()) / limit
+            if top > 1.0 and (best is None or top > best[0]):
+                best = top, int(np.argmax(values.max(axis=0)))
     return None if best is None else best[1]
 
 
@@ -266,5 +279,5 @@ def _left_out(line: Array, noise: Array) -> Seen:
         before.append(rms(seen))
         after.append(rms(seen - np.sqrt(line[fold != k].mean(axis=0))))
     more = np.maximum(ratio.mean(axis=0), 1.0)
-    whole = float(len(ratio) * (more - 1.0 - np.log(more)).max())
+    whole = float(len(ratio) * (more - 1.0 - np.log(more)).sum())
     return Seen(float(np.sqrt(2.0 * whole)), gain, rms(np.array(before)), rms(np.array(after)))

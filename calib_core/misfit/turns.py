@@ -21,6 +21,9 @@ from stillcal.calib_core.samples import Array, Samples
 LEAST_TURNS = 9
 LONGEST_TURN = 60.0
 LEAST_ANGLE = 0.2
+SHARPEST = 0.2
+"""rad from sample to sample, beyond which what happens between samples is not known from them."""
+
 OUTLIER = 8.0
 KNOWN = 2.0
 """Degrees of freedom with which the errors of turns are known beforehand."""
@@ -61,6 +64,8 @@ def _turn(gyroscope: Samples, bins: Bins, up: Array, i: int) -> Turn | None:
     end = float(bins.t[i + 1] - bins.duration[i + 1] / 2) + MARGIN
     part = gyroscope.between(start, end)
     if end - start > LONGEST_TURN or len(part) < 10 or np.diff(part.t).max() > 0.5:
+        return None
+    if np.linalg.norm(part.xyz, axis=1).max() * np.median(np.diff(part.t)) > SHARPEST:
         return None
     assert bins.rate is not None
     rate = part.xyz - (bins.rate[i] + bins.rate[i + 1]) / 2.0
