@@ -115,3 +115,23 @@ def test_a_number_is_beyond_only_outside_its_tolerance() -> None:
     assert Measured(1.1, 0.01).beyond(0.8, 1.2) == 0.0
     assert Measured(1.3, 0.01).beyond(0.8, 1.2) == pytest.approx(10.0)
     assert mean_of(np.array([1.0, 1.1, 0.9, 50.0])).value == pytest.approx(1.0)
+
+
+def test_a_faint_line_is_found_in_long_stretches() -> None:
+    """A tenth of the noise: no single stretch shows it, the mean of all does."""
+    t, rng = even(), np.random.default_rng(8)
+    quiet = rng.normal(0, 0.01, (N, 3))
+    assert tone(stream(t, quiet), "accel") is None
+    line = tone(stream(t, quiet + np.outer(np.sin(2 * np.pi * 11.3 * t), [0.001, 0.001, 0.001])), "accel")
+    assert line is not None
+    assert line.parameters["frequency"].value == pytest.approx(11.3, abs=0.02)
+
+
+def test_stamps_that_run_fast_at_the_nominal_rate_are_skewed() -> None:
+    """The host says 3 in 1000 fast, the nominal rate as much slow: the samples come as they should."""
+    host = even()
+    skewed = stream(host * 1.003, arrival=np.maximum.accumulate(host + latency()))
+    assert effects(skewed, Claims(nominal_rate_hz=50.0))["clock_skew"].value == pytest.approx(3e-3, rel=0.01)  # type: ignore[attr-defined]
+    true = stream(host * 1.003, arrival=np.maximum.accumulate(host + latency()))
+    slower = effects(true, Claims(nominal_rate_hz=50.0 / 1.003))["clock_skew"].value  # type: ignore[attr-defined]
+    assert slower == pytest.approx(3e-3, rel=0.01)
