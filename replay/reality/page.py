@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from stillcal.replay.reality import optical
 from stillcal.replay.reality.injection import STRENGTHS
 from stillcal.replay.reality.latent import Withheld
 from stillcal.replay.reality.sources import Source
@@ -27,6 +28,10 @@ Evidence is in the words of `diagnose --json`: root mean square of what was pred
 of the log score in nats, both on data left out. "Found again" says whether the same name comes out of
 either half of the recording alone, and of other recordings of the same device. A verdict of *adequate* over
 a recording in which little could be checked says little; the last column says what could not be.
+
+### Beside optical truth
+
+{optical}
 
 ### Phones on a table
 
@@ -69,6 +74,7 @@ def page(
     still = [r for r in rows if r.name.startswith("hhar_still/")]
     return _PAGE.format(
         found=_found(own, device),
+        optical=_optical(held, rows),
         still=_still(still),
         rests=_table(
             ("table", "verdict", "found"),
@@ -120,6 +126,30 @@ def _found(rows: Sequence[Row], device: dict[str, str]) -> str:
                 )
             )
     return _table(("recording", "s", "verdict", "found", "held out", "found again", "not checked"), lines)
+
+
+_OPTICAL = """\
+Over every second the gyroscope's turn is held against the cameras': what is left, degrees rms. Squares of
+the rate are what `gyro_nonlinearity` is; their share of what is left is all that cameras leave room for. Of
+noise, values and stamps cameras say nothing.
+
+"""
+
+
+def _optical(held: Sequence[Source], rows: Sequence[Row]) -> str:
+    """Say what cameras saw of gyroscopes, where there were cameras."""
+    found = {r.name: {f["effect"] for f in r.findings} for r in rows}
+    lines = []
+    for source in held:
+        if (s := optical.seen(source)) is not None:
+            said = "yes" if "gyro_nonlinearity" in found.get(source.name, set()) else "no"
+            share = 1.0 - (s.squares / s.affine) ** 2
+            rms = [f"{x:.3f}" for x in (s.raw, s.affine, s.squares)]
+            lines.append((source.name, str(s.seconds), *rms, f"{share:.1%}", said))
+    if not lines:
+        return "(no recording with cameras is there)"
+    head = ("recording", "s seen", "as it is", "bias, scale, misalignment off", "squares off too")
+    return _OPTICAL + _table((*head, "squares' share", "`gyro_nonlinearity` found"), lines)
 
 
 def _still(rows: Sequence[Row]) -> str:

@@ -6,11 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.samples import Samples, Sensor
+from stillcal.replay.formats.claims import Claims
 from stillcal.replay.reality.latent import correlation, shared_curve, withheld
-from stillcal.replay.reality.sources import part, sources, without_thermometer
+from stillcal.replay.reality.optical import seen
+from stillcal.replay.reality.sources import Source, part, sources, without_thermometer
 from stillcal.replay.reality.tables import Injected, agreement, names, row, tally
+from stillcal.replay.trace import Recording
 
 
 def bins(curve: np.ndarray, seed: int = 0) -> Bins:
@@ -79,3 +84,22 @@ def test_a_row_says_what_the_halves_say(data_dir: Path) -> None:
         assert "first half" in agreement(told, finding, [told])
     first = part(source.recording, 0.0, 0.5)
     assert len(first.accelerometer) == pytest.approx(len(source.recording.accelerometer) / 2, abs=2)
+
+
+def test_cameras_tell_bias_and_scale_from_squares_of_the_rate() -> None:
+    """A gyroscope with all three beside cameras without noise: each model takes off what is its own."""
+    rng = np.random.default_rng(4)
+    t = np.arange(3000) / 100.0
+    rate = np.cumsum(rng.normal(0.0, 0.05, (t.size, 3)), axis=0)
+    rate -= np.linspace(0.0, 1.0, t.size)[:, None] * rate[-1]
+    middle = [Rotation.from_rotvec(w / 100.0) for w in (rate[1:] + rate[:-1]) / 2.0]
+    poses = [Rotation.identity()]
+    for turn in middle:
+        poses.append(poses[-1] * turn)
+    truth = Rotation.concatenate(poses).as_quat()[:, [3, 0, 1, 2]]
+    wrong = rate * 1.01 + 0.02 + np.array([0.01, 0.0, 0.0]) * rate**2
+    still = Samples.checked(Sensor.ACCELEROMETER, t, np.zeros((t.size, 3)))
+    recording = Recording(still, Samples.checked(Sensor.GYROSCOPE, t, wrong), [], Claims(), [])
+    found = seen(Source("made", "made", recording, truth))
+    assert found is not None and found.seconds == 29
+    assert found.raw > 1.0 and found.affine < 0.6 * found.raw and found.squares < 0.1 * found.affine
