@@ -1,7 +1,13 @@
-"""`stillcal simulate`: a recording of the simulated phone, as a real one would have been written."""
+"""`stillcal simulate`: a recording of the simulated phone, as a real one would have been written.
+
+Or the phone itself, on a pseudo-terminal that a daemon opens as it would a USB device.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +22,8 @@ from stillcal.daemon.store_document import pretty
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.phone import Simulation, load_phone, load_scenario, simulate
-from stillcal.replay.phone.simulation import TrueModel
+from stillcal.replay.phone.simulation import Chunk, TrueModel
+from stillcal.replay.phone_link import LinkSettings, serve_phone
 
 
 @click.command(
@@ -25,11 +32,19 @@ from stillcal.replay.phone.simulation import TrueModel
         "stillcal simulate lab --out lab.csv --seed 7",
         "stillcal simulate day --phone mpu6050 --out day.csv.gz --truth day.truth.json",
         "stillcal simulate my-week.toml --phone my-phone.toml --out week.csv.gz",
+        "stillcal simulate day --serial --port phone    # and elsewhere: stillcal run --port phone",
     ),
 )
 @click.argument("scenario")
+@click.option("--out", type=click.Path(path_type=Path), help="The recording (.csv or .csv.gz).")
 @click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="The recording (.csv or .csv.gz)."
+    "--serial", is_flag=True, help="Be the phone on a pseudo-terminal instead; its path is printed."
+)
+@click.option("--port", type=click.Path(path_type=Path), help="With --serial: a link to the terminal there.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(0, min_open=True),
+    help="With --serial: seconds of its time a second [default: as fast as it is read].",
 )
 @click.option(
     "--seed",
@@ -42,17 +57,48 @@ from stillcal.replay.phone.simulation import TrueModel
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the true sensor errors there (JSON).")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate_command(  # noqa: PLR0917 - click hands every option over by name
-    scenario: str, out: Path, seed: int, phone: str, truth: Path | None, quiet: bool
+    scenario: str,
+    out: Path | None,
+    serial: bool,
+    port: Path | None,
+    speed: float | None,
+    seed: int,
+    phone: str,
+    truth: Path | None,
+    quiet: bool,
 ) -> None:
     """Write a recording of the simulated phone living through SCENARIO.
 
-    SCENARIO is a ready one (lab, tables, desk, day, night, drive, laundry, week) or a TOML file. Beside
-    the recording stand its events (.events.jsonl) and what the maker claims (.json); what a real phone
-    would not tell goes into --truth only.
+    SCENARIO is a ready one (lab, tables, desk, day, night, drive, laundry, starved, week) or a TOML file.
+    Beside the recording stand its events (.events.jsonl) and what the maker claims (.json); what a real
+    phone would not tell goes into --truth only. With --serial it speaks to a daemon instead, until that
+    has heard all of it.
     """
+    if serial == (out is not None):
+        raise click.UsageError("give either --out, for a recording, or --serial, for a phone on a line")
+    if not serial and (port is not None or speed is not None):
+        raise click.UsageError("--port and --speed are for --serial")
     simulation = _simulation(scenario, phone, seed)
     told = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
-    refuse_collisions([*new_recording_files(out), *([] if truth is None else [truth])], told)
+    written = [
+        *(new_recording_files(out) if out is not None else []),
+        *([truth] if truth is not None else []),
+    ]
+    refuse_collisions(written, told)
+    if out is not None:
+        _write(simulation, out, quiet)
+    else:
+        _serve(
+            simulation, LinkSettings(speed=speed or math.inf, credit=(speed or math.inf) > 1.0), port, quiet
+        )
+    if truth is not None:
+        write_atomically(truth, (pretty(truth_of(simulation)) + "\n").encode())
+    if not quiet:
+        where = "" if out is None else f"{out}: "
+        click.echo(f"{where}{simulation.duration:.0f} s of {scenario}, phone {phone}, seed {seed}")
+
+
+def _write(simulation: Simulation, out: Path, quiet: bool) -> None:
     claims = msgspec.convert(simulation.phone.claimed(), Claims)
     with (
         progress("simulating", simulation.duration, quiet) as step,
@@ -61,10 +107,21 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
         for chunk in simulation.chunks():
             writer.write(chunk.accelerometer, chunk.gyroscope, chunk.events)
             step(chunk.t_end)
-    if truth is not None:
-        write_atomically(truth, (pretty(truth_of(simulation)) + "\n").encode())
-    if not quiet:
-        click.echo(f"{out}: {simulation.duration:.0f} s of {scenario}, phone {phone}, seed {seed}")
+
+
+def _serve(simulation: Simulation, settings: LinkSettings, port: Path | None, quiet: bool) -> None:
+    """Be the phone on a pseudo-terminal until a daemon has heard its end."""
+    with progress("living", simulation.duration, quiet) as step:
+
+        def chunks() -> Iterator[Chunk]:
+            for chunk in simulation.chunks():
+                step(chunk.t_end)
+                yield chunk
+
+        try:
+            asyncio.run(serve_phone(chunks(), simulation.phone.claimed(), settings, port, click.echo))
+        except OSError as error:
+            raise click.UsageError(str(error)) from error
 
 
 def truth_of(simulation: Simulation) -> dict[str, Any]:
