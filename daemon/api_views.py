@@ -19,7 +19,7 @@ from stillcal.daemon.saved_state import SavedState
 from stillcal.daemon.service_energy import Day
 from stillcal.daemon.service_mind import View
 from stillcal.daemon.service_news import Item, News
-from stillcal.daemon.source import Source
+from stillcal.daemon.source_base import Source
 from stillcal.daemon.store_document import HistoryEntry, StoreDocument
 
 VERSION = "0.1.0"

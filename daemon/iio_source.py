@@ -12,18 +12,15 @@ import asyncio
 import math
 import time
 import zlib
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from stillcal.calib_core.events import Tick
 from stillcal.calib_core.samples import Array, Samples, Sensor
 from stillcal.calib_core.stillness_settings import Sense, Sleep
 from stillcal.daemon import iio_sysfs
 from stillcal.daemon.iio_sysfs import SensorGoneError, Sensors
-from stillcal.daemon.serial_source import LinkCounters, LinkDown, LinkUp, Record, SerialSettings
+from stillcal.daemon.source_base import SerialSettings, Source
 from stillcal.daemon.wire import Claim, Command, Hello, Identify, Rate, Status, Temperature, WireCounters
 
 MOST_HZ = 50.0
@@ -36,33 +33,17 @@ STATUS_S = 10.0
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
-class IioSource:
+class IioSource(Source):
     """The machine's own sensors, found again whenever they are lost. settings.port: the folder of devices."""
 
     def __init__(self, settings: SerialSettings) -> None:
-        self.settings = settings
-        self.link = LinkCounters()
+        super().__init__(settings)
         self._rate_hz = 0.0
         self._counted = WireCounters()
-        self._records: list[Record] = []
-        self._news = asyncio.Event()
         self._sensors: Sensors | None = None
         self._read: dict[Sensor, tuple[list[float], list[Array]]] = {}
-        self._timer: asyncio.TimerHandle | None = None
-        self._failures = 0
-        self._told: str | None = None
         self._sensing, self._on_time, self._wakeups = False, 0.0, 0
         self._last = self._next_status = 0.0
-        self._closed = False
-
-    async def __aenter__(self) -> Self:
-        self._connect()
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     # For the one who takes
 
@@ -81,14 +62,6 @@ class IioSource:
         """A copy of what was counted; of a wire there is none, so only samples are."""
         return replace(self._counted)
 
-    async def take(self) -> list[Record]:
-        """Wait until there is something and return all of it; an empty list once the source is closed."""
-        while not self._records and not self._closed:
-            self._news.clear()
-            await self._news.wait()
-        records, self._records = self._records, []
-        return records
-
     def send(self, command: Command) -> bool:
         """Do what a phone does when told; False while there are no sensors."""
         if self._sensors is None:
@@ -105,16 +78,6 @@ class IioSource:
             self._greet(self._sensors)
         return True
 
-    def close(self) -> None:
-        """Let go of the sensors for good; what was read before can still be taken."""
-        if self._closed:
-            return
-        self._closed = True
-        self._cancel()
-        if self._sensors is not None:
-            self._lose("closed", for_good=True)
-        self._news.set()
-
     # Finding and losing the sensors
 
     def _connect(self) -> None:
@@ -124,9 +87,7 @@ class IioSource:
         except SensorGoneError as error:
             self._fail(str(error))
             return
-        self.link.connections += 1
-        self._told = None
-        self._emit(LinkUp(self.device, self._failures))
+        self._found(self.device)
         self._greet(self._sensors)
         self._wake()
 
@@ -141,22 +102,10 @@ class IioSource:
         self._emit(Hello(session=_session(), claims=claims))
         self._emit(self._status(_now()))
 
-    def _fail(self, reason: str) -> None:
-        self.link.failed_attempts += 1
-        self._failures += 1
-        if reason != self._told:
-            self._told = reason
-            self._emit(LinkDown("", reason))
-        self._later(self.settings.wait(self._failures), self._connect)
-
     def _lose(self, reason: str, for_good: bool = False) -> None:
         self._flush()
         device, self._sensors, self._sensing = self.device, None, False
-        self.link.disconnections += 1
-        self._emit(LinkDown(device, reason))
-        if not for_good:
-            self._failures += 1
-            self._later(self.settings.wait(self._failures), self._connect)
+        self._lost(device, reason, for_good)
 
     # Reading
 
@@ -240,20 +189,6 @@ class IioSource:
     def _tell(self, now: float) -> None:
         self._emit(self._status(now))
         self._emit(Tick(now))
-
-    # The loop
-
-    def _emit(self, record: Record) -> None:
-        self._records.append(record)
-        self._news.set()
-
-    def _later(self, delay: float, job: Callable[[], None]) -> None:
-        self._timer = asyncio.get_running_loop().call_later(delay, job)
-
-    def _cancel(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
 
 
 def _now() -> float:

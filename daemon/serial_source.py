@@ -13,20 +13,15 @@ import errno
 import glob
 import os
 import termios
-import zlib
-from collections import deque
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import serial
 
+from stillcal.daemon.source_base import Record, SerialSettings, Source
 from stillcal.daemon.wire import (
     Command,
     Form,
     Identify,
-    Message,
     WireCounters,
     WireDecoder,
     WireEncoder,
@@ -38,81 +33,7 @@ UNSENT_LIMIT = 65_536
 """Bytes of commands that may wait for a device that does not read; further commands are dropped."""
 
 
-@dataclass(frozen=True, slots=True)
-class SerialSettings:
-    """Which line, and how patiently.
-
-    port: the device's path, or a pattern ("/dev/serial/by-id/usb-Arduino*") whose matches are tried in
-    order of their names at every attempt. baud: symbols per s on a real line. retry_s: wait after the
-    first failed attempt; each further one doubles it up to retry_max_s, and jitter spreads it by that
-    share either way. queue: messages that may wait to be taken before reading stops.
-    """
-
-    port: str
-    baud: int = 115200
-    retry_s: float = 0.1
-    retry_max_s: float = 5.0
-    jitter: float = 0.25
-    queue: int = 1024
-
-    def __post_init__(self) -> None:
-        if not self.port:
-            raise ValueError("port = '': must be the path of a serial device or a pattern of such paths")
-        if not 1200 <= self.baud <= 4_000_000:
-            raise ValueError(f"baud = {self.baud}: must be within 1200..4000000")
-        if not 0 < self.retry_s <= self.retry_max_s <= 3600:
-            raise ValueError(
-                f"retry_s = {self.retry_s}, retry_max_s = {self.retry_max_s}: "
-                "must be within 0 < retry_s <= retry_max_s <= 3600 s"
-            )
-        if not 0 <= self.jitter <= 1:
-            raise ValueError(f"jitter = {self.jitter}: must be within 0..1")
-        if not 1 <= self.queue <= 1_000_000:
-            raise ValueError(f"queue = {self.queue}: must be within 1..1000000 messages")
-
-    def wait(self, attempt: int) -> float:
-        """Return how long to wait, in s, after the attempt-th failure in a row (from 1).
-
-        The spread is a pure function of port and attempt, so that many daemons do not knock in step and
-        one run is like the next.
-        """
-        full = min(self.retry_s * 2.0 ** min(attempt - 1, 60), self.retry_max_s)
-        draw = zlib.crc32(f"{self.port}:{attempt}".encode()) / 0xFFFFFFFF
-        return full * (1.0 + self.jitter * (2.0 * draw - 1.0))
-
-
-@dataclass(frozen=True, slots=True)
-class LinkUp:
-    """The line was opened. device: the path; attempts: those before it that failed or brought nothing."""
-
-    device: str
-    attempts: int
-
-
-@dataclass(frozen=True, slots=True)
-class LinkDown:
-    """The line was lost, or (device "") could not be opened, for this new reason."""
-
-    device: str
-    reason: str
-
-
-@dataclass(slots=True)
-class LinkCounters:
-    """What the line went through. pauses: how often a full queue stopped reading."""
-
-    connections: int = 0
-    disconnections: int = 0
-    failed_attempts: int = 0
-    pauses: int = 0
-    commands_sent: int = 0
-    commands_dropped: int = 0
-
-
-Record = Message | LinkUp | LinkDown
-
-
-class SerialSource:
+class SerialSource(Source):
     """A line that is opened again whenever it is lost. Records come out in the order of their happening.
 
     Iterate over it, or call `take`, from one task. Between LinkUp and LinkDown lies what one connection
@@ -120,28 +41,12 @@ class SerialSource:
     """
 
     def __init__(self, settings: SerialSettings) -> None:
-        self.settings = settings
-        self.link = LinkCounters()
+        super().__init__(settings)
         self._decoder = WireDecoder()
         self._encoders = {form: WireEncoder(WireSettings(form=form)) for form in Form}
-        self._records: deque[Record] = deque()
-        self._news = asyncio.Event()
         self._port: serial.Serial | None = None
         self._unsent = bytearray()
         self._reading = self._writing = False
-        self._failures = 0
-        self._told: str | None = None
-        self._retry: asyncio.TimerHandle | None = None
-        self._closed = False
-
-    async def __aenter__(self) -> Self:
-        self._connect()
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     # For the one who takes
 
@@ -160,25 +65,11 @@ class SerialSource:
         """A copy of the decoder's counters."""
         return self._decoder.snapshot()
 
-    async def take(self) -> list[Record]:
-        """Wait until there is something and return all of it; an empty list once the source is closed."""
-        await self._something()
-        records = list(self._records)
-        self._records.clear()
-        self._resume()
-        return records
-
     async def __aiter__(self) -> AsyncIterator[Record]:
         while await self._something():
             record = self._records.popleft()
             self._resume()
             yield record
-
-    async def _something(self) -> bool:
-        while not self._records and not self._closed:
-            self._news.clear()
-            await self._news.wait()
-        return bool(self._records)
 
     def send(self, command: Command) -> bool:
         """Send a command in the form that the device speaks; say whether it is on its way.
@@ -191,22 +82,11 @@ class SerialSource:
         self.link.commands_dropped += not sent
         return sent
 
-    def close(self) -> None:
-        """Close the line for good; what was read before can still be taken."""
-        if self._closed:
-            return
-        self._closed = True
-        if self._retry is not None:
-            self._retry.cancel()
-        if self._port is not None:
-            self._lose("closed", for_good=True)
-        self._news.set()
-
     # Opening
 
     def _connect(self) -> None:
         """Try every device that the settings mean; where none opens, try again later."""
-        self._retry = None
+        self._timer = None
         reason = "no such device"
         for device in self._candidates():
             try:
@@ -224,25 +104,11 @@ class SerialSource:
 
     def _greet(self, device: str) -> None:
         """Ask who is there, in both forms: neither kind of device minds the other's."""
-        self.link.connections += 1
-        self._emit(LinkUp(device, self._failures))
-        self._told = None
+        self._found(device)
         self._unsent.clear()
         self._resume()
         binary, text = (self._encoders[form].encode(Identify()) for form in (Form.BINARY, Form.TEXT))
         self._put(binary + b"\n" + text)
-
-    def _fail(self, reason: str) -> None:
-        self.link.failed_attempts += 1
-        self._failures += 1
-        if reason != self._told:
-            self._told = reason
-            self._emit(LinkDown("", reason))
-        self._schedule()
-
-    def _schedule(self) -> None:
-        loop = asyncio.get_running_loop()
-        self._retry = loop.call_later(self.settings.wait(self._failures), self._connect)
 
     def _lose(self, reason: str, for_good: bool = False) -> None:
         port, self._port = self._port, None
@@ -251,13 +117,9 @@ class SerialSource:
         with contextlib.suppress(OSError, termios.error):
             termios.tcflush(port.fileno(), termios.TCOFLUSH)  # or close() waits for a stuck device
         port.close()
-        self.link.disconnections += 1
         for message in self._decoder.end():
             self._emit(message)
-        self._emit(LinkDown(str(port.port), reason))
-        if not for_good:
-            self._failures += 1
-            self._schedule()
+        self._lost(str(port.port), reason, for_good)
 
     # Reading
 
@@ -278,10 +140,6 @@ class SerialSource:
             self._emit(message)
         if len(self._records) >= self.settings.queue:
             self._pause()
-
-    def _emit(self, record: Record) -> None:
-        self._records.append(record)
-        self._news.set()
 
     def _pause(self) -> None:
         if self._reading and self._port is not None:

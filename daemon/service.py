@@ -28,7 +28,8 @@ from stillcal.daemon.service_news import Item, News
 from stillcal.daemon.service_pump import Pump, host_time
 from stillcal.daemon.service_storage import Storage, sourced
 from stillcal.daemon.settings import Settings, SettingsError, store_path
-from stillcal.daemon.source import Source, source_of
+from stillcal.daemon.source import source_of
+from stillcal.daemon.source_base import Source
 from stillcal.daemon.store import Store
 from stillcal.daemon.store_document import StoreDocument
 

@@ -9,8 +9,8 @@ from socket import socket as Socket  # noqa: N812 - `socket` is a setting here
 from typing import Any, TypeVar
 
 from stillcal.daemon.iio_sysfs import DEVICES
-from stillcal.daemon.serial_source import SerialSettings
 from stillcal.daemon.settings import Settings, SettingsError, SocketSettings, SourceSettings, load_settings
+from stillcal.daemon.source_base import SerialSettings
 from stillcal.daemon.store import StoreSettings
 
 Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings)

@@ -18,10 +18,9 @@ from stillcal.calib_core.samples import Samples, frozen
 from stillcal.calib_core.stillness_settings import Sleep
 from stillcal.daemon.log import say
 from stillcal.daemon.saved_state import SavedState
-from stillcal.daemon.serial_source import LinkDown, LinkUp, Record
 from stillcal.daemon.service_mind import Mind
 from stillcal.daemon.service_orders import Orders, grant
-from stillcal.daemon.source import Source
+from stillcal.daemon.source_base import LinkDown, LinkUp, Record, Source
 from stillcal.daemon.wire_messages import Hello, Identify, Rate, Status, Temperature
 
 BATCH_S = 0.2

@@ -21,7 +21,8 @@ import click
 import numpy as np
 
 from stillcal.calib_core.samples import Samples, Sensor, frozen
-from stillcal.daemon.serial_source import SerialSettings, SerialSource
+from stillcal.daemon.serial_source import SerialSource
+from stillcal.daemon.source_base import SerialSettings
 from stillcal.daemon.wire import Message, WireCounters, WireDecoder, WireEncoder, WireSettings
 
 READ = 4095

@@ -19,10 +19,10 @@ from stillcal.daemon import iio_sysfs
 from stillcal.daemon.iio_source import IioSource
 from stillcal.daemon.iio_sysfs import SensorGoneError, find, matrix
 from stillcal.daemon.notify import Notifier
-from stillcal.daemon.serial_source import LinkDown, LinkUp, SerialSettings
 from stillcal.daemon.service import Service
 from stillcal.daemon.service_given import Given
 from stillcal.daemon.settings import SettingsError
+from stillcal.daemon.source_base import LinkDown, LinkUp, SerialSettings
 from stillcal.daemon.wire import Hello, Identify, Rate, Status, Temperature
 
 

@@ -20,7 +20,8 @@ from hypothesis import strategies as st
 from stillcal.calib_core.events import Charging, End, Location, Tick
 from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.calib_core.stationary import Sense, Sleep
-from stillcal.daemon.serial_source import LinkDown, LinkUp, SerialSettings, SerialSource
+from stillcal.daemon.serial_source import SerialSource
+from stillcal.daemon.source_base import LinkDown, LinkUp, SerialSettings
 from stillcal.daemon.wire import Coding, Form, Grant, Hello, Message, Rate, Status, WireSettings
 from stillcal.replay.phone_link import LinkSettings, PhoneLink, serve_phone
 from stillcal.replay.phone_stream import PhoneEvent, PhoneStream

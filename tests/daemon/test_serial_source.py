@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from stillcal.calib_core.events import Tick
 from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.calib_core.stationary import Sense
-from stillcal.daemon.serial_source import LinkDown, LinkUp, Record, SerialSettings, SerialSource
+from stillcal.daemon.serial_source import SerialSource
+from stillcal.daemon.source_base import LinkDown, LinkUp, Record, SerialSettings
 from stillcal.daemon.wire import Form, Identify, Message, WireDecoder, WireEncoder, WireSettings
 
 
