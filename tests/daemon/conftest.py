@@ -1,8 +1,11 @@
-"""Calibrations to store: small, complete, and told apart by a number."""
+"""Calibrations to store, told apart by a number; short folders. Makes `living.py` importable by the tests."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +22,8 @@ from stillcal.calib_core.record import (
     StateRecord,
     Validity,
 )
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 MakeRecord = Callable[..., CalibrationRecord]
 
@@ -63,3 +68,11 @@ def _record(number: float, how: How = "calibration", states: int = 2) -> Calibra
 def make_record() -> MakeRecord:
     """Make a calibration by number."""
     return _record
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A short path that others may enter: socket paths are 107 bytes at most."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        yield Path(name)

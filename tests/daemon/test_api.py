@@ -10,14 +10,14 @@ import os
 import socket
 import subprocess
 import sys
-import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import varlink
+from living import answering, within_reason
 
 from stillcal.calib_core.events import Reject
 from stillcal.calib_core.events import Store as Keep
@@ -31,40 +31,6 @@ from stillcal.daemon.store import Store
 
 STILLCAL = str(Path(sys.executable).with_name("stillcal"))
 NAME = "io.stillcal.Calibration"
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """A short path that others may enter: socket paths are 107 bytes at most."""
-    with tempfile.TemporaryDirectory() as name:
-        Path(name).chmod(0o755)
-        yield Path(name)
-
-
-def within_reason(test: Coroutine[Any, Any, None]) -> None:
-    async def guarded() -> None:
-        async with asyncio.timeout(60):
-            await test
-
-    asyncio.run(guarded())
-
-
-@contextlib.asynccontextmanager
-async def answering(folder: Path, text: str = "") -> AsyncIterator[Service]:
-    """Run the daemon without a phone."""
-    config = folder / "stillcal.toml"
-    config.write_text(text)
-    given = Given(config, str(folder / "no-phone"), str(folder / "store.json"), str(folder / "socket"))
-    service = Service(given.settings(), given, Notifier({}))
-    service.open()
-    task = asyncio.create_task(service.run())
-    while not (folder / "socket").exists():
-        await asyncio.sleep(0.001)
-    try:
-        yield service
-    finally:
-        service.stop()
-        await task
 
 
 @contextlib.contextmanager

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,13 +13,6 @@ from click.testing import CliRunner
 from stillcal.daemon.cli import cli
 
 STILLCAL = str(Path(sys.executable).with_name("stillcal"))
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """A short path: a socket's is 107 bytes at most."""
-    with tempfile.TemporaryDirectory() as name:
-        yield Path(name)
 
 
 def calibration(store: Path) -> object:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 import shutil
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from living import within_reason
 
 from stillcal.calib_core.events import Tick
 from stillcal.calib_core.samples import Samples, Sensor
@@ -56,14 +57,6 @@ def imu(devices: Path, number: int = 1) -> Path:
 
 def light(devices: Path) -> None:
     put(devices / "iio:device0", name="stk3310", in_illuminance_raw=12)
-
-
-def within_reason(test: Coroutine[Any, Any, None]) -> None:
-    async def guarded() -> None:
-        async with asyncio.timeout(30):
-            await test
-
-    asyncio.run(guarded())
 
 
 def settings(devices: Path) -> SerialSettings:

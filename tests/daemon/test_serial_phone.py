@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import itertools
 import math
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from living import within_reason
 
 from stillcal.calib_core.events import Charging, End, Location, Tick
 from stillcal.calib_core.samples import Samples, Sensor
@@ -195,14 +196,6 @@ def test_an_empty_stream_is_done() -> None:
 
 
 # The phone and the daemon's source, on a real terminal
-
-
-def within_reason(test: Coroutine[Any, Any, None]) -> None:
-    async def guarded() -> None:
-        async with asyncio.timeout(60):
-            await test
-
-    asyncio.run(guarded())
 
 
 @contextlib.asynccontextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import tty
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import pytest
 import serial
 from hypothesis import given
 from hypothesis import strategies as st
+from living import within_reason
 
 from stillcal.calib_core.events import Tick
 from stillcal.calib_core.samples import Samples, Sensor
@@ -21,16 +22,6 @@ from stillcal.calib_core.stationary import Sense
 from stillcal.daemon.serial_source import SerialSource
 from stillcal.daemon.source_base import LinkDown, LinkUp, Record, SerialSettings
 from stillcal.daemon.wire import Form, Identify, Message, WireDecoder, WireEncoder, WireSettings
-
-
-def within_reason(test: Coroutine[Any, Any, None]) -> None:
-    """Run a test's coroutine; one that hangs fails instead."""
-
-    async def guarded() -> None:
-        async with asyncio.timeout(30):
-            await test
-
-    asyncio.run(guarded())
 
 
 class Device:

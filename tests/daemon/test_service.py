@@ -10,11 +10,12 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from living import given_in, running, until, within_reason
 
 from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.engine_state import EngineSettings
@@ -23,9 +24,6 @@ from stillcal.calib_core.events import Store as Keep
 from stillcal.calib_core.schedule import ScheduleSettings
 from stillcal.daemon import saved_state
 from stillcal.daemon.cli_query import replies
-from stillcal.daemon.notify import Notifier
-from stillcal.daemon.service import Service
-from stillcal.daemon.service_given import Given
 from stillcal.daemon.store import Store, StoreError
 from stillcal.daemon.store_document import StoreDocument
 from stillcal.daemon.wire import Hello
@@ -52,39 +50,6 @@ w_spread_s = 0.0
 def lab() -> list[Any]:
     """Ten minutes of a phone laid in 24 attitudes."""
     return list(simulate(load_scenario("lab"), load_phone("consumer"), 1).chunks())
-
-
-def within_reason(test: Coroutine[Any, Any, None]) -> None:
-    async def guarded() -> None:
-        async with asyncio.timeout(60):
-            await test
-
-    asyncio.run(guarded())
-
-
-def given_in(folder: Path, text: str = "") -> Given:
-    config = folder / "stillcal.toml"
-    config.write_text(text)
-    return Given(config, str(folder / "tty"), str(folder / "store.json"), str(folder / "socket"))
-
-
-@contextlib.asynccontextmanager
-async def running(given: Given, environ: dict[str, str] | None = None) -> AsyncIterator[Service]:
-    """Run the daemon on this loop and end it cleanly."""
-    service = Service(given.settings(), given, Notifier(environ or {}))
-    service.open()
-    task = asyncio.create_task(service.run())
-    await until(lambda: hasattr(service, "pump") or task.done())
-    try:
-        yield service
-    finally:
-        service.stop()
-        await task
-
-
-async def until(holds: Callable[[], Any]) -> None:
-    while not holds():
-        await asyncio.sleep(0.01)
 
 
 # The same life, live and replayed

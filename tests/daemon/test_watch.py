@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import pty
 import select
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,26 +17,18 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from living import answering, within_reason
 
 from stillcal.calib_core.attitudes import places, sphere
 from stillcal.calib_core.events import Charging
 from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.daemon import watch_words as words
 from stillcal.daemon.cli import cli
-from stillcal.daemon.notify import Notifier
-from stillcal.daemon.service import Given, Service
 from stillcal.daemon.store import Store
 from stillcal.daemon.watch_ask import Snapshot, snapshot
 from stillcal.daemon.watch_map import COLUMNS, ROWS, Glyphs, inside, place, sphere_map
 
 STILLCAL = str(Path(sys.executable).with_name("stillcal"))
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """A short path: a socket's is 107 bytes at most."""
-    with tempfile.TemporaryDirectory() as name:
-        yield Path(name)
 
 
 # The map
@@ -121,23 +110,6 @@ def test_the_attitude_that_would_help_most_is_the_one_left_out() -> None:
 # A daemon
 
 
-@contextlib.asynccontextmanager
-async def answering(folder: Path) -> Any:
-    config = folder / "stillcal.toml"
-    config.write_text("")
-    given = Given(config, str(folder / "no-phone"), str(folder / "store.json"), str(folder / "socket"))
-    service = Service(given.settings(), given, Notifier({}))
-    service.open()
-    task = asyncio.create_task(service.run())
-    while not (folder / "socket").exists():
-        await asyncio.sleep(0.001)
-    try:
-        yield service
-    finally:
-        service.stop()
-        await task
-
-
 def watched(folder: Path, *options: str) -> Result:
     arguments = ["watch", "--once", "--socket", str(folder / "socket"), *options]
     return CliRunner(env={"COLUMNS": "130"}).invoke(cli, arguments)
@@ -179,7 +151,7 @@ def test_one_frame_shows_rests_and_what_is_missing(folder: Path) -> None:
             text = picture.read_text()
             assert text.startswith("<svg") and "would" in text and "url(http" not in text
 
-    asyncio.run(test())
+    within_reason(test())
 
 
 def test_one_frame_shows_the_calibration_in_the_units_that_people_use(folder: Path, make_record: Any) -> None:
@@ -192,7 +164,7 @@ def test_one_frame_shows_the_calibration_in_the_units_that_people_use(folder: Pa
             for shown in (record.id, "unchecked", "3.06", "-0.1146", "20 to 35 °C", "0.11 mg rms"):
                 assert shown in result.output
 
-    asyncio.run(test())
+    within_reason(test())
 
 
 def test_no_daemon_is_one_line_and_code_4(folder: Path) -> None:
