@@ -15,8 +15,9 @@ from stillcal.calib_core.refusals import NotSupported
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_diagnose_work import Answered, Wanted, judged_recording, judged_rests
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.cli_options import format_option, gyro_option, quiet_option
 from stillcal.daemon.exits import TOO_LITTLE
-from stillcal.daemon.outputs import STANDARD_OUTPUT, recording_files, refuse_collisions
+from stillcal.daemon.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
 from stillcal.daemon.store_document import pretty
 from stillcal.replay.report.summary import summary
 
@@ -44,9 +45,9 @@ _path = click.Path(path_type=Path)
 @click.option(
     "--phone-out", type=_path, help="Write the better phone (.toml), for stillcal simulate --phone."
 )
-@click.option("--format", "format_", default="csv", show_default=True, help="As for stillcal replay.")
-@click.option("--gyro", type=_path, help="The gyroscope's own file, for formats of two.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@format_option(rests=True)
+@gyro_option
+@quiet_option
 def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path,
     phone: str | None,
@@ -90,11 +91,10 @@ def _check(wanted: Wanted, trace: Path, gyro: Path | None, json_path: Path | Non
         raise click.UsageError(
             "a rest table holds no samples: --phone, --simulated, --report and --phone-out need them"
         )
-    reads = [*recording_files(trace), *([] if gyro is None else [gyro])]
+    reads = [*recording_files(trace), *files(gyro)]
     reads += [] if wanted.simulated is None else recording_files(wanted.simulated)
     reads += [Path(wanted.phone)] if wanted.phone and wanted.phone.endswith(".toml") else []
-    writes = (wanted.report, wanted.phone_out, None if json_path == STANDARD_OUTPUT else json_path)
-    refuse_collisions([p for p in writes if p is not None], reads)
+    refuse_collisions(files(wanted.report, wanted.phone_out, json_path), reads)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import click
 
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.cli_options import quiet_option
 from stillcal.daemon.progress import progress
 from stillcal.replay.evaluation import page, studies
 from stillcal.replay.evaluation.claim import Study
@@ -43,7 +44,7 @@ NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
     help="The folder of real recordings (default: STILLCAL_DATA); without it some claims cannot be tested.",
 )
 @click.option("--seed", default=0, type=click.IntRange(0), show_default=True, help="For all that is drawn.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 def evaluate_command(  # noqa: PLR0917 - click hands every option over by name
     names: tuple[str, ...], listing: bool, out: Path, data: Path | None, seed: int, quiet: bool
 ) -> None:

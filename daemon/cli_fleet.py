@@ -14,8 +14,9 @@ from rich.console import Console
 
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.cli_options import format_option, quiet_option
 from stillcal.daemon.exits import TOO_LITTLE
-from stillcal.daemon.outputs import STANDARD_OUTPUT
+from stillcal.daemon.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
 from stillcal.daemon.progress import progress
 from stillcal.daemon.store_document import pretty
 
@@ -43,7 +44,7 @@ _LACKING = "this needs what the extra `fleet` brings: pip install 'stillcal[flee
 )
 @click.option("--scheduler", help="Address of a Dask scheduler; its workers read the same paths.")
 @click.option("--workers", type=click.IntRange(1), help="Local processes [default: one a core].")
-@click.option("--format", "format_", default="csv", show_default=True, help="As for stillcal replay.")
+@format_option("RECORDINGS", rests=True)
 @click.option(
     "--watch",
     type=click.Choice(["auto", "continuous", "probing"]),
@@ -52,7 +53,7 @@ _LACKING = "this needs what the extra `fleet` brings: pip install 'stillcal[flee
     help="How the engine looks: a recording costs no energy.",
 )
 @click.option("--no-diagnosis", is_flag=True, help="Calibrate only.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 def fleet_command(  # noqa: PLR0917 - click hands every option over by name
     recordings: str,
     out: Path,
@@ -160,6 +161,7 @@ def report_command(results: Path, json_path: Path | None) -> None:
         from stillcal.replay.fleet.report import report  # noqa: PLC0415
     except ImportError as error:
         raise click.UsageError(_LACKING.format(error)) from error
+    refuse_collisions(files(json_path), results.rglob("*.parquet"))
     found = report(results)
     text = pretty(found.document()) + "\n"
     if json_path == STANDARD_OUTPUT:
@@ -191,7 +193,7 @@ def report_command(results: Path, json_path: Path | None) -> None:
 )
 @click.option("--model", help="The phone's model [default: what its maker claims].")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write it there ('-': print it).")
-@click.option("--format", "format_", default="csv", show_default=True, help="As for stillcal replay.")
+@format_option(rests=False)
 def first_command(
     trace: Path, report_path: Path, model: str | None, json_path: Path | None, format_: str
 ) -> None:
@@ -203,6 +205,7 @@ def first_command(
     from stillcal.replay.fleet.first import document, first_calibration, read_prior  # noqa: PLC0415
     from stillcal.replay.trace import open_trace  # noqa: PLC0415
 
+    refuse_collisions(files(json_path), [*recording_files(trace), report_path])
     opened = open_trace(trace, format_)
     prior = read_prior(report_path, model or opened.claims.device)
     fit, rests = first_calibration(opened, prior)

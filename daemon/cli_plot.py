@@ -15,6 +15,7 @@ from stillcal.calib_core.engine_state import EngineSettings
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.cli_options import config_option, format_option, gyro_option, quiet_option
 from stillcal.daemon.exits import TOO_LITTLE
 from stillcal.daemon.outputs import refuse_collisions
 from stillcal.daemon.progress import progress
@@ -51,10 +52,10 @@ NOISE = ("allan", ALL)
     show_default=True,
     help="Attitudes gathered, residuals before and after, history of parameters, Allan curves, or all.",
 )
-@click.option("--format", "format_", default="csv", show_default=True, help="As for stillcal replay.")
-@click.option("--gyro", type=click.Path(path_type=Path), help="The gyroscope's own file, for formats of two.")
-@click.option("--config", type=click.Path(path_type=Path), help="Settings (TOML); see config/default.toml.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@format_option("a recording", rests=False)
+@gyro_option
+@config_option
+@quiet_option
 def plot_command(  # noqa: PLR0917 - click hands every option over by name
     source: Path, out: Path, what: str, format_: str, gyro: Path | None, config: Path | None, quiet: bool
 ) -> None:

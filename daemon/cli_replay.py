@@ -23,9 +23,11 @@ from stillcal.calib_core.terms import correct, interpolated
 from stillcal.daemon import store as storage
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.cli_options import config_option, format_option, gyro_option, quiet_option
 from stillcal.daemon.exits import TOO_LITTLE
 from stillcal.daemon.outputs import (
     STANDARD_OUTPUT,
+    files,
     new_recording_files,
     recording_files,
     refuse_collisions,
@@ -40,9 +42,6 @@ from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.runner import Outcome, replay, replay_rests
 from stillcal.replay.trace import Chunk, Trace, open_trace
 
-_FORMAT_HELP = (
-    "Format of TRACE: csv, rest, hhar, imu_tk, mikoff, imucal, phyphox, sensorlogger, or a map.toml."
-)
 _existing = click.Path(path_type=Path)
 
 
@@ -59,14 +58,14 @@ _existing = click.Path(path_type=Path)
 @click.option(
     "--json", "json_path", type=_existing, help="Write the calibration as JSON ('-': standard output)."
 )
-@click.option("--format", "format_", default="csv", show_default=True, help=_FORMAT_HELP)
-@click.option("--gyro", type=_existing, help="The gyroscope's own file, for formats of two files.")
-@click.option("--config", type=_existing, help="Settings (TOML); see config/default.toml.")
+@format_option(rests=True)
+@gyro_option
+@config_option
 @click.option("--gravity", type=float, help="Local gravity in m/s^2, where it is known.")
 @click.option(
     "--watch", type=click.Choice(["auto", "continuous", "probing"]), help="Override how the engine looks."
 )
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 def replay_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path,
     store_path: Path | None,
@@ -109,9 +108,9 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
 @click.option(
     "--out", type=_existing, required=True, help="Where the calibrated recording goes (.csv, .csv.gz)."
 )
-@click.option("--format", "format_", default="csv", show_default=True, help=_FORMAT_HELP)
-@click.option("--gyro", type=_existing, help="The gyroscope's own file, for formats of two files.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@format_option(rests=False)
+@gyro_option
+@quiet_option
 def apply_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path, store_path: Path, out: Path, format_: str, gyro: Path | None, quiet: bool
 ) -> None:
@@ -168,12 +167,11 @@ def _corrected(samples: Samples, record: CalibrationRecord, felt: Samples | None
 
 
 def _read(trace: Path, gyro: Path | None) -> list[Path]:
-    return [*recording_files(trace), *([] if gyro is None else [gyro])]
+    return [*recording_files(trace), *files(gyro)]
 
 
 def _written(store: Path | None, json_path: Path | None) -> list[Path]:
-    to_file = [] if json_path in {None, STANDARD_OUTPUT} else [json_path]
-    return [*([] if store is None else store_files(store)), *(p for p in to_file if p is not None)]
+    return [*([] if store is None else store_files(store)), *files(json_path)]
 
 
 def _chosen(settings: Settings, gravity: float | None, watch: str | None) -> EngineSettings:

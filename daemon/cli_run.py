@@ -8,20 +8,30 @@ from pathlib import Path
 import click
 
 from stillcal.daemon import log
+from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.cli_options import config_option
 from stillcal.daemon.notify import Notifier, passed_sockets
 from stillcal.daemon.service import Service
 from stillcal.daemon.service_given import Given
 
 
-@click.command("run")
-@click.option("--config", type=click.Path(path_type=Path), help="Settings (TOML); see config/default.toml.")
-@click.option("--port", help="The phone's serial device, in place of [source] port.")
+@click.command(
+    "run",
+    epilog=examples(
+        "stillcal run --port /dev/ttyACM0",
+        "stillcal run --port '/dev/serial/by-id/usb-Arduino*' --store store.json",
+        "stillcal run --config stillcal.toml",
+    ),
+)
+@config_option
+@click.option("--port", help="The phone's serial device or a pattern, in place of [source] port.")
 @click.option("--store", type=click.Path(path_type=Path), help="The store, in place of [store] path.")
 @click.option("--socket", help="Where to answer questions, in place of [socket] path.")
 def run_command(config: Path | None, port: str | None, store: Path | None, socket: str | None) -> None:
-    """Keep a phone calibrated: read its serial line, answer on a socket, until SIGTERM.
+    """Keep a phone calibrated: read its sensors, answer on a socket, until SIGTERM.
 
-    SIGHUP reads the settings again. Logs go to standard error.
+    The phone is on a serial line, or with kind = "iio" under [source] this machine is the phone. SIGHUP reads
+    the settings again. Logs go to standard error. Exit code 2 where settings, store or socket cannot serve.
     """
     given = Given(config, port, str(store) if store else None, socket, tuple(passed_sockets()))
     settings = given.settings()

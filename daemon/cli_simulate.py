@@ -16,7 +16,8 @@ import msgspec
 
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_lazy import examples
-from stillcal.daemon.outputs import new_recording_files, refuse_collisions
+from stillcal.daemon.cli_options import quiet_option
+from stillcal.daemon.outputs import files, new_recording_files, refuse_collisions
 from stillcal.daemon.progress import progress
 from stillcal.daemon.store_document import pretty
 from stillcal.replay.formats.claims import Claims
@@ -55,7 +56,7 @@ from stillcal.replay.phone_link import LinkSettings, serve_phone
 )
 @click.option("--phone", default="typical", show_default=True, help="A ready phone, or a phone.toml.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the true sensor errors there (JSON).")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 def simulate_command(  # noqa: PLR0917 - click hands every option over by name
     scenario: str,
     out: Path | None,
@@ -80,10 +81,7 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
         raise click.UsageError("--port and --speed are for --serial")
     simulation = _simulation(scenario, phone, seed)
     told = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
-    written = [
-        *(new_recording_files(out) if out is not None else []),
-        *([truth] if truth is not None else []),
-    ]
+    written = [*([] if out is None else new_recording_files(out)), *files(truth)]
     refuse_collisions(written, told)
     if out is not None:
         _write(simulation, out, quiet)

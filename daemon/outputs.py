@@ -16,6 +16,11 @@ from stillcal.replay.formats.claims import beside, written_by_stillcal
 STANDARD_OUTPUT = Path("-")
 
 
+def files(*paths: Path | None) -> list[Path]:
+    """Return those that are files: neither left out nor standard output."""
+    return [path for path in paths if path is not None and path != STANDARD_OUTPUT]
+
+
 def recording_files(path: Path) -> list[Path]:
     """Return a recording's own files: its samples, its events, and its claims unless a command wrote them."""
     claims = beside(path, ".json")

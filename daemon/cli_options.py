@@ -1,0 +1,30 @@
+"""Options that several commands have: said once, so that they mean the same everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+Option = Callable[[Command], Command]
+
+_NAMES = "hhar, imu_tk, mikoff, imucal, phyphox, sensorlogger, sensorlogger_ios, mpu6050, airbrakes"
+
+
+def format_option(what: str = "TRACE", *, rests: bool) -> Option[Any]:
+    """Return --format for `what`. rests: whether a table of rests is taken too."""
+    known = f"csv, rest, {_NAMES}" if rests else f"csv, {_NAMES}"
+    told = f"Format of {what}: {known}, or the path of a column map (.toml)."
+    return click.option("--format", "format_", default="csv", show_default=True, help=told)
+
+
+gyro_option: Option[Any] = click.option(
+    "--gyro", type=click.Path(path_type=Path), help="The gyroscope's own file, for formats of two files."
+)
+config_option: Option[Any] = click.option(
+    "--config", type=click.Path(path_type=Path), help="Settings (TOML); see config/default.toml."
+)
+quiet_option: Option[Any] = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
