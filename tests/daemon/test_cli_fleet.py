@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -97,3 +98,25 @@ def test_nothing_to_do_is_one_line(arguments: tuple[str, ...], said: str, tmp_pa
     assert found.returncode == BAD_INPUT
     assert said in found.stderr and found.stderr.count("\n") == 1
     assert not (tmp_path / "results").exists()
+
+
+def test_a_new_phone_is_calibrated_and_its_recording_never_written_over(phones: Path, tmp_path: Path) -> None:
+    """A wide prior about a true sensor: with two dozen rests nearly all is theirs."""
+    spread = [0.4] * 3 + [0.015] * 3 + [0.005] * 3
+    covariance = [[spread[i] ** 2 * (i == j) for j in range(9)] for i in range(9)]
+    mean = [0.0] * 3 + [1.0] * 3 + [0.0] * 3
+    prior = {"model": "", "devices": 40, "mean": mean, "covariance": covariance, "scatter": 0.01}
+    report, found = tmp_path / "fleet.json", tmp_path / "first.json"
+    report.write_text(json.dumps({"priors": [prior]}))
+    recording = next(path for path in sorted(phones.rglob("recording.csv")) if "nan" not in path.read_text())
+    before = recording.read_bytes()
+    refused = called("fleet-first", recording, "--prior", report, "--json", recording)
+    assert refused.returncode == BAD_INPUT and "is read by this command" in refused.stderr
+    assert recording.read_bytes() == before
+    said = called("fleet-first", recording, "--prior", report, "--json", found)
+    assert said.returncode == 0 and "from the rests" in said.stdout, said.stderr
+    told = json.loads(found.read_text())
+    sds = [told["accelerometer"]["covariance"][i][i] ** 0.5 for i in range(9)]
+    assert all(sd <= wide for sd, wide in zip(sds, spread, strict=True))
+    shown = told["prior"]["shown_by_rests"]
+    assert max(shown) > 0.9 and all(0.0 <= share <= 1.0 for share in shown)
