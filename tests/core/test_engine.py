@@ -273,13 +273,19 @@ def test_events_without_samples_bring_nothing_and_break_nothing(events: list[Eve
     assert engine.wants() == Sense(np.inf)
 
 
+def noisy(begin: float, end: float) -> Samples:
+    still = block(Sensor.ACCELEROMETER, begin, end)
+    return replace(still, xyz=frozen(still.xyz + np.random.default_rng(1).normal(0, 0.01, still.xyz.shape)))
+
+
 def test_a_year_between_two_stamps_takes_no_time() -> None:
-    """A clock that is set while the phone records."""
-    engine = Engine(replace(QUICK, energy=EnergySettings(burst_s=10.0)))
-    engine.feed(
-        block(Sensor.ACCELEROMETER, 0.0, 60.0), block(Sensor.ACCELEROMETER, 3e7, 3e7 + 60.0), End(4e7)
-    )
-    assert engine.state.counters.rests >= 0
+    """A clock that is set while the phone records: a rest on either side, none across, no year of checks."""
+    engine = Engine(replace(QUICK, energy=EnergySettings(burst_s=600.0)))
+    actions = engine.feed(noisy(0.0, 60.0), noisy(3e7, 3e7 + 60.0), End(4e7))
+    assert [a.what for a in actions if isinstance(a, Log)] == ["watch", "rest", "rest", "refused"]
+    assert engine.state.counters.rests == 2
+    (kept,) = engine.state.pool.rests  # the first is a year old
+    assert kept.t_start >= 3e7 and kept.t_end <= 3e7 + 60.0
 
 
 def test_a_phone_that_lies_flat_is_not_calibrated_and_why_is_said() -> None:

@@ -191,6 +191,7 @@ def test_bandwidth_halves_the_power_at_its_cutoff() -> None:
 def test_bandwidth_leaves_rests_alone() -> None:
     off, on = both(effect("bandwidth", cutoff=20.0))
     simulation = simulate(scenario(), phone(), seed=1)
+    assert simulation.truth.rests and np.abs(off.accelerometer.xyz - on.accelerometer.xyz).max() > 1e-3
     for rest in simulation.truth.rests:
         late = [r.accelerometer.between(rest.t_start + 1.0, rest.t_end).xyz for r in (off, on)]
         assert np.abs(late[0] - late[1]).max() < 1e-6

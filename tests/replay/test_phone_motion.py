@@ -105,6 +105,7 @@ def test_recorded_rates_lead_from_rest_to_rest() -> None:
     simulation = simulate(scenarios["lab"], ideal_at(rate), seed=4)
     gyro = simulation.whole().gyroscope
     rests = simulation.truth.rests[:8]
+    assert len(rests) == 8
     for before, after in pairwise(rests):
         run = gyro.between(before.t_end - 0.5, after.t_start + 0.5)
         rates = run.xyz[: len(run) - (len(run) + 1) % 2]
@@ -115,6 +116,7 @@ def test_recorded_rates_lead_from_rest_to_rest() -> None:
 
 def test_pieces_join_without_a_jump() -> None:
     pieces = simulate(lively(), load_phone("ideal"), seed=3).plan.pieces
+    assert len(pieces) > 10
     for before, after in pairwise(pieces):
         assert before.t_end == after.t_start
         assert np.abs(before.attitude_at(before.t_end) - after.attitude).max() < 1e-12

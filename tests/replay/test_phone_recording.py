@@ -93,7 +93,9 @@ def test_how_the_stream_is_cut_changes_nothing(seconds: float) -> None:
 
 def test_chunks_hold_what_their_time_says() -> None:
     before = -math.inf
-    for chunk in simulate(short(), load_phone("nexus4"), seed=4).chunks(7.0):
+    chunks = list(simulate(short(), load_phone("nexus4"), seed=4).chunks(7.0))
+    assert len(chunks) > 3 and sum(len(c.accelerometer.t) + len(c.gyroscope.t) for c in chunks) > 1000
+    for chunk in chunks:
         for t in (chunk.accelerometer.t, chunk.gyroscope.t, [e.t for e in chunk.events]):
             assert all(before <= x < chunk.t_end for x in t)
         before = chunk.t_end
@@ -207,8 +209,10 @@ def test_truth_undoes_the_sensor() -> None:
     simulation = simulate(short(), silent, seed=1)
     truth, run = simulation.truth, simulation.whole().accelerometer
     calibrated = (run.xyz - truth.accelerometer.bias) @ truth.accelerometer.scale.T
+    assert len(truth.rests) > 1
     for rest in truth.rests:
         rows = (run.t > rest.t_start + 0.01) & (run.t < rest.t_end - 0.01)
+        assert rows.any()
         assert np.abs(calibrated[rows] - rest.up * rest.gravity).max() < 1e-10
 
 

@@ -97,6 +97,8 @@ def some_rows(n: int = 240) -> hetero_modes.Rows:
 
 def test_modes_keep_apart_what_they_say() -> None:
     rows = some_rows()
+    modes = ("user out", "model out", "one model, user out", "cluster, user out")
+    assert all(list(hetero_modes.splits(rows, mode, 0)) for mode in modes)
     for train, test in hetero_modes.splits(rows, "user out", 0):
         assert not set(rows.person[train]) & set(rows.person[test])
     for train, test in hetero_modes.splits(rows, "model out", 0):

@@ -46,10 +46,12 @@ def test_the_frozen_tablet_is_no_rest(still: list[Still]) -> None:
 
 def test_stamps_are_seconds(still: list[Still]) -> None:
     """Median interval by creation within a tenth of Table 1, but for the S3, which never ran at 150 Hz."""
-    for model, intervals in hetero_timing.by_model(still).items():
-        if model in hetero_timing.RATES_HZ and model != "Samsung-Galaxy-S3":
-            nominal = 1e3 / hetero_timing.RATES_HZ[model]
-            assert np.median(intervals.creation) == pytest.approx(nominal, rel=0.1), model
+    found = hetero_timing.by_model(still)
+    nominal = {model: 1e3 / rate for model, rate in hetero_timing.RATES_HZ.items() if model in found}
+    assert "Samsung-Galaxy-S3" in nominal and len(nominal) > 5
+    medians = {model: float(np.median(found[model].creation)) for model in nominal}
+    assert medians.pop("Samsung-Galaxy-S3") > 1.1 * nominal.pop("Samsung-Galaxy-S3")
+    assert medians == pytest.approx(nominal, rel=0.1)
 
 
 def test_deviations_follow_the_reference(still: list[Still]) -> None:
