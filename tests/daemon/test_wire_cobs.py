@@ -53,7 +53,7 @@ def test_cobs_returns_what_it_was_given(data: bytes) -> None:
 
 @given(st.binary(max_size=600))
 def test_anything_else_is_refused_by_the_one_error(data: bytes) -> None:
-    """Random bytes may be COBS, but then of something shorter, and never with the right CRC (one in 2**32)."""
+    """Random bytes may be COBS, but then of something shorter, and never with the right CRC."""
     with contextlib.suppress(FrameError):
         plain = cobs_decode(data)
         assert len(plain) < len(data) and 0 not in data and cobs_decode(cobs_encode(plain)) == plain
