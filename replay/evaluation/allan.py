@@ -17,7 +17,7 @@ from stillcal.replay.evaluation import drawing
 from stillcal.replay.evaluation.claim import Claim, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.phone.noise import Wander, White, flicker_bank, seeded
 
-SEED = "003"
+WORK = "Collin 2019"
 NAMES = ("N", "B", "K")
 TRUTH = (0.025, 0.0025, 1e-4)
 """N, B, K of the records, such as a consumer gyroscope has in deg/s: a floor that three noises share."""
@@ -110,7 +110,7 @@ def _slope_claim(
     ours, error = float(np.mean(slopes)), float(np.std(slopes, ddof=1) / np.sqrt(len(slopes)))
     room = 3.0 * error + 0.02
     return Claim(
-        SEED, "2.1.2, Fig. 2", claim, f"slope {slope:+.1f}", f"{ours:+.3f} +- {error:.3f}",
+        WORK, "2.1.2, Fig. 2", claim, f"slope {slope:+.1f}", f"{ours:+.3f} +- {error:.3f}",
         "24 simulated records of 4 h", holds(abs(ours - slope) <= room),
         f"within {room:.3f}: three standard errors, and 0.02 as ten processes are not quite 1/f",
     )  # fmt: skip
@@ -119,10 +119,10 @@ def _slope_claim(
 def _library_claim(seed: int) -> Claim:
     claim, where = "overlapping Allan deviation as allantools has it", "2.1.2, Eq. 1"
     if importlib.util.find_spec("allantools") is None:
-        return Claim(SEED, where, claim, "equal", "-", "-", Verdict.UNTESTED, "allantools is not installed")
+        return Claim(WORK, where, claim, "equal", "-", "-", Verdict.UNTESTED, "allantools is not installed")
     worst = library_difference(record(TRUTH, 7200.0, RATE, seed)[:, 0])
     return Claim(
-        SEED, where, claim, "equal", f"within {worst:.0e} of it", "one simulated record of 2 h",
+        WORK, where, claim, "equal", f"within {worst:.0e} of it", "one simulated record of 2 h",
         holds(worst <= 1e-9), "1e-9: both sum the same squares, in another order",
     )  # fmt: skip
 
@@ -140,7 +140,7 @@ def library_difference(values: Array) -> float:
 
 def _band_claim(found: Recovered, data: str) -> Claim:
     return Claim(
-        SEED, "2.1.2", "68 % confidence bands hold the mean curve", "68.3 % of points", f"{found.held:.1%}",
+        WORK, "2.1.2", "68 % confidence bands hold the mean curve", "68.3 % of points", f"{found.held:.1%}",
         data, holds(abs(found.held - 0.6827) <= 0.05), "within 5 %: their degrees of freedom are approximate",
     )  # fmt: skip
 
@@ -151,7 +151,7 @@ def _fit_claims(found: Recovered, data: str) -> list[Claim]:
         fit, read = rms_error(found.fitted[:, axis]), rms_error(found.read[:, axis])
         claims.append(
             Claim(
-                SEED, "2.1.2, Fig. 2", f"{name} is found from a curve", "read off its slopes",
+                WORK, "2.1.2, Fig. 2", f"{name} is found from a curve", "read off its slopes",
                 f"fitted to all of it: {np.median(found.fitted[:, axis]):.2f} of the truth, rms {fit:.0%};"
                 f" read off: {np.median(found.read[:, axis]):.2f}, rms {read:.0%}", data,
                 holds(fit <= read), "the fit's rms relative error is not the larger",

@@ -22,7 +22,7 @@ from stillcal.replay.evaluation.claim import Claim, Progress, Study, holds, pict
 from stillcal.replay.phone import Phone, draw_rests, load_phone
 from stillcal.replay.published import RANGES, dataset
 
-SEED, WHERE = "002", "2.5"
+WORK, WHERE = "ESGI'95", "2.5"
 PARAMETERS = 9
 REPEATS = 300
 
@@ -189,7 +189,7 @@ def _exchanged(rows: Array, held: NDArray[np.int64]) -> NDArray[np.int64]:
 def _optimum_claim(design: Design) -> Claim:
     even = efficiency(icosahedron(), information(design.directions, design.weights))
     return Claim(
-        SEED, WHERE, "(future work:) the optimal positions should be determined", "left open",
+        WORK, WHERE, "(future work:) the optimal positions should be determined", "left open",
         f"even ones: 12 as an icosahedron, D-efficiency {even:.4f}; largest variance of the optimum"
         f" {design.worst:.4f}",
         "theory; 426 candidates",
@@ -216,7 +216,7 @@ def _greedy_claim(sets: dict[str, Array]) -> Claim:
     tested = [up for name, up in sets.items() if name.startswith("dataset") or name == "six faces"]
     right = sum(agrees_with_brute_force(up) for up in tested)
     return Claim(
-        SEED, WHERE, "(future work:) which attitude to add: the one that stillcal names is the best of 26",
+        WORK, WHERE, "(future work:) which attitude to add: the one that stillcal names is the best of 26",
         "left open",
         f"{right} of {len(tested)}", "the attitudes of its tables, and six faces",
         holds(right == len(tested)),
@@ -228,7 +228,7 @@ def _paper_claim(sets: dict[str, Array], best: Array) -> Claim:
     found = {name: efficiency(up, best) for name, up in sets.items() if name.startswith("dataset")}
     least = min(found, key=lambda name: found[name])
     return Claim(
-        SEED, "2.4", "distinct positions matter: dataset 3's positions 3-23 are the worst choice",
+        WORK, "2.4", "distinct positions matter: dataset 3's positions 3-23 are the worst choice",
         "0.98 % of error",
         f"least efficient: {least}, {found[least]:.2f}; others"
         f" {min(v for k, v in found.items() if k != least):.2f} "
@@ -241,7 +241,7 @@ def _upright_claim() -> Claim:
     before, after = upright_added()
     named = attitudes.most_helpful_attitude(attitudes.directions(dataset(3)[RANGES["3-23"]]), PARAMETERS)
     return Claim(
-        SEED, "2.4", "dataset 3, 3-23: two like positions bias the fit", "0.98 % with both, 0.26 % with one",
+        WORK, "2.4", "dataset 3, 3-23: two like positions bias the fit", "0.98 % with both, 0.26 % with one",
         f"{100 * before:.2f} %; with position 1 added {100 * after:.2f} %, positions 3 and 21 both kept",
         "its table 3", holds(after > 0.5 * before),
         f"the missing attitude heals it, not the likeness: {named.words} is what stillcal asks for",
@@ -260,7 +260,7 @@ def _uncertainty_claim(seed: int, wander: bool) -> Claim:
             "and no rest of that session shows it, and takes less from the scale than is stated"
         )
     return Claim(
-        SEED, WHERE, f"(future work:) the error with which the parameters are found, {kind}", "left open",
+        WORK, WHERE, f"(future work:) the error with which the parameters are found, {kind}", "left open",
         f"stated over actual {ratio.min():.2f} to {ratio.max():.2f}; 95 % intervals hold "
         f"{100 * held.min():.0f} to {100 * held.max():.0f} %",
         f"{REPEATS} simulated calibrations, attitudes of dataset 1, 1-20",

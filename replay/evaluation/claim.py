@@ -24,11 +24,11 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """One claim beside ours. where: "Table 2", "3.5.3"; data: what it was computed from; because: the
-    tolerance and its reason, or why it differs, or what is missing.
+    """One claim beside ours. source: the paper, as page.py lists them. where: "Table 2", "3.5.3". data: what
+    it was computed from. because: the tolerance and its reason, or why it differs, or what is missing.
     """  # noqa: D205 - the fields are the summary
 
-    seed: str
+    source: str
     where: str
     claim: str
     paper: str
@@ -41,7 +41,7 @@ class Claim:
 @dataclass(frozen=True, slots=True)
 class Study:
     """Claims and a text about them. name: as on the command line. text: Markdown, headings from ###, with
-    figures by `picture`. figures: their file names. random_seed: what it was drawn with.
+    figures by `picture`. figures: their file names. seed: what it was drawn with.
     """  # noqa: D205 - the fields are the summary
 
     name: str
@@ -49,7 +49,7 @@ class Study:
     claims: tuple[Claim, ...]
     text: str
     figures: tuple[str, ...] = ()
-    random_seed: int = 0
+    seed: int = 0
 
 
 def agreement(paper: float, ours: float, tolerance: float) -> Verdict:

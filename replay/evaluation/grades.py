@@ -19,7 +19,7 @@ from stillcal.replay.phone import Phone, Scenario, load_phone, simulate
 from stillcal.replay.phone.resting import Rest
 from stillcal.replay.phone.settings import SensorSettings, per_axis
 
-SEED = "003"
+WORK = "Collin 2019"
 GRADES = ("navigation", "tactical", "consumer")
 MG, DEG_H, DEG_RT_H = STANDARD / 1e3, math.radians(1.0) / 3600.0, math.radians(1.0) / 60.0
 REST_S = 3600.0
@@ -109,7 +109,7 @@ misalignment it does not show, and of weight, volume and power (last rows of Tab
 def _settings_claim(grade: str, paper: list[float], ours: tuple[float, ...]) -> Claim:
     off = max(abs(o / p - 1.0) for o, p in zip(ours, paper, strict=True))
     return Claim(
-        SEED, "Table 1", f"{grade} grade: nine figures of the simulated phone", "as printed",
+        WORK, "Table 1", f"{grade} grade: nine figures of the simulated phone", "as printed",
         f"within {off:.1%}", f"config/phones/{grade}.toml", holds(off <= 0.025),
         "within 2.5 %: half a step of the last of two digits",
     )  # fmt: skip
@@ -121,7 +121,7 @@ def _measured_claims(grade: str, paper: list[float], measured: Measured) -> list
     room = max(0.01, 3.0 * measured.random_walk_error) + rounding
     return [
         Claim(
-            SEED, "Table 1", f"{grade}: angular random walk, deg/sqrt(h), measured", f"{paper[6]:g}",
+            WORK, "Table 1", f"{grade}: angular random walk, deg/sqrt(h), measured", f"{paper[6]:g}",
             f"{measured.random_walk:.4g}", data, holds(abs(measured.random_walk / paper[6] - 1.0) <= room),
             f"within {room:.1%}: the fit's error, at least 1 %, and {rounding:.1%} by rounding",
         ),
@@ -143,7 +143,7 @@ def _bias_claim(grade: str, paper: list[float], measured: Measured, data: str) -
     hidden = unknown > printed
     verdict = Verdict.UNTESTED if hidden else holds(abs(ours - printed) <= 3.0 * unknown)
     return Claim(
-        SEED, "Table 1", f"{grade}: gyroscope bias, deg/h, measured", f"{printed:g}", f"{ours:.4g}", data,
+        WORK, "Table 1", f"{grade}: gyroscope bias, deg/h, measured", f"{printed:g}", f"{ours:.4g}", data,
         verdict, f"noise leaves +-{unknown:.2g} deg/h open" + (", more than the bias" if hidden else ""),
     )  # fmt: skip
 
@@ -151,7 +151,7 @@ def _bias_claim(grade: str, paper: list[float], measured: Measured, data: str) -
 def _gap_claim() -> Claim:
     decades = [math.log10(row[2] / row[0]) for name, row in TABLE1.items() if "misalignment" not in name]
     return Claim(
-        SEED, "2.2", "the gap between consumer and navigation grades is many decades", "many decades",
+        WORK, "2.2", "the gap between consumer and navigation grades is many decades", "many decades",
         f"{min(decades):.1f} to {max(decades):.1f} decades", "Table 1", holds(max(decades) >= 3.0),
         "at least three decades in some figure",
     )  # fmt: skip

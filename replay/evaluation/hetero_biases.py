@@ -21,7 +21,7 @@ from stillcal.replay.evaluation.drawing import BLUE, GREY, RED, panels, save
 from stillcal.replay.evaluation.hetero_recordings import DATA, Still, by_device, read_still
 from stillcal.replay.evaluation.learning_data import without_recordings
 
-NAME, TITLE, SEED = "biases", "Devices at rest (Figure 1)", "004"
+NAME, TITLE, WORK = "biases", "Devices at rest (Figure 1)", "Stisen 2015"
 G = 9.81
 """What the paper took deviations from, m/s^2."""
 
@@ -67,7 +67,7 @@ def deviations(recordings: list[Still], g: float = G) -> Deviations:
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
     """Compare range, size and shape of the deviations with the paper's."""
     if data is None:
-        return without_recordings(NAME, TITLE, [(SEED, *row) for row in PAPER.values()], seed)
+        return without_recordings(NAME, TITLE, [(WORK, *row) for row in PAPER.values()], seed)
     recordings = read_still(data)
     devices = [r for r in recordings if not r.reference]
     working = deviations([r for r in devices if not r.frozen])
@@ -88,7 +88,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
 
 
 def _claim(key: str, ours: str, verdict: object, because: str) -> Claim:
-    return Claim(SEED, *PAPER[key], ours, DATA, verdict, because)  # type: ignore[arg-type]
+    return Claim(WORK, *PAPER[key], ours, DATA, verdict, because)  # type: ignore[arg-type]
 
 
 def _range(found: Deviations) -> Claim:

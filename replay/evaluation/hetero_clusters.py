@@ -16,7 +16,7 @@ from stillcal.replay.evaluation.hetero_biases import G
 from stillcal.replay.evaluation.hetero_recordings import DATA, Still, by_device, read_still
 from stillcal.replay.evaluation.learning_data import without_recordings
 
-NAME, TITLE, SEED = "clusters", "Clusters of devices (Figure 11)", "004"
+NAME, TITLE, WORK = "clusters", "Clusters of devices (Figure 11)", "Stisen 2015"
 PAPER = {
     "number": ("5.1, Figure 11", "affinity propagation on bias and steadiness of rate: clusters", "5"),
     "same": ("5.1", "phones of one model may fall into different clusters", "said"),
@@ -79,7 +79,7 @@ def clusters(
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
     """Cluster the devices as the paper did, and see how far the number of clusters depends on choices."""
     if data is None:
-        return without_recordings(NAME, TITLE, [(SEED, *row) for row in PAPER.values()], seed)
+        return without_recordings(NAME, TITLE, [(WORK, *row) for row in PAPER.values()], seed)
     devices = described(read_still(data))
     progress(0.3)
     labels, exemplars = clusters(devices.features[:, :2], seed)
@@ -87,7 +87,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     number = len(exemplars)
     claims = (
         Claim(
-            SEED,
+            WORK,
             *PAPER["number"],
             str(number),
             DATA,
@@ -112,7 +112,7 @@ def _split_models(devices: Devices, labels: NDArray[np.intp]) -> Claim:
     several = [m for m in sorted(set(devices.models)) if np.sum(models == m) > 1]
     split = [m for m in several if len(set(labels[models == m])) > 1]
     ours = f"{len(split)} of {len(several)} models with several devices"
-    return Claim(SEED, *PAPER["same"], ours, DATA, holds(bool(split)), f"split: {', '.join(split)}")
+    return Claim(WORK, *PAPER["same"], ours, DATA, holds(bool(split)), f"split: {', '.join(split)}")
 
 
 def _draw(devices: Devices, labels: NDArray[np.intp], exemplars: NDArray[np.intp], folder: Path) -> str:

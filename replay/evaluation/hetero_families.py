@@ -23,7 +23,7 @@ from stillcal.replay.evaluation.learning_scoring import (
     with_interval,
 )
 
-NAME, TITLE, SEED = "heterogeneity", "Which heterogeneity hurts which features", "004"
+NAME, TITLE, WORK = "heterogeneity", "Which heterogeneity hurts which features", "Stisen 2015"
 EACH, FOLDS, COMMON_HZ = 20, 5, 25.0
 """Windows taken of each person; folds by people; the common rate (5.2)."""
 
@@ -81,7 +81,7 @@ def some(windows: Windows, each: int, rng: np.random.Generator) -> Windows:
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
     """Train on a clean device, test on others with one heterogeneity at a time, and with remedies."""
     if data is None:
-        return without_recordings(NAME, TITLE, [(SEED, *row) for row in PAPER.values()], seed)
+        return without_recordings(NAME, TITLE, [(WORK, *row) for row in PAPER.values()], seed)
     windows = some(read_windows(data), EACH, np.random.default_rng(seed))
     devices = few_devices(read_devices(data))
     found = scores(windows, devices, seed, progress)
@@ -185,7 +185,7 @@ def _frequency(found: Scores, data: str) -> Claim:
         " Hz, intervals by the five folds of people"
     )
     good = mean["frequency"] < 2.0 * others
-    return Claim(SEED, *PAPER["frequency"], by_family(lost), data, holds(good), why)
+    return Claim(WORK, *PAPER["frequency"], by_family(lost), data, holds(good), why)
 
 
 def _time(found: Scores, data: str) -> Claim:
@@ -193,7 +193,7 @@ def _time(found: Scores, data: str) -> Claim:
     errors, rate = found.change("errors")[row], found.change("rate")[row]
     ours = f"errors {with_interval(errors)}, rate {with_interval(rate)} points"
     why = "holds where the mean loss by errors is the larger"
-    return Claim(SEED, *PAPER["time"], ours, data, holds(errors.mean() < rate.mean()), why)
+    return Claim(WORK, *PAPER["time"], ours, data, holds(errors.mean() < rate.mean()), why)
 
 
 def _ensemble(found: Scores, data: str) -> Claim:
@@ -203,7 +203,7 @@ def _ensemble(found: Scores, data: str) -> Claim:
     why = (
         "holds where the forest is within a point of the best learner, over families, all heterogeneities on"
     )
-    return Claim(SEED, *PAPER["ensemble"], ours, data, holds(good), why)
+    return Claim(WORK, *PAPER["ensemble"], ours, data, holds(good), why)
 
 
 def _uneven(found: Scores, data: str) -> Claim:
@@ -219,21 +219,21 @@ def _uneven(found: Scores, data: str) -> Claim:
         " stamps, which are the truth"
     )
     good = back.mean() < -found.change("all")[row].mean() - 1.0
-    return Claim(SEED, *PAPER["uneven"], ours, data, holds(good), why)
+    return Claim(WORK, *PAPER["uneven"], ours, data, holds(good), why)
 
 
 def _ecdf(found: Scores, data: str) -> Claim:
     lost = found.change("all")
     least = list(FAMILIES)[int(lost.mean(axis=1).argmax())]
     why = "holds where they lose least; points as above"
-    return Claim(SEED, *PAPER["ecdf"], by_family(lost), data, holds(least == "ECDF"), why)
+    return Claim(WORK, *PAPER["ecdf"], by_family(lost), data, holds(least == "ECDF"), why)
 
 
 def _calibration(found: Scores, data: str) -> Claim:
     back = found.change("all, calibrated", "all")
     why = "holds where some family's interval by folds of people lies above zero"
     good = any(interval(row)[0] > 0.0 for row in back)
-    return Claim(SEED, *PAPER["calibration"], by_family(back), data, holds(good), why)
+    return Claim(WORK, *PAPER["calibration"], by_family(back), data, holds(good), why)
 
 
 def _moved(found: Scores, data: str) -> Claim:
@@ -243,7 +243,7 @@ def _moved(found: Scores, data: str) -> Claim:
         "holds where all heterogeneities move them farthest: rms distance of a window's features from those"
         " of the clean device, over their spread among windows, median over features"
     )
-    return Claim(SEED, *PAPER["moved"], ours, data, holds(max(far, key=lambda k: far[k]) == "frequency"), why)
+    return Claim(WORK, *PAPER["moved"], ours, data, holds(max(far, key=lambda k: far[k]) == "frequency"), why)
 
 
 def _draw(found: Scores, folder: Path) -> str:

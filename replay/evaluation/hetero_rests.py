@@ -16,7 +16,11 @@ from stillcal.replay.evaluation.hetero_recordings import DATA, FOLDER, Still, re
 from stillcal.replay.evaluation.learning_data import without_recordings
 from stillcal.replay.survey import Outcome, read, survey
 
-NAME, TITLE, SEED = "still-devices", "Rests found and devices calibrated in the still experiment", "004"
+NAME, TITLE, WORK = (
+    "still-devices",
+    "Rests found and devices calibrated in the still experiment",
+    "Stisen 2015",
+)
 PAPER = {
     "found": ("3.1", "devices that lie still are found to be at rest", "all lie still"),
     "frozen": ("3.1", "a sensor that holds one value is not taken for one at rest", "not said"),
@@ -45,7 +49,7 @@ def detect(still: Still) -> Found:
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
     """Run detector and calibration over everything."""
     if data is None:
-        return without_recordings(NAME, TITLE, [(SEED, *row) for row in PAPER.values()], seed)
+        return without_recordings(NAME, TITLE, [(WORK, *row) for row in PAPER.values()], seed)
     found = []
     recordings = read_still(data)
     for still in recordings:
@@ -63,7 +67,7 @@ def _found(found: list[Found]) -> Claim:
     missed = sorted({f.still.name for f in working if not f.rests})
     ours = f"{len(hit)} of {len(working)} recordings; rests cover {share:.0%} of a recording on the median"
     why = f"holds with 19 in 20 recordings or more; none found for {', '.join(missed) or 'none'}"
-    return Claim(SEED, *PAPER["found"], ours, DATA, holds(len(hit) >= 0.95 * len(working)), why)
+    return Claim(WORK, *PAPER["found"], ours, DATA, holds(len(hit) >= 0.95 * len(working)), why)
 
 
 def _frozen(found: list[Found], outcomes: list[Outcome]) -> Claim:
@@ -76,7 +80,7 @@ def _frozen(found: list[Found], outcomes: list[Outcome]) -> Claim:
     )
     why = "holds where every device with a frozen recording is refused: a calm that is too perfect is no rest"
     good = {f.still.name for f in frozen} <= caught
-    return Claim(SEED, *PAPER["frozen"], ours, DATA, holds(good), why)
+    return Claim(WORK, *PAPER["frozen"], ours, DATA, holds(good), why)
 
 
 def _norm(outcomes: list[Outcome]) -> Claim:
@@ -91,7 +95,7 @@ def _norm(outcomes: list[Outcome]) -> Claim:
     ours = f"{before:.3f} → {after:.3f} m/s² ({len(pairs)} devices with six true faces)"
     bar = AccelerometerSettings().max_norm_sd
     why = f"holds below {bar} m/s², what a fit may leave open; on faces that were fitted"
-    return Claim(SEED, *PAPER["norm"], ours, DATA, holds(bool(after < bar)), why)
+    return Claim(WORK, *PAPER["norm"], ours, DATA, holds(bool(after < bar)), why)
 
 
 def _fixed(outcome: Outcome) -> Array:

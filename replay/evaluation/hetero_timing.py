@@ -15,7 +15,7 @@ from stillcal.replay.evaluation.hetero_recordings import DATA, Still, read_still
 from stillcal.replay.evaluation.learning_data import without_recordings
 from stillcal.replay.trace import open_trace
 
-NAME, TITLE, SEED = "intervals", "Intervals between samples (Table 1, Figures 2 and 3)", "004"
+NAME, TITLE, WORK = "intervals", "Intervals between samples (Table 1, Figures 2 and 3)", "Stisen 2015"
 
 RATES_HZ = {
     "LG_G-Watch": 200.0,
@@ -82,7 +82,7 @@ def outliers(intervals: Array) -> NDArray[np.bool_]:
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
     """Compare the intervals of devices lying on their backs with what the paper says of them."""
     if data is None:
-        return without_recordings(NAME, TITLE, [(SEED, *row) for row in PAPER.values()], seed)
+        return without_recordings(NAME, TITLE, [(WORK, *row) for row in PAPER.values()], seed)
     recordings = [r for r in read_still(data) if not r.reference]
     found = by_model([r for r in recordings if r.face == "back"])
     progress(0.5)
@@ -93,7 +93,12 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
         _outliers(found),
         _iphone(found),
         Claim(
-            SEED, *PAPER["load"], "", "none", Verdict.UNTESTED, "no recording was made under load among these"
+            WORK,
+            *PAPER["load"],
+            "",
+            "none",
+            Verdict.UNTESTED,
+            "no recording was made under load among these",
         ),
         _gyro(both),
     )
@@ -117,7 +122,7 @@ def _of(blocks: list[Samples]) -> Intervals:
 
 
 def _claim(key: str, ours: str, good: bool, because: str, data: str = DATA) -> Claim:
-    return Claim(SEED, *PAPER[key], ours, data, holds(good), because)
+    return Claim(WORK, *PAPER[key], ours, data, holds(good), because)
 
 
 def _rates(found: dict[str, Intervals]) -> Claim:

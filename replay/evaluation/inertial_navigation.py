@@ -20,7 +20,7 @@ from stillcal.replay.evaluation.claim import Claim, Progress, Study, agreement, 
 from stillcal.replay.phone import Scenario, load_phone, simulate
 from stillcal.replay.phone.resting import Rest
 
-SEED = "003"
+WORK = "Collin 2019"
 GRADES = ("navigation", "tactical", "consumer")
 NAUTICAL_MILE = 1852.0
 G, EARTH_M = 9.80665, 6.371e6
@@ -121,9 +121,9 @@ def _growth_claims() -> list[Claim]:
     gyro = power(*growth(0.0, 1e-5))
     data = "calib_core's mechanisation, 300 s at rest"
     return [
-        Claim(SEED, "3.1", "an error of a rate makes a position error that grows with time cubed", "power 3",
+        Claim(WORK, "3.1", "an error of a rate makes a position error that grows with time cubed", "power 3",
               f"power {gyro:.3f}", data, agreement(3.0, gyro, 0.01), "within 0.01: theory is exact"),
-        Claim(SEED, "3.1", "double integration: an error of a force grows with time squared", "power 2",
+        Claim(WORK, "3.1", "double integration: an error of a force grows with time squared", "power 2",
               f"power {accel:.3f}", data, agreement(2.0, accel, 0.01), "within 0.01: theory is exact"),
     ]  # fmt: skip
 
@@ -134,7 +134,7 @@ def _hour_claim() -> Claim:
         for grade, mg, deg_h in (("navigation", 0.03, 0.005), ("tactical", 1.0, 1.0))
     }
     return Claim(
-        SEED, "2.2",
+        WORK, "2.2",
         "navigation grade: not more than a nautical mile after an hour; tactical grade: minutes only",
         "1.85 km", ", ".join(f"{grade} {error / 1000:.2f} km" for grade, error in found.items()),
         "biases of Table 1 over a round Earth",
@@ -152,7 +152,7 @@ def _metres(error: float) -> str:
 def _grade_claim(curves: dict[str, tuple[Array, Array, Array, Array]]) -> Claim:
     at = {grade: float(np.interp(60.0, t, raw)) for grade, (t, raw, *_) in curves.items()}
     return Claim(
-        SEED, "2.2, 3.1", "consumer sensors cannot navigate by integration",
+        WORK, "2.2, 3.1", "consumer sensors cannot navigate by integration",
         "not capable of autonomous navigation",
         "after one minute at rest: "
         + ", ".join(f"{grade} {_metres(error)} m" for grade, error in at.items()),

@@ -7,7 +7,7 @@ from pathlib import Path
 from stillcal.replay.evaluation.claim import Claim, Progress, Study, holds, table
 from stillcal.replay.published import Row, esgi_table
 
-SEED = "002"
+WORK = "ESGI'95"
 DATA = "its printed tables (config/esgi)"
 
 
@@ -34,7 +34,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
             for r in rows
         ],
     )
-    return Study("laboratory", "Laboratory calibration (ESGI'95)", claims, text, random_seed=seed)
+    return Study("laboratory", "Laboratory calibration (ESGI'95)", claims, text, seed=seed)
 
 
 def _group(row: Row) -> str:
@@ -47,7 +47,7 @@ def _claim(group: str, rows: list[Row]) -> Claim:
     agreeing = sum(row.agrees for row in rows)
     single = len(rows) == 1
     return Claim(
-        SEED,
+        WORK,
         "2.4" if group.startswith("dataset") else "3.5",
         group,
         rows[0].paper if single else f"{len(rows)} figures",

@@ -70,4 +70,4 @@ def without_recordings(
     """Return a study of claims (paper, where, claim, published figure) that no recordings were given for."""
     because = "the real recordings are not here (--data)"
     untested = tuple(Claim(*claim, "", "", Verdict.UNTESTED, because) for claim in claims)
-    return Study(name, title, untested, "Real recordings were not given (`--data`).", random_seed=seed)
+    return Study(name, title, untested, "Real recordings were not given (`--data`).", seed=seed)

@@ -19,7 +19,7 @@ from stillcal.replay.evaluation import drawing
 from stillcal.replay.evaluation.claim import Claim, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.evaluation.motion_features import MODES, NAMES, TWO, Motion, simulated, ucihar
 
-SEED = "003"
+WORK = "Collin 2019"
 PEOPLE = 12
 FIG9_G = (0.24, 0.071, 0.0084)
 """Standard deviation of the norm in Fig. 9, g: walking, driving, stationary."""
@@ -143,7 +143,7 @@ def _real(
     """Add what UCI HAR says: walking against stationary, there being no driving in it."""
     name = "ucihar: 30 people, windows of 2.56 s"
     if data is None:
-        claim = Claim(SEED, "4.3", "the same on real people", "below 10 %", "-", name, Verdict.UNTESTED,
+        claim = Claim(WORK, "4.3", "the same on real people", "below 10 %", "-", name, Verdict.UNTESTED,
                       "the real recordings are not here (--data)")  # fmt: skip
         return [*claims, claim], rows
     real = ucihar(data)
@@ -166,11 +166,11 @@ def _fig9_claims(people: Motion, data: str) -> list[Claim]:
         if name == "stationary":
             why += "; this is the sensor's noise alone, and lower here"
         claims.append(
-            Claim(SEED, "Fig. 9", f"standard deviation of the norm, {name}", f"{paper:g} g",
+            Claim(WORK, "Fig. 9", f"standard deviation of the norm, {name}", f"{paper:g} g",
                   f"{ours:.2g} g (median)", data, holds(0.5 <= ours / paper <= 2.0), why)
         )  # fmt: skip
     claims.append(
-        Claim(SEED, "4, Fig. 9", "walking varies most, then driving, then a phone that lies still",
+        Claim(WORK, "4, Fig. 9", "walking varies most, then driving, then a phone that lies still",
               "0.24, 0.071, 0.0084 g", ", ".join(f"{m:.2g}" for m in medians) + " g", data,
               holds(medians[0] > medians[1] > medians[2]), "the order")
     )  # fmt: skip
@@ -180,7 +180,7 @@ def _fig9_claims(people: Motion, data: str) -> list[Claim]:
 def _error_claim(way: tuple[str, str], motion: Motion, found: Rows, data: str) -> Claim:
     errors = error_by_person(motion, found)
     return Claim(
-        SEED, "4.3", f"{way[0]}, {way[1]} features: misclassified almost always below 10 %", "below 10 %",
+        WORK, "4.3", f"{way[0]}, {way[1]} features: misclassified almost always below 10 %", "below 10 %",
         f"{100 * errors.mean():.1f} %; above 10 % for {np.count_nonzero(errors >= 0.1)} of {errors.size}"
         " people",
         data, holds(bool(errors.mean() < 0.1)), "mean over people left out one by one",

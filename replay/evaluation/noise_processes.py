@@ -17,7 +17,7 @@ from stillcal.replay.evaluation import drawing
 from stillcal.replay.evaluation.claim import Claim, Progress, Study, holds, picture, table
 from stillcal.replay.phone.noise import WANDER_STEP, GaussMarkov, Wander, flicker_bank, seeded
 
-SEED, WHERE = "003", "2.1.3"
+WORK, WHERE = "Collin 2019", "2.1.3"
 STEPS = 2**19
 SEGMENT = 2**14
 EDGE = 4  # lowest bins of each segment, where its window still blurs a steep spectrum
@@ -155,7 +155,7 @@ def _spectrum_claim(s: Spectrum) -> Claim:
     if room:
         because += f", and {room:.2f} as ten processes stand for 1/f"
     return Claim(
-        SEED, WHERE, f"{s.name}: the spectrum is that of its equation", "ratio 1",
+        WORK, WHERE, f"{s.name}: the spectrum is that of its equation", "ratio 1",
         f"{s.ratio:.4f} +- {s.error:.4f}", f"{s.segments} segments",
         holds(abs(s.ratio - 1.0) <= tolerance), because,
     )  # fmt: skip
@@ -164,7 +164,7 @@ def _spectrum_claim(s: Spectrum) -> Claim:
 def _constant_claim(seed: int) -> Claim:
     drift = float(np.ptp(_wander([], 0.0 * ONE, seed, 1000)))
     return Claim(
-        SEED, f"{WHERE}, Eq. 2", "a random constant does not change", "0", f"{drift:g}",
+        WORK, f"{WHERE}, Eq. 2", "a random constant does not change", "0", f"{drift:g}",
         "a sensor without slow noise", holds(drift == 0.0), "exactly",
     )  # fmt: skip
 
@@ -179,10 +179,10 @@ def _limit_claims(seed: int) -> list[Claim]:
     left = float(np.mean(fast[1:] * fast[:-1]) / np.mean(fast**2))
     size = 3.0 * np.sqrt(2.0 / steps.size)
     return [
-        Claim(SEED, WHERE, "Gauss-Markov of infinite correlation time is a random walk", "steps' variance dt",
+        Claim(WORK, WHERE, "Gauss-Markov of infinite correlation time is a random walk", "steps' variance dt",
               f"{grown:.3f} dt", f"{steps.size} steps", holds(abs(grown - 1.0) <= size),
               f"within {size:.3f}: three standard errors"),
-        Claim(SEED, WHERE, "Gauss-Markov of no correlation time is white noise", "correlation 0",
+        Claim(WORK, WHERE, "Gauss-Markov of no correlation time is white noise", "correlation 0",
               f"{left:+.4f}", f"{fast.size} values", holds(abs(left) <= 3.0 / np.sqrt(fast.size)),
               "three standard errors of zero"),
     ]  # fmt: skip
@@ -193,7 +193,7 @@ def _growth_claim(seed: int) -> Claim:
     sizes = float(markov.std() / white.std()), float(walk.std() / white.std())
     keep = np.exp(-1.0 / CORRELATION)
     return Claim(
-        SEED, f"{WHERE}, Fig. 3", "correlated processes are far larger than the noise that drives them",
+        WORK, f"{WHERE}, Fig. 3", "correlated processes are far larger than the noise that drives them",
         "significantly higher", f"Gauss-Markov {sizes[0]:.1f} times, random walk {sizes[1]:.0f} times",
         f"{white.size} samples of one driving noise",
         holds(abs(sizes[0] * np.sqrt(1.0 - keep**2) - 1.0) < 0.1 and sizes[1] > sizes[0]),

@@ -14,10 +14,12 @@ FOLDER = "evaluation"
 PAGE = "evaluation.md"
 
 PAPERS = {
-    "000": "A. Grammenos, C. Mascolo, J. Crowcroft, *You Are Sensing, but Are You Biased?*, IMWUT 2(1), 2018",
-    "002": "I. Georgieva et al., *Laboratory calibration of a MEMS accelerometer sensor*, ESGI'95, 2013",
-    "003": "J. Collin et al., *Inertial Sensors and Their Applications*, 2019",
-    "004": "A. Stisen et al., *Smart Devices are Different*, SenSys 2015",
+    "Grammenos 2018": (
+        "A. Grammenos, C. Mascolo, J. Crowcroft, *You Are Sensing, but Are You Biased?*, IMWUT 2(1), 2018"
+    ),
+    "ESGI'95": "I. Georgieva et al., *Laboratory calibration of a MEMS accelerometer sensor*, ESGI'95, 2013",
+    "Collin 2019": "J. Collin et al., *Inertial Sensors and Their Applications*, 2019",
+    "Stisen 2015": "A. Stisen et al., *Smart Devices are Different*, SenSys 2015",
 }
 
 _HEAD = """# What the papers claim, and what comes out here
@@ -35,15 +37,15 @@ be had.
 
 ## What stands in for what
 
-The activity recordings of paper 000 are not to be had, and those of paper 004 (HHAR: nine people, twelve
-devices in motion) not whole: of them there are the first 10,000 rows of each sensor of one phone and one
-watch, whose wearer stands and sits (`hhar`). There is the still experiment (`hhar_still`): real phones and
-watches at rest on up to six faces, of which a device's errors, noise, rate and stamps are measured. Activity
-is that of thirty people with one Galaxy S II at the waist (`ucihar`). Where a claim is of many devices in
-motion, that activity is carried through the measured devices, and the row says *semi-synthetic*: one phone's
-walk stands behind all of them, nothing above 20 Hz is in it, and nobody rides a bicycle or loads a phone with
-other work. Where nothing was recorded at all the phone is simulated ([phone.md](phone.md)). Where the
-recordings come from: [data.md](data.md).
+The activity recordings of Grammenos et al. are not to be had, and those of Stisen et al. (HHAR: nine people,
+twelve devices in motion) not whole: of them there are the first 10,000 rows of each sensor of one phone and
+one watch, whose wearer stands and sits (`hhar`). There is the still experiment (`hhar_still`): real phones
+and watches at rest on up to six faces, of which a device's errors, noise, rate and stamps are measured.
+Activity is that of thirty people with one Galaxy S II at the waist (`ucihar`). Where a claim is of many
+devices in motion, that activity is carried through the measured devices, and the row says *semi-synthetic*:
+one phone's walk stands behind all of them, nothing above 20 Hz is in it, and nobody rides a bicycle or loads
+a phone with other work. Where nothing was recorded at all the phone is simulated ([phone.md](phone.md)).
+Where the recordings come from: [data.md](data.md).
 
 The studies are the package `stillcal.replay.evaluation`. It lies inside `replay` because all it does is feed
 recordings and simulated phones through the product, as the rest of `replay` does, and nothing of the product
@@ -93,14 +95,12 @@ def _read(path: Path, name: str) -> Study:
 def page(studies: list[Study]) -> str:
     """Write all studies as one page of Markdown."""
     head = _HEAD.format(
-        papers="\n".join(f"- {number}: {title}." for number, title in PAPERS.items()),
+        papers="\n".join(f"- {source}: {title}." for source, title in PAPERS.items()),
         counts=_counts([claim for study in studies for claim in study.claims]),
         claims=_claims(studies),
     )
     sections = [
-        _SECTION.format(
-            title=s.title, command=_COMMAND.format(name=s.name, seed=s.random_seed), text=s.text.strip()
-        )
+        _SECTION.format(title=s.title, command=_COMMAND.format(name=s.name, seed=s.seed), text=s.text.strip())
         for s in studies
     ]
     return "\n".join([head, *sections])
@@ -114,14 +114,14 @@ def _counts(claims: list[Claim]) -> str:
 def _claims(studies: list[Study]) -> str:
     rows = [
         (
-            f"{c.seed}, {c.where}",
+            f"{c.source}, {c.where}",
             c.claim,
             c.paper,
             c.ours,
             c.data,
             f"**{c.verdict}**" if c.verdict is Verdict.DIFFERS else str(c.verdict),
             c.because,
-            f"`{_COMMAND.format(name=s.name, seed=s.random_seed)}`",
+            f"`{_COMMAND.format(name=s.name, seed=s.seed)}`",
         )
         for s in studies
         for c in s.claims

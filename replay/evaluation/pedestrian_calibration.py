@@ -26,7 +26,7 @@ from stillcal.replay.phone.moving import Walk
 from stillcal.replay.phone.resting import Rest, Table
 from stillcal.replay.phone.slow_bias import GyroBiasTemperature
 
-SEED = "003"
+WORK = "Collin 2019"
 PHONES = ("typical", "consumer", "mpu6050")
 LIVES = 4
 WALK_S = 600.0
@@ -183,7 +183,7 @@ def _claim(name: str, raw: Array, calibrated: Array) -> Claim:
     followed = _followed(name)
     why += f"; its rates also follow {followed}" if followed else ""
     return Claim(
-        SEED, "2.2, 3.4",
+        WORK, "2.2, 3.4",
         f"{name}: the bias of a consumer gyroscope is mostly taken out by calibration at rest",
         "mostly compensated; 2 to 3 % of the distance is what step lengths err",
         f"{_percents(raw)} % raw, {_percents(calibrated)} % calibrated",

@@ -21,7 +21,7 @@ from stillcal.replay.evaluation.hetero_recordings import Still, by_device, read_
 from stillcal.replay.phone import draw_rests, load_phone
 from stillcal.replay.published import APPROACH2_GRAVITY
 
-SEED, WHERE = "002", "3.5.3"
+WORK, WHERE = "ESGI'95", "3.5.3"
 REPEATS, PIECE_S = 20, 5.0
 PRINTED_X = np.array(
     [
@@ -174,7 +174,7 @@ def _small_claim() -> Claim:
     row, column = np.unravel_index(np.where(OFF, x, 0.0).argmax(), x.shape)
     ratio = max(float(x[row, column]), float(y.max()))
     return Claim(
-        SEED, WHERE, "standard deviations are well below the magnitudes of the parameters", "well below",
+        WORK, WHERE, "standard deviations are well below the magnitudes of the parameters", "well below",
         f"at most {ratio:.0%} of them", "its own printed figures", holds(ratio < 0.5),
         f"would hold where each is below half; X{row + 1}{column + 1} is known to {x[row, column]:.0%} of"
         " itself, "
@@ -186,7 +186,7 @@ def _simulated_claim(by_hand: Scatter, hand: float) -> Claim:
     ours, paper = by_hand.groups[1:], PRINTED.groups[1:]
     ratio = [o / p for o, p in zip(ours, paper, strict=True)]
     return Claim(
-        SEED, WHERE, "scatter off the diagonal of X, and of y over g", ", ".join(f"{p:.2g}" for p in paper),
+        WORK, WHERE, "scatter off the diagonal of X, and of y over g", ", ".join(f"{p:.2g}" for p in paper),
         ", ".join(f"{o:.2g}" for o in ours), f"400 simulated repeats, placed within {1e3 * hand:.2g} mrad",
         holds(all(0.5 < r < 2.0 for r in ratio)), "within a factor of two, one irregularity explaining both",
     )  # fmt: skip
@@ -196,7 +196,7 @@ def _real_claim(real: dict[str, Scatter]) -> Claim:
     claim = "repeats on real phones scatter no more than printed"
     if not real:
         return Claim(
-            SEED,
+            WORK,
             WHERE,
             claim,
             "-",
@@ -209,7 +209,7 @@ def _real_claim(real: dict[str, Scatter]) -> Claim:
     inside = int((worst <= PRINTED.groups).all(axis=1).sum())
     middle = np.median(worst, axis=0)
     return Claim(
-        SEED, WHERE, claim, ", ".join(f"{g:.2g}" for g in PRINTED.groups),
+        WORK, WHERE, claim, ", ".join(f"{g:.2g}" for g in PRINTED.groups),
         ", ".join(f"{g:.2g}" for g in middle) + f" (medians); {inside} of {len(real)} phones in all three",
         f"hhar_still: {len(real)} phones, 5 s pieces", holds(inside > len(real) / 2),
         "for most phones; without being laid down anew, so this is noise and wander alone",

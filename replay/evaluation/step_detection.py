@@ -21,7 +21,7 @@ from stillcal.replay.phone.motion import Waves
 from stillcal.replay.phone.moving import Carry, Drive, Walk
 from stillcal.replay.phone.resting import Table
 
-SEED, WHERE = "003", "3.2, Fig. 4"
+WORK, WHERE = "Collin 2019", "3.2, Fig. 4"
 CARRIES: tuple[Carry, ...] = ("pocket", "hand", "bag")
 WALK_S = 600.0
 
@@ -83,7 +83,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
 
 def _count_claim(off: list[float]) -> Claim:
     return Claim(
-        SEED, WHERE, "steps are easily detected from the norm, wherever the phone is", "easily",
+        WORK, WHERE, "steps are easily detected from the norm, wherever the phone is", "easily",
         f"counts off by {100 * np.mean(off):.1f} % (mean), {100 * max(off):.1f} % at most",
         f"{len(off)} simulated walks of {WALK_S / 60:.0f} min", holds(max(off) < 0.05), "each count within"
         " 5 %",
@@ -92,7 +92,7 @@ def _count_claim(off: list[float]) -> Claim:
 
 def _false_claim(driving: float, resting: float) -> Claim:
     return Claim(
-        SEED, "3.1", "dead reckoning by steps is for walking only", "works only when walking",
+        WORK, "3.1", "dead reckoning by steps is for walking only", "works only when walking",
         f"{driving:.1f} steps a minute found while driving, {resting:.1f} on tables", "simulated, 10 min"
         " each",
         holds(driving > 1.0 or resting > 1.0), "holds where something else makes over a step a minute",
@@ -102,12 +102,12 @@ def _false_claim(driving: float, resting: float) -> Claim:
 def _real_claim(cadences: tuple[Array, Array] | None) -> Claim:
     claim = "the main frequency is that of steps or, instead, that of the spectrum"
     if cadences is None:
-        return Claim(SEED, "3.3, Eq. 13", claim, "alike", "-", "ucihar", Verdict.UNTESTED,
+        return Claim(WORK, "3.3, Eq. 13", claim, "alike", "-", "ucihar", Verdict.UNTESTED,
                      "the real recordings are not here (--data)")  # fmt: skip
     steps, spectrum = cadences
     agree = float(np.mean(np.abs(steps - spectrum) <= 0.5 / 2.56 + 0.05 * spectrum))
     return Claim(
-        SEED, "3.3, Eq. 13", claim, "alike",
+        WORK, "3.3, Eq. 13", claim, "alike",
         f"alike in {agree:.0%} of windows; medians {np.nanmedian(steps):.2f} "
         f"and {np.median(spectrum):.2f} Hz", f"ucihar: {steps.size} windows of walking, 2.56 s",
         holds(agree > 0.9),

@@ -36,7 +36,7 @@ STUDIES: dict[str, str] = {
     "modes": "stillcal.replay.evaluation.hetero_modes:study",
     "remedies": "stillcal.replay.evaluation.hetero_remedies:study",
 }
-"""Name to "module:function", in the order of the page (papers 000, 002, 003, 004)."""
+"""Name to "module:function", in the order of the page (paper by paper)."""
 
 UNKNOWN = "no study is named {name}: choose among {known}"
 

@@ -23,7 +23,7 @@ from stillcal.replay.evaluation.learning_scoring import (
 )
 from stillcal.replay.evaluation.unaided_classes import PAIRS, SLICE, STILL_PAIR, flat, tilt
 
-NAME, TITLE, SEED = "new-phone", "Where calibration brings something", "000"
+NAME, TITLE, WORK = "new-phone", "Where calibration brings something", "Grammenos 2018"
 CHANGES, DIRECTIONS = 8, 500
 """Changes of phone tried with each person; attitudes that tilt and norm are looked at in."""
 
@@ -100,7 +100,7 @@ def _ways(windows: Windows, device: Device, model: SensorModel, rng: np.random.G
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
     """Measure tilt, norm, and a person's recogniser after a change of phone."""
     if data is None:
-        return without_recordings(NAME, TITLE, [(SEED, *row) for row in PAPER.values()], seed)
+        return without_recordings(NAME, TITLE, [(WORK, *row) for row in PAPER.values()], seed)
     windows, devices = read_windows(data), read_devices(data)
     models = [d.calibrated(seed + k) for k, d in enumerate(devices)]
     errors = attitude_errors(devices, models, seed)
@@ -128,7 +128,7 @@ def _attitude(errors: Attitude) -> Claim:
     good = bool(
         (errors.tilt[:, 1] < errors.tilt[:, 0]).all() and (errors.norm[:, 1] < errors.norm[:, 0]).all()
     )
-    return Claim(SEED, *PAPER["tilt"], ours, data, holds(good), why)
+    return Claim(WORK, *PAPER["tilt"], ours, data, holds(good), why)
 
 
 def _gain(key: str, pair: tuple[str, str], found: Found, devices: int) -> Claim:
@@ -140,7 +140,7 @@ def _gain(key: str, pair: tuple[str, str], found: Found, devices: int) -> Claim:
     )
     why = "holds where an interval by people lies above zero; half of a person's windows on the old phone"
     good = any(interval(gain)[0] > 0.0 for gain in gains.values())
-    return Claim(SEED, *PAPER[key], ours, CARRIED.format(devices), holds(good), why)
+    return Claim(WORK, *PAPER[key], ours, CARRIED.format(devices), holds(good), why)
 
 
 def _text(found: Found, errors: Attitude, devices: list[Device]) -> str:

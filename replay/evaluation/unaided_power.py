@@ -21,7 +21,7 @@ from stillcal.replay.evaluation.unaided_kalman import Kalman
 from stillcal.replay.evaluation.unaided_people import slowed
 from stillcal.replay.phone import draw_rests, load_phone, load_scenario, simulate
 
-NAME, TITLE, SEED = "power", "What it costs (Table 9, 5.3)", "000"
+NAME, TITLE, WORK = "power", "What it costs (Table 9, 5.3)", "Grammenos 2018"
 POLL_HZ, APP_HZ = 50.0, 25.0
 """Table 9's rate (SENSOR_DELAY_GAME, 20 ms) and that of 5.3.2's application."""
 
@@ -186,7 +186,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
 
 
 def _claim(key: str, ours: str, good: bool, data: str, because: str) -> Claim:
-    return Claim(SEED, *PAPER[key], ours, data, holds(good), because)
+    return Claim(WORK, *PAPER[key], ours, data, holds(good), because)
 
 
 def _operations(done: dict[str, dict[str, int]]) -> Claim:
@@ -217,7 +217,7 @@ def _current(clock: Times) -> Claim:
         f" {2.0 * POLL_HZ * clock.kalman:.2%} of the time, in an interpreter: the paper's 150 mA between the"
         " two are of two programs rather than of two formulas"
     )
-    return Claim(SEED, *PAPER["current"], text, "stated model", Verdict.UNTESTED, why)
+    return Claim(WORK, *PAPER["current"], text, "stated model", Verdict.UNTESTED, why)
 
 
 def _overhead(found: Day, clock: Times) -> Claim:

@@ -13,7 +13,7 @@ DOCS = Path(__file__).parents[3] / "docs"
 
 
 def a_study(name: str = "laboratory") -> Study:
-    claim = Claim("002", "2.4", "s1 | s2", "0.3", "0.4", "its tables", Verdict.DIFFERS, "off by 0.1")
+    claim = Claim("ESGI'95", "2.4", "s1 | s2", "0.3", "0.4", "its tables", Verdict.DIFFERS, "off by 0.1")
     return Study(name, "A title", (claim,), "### Detail\n\nwords", ("a.png",), 7)
 
 
@@ -33,7 +33,7 @@ def test_page_has_every_claim_and_the_command_of_each_section() -> None:
     text = page.page([a_study()])
     assert "1 claims: 0 reproduced, 1 differs" in text
     assert (
-        "| 002, 2.4 | s1 \\| s2 | 0.3 | 0.4 | its tables | **differs** | off by 0.1 |"
+        "| ESGI'95, 2.4 | s1 \\| s2 | 0.3 | 0.4 | its tables | **differs** | off by 0.1 |"
         " `stillcal evaluate laboratory --seed 7` |" in text
     )
     assert "`stillcal evaluate laboratory --seed 7`" in text
