@@ -20,8 +20,8 @@ LEAST_PIECES = 3
 
 
 NEVER_STILL = (
-    "the phone never lies still: bias, scale, temperature and noise could not be checked at all; what is said"
-    " is about stamps, values and motion"
+    "the phone never lies still for long enough: bias, scale, temperature and noise could not be checked at"
+    " all; what is said is about stamps, values and motion"
 )
 
 

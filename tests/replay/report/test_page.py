@@ -110,7 +110,7 @@ def test_a_recording_without_stillness_is_not_called_adequate_without_a_word(rec
     turning = up[((t - t[0]) / 2.0).astype(int)] + rng.normal(0.0, 0.01, (t.size, 3))
     samples = Samples.checked(Sensor.ACCELEROMETER, t, turning)
     answer = diagnosed(Recording(samples, None, [], real.claims, []), "shaken.csv")
-    assert any("never lies still" in text for text in answer["limits"])
+    assert any("never lies still for long enough" in text for text in answer["limits"])
     undone = [c["what"] for c in answer["checked"] if not c["done"]]
     assert "slow bias at rest" in undone and "temperature" in undone
     first = summary(answer)[0]
