@@ -45,6 +45,7 @@ COMMANDS = {
         "stillcal replay walk.csv --store store.json",
         "stillcal apply walk.csv --store store.json --out walk-true.csv",
         "stillcal store history store.json",
+        "stillcal diagnose walk.csv --report walk.html",
     ),
 )
 @click.version_option(package_name="stillcal")

@@ -39,7 +39,7 @@ _json = click.option(
 )
 
 
-@click.group("challenge")
+@click.group("challenge", short_help="Challenge the diagnosis with concealed recordings.")
 def challenge_group() -> None:
     """Challenge the diagnosis: make concealed recordings, have them answered, reveal.
 
@@ -47,7 +47,11 @@ def challenge_group() -> None:
     """
 
 
-@challenge_group.command("make", epilog=examples("stillcal challenge make blind --keys sealed --trials 200"))
+@challenge_group.command(
+    "make",
+    short_help="Write concealed recordings, seals and keys.",
+    epilog=examples("stillcal challenge make blind --keys sealed --trials 200"),
+)
 @click.argument("recordings", type=_folder)
 @click.option("--keys", type=_folder, required=True, help="Folder for the sealed keys; keep it to yourself.")
 @_trials
@@ -66,7 +70,11 @@ def make_command(recordings: Path, keys: Path, trials: int, seed: int, jobs: int
     click.echo(f"{recordings}: {trials} recordings and their manifest; keys in {keys}")
 
 
-@challenge_group.command("commit", epilog=examples("stillcal challenge commit mine --keys my-keys"))
+@challenge_group.command(
+    "commit",
+    short_help="Seal keys of your own.",
+    epilog=examples("stillcal challenge commit mine --keys my-keys"),
+)
 @click.argument("recordings", type=_folder)
 @click.option("--keys", type=_folder, required=True, help="Folder of your keys, NAME.json each.")
 def commit_command(recordings: Path, keys: Path) -> None:
@@ -76,7 +84,11 @@ def commit_command(recordings: Path, keys: Path) -> None:
     click.echo(f"{recordings}: manifest of {len(manifest.seals)} seals; sealed keys in {keys}")
 
 
-@challenge_group.command("answer", epilog=examples("stillcal challenge answer blind --out answers"))
+@challenge_group.command(
+    "answer",
+    short_help="Diagnose the recordings, without the keys.",
+    epilog=examples("stillcal challenge answer blind --out answers"),
+)
 @click.argument("recordings", type=_folder)
 @click.option("--out", type=_folder, required=True, help="Folder for the answers, NAME.json each.")
 @click.option("--solver", type=click.Choice(answering.SOLVERS), default="diagnosis", show_default=True)
@@ -92,7 +104,9 @@ def answer_command(recordings: Path, out: Path, solver: str, jobs: int) -> None:
 
 
 @challenge_group.command(
-    "reveal", epilog=examples("stillcal challenge reveal blind --keys sealed --answers answers")
+    "reveal",
+    short_help="Check seals, open keys, score answers.",
+    epilog=examples("stillcal challenge reveal blind --keys sealed --answers answers"),
 )
 @click.argument("recordings", type=_folder)
 @click.option("--keys", type=_folder, required=True, help="Folder of the keys.")
@@ -106,7 +120,11 @@ def reveal_command(recordings: Path, keys: Path, answers: tuple[Path, ...], json
     _tell(verdict, json_path)
 
 
-@click.command("prove", epilog=examples("stillcal prove --trials 200 --seed 7 --json proof.json --jobs 2"))
+@click.command(
+    "prove",
+    short_help="Prove the diagnosis blind, run whole.",
+    epilog=examples("stillcal prove --trials 200 --seed 7 --json proof.json --jobs 2"),
+)
 @_trials
 @_seed
 @_jobs

@@ -26,6 +26,7 @@ _path = click.Path(path_type=Path)
 
 @click.command(
     "diagnose",
+    short_help="Say what physics a recording shows beyond its twin.",
     epilog=examples(
         "stillcal diagnose walk.csv",
         "stillcal diagnose walk.csv --report walk.html --json walk.diagnosis.json",

@@ -22,6 +22,7 @@ NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
 
 @click.command(
     "evaluate",
+    short_help="Try four papers' claims and write the page.",
     epilog=examples(
         "stillcal evaluate --list",
         "stillcal evaluate --data ~/recordings",

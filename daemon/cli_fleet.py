@@ -31,6 +31,7 @@ _LACKING = "this needs what the extra `fleet` brings: pip install 'stillcal[flee
 
 @click.command(
     "fleet",
+    short_help="Calibrate and diagnose many recordings side by side.",
     epilog=examples(
         "stillcal fleet recordings/ --out results",
         "stillcal fleet 'logs/**/*_accelerometer.csv' --format hhar --out results",
@@ -146,6 +147,7 @@ def _counted(rows: list[dict[str, object]]) -> dict[str, int]:
 
 @click.command(
     "fleet-report",
+    short_help="Say what only many recordings tell.",
     epilog=examples("stillcal fleet-report results", "stillcal fleet-report results --json report.json"),
 )
 @click.argument("results", type=click.Path(path_type=Path, exists=True, file_okay=False))
@@ -181,6 +183,7 @@ def report_command(results: Path, json_path: Path | None) -> None:
 
 @click.command(
     "fleet-first",
+    short_help="Calibrate a new phone with what a fleet knows.",
     epilog=examples(
         "stillcal fleet-report results --json fleet.json",
         "stillcal fleet-first new-phone.csv --prior fleet.json",

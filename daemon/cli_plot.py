@@ -34,6 +34,7 @@ NOISE = ("allan", ALL)
 
 @click.command(
     "plot",
+    short_help="Draw a recording or a store.",
     epilog=examples(
         "stillcal plot walk.csv --out walk.png",
         "stillcal plot store.json --out history.svg --what history",

@@ -47,6 +47,7 @@ _existing = click.Path(path_type=Path)
 
 @click.command(
     "replay",
+    short_help="Calibrate from a recording, with the daemon's engine.",
     epilog=examples(
         "stillcal replay walk.csv --store store.json",
         "stillcal replay esgi.csv --format rest --gravity 9.81 --json -",
@@ -102,7 +103,11 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
         sys.exit(TOO_LITTLE)
 
 
-@click.command("apply", epilog=examples("stillcal apply walk.csv --store store.json --out walk-true.csv"))
+@click.command(
+    "apply",
+    short_help="Correct a recording by a calibration.",
+    epilog=examples("stillcal apply walk.csv --store store.json --out walk-true.csv"),
+)
 @click.argument("trace", type=_existing)
 @click.option("--store", "store_path", type=_existing, required=True, help="The store with the calibration.")
 @click.option(

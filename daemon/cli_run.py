@@ -17,6 +17,7 @@ from stillcal.daemon.service_given import Given
 
 @click.command(
     "run",
+    short_help="Keep a phone calibrated, live.",
     epilog=examples(
         "stillcal run --port /dev/ttyACM0",
         "stillcal run --port '/dev/serial/by-id/usb-Arduino*' --store store.json",

@@ -29,6 +29,7 @@ from stillcal.replay.phone_link import LinkSettings, serve_phone
 
 @click.command(
     "simulate",
+    short_help="Simulate a phone: a recording, or live on a line.",
     epilog=examples(
         "stillcal simulate lab --out lab.csv --seed 7",
         "stillcal simulate day --phone mpu6050 --out day.csv.gz --truth day.truth.json",

@@ -29,7 +29,7 @@ path_argument = click.argument("path", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 
 
-@click.group("store")
+@click.group("store", short_help="Look at a store, check it, go back to earlier ones.")
 def store_group() -> None:
     """Look at a calibration store, check it, or go back to an earlier calibration.
 
@@ -60,6 +60,7 @@ def show(path: Path, as_json: bool) -> None:
 
 @store_group.command(
     "history",
+    short_help="List current, earlier and rejected calibrations.",
     epilog=examples(
         "stillcal store history store.json",
         "stillcal store history store.json --json",
@@ -86,6 +87,7 @@ def history(path: Path, as_json: bool) -> None:
 
 @store_group.command(
     "rollback",
+    short_help="Make an earlier calibration current again.",
     epilog=examples(
         "stillcal store rollback store.json              to the one before",
         "stillcal store rollback store.json --steps 2    to the one before that",
@@ -107,6 +109,7 @@ def rollback(path: Path, identity: str | None, steps: int) -> None:
 
 @store_group.command(
     "adopt-terms",
+    short_help="Take what a diagnosis found into the calibration.",
     epilog=examples(
         "stillcal diagnose day.csv --json day.diagnosis.json",
         "stillcal store adopt-terms store.json day.diagnosis.json",
@@ -143,6 +146,7 @@ def _findings(path: Path) -> list[dict[str, Any]]:
 
 @store_group.command(
     "verify",
+    short_help="Check that a store is whole; exit 1 where it is not.",
     epilog=examples(
         "stillcal store verify store.json",
         "stillcal store verify store.json --json",

@@ -26,6 +26,7 @@ PICTURE_WIDTH = 122
 
 @click.command(
     "watch",
+    short_help="Watch a running daemon in the terminal.",
     epilog=examples("stillcal watch", "stillcal watch --every 5", "stillcal watch --once > frame.txt"),
 )
 @click.option("--socket", "path", default="", help="The daemon's socket; without it, where daemons answer.")

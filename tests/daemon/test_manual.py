@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
-from stillcal.daemon.cli import COMMANDS
+from stillcal.daemon.cli import COMMANDS, cli
 from stillcal.daemon.manual import page
 from stillcal.daemon.settings import parse_settings
 from stillcal.replay.formats.columns import parse_map
@@ -71,3 +72,11 @@ def test_the_maps_and_settings_on_the_page_of_own_logs_are_valid() -> None:
     assert len(maps) == len(settings) == 1
     assert parse_map(maps[0].encode(), Path("map.toml")).decimal == "auto"
     assert parse_settings(settings[0]).source.kind == "iio"
+
+
+def test_no_line_of_the_overview_is_cut_short() -> None:
+    """In a terminal of 80 columns, click ends what does not fit with three dots."""
+    for words in ([], ["store"], ["challenge"]):
+        shown = CliRunner().invoke(cli, [*words, "--help"], terminal_width=80).output
+        listed = shown.split("Commands:\n")[1].split("\n\n")[0].splitlines()
+        assert len(listed) > 3 and not [line for line in listed if "..." in line]
