@@ -82,7 +82,7 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
         raise click.UsageError("--port and --speed are for --serial")
     simulation = _simulation(scenario, phone, seed)
     told = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
-    written = [*([] if out is None else new_recording_files(out)), *files(truth)]
+    written = [*([] if out is None else new_recording_files(out)), *files(truth, port)]
     refuse_collisions(written, told)
     if out is not None:
         _write(simulation, out, quiet)
