@@ -19,8 +19,8 @@ from stillcal.calib_core.samples import Array
 
 STRENGTHS = 10.0 ** np.arange(-1.5, 6.1, 0.5)
 TAUS = (60.0, 240.0, 960.0)
-SLOWEST = f"gauss_markov_{TAUS[-1]:.0f}"
-"""Over an hour hardly to be told from a random walk, as which it begins."""
+SLOW = TAUS[1:]
+"""Correlation times of processes that are hardly to be told from a random walk, as which they begin, s."""
 
 MIXTURES = (
     ("walk", "gauss_markov_60"),
@@ -90,7 +90,7 @@ def strength_prior() -> Array:
 def kinds(view: View) -> dict[str, tuple[Array, float]]:
     """Return unit wander covariances (n, n) of each family and the random walk's variance rate in them, 1/s.
 
-    The rate of the slowest Gauss-Markov process is that with which it begins.
+    The rate of a slow Gauss-Markov process is that with which it begins.
     All views of a sensor have the same families in the same unit, a bias that scatters between the view's
     bins like their white noise. Turns begin anew each, but their errors may grow with the angle.
     """
@@ -101,7 +101,8 @@ def kinds(view: View) -> dict[str, tuple[Array, float]]:
     raw |= {f"gauss_markov_{tau:.0f}": gauss_markov_covariance(view.t, view.duration, tau) for tau in TAUS}
     spread = {name: _spread(c) for name, c in raw.items()}
     unit = {name: c * view.coupling / spread[name] for name, c in raw.items()}
-    rates = {"walk": 1.0 / spread["walk"], SLOWEST: 2.0 / TAUS[-1] / spread[SLOWEST]}
+    rates = {f"gauss_markov_{tau:.0f}": 2.0 / tau / spread[f"gauss_markov_{tau:.0f}"] for tau in SLOW}
+    rates["walk"] = 1.0 / spread["walk"]
     found = {name: (c, rates.get(name, 0.0)) for name, c in unit.items()}
     for one, other in MIXTURES:
         rate = 0.5 * (rates.get(one, 0.0) + rates.get(other, 0.0))

@@ -151,6 +151,9 @@ SCALE = Entry(
     "turn the phone about every axis, cold and warm",
 )
 SAY = "The gyroscope is not linear on {axes}."
+HANDICAP = 0.6
+"""Score that nonlinearity gives away: errors of turns have longer tails than those of rests."""
+
 QUADRATIC = Entry(
     "gyro_nonlinearity",
     "gyro",
@@ -160,6 +163,7 @@ QUADRATIC = Entry(
     SAY,
     ("gyro_saturation",),
     "turn at several speeds, both ways",
+    handicap=HANDICAP,
 )
 CUBIC = Entry(
     "gyro_nonlinearity",
@@ -170,6 +174,7 @@ CUBIC = Entry(
     SAY,
     ("gyro_saturation",),
     "turn at several speeds, both ways",
+    handicap=HANDICAP,
 )
 
 
