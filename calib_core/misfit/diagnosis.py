@@ -208,7 +208,7 @@ def _shared_error(mean: Array, bins: Bins, seen: Steps) -> Array:
 
 
 def without_group_delay(found: list[Finding]) -> list[Finding]:
-    """Drop a time offset that a low-pass found on one sensor explains: sqrt(2) / (2 pi fc), within a half.
+    """Drop a time offset that a low-pass found on one sensor explains: sqrt(2) / (2 pi fc) at most, about.
 
     A second-order filter delays slow motion by that much; a first-order one by 1 / (2 pi fc).
     """
@@ -219,7 +219,8 @@ def without_group_delay(found: list[Finding]) -> list[Finding]:
     cutoff, delay = cutoffs[0].parameters["cutoff"].value, offsets[0].parameters["delay"].value
     assert isinstance(cutoff, float) and isinstance(delay, float)
     expected = (-1.0 if cutoffs[0].sensor == "accel" else 1.0) / (2.0 * np.pi * cutoff)
-    explained = 0.5 < delay / expected < 3.0
+    # Fast motion, which a low-pass keeps out, is delayed less.
+    explained = 0.0 < delay / expected < 3.0
     return [f for f in found if f is not offsets[0]] if explained else found
 
 

@@ -30,6 +30,20 @@ ENTRIES = 20
 CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
 
+ACT = {
+    "temperature": "; correct it by the thermometer",
+    "temperature x own force": "; correct it by the thermometer",
+    "temperature x rate of turn": "; correct it by the thermometer",
+    "time since start": "; leave the first minutes out, or let the phone settle",
+    "charging and use": "; record temperature, and calibrate at the heat of use",
+    "charging": "; calibrate with and without the charger",
+    "time": "; calibrate again, and more often",
+    "attitude": "; correct it by the accelerometer",
+    "own force": "; correct it by its curve",
+    "rate of turn": "; correct it by its curve",
+}
+"""What a person can do about an effect, by what it follows."""
+
 ALTERNATIVES = 3
 """How many other effects are reported beside a finding."""
 
@@ -149,6 +163,14 @@ def named_axes(found: Estimate) -> list[str]:
     return [AXES[a] for a in range(3) if by_axis[a] >= least and large[a]]
 
 
+def _size(found: Estimate) -> str:
+    """Return the largest component of the first parameter, in words."""
+    first = found.hypothesis.entry.parameters[0]
+    top = int(np.argmax(np.abs(found.value[: first.count])))
+    unit = "" if first.unit == "1" else f" {first.unit}"
+    return f"{first.name} {found.value[top]:.3g}{unit}"
+
+
 def _where(scene: Scene, hypothesis: Hypothesis) -> Where:
     start, end = scene.bins.span
     t_start = hypothesis.grid.get("t_start", start)
@@ -157,7 +179,7 @@ def _where(scene: Scene, hypothesis: Hypothesis) -> Where:
 
 def _statement(found: Estimate, axes: list[str], alternatives: list[Alternative]) -> str:
     entry = found.hypothesis.entry
-    text = entry.sentence.format(axes=", ".join(axes))
+    text = f"{entry.sentence.format(axes=', '.join(axes))[:-1]} ({_size(found)}){ACT.get(entry.follows, '')}."
     alike = [a.effect for a in alternatives if a.indistinguishable]
     if not alike:
         return text

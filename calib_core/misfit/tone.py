@@ -16,13 +16,17 @@ from stillcal.calib_core.misfit.records import Finding, Parameter, Where
 from stillcal.calib_core.misfit.values import UNIT
 from stillcal.calib_core.samples import Array, Samples
 
-SHORT, LONG = 20.0, 60.0
-"""s of a stretch: short ones tell when a line comes and goes, long ones show faint lines."""
+BRIEF, SHORT, LONG = 8.0, 20.0, 60.0
+"""s of a stretch: short ones tell when a line comes and goes, long ones show faint lines, brief ones are for
+rests that hold no others."""
 
 PLAIN = 1e-20
 """Probability of a line by chance below which short stretches show it well enough."""
 
 LEAST_LINE_HZ = 4.0
+BODY_HZ, SURE = 6.0, 1e-12
+"""Below this frequency a line must be as sure: overtones of hearts and hands reach so far."""
+
 LINE_P = 1e-7
 LEAST_STRETCHES = 5
 LEAST_STACK = 10
@@ -41,10 +45,7 @@ CONTRAST = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretches:
-    """Steady stretches. t: (S, n) s; values: (S, n, 3) free of means; first: (S,) rows; ratio, power.
-
-    (S, F, 3).
-    """
+    """Steady stretches. t: (S, n) s; values: (S, n, 3) free of means; first: (S,); ratio, power: (S, F, 3)."""
 
     t: Array
     values: Array
@@ -56,10 +57,21 @@ class Stretches:
 
 def tone(samples: Samples, sensor: str) -> Finding | None:
     """Find the strongest line of one sensor above `LEAST_LINE_HZ`, or None."""
+    found = _of_any_length(samples, sensor)
+    if found is None or found.where.band_hz[0] > BODY_HZ or found.evidence.p_value < SURE:
+        return found
+    return None
+
+
+def _of_any_length(samples: Samples, sensor: str) -> Finding | None:
     found = _tone(samples, sensor, SHORT)
     if found is not None and found.evidence.p_value < PLAIN:
         return found
-    return _tone(samples, sensor, LONG) or found
+    found = _tone(samples, sensor, LONG) or found
+    seen = _stretches(samples, sensor, SHORT)
+    if found is None and (seen is None or seen.first.size < LEAST_STACK):
+        return _tone(samples, sensor, BRIEF)
+    return found
 
 
 def _tone(samples: Samples, sensor: str, seconds: float) -> Finding | None:
@@ -85,27 +97,36 @@ def _tone(samples: Samples, sensor: str, seconds: float) -> Finding | None:
 def _stretches(samples: Samples, sensor: str, seconds: float) -> Stretches | None:
     rate = 1.0 / float(np.median(np.diff(samples.t)))
     length = int(seconds * rate)
-    count = len(samples) // max(length, 1)
-    if length < 100 or count < 3:
+    if length < 100 or len(samples) < 3 * length:
         return None
-    cut = samples.xyz[: count * length].reshape(count, length, 3)
-    t = samples.t[: count * length].reshape(count, length)
-    steady = _steady(cut, round(rate), STEADY[sensor])
-    steady = steady[np.ptp(t[steady], axis=1) < 1.2 * seconds]
-    if steady.size < 3:
+    first = _steady(samples.xyz, max(round(rate), 1), length, STEADY[sensor])
+    first = first[samples.t[first + length - 1] - samples.t[first] < 1.2 * seconds]
+    if first.size < 3:
         return None
-    values = cut[steady] - cut[steady].mean(axis=1, keepdims=True)
+    rows = first[:, None] + np.arange(length)
+    values = samples.xyz[rows] - samples.xyz[rows].mean(axis=1, keepdims=True)
     power, ratio = _ratios(values)
     f = np.asarray(np.fft.rfftfreq(length, 1.0 / rate), dtype=np.float64)
-    return Stretches(t[steady], values, steady * length, f, power, ratio)
+    return Stretches(samples.t[rows], values, first, f, power, ratio)
 
 
-def _steady(cut: Array, second: int, most: float) -> Index:
-    """Return the stretches whose means over a second stay where they are: rests, shaken or not."""
-    second = max(second, 1)
-    count, length = len(cut), cut.shape[1] // second * second
-    means = cut[:, :length].reshape(count, -1, second, 3).mean(axis=2)
-    return np.flatnonzero(np.ptp(means, axis=1).max(axis=1) < most).astype(np.int64)
+def _steady(xyz: Array, second: int, length: int, most: float) -> Index:
+    """Return first rows of stretches, one after another, whose means over a second stay where they are.
+
+    They are rests, shaken or not; each begins where the one before has ended, or as the phone comes to rest.
+    """
+    count = len(xyz) // second
+    means = xyz[: count * second].reshape(count, second, 3).mean(axis=1)
+    span = max(length // second, 1)
+    around = np.lib.stride_tricks.sliding_window_view(means, span, axis=0)
+    still = np.ptp(around, axis=2).max(axis=1) < most
+    still = still[: max((len(xyz) - length) // second + 1, 0)]
+    starts, free = [], 0
+    for k in np.flatnonzero(still):
+        if k * second >= free:
+            starts.append(int(k) * second)
+            free = starts[-1] + length
+    return np.array(starts, dtype=np.int64)
 
 
 def _ratios(values: Array) -> tuple[Array, Array]:
@@ -264,10 +285,7 @@ def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle:
 
 
 def _left_out(line: Array, noise: Array) -> Seen:
-    """Predict the line's power (S, 3) in stretches left out.
-
-    Exponential about noise, with and without a line.
-    """
+    """Predict powers (S, 3) of stretches left out: exponential about noise, with and without a line."""
     floor = np.maximum(noise.mean(axis=0), 1e-300)
     ratio = line / floor
     fold, gain = blocks(len(ratio)), 0.0

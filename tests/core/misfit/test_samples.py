@@ -135,3 +135,15 @@ def test_stamps_that_run_fast_at_the_nominal_rate_are_skewed() -> None:
     true = stream(host * 1.003, arrival=np.maximum.accumulate(host + latency()))
     slower = effects(true, Claims(nominal_rate_hz=50.0 / 1.003))["clock_skew"].value  # type: ignore[attr-defined]
     assert slower == pytest.approx(3e-3, rel=0.01)
+
+
+def test_a_line_is_found_in_rests_too_short_for_long_stretches() -> None:
+    """Thirty rests of twelve seconds, each in another attitude, a hand between them."""
+    t, rng = even(), np.random.default_rng(9)
+    place = (t // 13.0).astype(int)
+    up = rng.normal(size=(place.max() + 1, 3))
+    moved = (t % 13.0 > 12.0)[:, None] * rng.normal(0, 3.0, (N, 3))
+    still = 9.8 * (up / np.linalg.norm(up, axis=1)[:, None])[place] + moved + rng.normal(0, 0.01, (N, 3))
+    assert tone(stream(t, still), "accel") is None
+    line = tone(stream(t, still + np.outer(np.sin(2 * np.pi * 13.0 * t), [0.0, 0.0, 0.01])), "accel")
+    assert line is not None and line.parameters["frequency"].value == pytest.approx(13.0, abs=0.02)
