@@ -45,7 +45,7 @@ CONTRAST = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretches:
-    """Steady stretches. t: (S, n) s; values: (S, n, 3) free of means; first: (S,); ratio, power: (S, F, 3)."""
+    """Steady stretches. t: (S, n) s; values: (S, n, 3), no means; first: (S,); ratio, power: (S, F, 3)."""
 
     t: Array
     values: Array
