@@ -27,6 +27,7 @@ from stillcal.calib_core.samples import Array, Samples
 __all__ = ["Claims", "Diagnosis", "diagnose", "limits"]
 
 LEAST_SAMPLES = 200
+LEAST_SECONDS = 10.0
 CLEAR = 4.0
 """Standard deviations of the noise that a mean must be below a limit."""
 
@@ -47,12 +48,15 @@ def diagnose(
     """Say where a recording and its simulated twin differ, and what physics was left out.
 
     without: effects of which the catalogue knows nothing, to try what their cases are then called.
-    Raises NotSupported where not even the stamps can be judged (fewer than 200 samples).
+    Raises NotSupported where not even the stamps can be judged (fewer than 200 samples, less than 10 s).
     """
     if len(accelerometer) < LEAST_SAMPLES:
         raise NotSupported(
             f"{len(accelerometer)} samples of the accelerometer", (f"at least {LEAST_SAMPLES}",)
         )
+    span = float(accelerometer.t[-1] - accelerometer.t[0])
+    if span < LEAST_SECONDS:
+        raise NotSupported(f"{span:.1f} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))
     claims = claims or Claims()
     accelerometer, twice = repeats.without_doubles(accelerometer)
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]

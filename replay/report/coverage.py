@@ -78,7 +78,7 @@ def _of_samples(facts: Facts) -> list[Check]:
         Check("stamps: jitter, drops, clock", True, clock),
         Check("arrival in bursts", facts.arrivals, "arrival times" if facts.arrivals else "no arrival times"),
         Check("noise, bandwidth, steps and limits of values", quiet, noise),
-        Check("vibration", True, "steady stretches of 20 s"),
+        Check("vibration", True, "steady stretches of 8 s and more, where there are enough"),
     ]
 
 

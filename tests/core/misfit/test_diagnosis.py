@@ -75,6 +75,8 @@ def test_too_little_is_refused_and_no_gyroscope_is_said() -> None:
     samples = Samples.checked(Sensor.ACCELEROMETER, t, rng.normal(0, 0.01, (6000, 3)) + np.array([0, 0, 9.8]))
     with pytest.raises(NotSupported, match="at least 200"):
         diagnose(samples[:100], None)
+    with pytest.raises(NotSupported, match="at least 10 s"):
+        diagnose(samples[:400], None)
     answer = diagnose(samples, None)
     assert answer.verdict == "adequate"
     assert any("no gyroscope" in text for text in answer.limits)
