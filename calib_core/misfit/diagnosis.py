@@ -155,8 +155,9 @@ def _at_rest(stream: _Stream, claims: Claims, factor: float) -> list[Finding | N
     samples, sensor = stream.samples, stream.sensor
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, stream.still.rate / 2.0), "noise at rest")
     other = None if stream.steps.blurs_level() else changing(stream.spectra, stream.levels, sensor)
-    coarse = stream.steps.largest / float(stream.steps.sd.min())
-    wide = tails(stream.still, sensor, where, stream.steps.largest) if coarse < COARSEST else None
+    least = float(stream.steps.sd.min())
+    fine = least > 0.0 and stream.steps.largest < COARSEST * least
+    wide = tails(stream.still, sensor, where, stream.steps.largest) if fine else None
     claim = noise.claimed(sensor, claims)
     claim = None if claim is None else factor * claim
     found: list[Finding | None] = [other, wide]
