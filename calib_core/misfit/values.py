@@ -179,6 +179,10 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
     return direct_finding(f"{sensor}_saturation", sensor, axes, where, parameter, statement=say, seen=seen)
 
 
+LEAST_LEVELS = 5
+"""Different values that must lie within three standard deviations below a limit."""
+
+
 def _hard_stop(values: Array, noise: float) -> tuple[float, float] | None:
     """Return limit and its error where samples lie on the very largest value, of either sign, time and again.
 
@@ -191,8 +195,11 @@ def _hard_stop(values: Array, noise: float) -> tuple[float, float] | None:
         top = float(signed.max())
         least = top - max(1e-6 * abs(top), 0.1 * step)
         on = signed >= least
-        below = int(((signed > top - 3.0 * noise) & ~on).sum())
-        runs = int((on[1:] & ~on[:-1]).sum())
+        under = signed[(signed > top - 3.0 * noise) & ~on]
+        below, runs = under.size, int((on[1:] & ~on[:-1]).sum())
+        # Values of few levels end on their highest by themselves, evenly spaced or not.
+        if np.unique(under).size < LEAST_LEVELS:
+            continue
         if on.sum() >= max(thresholds.LEAST_PILE, 5.0 * (below * step / (3.0 * noise) + 1.0)) and runs >= 3:
             found.append(abs(top))
     if not found or step > noise:

@@ -101,7 +101,8 @@ def described(finding: Finding) -> str:
 
 
 def _number(value: Any) -> str:
-    return np.array2string(np.asarray(value), precision=3, separator=", ").replace("\n", "")
+    shown = np.array2string(np.asarray(value), separator=", ", formatter={"float_kind": lambda x: f"{x:.3g}"})
+    return shown.replace("\n", "")
 
 
 def _found(rows: Sequence[Row], device: dict[str, str]) -> str:
@@ -168,7 +169,8 @@ def _still(rows: Sequence[Row]) -> str:
         lines.append((f"`{effect}`", str(len(those)), str(both), told))
     said = ", ".join(f"{v} {n}" for v, n in verdicts.most_common())
     return (
-        f"{len(rows)} recordings of Stisen et al. 2015, mostly 70 s each, accelerometer only: {said}.\n\n"
+        f"{len(rows)} recordings of Stisen et al. 2015, mostly 70 s each, accelerometer only: {said}.\n"
+        "Their stamps are those of arrival: jitter is delivery's, and so may be what looks dropped.\n\n"
         + _table(("found", "recordings", "in both halves too", "models (recordings)"), lines)
     )
 

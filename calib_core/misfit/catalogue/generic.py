@@ -37,7 +37,7 @@ def unit_range(curve: Array) -> Array:
 
 def _vibration(scene: Scene) -> list[drivers.Driver]:
     power = scene.bins.vibration
-    size = float(np.median(power)) if power.size else 1.0
+    size = max(float(np.median(power)), 1e-12) if power.size else 1.0
     return [({}, unit_range(power))] if moves(power / size, 1.0) else []
 
 

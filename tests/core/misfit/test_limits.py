@@ -31,3 +31,12 @@ def test_a_phone_that_clips_at_gravity_is_found(seed: int) -> None:
 def test_gravity_is_no_limit(step: float) -> None:
     for seed in range(20):
         assert saturation(samples(resting(seed, step)), "accel", NOISE, 40.0) is None
+
+
+def test_values_of_few_uneven_levels_are_no_limit() -> None:
+    """As some phones give them: steps of 0.041 and 0.027 m/s^2 by turns, at a noise of half a step."""
+    levels = np.cumsum(np.tile([0.04086, 0.02724], 500)) - 17.0
+    rng = np.random.default_rng(3)
+    force = np.array([0.0, 9.77, -0.1]) + 0.02 * rng.standard_normal((9000, 3))
+    rounded = levels[np.abs(force[:, :, None] - levels[None, None]).argmin(axis=2)]
+    assert saturation(samples(rounded), "accel", np.full(3, 0.02), None) is None
