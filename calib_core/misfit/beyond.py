@@ -102,10 +102,6 @@ class Regression:
 
     def _spread(self, train: Array, use: Array) -> tuple[float, Array]:
         """Return what parameters `use` leave: power a sample in `train`, and the sums (K,) of all."""
-        x = np.zeros(use.size)
-        rows = np.flatnonzero(use)
-        if rows.size:
-            sums = self.information[train].sum(axis=0)[np.ix_(rows, rows)]
-            x[rows] = np.linalg.solve(sums, self.target[train].sum(axis=0)[rows])
-        left = self.left(x)
+        chosen = self.only(use)
+        left = chosen.left(chosen.fitted(train))
         return float(left[train].sum() / self.count[train].sum()), left

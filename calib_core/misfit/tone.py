@@ -64,18 +64,17 @@ def tone(samples: Samples, sensor: str) -> Finding | None:
 
 
 def _of_any_length(samples: Samples, sensor: str) -> Finding | None:
-    found = _tone(samples, sensor, SHORT)
+    short = _stretches(samples, sensor, SHORT)
+    found = _tone(samples, sensor, short)
     if found is not None and found.evidence.p_value < PLAIN:
         return found
-    found = _tone(samples, sensor, LONG) or found
-    seen = _stretches(samples, sensor, SHORT)
-    if found is None and (seen is None or seen.first.size < LEAST_STACK):
-        return _tone(samples, sensor, BRIEF)
+    found = _tone(samples, sensor, _stretches(samples, sensor, LONG)) or found
+    if found is None and (short is None or short.first.size < LEAST_STACK):
+        return _tone(samples, sensor, _stretches(samples, sensor, BRIEF))
     return found
 
 
-def _tone(samples: Samples, sensor: str, seconds: float) -> Finding | None:
-    seen = _stretches(samples, sensor, seconds)
+def _tone(samples: Samples, sensor: str, seen: Stretches | None) -> Finding | None:
     if seen is None:
         return None
     rate = 2.0 * float(seen.f[-1])
