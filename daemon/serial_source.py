@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import errno
 import glob
+import math
 import os
 import termios
 from collections.abc import AsyncIterator
@@ -29,6 +30,12 @@ from stillcal.daemon.wire import (
 )
 
 READ_BYTES = 65_536
+ROOM_BYTES = 3072
+"""What may gather on the line unread: three quarters of what a terminal holds before it stops the sender."""
+
+LEAST_REST_S = 0.02
+"""A line that brings so much sooner is watched without a break, s."""
+
 UNSENT_LIMIT = 65_536
 """Bytes of commands that may wait for a device that does not read; further commands are dropped."""
 
@@ -47,6 +54,7 @@ class SerialSource(Source):
         self._port: serial.Serial | None = None
         self._unsent = bytearray()
         self._reading = self._writing = False
+        self._looked = (-math.inf, 0)
 
     # For the one who takes
 
@@ -70,6 +78,26 @@ class SerialSource(Source):
             record = self._records.popleft()
             self._resume()
             yield record
+
+    async def rest(self, seconds: float) -> None:
+        """Let what comes gather on the line, s, so that a trickle of small messages wakes nobody.
+
+        A line that brings more is looked at more often; one that brings much is watched as ever.
+        """
+        loop = asyncio.get_running_loop()
+        end = loop.time() + seconds
+        while (left := end - loop.time()) > 0.0 and (nap := self._nap(loop.time())) >= LEAST_REST_S:
+            self._unwatch()
+            await asyncio.sleep(min(nap, left))
+            self._look()
+        self._resume()
+        if left > 0.0:
+            await asyncio.sleep(left)
+
+    def close(self) -> None:
+        """Let go of the phone for good; what has come by now can still be taken."""
+        self._look()
+        super().close()
 
     def send(self, command: Command) -> bool:
         """Send a command in the form that the device speaks; say whether it is on its way.
@@ -141,11 +169,25 @@ class SerialSource(Source):
         if len(self._records) >= self.settings.queue:
             self._pause()
 
+    def _look(self) -> None:
+        """Read what gathered while nobody watched, if there is room for it."""
+        if self._port is not None and not self._reading and len(self._records) < self.settings.queue:
+            self._read()
+
+    def _nap(self, now: float) -> float:
+        """Return for how long (s) there is room, at the rate of what came since this was asked last."""
+        (before, had), self._looked = self._looked, (now, self._decoder.counters.bytes)
+        return ROOM_BYTES * (now - before) / max(self._looked[1] - had, 1)
+
     def _pause(self) -> None:
-        if self._reading and self._port is not None:
+        self.link.pauses += self._unwatch()
+
+    def _unwatch(self) -> bool:
+        """Stop reading; say whether it was going on."""
+        was, self._reading = self._reading, False
+        if was and self._port is not None:
             asyncio.get_running_loop().remove_reader(self._port.fileno())
-            self._reading = False
-            self.link.pauses += 1
+        return was
 
     def _resume(self) -> None:
         if not self._reading and self._port is not None and len(self._records) <= self.settings.queue // 2:

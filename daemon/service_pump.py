@@ -18,6 +18,7 @@ from stillcal.calib_core.samples import Samples, frozen
 from stillcal.calib_core.stillness_settings import Sleep
 from stillcal.daemon.log import say
 from stillcal.daemon.saved_state import SavedState
+from stillcal.daemon.service_blocks import together
 from stillcal.daemon.service_mind import Mind
 from stillcal.daemon.service_orders import Orders, grant
 from stillcal.daemon.source_base import LinkDown, LinkUp, Record, Source
@@ -58,16 +59,17 @@ class Pump:
     async def run(self) -> None:
         """Serve the line until its source is closed."""
         while (records := await self._take()) is not None:
-            for record in records:
+            for record in together(records):
                 await self._handle(record)
             await self._think()
-            if not self._in_step:
-                await asyncio.sleep(BATCH_S if records else 0.0)
+            if records and not self._in_step:
+                await self.source.rest(BATCH_S)
 
     async def _take(self) -> list[Record] | None:
         """Return what came; nothing where it is time to look up without, None once the source is closed."""
         try:
-            records = await asyncio.wait_for(self.source.take(), self._patience())
+            async with asyncio.timeout(None if self.source.pending else self._patience()):
+                records = await self.source.take()
         except TimeoutError:
             self._look_up()
             return []

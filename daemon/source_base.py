@@ -137,6 +137,11 @@ class Source(ABC):
     def send(self, command: Command) -> bool:
         """Tell the phone something; say whether it is on its way."""
 
+    @property
+    def pending(self) -> bool:
+        """Whether there is something to take."""
+        return bool(self._records)
+
     async def take(self) -> list[Record]:
         """Wait until there is something and return all of it; an empty list once the source is closed."""
         await self._something()
@@ -144,6 +149,10 @@ class Source(ABC):
         self._records.clear()
         self._resume()
         return records
+
+    async def rest(self, seconds: float) -> None:
+        """Let what comes gather for so long, s."""
+        await asyncio.sleep(seconds)
 
     def close(self) -> None:
         """Let go of the phone for good; what was read before can still be taken."""

@@ -147,11 +147,10 @@ def usable(
     Those are rows that are not finite and rows whose stamp is before that of an earlier row. Of an
     optional column only its being there is trusted: it may hold NaN.
     """
-    good = np.isfinite(t) & np.isfinite(xyz).all(axis=1)
-    if good.all() and (t[1:] >= t[:-1]).all():
+    if np.isfinite(xyz).all() and np.isfinite(t).all() and (t[1:] >= t[:-1]).all():
         rows = None
     else:
-        rows = np.flatnonzero(good)
+        rows = np.flatnonzero(np.isfinite(t) & np.isfinite(xyz).all(axis=1))
         rows = rows[t[rows] >= np.maximum.accumulate(t[rows])]
     columns = (t, xyz, temperature, arrival)
     kept = [None if c is None else frozen(c if rows is None else c[rows]) for c in columns]

@@ -234,6 +234,78 @@ def test_a_full_queue_stops_reading_and_holds_the_sender_back(tmp_path: Path) ->
     within_reason(test())
 
 
+def test_at_rest_a_trickle_wakes_nobody_and_closing_takes_what_gathered(tmp_path: Path) -> None:
+    async def test() -> None:
+        device = Device(tmp_path / "tty")
+        async with SerialSource(quick(device.path)) as source:
+            await device.read()
+            resting = asyncio.create_task(source.rest(60.0))
+            await asyncio.sleep(0)
+            for i in range(10):
+                device.write(WireEncoder().encode(Tick(float(i))))
+                await asyncio.sleep(0.001)
+            assert source.wire.bytes == 0
+            resting.cancel()
+        assert [r.t for r in await source.take() if isinstance(r, Tick)] == [float(i) for i in range(10)]
+
+    within_reason(test())
+
+
+def test_after_a_rest_all_is_there_and_the_line_is_watched_again(tmp_path: Path) -> None:
+    async def test() -> None:
+        device = Device(tmp_path / "tty")
+        async with SerialSource(quick(device.path)) as source:
+            await device.read()
+            resting = asyncio.create_task(source.rest(0.05))
+            await asyncio.sleep(0)
+            device.write(WireEncoder().encode(Tick(1.0)))
+            await resting
+            assert source.pending and Tick(1.0) in await source.take()
+            device.write(WireEncoder().encode(Tick(2.0)))
+            assert await source.take() == [Tick(2.0)]
+
+    within_reason(test())
+
+
+def test_a_flood_is_read_on_while_the_daemon_rests(tmp_path: Path) -> None:
+    async def test() -> None:
+        device = Device(tmp_path / "tty")
+        async with SerialSource(quick(device.path)) as source:
+            await device.read()
+            await source.rest(0.001)
+            frame, written = WireEncoder().encode(block(0.0, 100)), 0
+            resting: asyncio.Task[None] | None = None
+            for i in range(120):
+                device.write(frame)
+                written += len(frame)
+                while source.wire.bytes < written:
+                    await asyncio.sleep(0)
+                if i == 60:  # 200,000 bytes at once
+                    resting = asyncio.create_task(source.rest(60.0))
+            assert resting is not None and not resting.done()
+            resting.cancel()
+
+    within_reason(test())
+
+
+def test_a_line_that_is_lost_in_a_rest_comes_back(tmp_path: Path) -> None:
+    async def test() -> None:
+        device = Device(tmp_path / "tty")
+        async with SerialSource(quick(device.path)) as source:
+            await device.read()
+            resting = asyncio.create_task(source.rest(0.05))
+            await asyncio.sleep(0)
+            device.unplug()
+            await resting
+            await until(source, lost)
+            again = Device(tmp_path / "tty")
+            await until(source, seen(LinkUp))
+            again.write(WireEncoder().encode(Tick(1.0)))
+            assert await source.take() == [Tick(1.0)]
+
+    within_reason(test())
+
+
 def test_commands_go_down_in_the_form_that_the_device_speaks(tmp_path: Path) -> None:
     async def test() -> None:
         device = Device(tmp_path / "tty")

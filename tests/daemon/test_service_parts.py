@@ -20,8 +20,10 @@ from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.daemon import log, saved_state
 from stillcal.daemon.notify import Notifier, passed_sockets
 from stillcal.daemon.saved_state import SavedState, StateError, decode, encode
+from stillcal.daemon.service_blocks import together
 from stillcal.daemon.service_energy import DAY_S, KEPT_DAYS, EnergyLedger
-from stillcal.daemon.wire_messages import Status
+from stillcal.daemon.source_base import Record
+from stillcal.daemon.wire_messages import Status, Temperature
 
 # The energy ledger
 
@@ -193,3 +195,37 @@ def test_a_copy_of_the_ledger_goes_its_own_way():
     copy = ledger.copy()
     ledger.samples(1.0, 1)
     assert copy.days[0].samples == 1 and dataclasses.asdict(copy) != dataclasses.asdict(ledger)
+
+
+# Blocks joined
+
+
+def run_of(sensor: Sensor, *t: float, celsius: float | None = None) -> Samples:
+    warm = None if celsius is None else np.full(len(t), celsius)
+    return Samples.checked(sensor, t, np.outer(t, (1.0, 2.0, 3.0)), warm)
+
+
+def test_blocks_are_joined_up_to_the_next_event_the_gyroscopes_first():
+    accel, gyro = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
+    records: list[Record] = [
+        run_of(accel, 0.0, 0.1),
+        run_of(gyro, 0.05),
+        run_of(accel, 0.2),
+        Temperature(0.2, 25.0),
+        run_of(accel, 0.3),
+    ]
+    first, second, told, last = together(records)
+    assert isinstance(first, Samples) and isinstance(second, Samples) and isinstance(last, Samples)
+    assert (first.sensor, first.t.tolist()) == (gyro, [0.05])
+    assert (second.sensor, second.t.tolist()) == (accel, [0.0, 0.1, 0.2])
+    assert second.xyz.tolist() == np.outer(second.t, (1.0, 2.0, 3.0)).tolist()
+    assert told == Temperature(0.2, 25.0) and last.t.tolist() == [0.3]
+
+
+@pytest.mark.parametrize("later", [-0.5, 1.5, 1e6])
+def test_blocks_are_not_joined_where_time_does_not_go_on_or_columns_differ(later: float):
+    """What a restart or a leap of the phone's clock does is judged by the first stamp of a block."""
+    accel = Sensor.ACCELEROMETER
+    records: list[Record] = [run_of(accel, 10.0), run_of(accel, 10.0 + later)]
+    assert len(list(together(records))) == 2
+    assert len(list(together([run_of(accel, 10.0), run_of(accel, 10.1, celsius=20.0)]))) == 2
