@@ -5,7 +5,6 @@ Or the phone itself, on a pseudo-terminal that a daemon opens as it would a USB 
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.cli_options import quiet_option
 from stillcal.daemon.outputs import files, new_recording_files, refuse_collisions
 from stillcal.daemon.progress import progress
+from stillcal.daemon.signals import run_until_signalled
 from stillcal.daemon.store_document import pretty
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.writer import TraceWriter
@@ -109,7 +109,7 @@ def _write(simulation: Simulation, out: Path, quiet: bool) -> None:
 
 
 def _serve(simulation: Simulation, settings: LinkSettings, port: Path | None, quiet: bool) -> None:
-    """Be the phone on a pseudo-terminal until a daemon has heard its end."""
+    """Be the phone on a pseudo-terminal until a daemon has heard its end, or a signal ends it."""
     with progress("living", simulation.duration, quiet) as step:
 
         def chunks() -> Iterator[Chunk]:
@@ -118,7 +118,7 @@ def _serve(simulation: Simulation, settings: LinkSettings, port: Path | None, qu
                 yield chunk
 
         try:
-            asyncio.run(serve_phone(chunks(), simulation.phone.claimed(), settings, port, click.echo))
+            run_until_signalled(serve_phone(chunks(), simulation.phone.claimed(), settings, port, click.echo))
         except OSError as error:
             raise click.UsageError(str(error)) from error
 

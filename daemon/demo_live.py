@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import signal
 import sys
 import tempfile
 import time
@@ -19,6 +18,7 @@ from typing import Any
 from stillcal.daemon.api_place import NAME
 from stillcal.daemon.cli_query import NoDaemonError, replies
 from stillcal.daemon.saved_state import state_path
+from stillcal.daemon.signals import run_until_signalled
 from stillcal.replay.phone.simulation import Chunk, Simulation
 from stillcal.replay.phone_link import serve_phone
 
@@ -88,16 +88,12 @@ def live(simulation: Simulation, files: Files, told: Told, progressed: Progresse
     """
     with tempfile.TemporaryDirectory(prefix="stillcal-") as folder:
         files.config.write_text(SETTINGS.format(store=files.store, folder=folder))
-        try:
-            return asyncio.run(_live(simulation, files, Path(folder), told, progressed))
-        except asyncio.CancelledError:
-            raise KeyboardInterrupt from None
+        return run_until_signalled(_live(simulation, files, Path(folder), told, progressed))
 
 
 async def _live(
     simulation: Simulation, files: Files, folder: Path, told: Told, progressed: Progressed
 ) -> Lived:
-    _end_at_signals()
     async with _daemon(files) as process:
         log = _log(process, files.log, told)
         await _until(log, "ready")
@@ -200,11 +196,3 @@ def _reported(simulation: Simulation, progressed: Progressed) -> Iterator[Chunk]
     for chunk in simulation.chunks():
         progressed(chunk.t_end)
         yield chunk
-
-
-def _end_at_signals() -> None:
-    """Let SIGINT, SIGTERM and SIGHUP cancel the present task, so that none leaves a daemon behind."""
-    task = asyncio.current_task()
-    if task is not None:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            asyncio.get_running_loop().add_signal_handler(number, task.cancel)

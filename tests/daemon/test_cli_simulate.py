@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from stillcal.daemon.cli import cli
+from stillcal.daemon.exits import INTERRUPTED
 
 STILLCAL = str(Path(sys.executable).with_name("stillcal"))
 
@@ -48,6 +50,23 @@ def test_a_phone_on_a_line_is_calibrated_as_its_recording_is(folder: Path) -> No
     for words in (["simulate", "lab", "--out", recording], ["replay", recording, "--store", store]):
         assert CliRunner().invoke(cli, [*map(str, words), "--quiet"]).exit_code == 0
     assert calibration(live) == calibration(store)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_takes_the_phone_and_its_link_away(folder: Path, number: signal.Signals) -> None:
+    port = folder / "phone"
+    with subprocess.Popen(
+        [STILLCAL, "simulate", "lab", "--serial", "--port", port, "--quiet"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as phone:
+        assert phone.stdout is not None and phone.stdout.readline().strip() == str(port)
+        assert port.is_symlink()
+        phone.send_signal(number)
+        said = phone.communicate(timeout=60)[1]
+    assert phone.returncode == INTERRUPTED and said.strip() == "stillcal: interrupted; nothing half-written"
+    assert list(folder.iterdir()) == []
 
 
 @pytest.mark.parametrize(

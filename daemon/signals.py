@@ -1,0 +1,32 @@
+"""Running a coroutine so that a signal ends it as Ctrl-C does, with everything put away."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections.abc import Coroutine
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def run_until_signalled(job: Coroutine[Any, Any, T]) -> T:
+    """Run `job`; SIGINT, SIGTERM and SIGHUP cancel it, unless they are ignored (nohup(1)).
+
+    Raises KeyboardInterrupt where one of them did.
+    """
+    try:
+        return asyncio.run(_listening(job))
+    except asyncio.CancelledError:
+        raise KeyboardInterrupt from None
+
+
+async def _listening(job: Coroutine[Any, Any, T]) -> T:
+    task = asyncio.current_task()
+    assert task is not None
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    return await job
