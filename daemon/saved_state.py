@@ -12,11 +12,12 @@ from pathlib import Path
 
 import msgspec
 
-from stillcal.calib_core.codec import packed, unpacked
+from stillcal.calib_core.codec import unpacked
 from stillcal.calib_core.engine_state import EngineState
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.service_clock import PhoneClock
 from stillcal.daemon.service_energy import EnergyLedger
+from stillcal.daemon.state_arrays import encoded
 
 HEAD = b"stillcal state 1\n"
 MAX_BYTES = 64 * 2**20
@@ -53,7 +54,7 @@ def state_path(store: Path) -> Path:
 
 def encode(state: SavedState) -> bytes:
     """Return the file's contents."""
-    body = packed(state)
+    body = encoded(state)
     return HEAD + hashlib.sha256(body).digest() + body
 
 

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stillcal.calib_core.codec import packed
 from stillcal.calib_core.engine import Engine
 from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.daemon import log, saved_state
@@ -23,6 +24,7 @@ from stillcal.daemon.saved_state import SavedState, StateError, decode, encode
 from stillcal.daemon.service_blocks import together
 from stillcal.daemon.service_energy import DAY_S, KEPT_DAYS, EnergyLedger
 from stillcal.daemon.source_base import Record
+from stillcal.daemon.state_arrays import encoded
 from stillcal.daemon.wire_messages import Status, Temperature
 
 # The energy ledger
@@ -89,6 +91,21 @@ def test_a_state_comes_back_to_the_last_bit():
     assert decode(encode(state)).energy.days == state.energy.days
 
 
+@pytest.mark.parametrize(
+    "shape", [(0,), (1,), (15,), (16,), (65_535,), (65_536,), (0, 3), (3, 0), (2, 3), (5, 16), (65_536, 3)]
+)
+def test_arrays_are_written_as_the_lists_of_their_numbers_to_the_byte(shape: tuple[int, ...]):
+    values = np.random.default_rng(1).normal(size=shape)
+    values.flat[:2] = (np.nan, -np.inf)[: values.size]
+    record = {
+        "held": [values, values[::-1].copy()],
+        "other": (np.arange(3), np.float64(2.0), np.ones((2, 2, 2))),
+    }
+    assert encoded(record) == packed(record)
+    if values.ndim > 1:
+        assert encoded([values.T]) == packed([values.T])
+
+
 def test_any_damage_to_a_state_is_seen():
     data = encode(lived())
     rng = np.random.default_rng(1)
@@ -103,7 +120,7 @@ def test_any_damage_to_a_state_is_seen():
 
 
 def test_what_another_version_wrote_is_refused():
-    body = saved_state.packed({"engine": 5})
+    body = packed({"engine": 5})
     data = saved_state.HEAD + saved_state.hashlib.sha256(body).digest() + body
     with pytest.raises(StateError, match="this version"):
         decode(data)
