@@ -16,6 +16,7 @@ from stillcal.calib_core.engine_telling import Telling
 from stillcal.calib_core.events import Level, Location
 from stillcal.calib_core.gravity import Gravity, LocationError
 from stillcal.calib_core.pool import HeldRest
+from stillcal.calib_core.pool_crowd import Crowd
 from stillcal.calib_core.rests import RestState
 from stillcal.calib_core.samples import SampleError, Samples, Sensor
 from stillcal.calib_core.schedule import Watch
@@ -33,6 +34,7 @@ class Holding:
         self, settings: EngineSettings, state: EngineState, detector: StationaryDetector, telling: Telling
     ) -> None:
         self._settings, self._s, self._detector, self._telling = settings, state, detector, telling
+        self._crowd = Crowd(settings.pool)
 
     def take(self, samples: Samples) -> None:
         """Let samples wait until they are looked at. Raises SampleError where their stream runs back."""
@@ -80,7 +82,7 @@ class Holding:
         change = found.value - s.gravity.value
         if s.gravity.source == "default":
             s.pool = s.pool.located(found, place.t, self._settings.pool)
-            s.attitudes = len(s.pool.attitudes(self._settings.pool))
+            s.attitudes = self._crowd.attitudes(s.pool)
         else:
             reach = place.t - self._settings.detector.max_rest_s - _SLACK_S
             s.moves = [*(m for m in s.moves if m.t >= reach), Move(place.t, s.gravity)]
@@ -107,8 +109,8 @@ class Holding:
 
     def _gather(self, rest: RestState) -> None:
         s = self._s
-        s.pool = s.pool.with_rest(HeldRest(rest, self._gravity_at(rest.t_end)), self._settings.pool)
-        s.attitudes = len(s.pool.attitudes(self._settings.pool))
+        s.pool = self._crowd.grown(s.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
+        s.attitudes = self._crowd.attitudes(s.pool)
         s.fresh += 1
         s.counters.rests += 1
         if s.last_rest is not None and s.gyro_tail is not None:

@@ -62,10 +62,6 @@ class Pool:
         """The rests without their gravity, oldest first."""
         return [h.rest for h in self.held]
 
-    def with_rest(self, held: HeldRest, settings: PoolSettings) -> Pool:
-        """Return the pool with one rest more, thinned back to its bounds."""
-        return replace(self, held=_thinned((*self.held, held), settings))
-
     def with_turn(self, turn: Turn, settings: PoolSettings) -> Pool:
         """Return the pool with one turn more; the oldest goes where there are too many."""
         return replace(self, turns=(*self.turns, turn)[-settings.turns :])
@@ -95,26 +91,3 @@ class Pool:
     def attitudes(self, settings: PoolSettings) -> list[list[int]]:
         """Group the rests by attitude; indices point into `held`."""
         return group_attitudes(self.rests, settings.attitude_angle)
-
-
-def _thinned(held: tuple[HeldRest, ...], settings: PoolSettings) -> tuple[HeldRest, ...]:
-    """Drop what is too old, then the least certain rest of a crowded attitude, then the oldest attitude.
-
-    The newest rest of an attitude always stays: it is what the next check is made with.
-    """
-    newest = held[-1].rest.t_end
-    recent = tuple(h for h in held if newest - h.rest.t_end <= settings.max_age_s)
-    if len(recent) <= settings.rests_per_attitude:
-        return recent
-    groups = group_attitudes([h.rest for h in recent], settings.attitude_angle)
-    groups = sorted(groups, key=lambda group: group[-1])[-settings.attitudes :]
-    kept = {i for group in groups for i in _without_worst(group, recent, settings.rests_per_attitude)}
-    return tuple(h for i, h in enumerate(recent) if i in kept)
-
-
-def _without_worst(group: list[int], held: tuple[HeldRest, ...], limit: int) -> list[int]:
-    if len(group) <= limit:
-        return group
-    *older, last = group
-    older.sort(key=lambda i: float(np.linalg.norm(held[i].rest.force_uncertainty)))
-    return [*older[: limit - 1], last]

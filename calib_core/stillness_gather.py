@@ -15,7 +15,7 @@ from stillcal.calib_core.samples import Array
 from stillcal.calib_core.stillness_judge import FATES, GAPPED, SPARSE, STILL, Codes, Flags
 from stillcal.calib_core.stillness_probe import Probe, cells_of, draw_probe
 from stillcal.calib_core.stillness_rests import judged
-from stillcal.calib_core.stillness_run import Run, absorb, drifted, trimmed
+from stillcal.calib_core.stillness_run import Run, absorb, contributions, drifted, trimmed
 from stillcal.calib_core.stillness_settings import DetectorSettings, Fate, Ledger, Sense, Sleep, Want
 from stillcal.calib_core.stillness_windows import K_END, K
 
@@ -45,6 +45,7 @@ class Gatherer:
         self.state = state
         self.found: list[RestState] = []
         self._most = cells_of(settings.max_rest_s, settings.window_s)
+        self._least = settings.w_min_s * (1 - 1e-9) / settings.window_s
 
     def taken(self) -> list[RestState]:
         """Return the rests found since the last time."""
@@ -57,16 +58,22 @@ class Gatherer:
         rows: joint rows; codes: their fates; steps: what coarseness alone may move the two means by.
         """
         s = self.state
-        previous = np.concatenate(([s.end_cell], rows[:-1, K_END]))
-        apart = rows[:, K] != previous
+        n = rows.shape[0]
+        apart = rows[:, K] != np.concatenate(([s.end_cell], rows[:-1, K_END]))
         cuts = np.flatnonzero(np.concatenate(([True], (codes[1:] != codes[:-1]) | apart[1:])))
-        for first, last in zip(cuts, [*cuts[1:], rows.shape[0]], strict=True):
-            if apart[first]:
+        own, short = contributions(rows), rows[:, K_END] - rows[:, K] < self._least
+        parts = zip(
+            cuts.tolist(), [*cuts[1:].tolist(), n], apart[cuts].tolist(), codes[cuts].tolist(), strict=True
+        )
+        for first, last, broken, code in parts:
+            if broken:
                 self._close(Fate.GAP)
-            if codes[first] == STILL:
-                self._gather(rows[first:last], steps)
+            if code != STILL:
+                self._close(FATES[code])
+            elif last - first == 1 and last < n and short[first] and not s.run.rows.shape[0]:
+                s.ledger.rests[Fate.SHORT] = s.ledger.rests.get(Fate.SHORT, 0) + 1  # what comes next ends it
             else:
-                self._close(FATES[codes[first]])
+                self._gather(rows[first:last], own[:, first:last], steps)
         s.end_cell = float(rows[-1, K_END])
         s.ledger.asked_s += float((rows[:, K_END] - rows[:, K]).sum()) * self.settings.window_s
 
@@ -117,19 +124,22 @@ class Gatherer:
             self._end_probe(Fate.STILL, self.state.end_cell)
         self._close(Fate.STILL)
 
-    def _gather(self, rows: Array, steps: Steps) -> None:
+    def _gather(self, rows: Array, own: Array, steps: Steps) -> None:
         """Add still, adjoining windows to the open run, closing it where they step off or it is full."""
         s = self.state
-        while rows.shape[0]:
-            ends = np.cumsum(rows[:, K_END] - rows[:, K]) + s.run.cells
-            room = int(np.searchsorted(ends, self._most, side="right"))
-            if room == 0 and s.run.cells:
+        ends = np.add.accumulate(rows[:, K_END] - rows[:, K])
+        at, n, gone = 0, rows.shape[0], 0.0
+        while at < n:
+            room = int(np.searchsorted(ends, self._most - s.run.cells + gone, side="right")) - at
+            if room <= 0 and s.run.rows.shape[0]:
                 self._close(Fate.STILL)
                 continue
-            s.run, taken = absorb(s.run, rows[: max(room, 1)], steps, self.settings)
-            if taken < max(room, 1):
+            end = at + max(room, 1)
+            s.run, taken = absorb(s.run, rows[at:end], own[:, at:end], steps, self.settings)
+            if at + taken < min(end, n):
                 self._close(Fate.STEPPED)
-            rows = rows[taken:]
+            at += taken
+            gone = float(ends[at - 1]) if at else 0.0
 
     def _close(self, ended_by: Fate) -> None:
         """Close the open run: a rest joins `found`, a refusal the ledger."""
@@ -151,7 +161,7 @@ class Gatherer:
         expected = np.concatenate(([probe.start + s.run.cells], rows[:-1, K_END]))[: rows.shape[0]]
         good = (codes == STILL) & (rows[:, K] == expected) & (rows[:, K_END] <= probe.end)
         still = int(good.argmin()) if not good.all() else good.size
-        s.run, taken = absorb(s.run, rows[:still], steps, self.settings)
+        s.run, taken = absorb(s.run, rows[:still], contributions(rows[:still]), steps, self.settings)
         if taken == rows.shape[0] and s.run.cells < probe.full:
             return first + taken
         if s.run.cells >= probe.full:

@@ -7,6 +7,7 @@ joined (two, four, eight) for slow sensors. No thresholds here.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.samples import Array, Samples, Sensor, frozen
 
 Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 # Columns of a row. K, K_END: first cell and the one after the last. N: samples. T0, T1: first and last
 # sample, s. GAP: longest pause, s. Per axis: MEAN, M2 (sum of squares about it), D2 (sum of squared steps
@@ -27,7 +29,7 @@ COLUMNS = 27
 
 BLOCK = 8  # cells of the longest window; everything that changes with time changes between blocks
 
-_CHUNK = 1 << 14  # samples worked on at a time: the scratch arrays then stay in cache
+_CHUNK = 1 << 13  # samples worked on at a time: the scratch arrays then stay in cache
 _SAME = 1e-6  # SI; smaller steps are conversion noise of one and the same code
 
 
@@ -96,11 +98,12 @@ def reduce_cells(
     rows[:, T0] = t[starts]
     rows[:, T1] = t[starts + counts - 1]
     rows[:, TEMP] = np.nan if temperature is None else np.add.reduceat(temperature, starts) / counts
+    room = np.empty((2, 4 * min(t.size, _CHUNK + _CHUNK // 4)))
     for first, last in _chunks(starts, t.size):
         span = slice(starts[first], starts[last] if last < starts.size else t.size)
         local, out, n = starts[first:last] - span.start, rows[first:last], counts[first:last]
         _gaps(t[span], local, window, out)
-        _moments(np.ascontiguousarray(xyz[span].T), local, n, out, norm=norm)
+        _moments(xyz[span], local, n, out, room, norm=norm)
     return rows
 
 
@@ -126,24 +129,69 @@ def _gaps(t: Array, starts: Index, window: float, out: Array) -> None:
     out[:, GAP] = np.maximum(inner, np.maximum(head, tail))
 
 
-def _moments(axes: Array, starts: Index, n: Index, out: Array, *, norm: bool) -> None:
-    for i, x in enumerate(axes):
-        out[:, MEAN.start + i], out[:, M2.start + i] = _mean_and_squares(x, starts, n)
-        step = np.abs(_steps(x, starts))
-        out[:, D2.start + i] = np.add.reduceat(step * step, starts)
-        step[step < _SAME] = np.inf
-        out[:, LSB.start + i] = np.minimum.reduceat(step, starts)
-        out[:, LOW.start + i] = np.minimum.reduceat(x, starts)
-        out[:, HIGH.start + i] = np.maximum.reduceat(x, starts)
-    if norm:
-        length = np.sqrt(axes[0] * axes[0] + axes[1] * axes[1] + axes[2] * axes[2])
-        out[:, NORM], out[:, NORM_M2] = _mean_and_squares(length, starts, n)
+def _moments(xyz: Array, starts: Index, n: Index, out: Array, room: Array, *, norm: bool) -> None:
+    """Fill in the moments of cells that begin at `starts` and hold `n` samples each, of xyz (samples, 3).
+
+    room: (2, any), to work in: fresh memory costs more than what is done in it.
+    """
+    for cells, width in _alike(n):
+        count = n[cells]
+        if isinstance(cells, slice):
+            dense = xyz.reshape(-1, width, 3)
+        else:
+            within = np.minimum(np.arange(width), count[:, None] - 1)
+            dense = xyz.take(starts[cells, None] + within, axis=0)
+        inside = None if (count == width).all() else np.arange(width)[:, None] < count
+        shape = (width, 3 + norm, count.size)
+        size = math.prod(shape)
+        both = (room if size <= room.shape[1] else np.empty((2, size)))[:, :size].reshape(2, *shape)
+        data, work = both
+        data[:, :3] = dense.transpose(1, 2, 0)
+        if norm:
+            np.multiply(data[:, :3], data[:, :3], out=work[:, :3])
+            np.add(work[:, 0], work[:, 1], out=data[:, 3])
+            np.sqrt(np.add(data[:, 3], work[:, 2], out=data[:, 3]), out=data[:, 3])
+        _reduced(both, inside, count, out, cells)
 
 
-def _mean_and_squares(x: Array, starts: Index, n: Index) -> tuple[Array, Array]:
-    mean = np.add.reduceat(x, starts) / n
-    centred = x - np.repeat(mean, n)
-    return mean, np.add.reduceat(centred * centred, starts)
+def _alike(n: Index) -> list[tuple[Index | slice, int]]:
+    """Sort cells by how many samples they hold: which ones, and the most of these; never twice the least."""
+    common = int(np.bincount(n).argmax())
+    if (n == common).all():
+        return [(slice(None), common)]
+    octave = np.where(n == common, -1, np.frexp(n)[1])
+    groups = [np.flatnonzero(octave == k) for k in np.unique(octave)]
+    return [(cells, int(n[cells].max())) for cells in groups]
+
+
+def _reduced(both: Array, inside: Flags | None, n: Index, out: Array, cells: Index | slice) -> None:
+    """Reduce each cell's samples in both[0] (samples, axes and perhaps norm, cells) into its row of `out`.
+
+    inside: (samples, cells), where cells hold unlike numbers of samples: the last is repeated after them.
+    Both parts are written over. numpy adds rows to rows in order (a single column it would sum pairwise; here
+    are three at least), so a cell's sums do not depend on what other cells there are.
+    """
+    data, work = both
+    width, kinds, count = data.shape
+    flat, spare, axes = data.reshape(width, -1), work.reshape(width, -1), slice(0, 3 * count)
+    if inside is not None:
+        np.multiply(data, inside[:, None, :], out=work)
+    mean = np.add.reduce(flat if inside is None else spare, axis=0, initial=0.0).reshape(kinds, count) / n
+    np.subtract(flat, mean.reshape(-1), out=spare)
+    if inside is not None:
+        np.multiply(work, inside[:, None, :], out=work)
+    squares = np.add.reduce(np.multiply(spare, spare, out=spare), axis=0, initial=0.0).reshape(kinds, count)
+    out[cells, MEAN], out[cells, M2] = mean[:3].T, squares[:3].T
+    if kinds > 3:
+        out[cells, NORM], out[cells, NORM_M2] = mean[3], squares[3]
+    values, step = flat[:, axes], spare[1:, axes]
+    out[cells, LOW] = np.minimum.reduce(values, axis=0).reshape(3, count).T
+    out[cells, HIGH] = np.maximum.reduce(values, axis=0).reshape(3, count).T
+    np.abs(np.subtract(values[1:], values[:-1], out=step), out=step)
+    np.multiply(step, step, out=values[1:])
+    out[cells, D2] = np.add.reduce(values[1:], axis=0, initial=0.0).reshape(3, count).T
+    np.copyto(step, np.inf, where=step < _SAME)
+    out[cells, LSB] = np.minimum.reduce(step, axis=0, initial=np.inf).reshape(3, count).T
 
 
 def joined(rows: Array, widths: Index) -> Array:
@@ -176,7 +224,7 @@ def joined(rows: Array, widths: Index) -> Array:
     return out
 
 
-def matched(keys: Array, wanted: Array) -> tuple[Index, NDArray[np.bool_]]:
+def matched(keys: Array, wanted: Array) -> tuple[Index, Flags]:
     """Look up `wanted` in sorted `keys`: where each one is, and whether it is there at all."""
     at = np.searchsorted(keys, wanted)
     found = at < keys.size
