@@ -21,6 +21,7 @@ from stillcal.calib_core import gravity as local_gravity
 from stillcal.calib_core.energy import Allowance
 from stillcal.calib_core.engine_holding import Holding
 from stillcal.calib_core.engine_judging import Judging
+from stillcal.calib_core.engine_planning import first_of_use, resumed
 from stillcal.calib_core.engine_state import EngineSettings, EngineState, first_state, without_phone
 from stillcal.calib_core.engine_telling import Telling
 from stillcal.calib_core.events import Action, Charging, End, Event, Forget, Level, Location, Tick
@@ -34,7 +35,6 @@ from stillcal.calib_core.stillness_settings import Ledger, Mode, Sense, Sleep
 _MODES = {Watch.CONTINUOUS: Mode.SCAN, Watch.PROBING: Mode.PROBE, Watch.IDLE: Mode.SCAN}
 _LEVELS = {Watch.CONTINUOUS: Level.INFO, Watch.PROBING: Level.DEBUG, Watch.IDLE: Level.DEBUG}
 _LEAST_REVIEW_S = 1.0  # two windows: what was spent is known no finer
-_LONGEST_GAP_S = 86400.0
 
 
 class Engine:
@@ -207,17 +207,6 @@ class Engine:
             return event.t
         return max([event.t, *(float(np.nextafter(t, math.inf)) for t in self._s.latest.values())])
 
-    def _resumed(self, t: float) -> float:
-        """Return from when (s) on deadlines count: `t`, or a day before what comes next after a longer gap.
-
-        Through gaps of a day deadlines fall as they would live; years between two stamps cost no more.
-        The gyroscope's next sample may still be on its way; the accelerometer's is known.
-        """
-        s = self._s
-        waiting = s.waiting.get(Sensor.ACCELEROMETER)
-        coming = [*([] if waiting is None else [float(waiting.t[0])]), *(e.t for e in s.events[:1])]
-        return max(t, min(coming or [s.heard or t]) - _LONGEST_GAP_S)
-
     # Deadlines
 
     def _do_event(self, t: float) -> None:
@@ -240,7 +229,7 @@ class Engine:
     def _do_check(self, t: float) -> None:
         s, interval = self._s, self.settings.schedule.check_interval_s
         s.check_due = s.record is not None
-        s.next_check = next_on_grid(s.began or t, interval, self._resumed(t))
+        s.next_check = next_on_grid(s.began or t, interval, resumed(s, t))
         self._judging.check(t)
         self._plan(t)
 
@@ -268,10 +257,14 @@ class Engine:
         step = settings.schedule.review_interval_s
         if watch is Watch.CONTINUOUS and settings.schedule.watch == "auto":
             step = min(step, max(lasts, _LEAST_REVIEW_S))
-        resumed = self._resumed(t)
-        if resumed > t and watch is Watch.PROBING:
-            self._skip_to(resumed)
-        s.next_review = resumed + step
+        onward = resumed(s, t)
+        if onward > t and watch is Watch.PROBING:
+            self._skip_to(onward)
+        idle = watch is Watch.IDLE and not need.rests
+        settled = idle or (watch is Watch.CONTINUOUS and settings.schedule.watch != "auto")
+        s.next_review = onward + step
+        if settled:
+            s.next_review = first_of_use(s, s.next_review, step, settings.schedule)
 
     def _turn_to(self, watch: Watch, t: float) -> None:
         if watch is self._s.watch:

@@ -119,5 +119,9 @@ def calibration_due(standing: Standing, occasion: Occasion, settings: ScheduleSe
         return False
     if not standing.has_record or occasion is Occasion.END:
         return True
-    wait = settings.check_interval_s if standing.degraded else settings.recalibrate_interval_s
-    return standing.since_try >= wait
+    return standing.since_try >= least_wait(standing.degraded, settings)
+
+
+def least_wait(degraded: bool, settings: ScheduleSettings) -> float:
+    """Return how long (s) after a try to fit the next may come, where there is a calibration already."""
+    return settings.check_interval_s if degraded else settings.recalibrate_interval_s
