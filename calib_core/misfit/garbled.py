@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.carried import cuts
 from stillcal.calib_core.misfit.quick import Seen, unknown
 from stillcal.calib_core.misfit.records import Finding, Where
-from stillcal.calib_core.misfit.turns import turns
 from stillcal.calib_core.misfit.views import fit_baseline
 from stillcal.calib_core.rotation import attitudes, matrix
 from stillcal.calib_core.samples import Array, Samples
@@ -64,14 +64,8 @@ def garbled(accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: flo
         return None
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
     found = [
-        Step(
-            t.end - t.duration,
-            t.end,
-            t.t,
-            t.rate,
-            np.stack([_before(bins, baseline.up, t.end - t.duration), t.up]),
-        )
-        for t in turns(gyroscope, bins, baseline.up)
+        Step(float(c.t[0]), float(c.t[-1]), c.t, c.rate, baseline.up[c.first : c.first + 2])
+        for c in cuts(gyroscope, bins)
     ]
     if len(found) < LEAST_TURNS:
         return None
@@ -80,10 +74,6 @@ def garbled(accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: flo
     bad = size > max(FAR, TIMES * float(np.quantile(size, 0.3)))
     span = _stretch(bad)
     return None if span is None else _explained(found, size, bad, span)
-
-
-def _before(bins: Bins, up: Array, start: float) -> Array:
-    return np.asarray(up[max(int(np.searchsorted(bins.t, start)) - 1, 0)])
 
 
 def _stretch(bad: NDArray[np.bool_]) -> tuple[int, int] | None:

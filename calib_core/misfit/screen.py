@@ -8,15 +8,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit.catalogue.entry import Bank, Entry, Hypothesis, Scene
 from stillcal.calib_core.misfit.evidence import Reduced, joint, log_terms, projected, stacked
 from stillcal.calib_core.misfit.shapes import families
+from stillcal.calib_core.misfit.telegraph import Course, grown
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.samples import Array
 
 KEPT = 5
 """Curves of a bank that go on, under each covariance."""
+
+SPREAD = 7
+"""Courses between two levels are grown from one in so many of the best stretches: neighbours are alike."""
 
 CHUNK = 400
 MODERATE = "flicker"
@@ -34,6 +39,9 @@ def screened(
         bank = None if entry.bank is None else entry.bank(scene)
         if bank is None:
             continue
+        if bank.switching:
+            kept += _switching(entry, scene, whitened, bank)
+            continue
         best: set[int] = set()
         for c in range(len(whitened[0].diagonals)):
             gains = _gains(whitened, bank, c, entry.parameters[0].size)
@@ -46,6 +54,25 @@ def hypothesis(entry: Entry, scene: Scene, bank: Bank, k: int) -> Hypothesis:
     """Return curve number `k` of a bank as a hypothesis, its curves on each axis one after another."""
     columns = tuple(_columns(v, bank.curve(k)[None], bank.blind) for v in scene.views)
     return Hypothesis(entry, bank.grids[k], columns, bank.trials)
+
+
+def _switching(entry: Entry, scene: Scene, whitened: Sequence[_Whitened], bank: Bank) -> list[Hypothesis]:
+    """Return the likeliest courses between two levels, grown from the best stretches of each covariance."""
+    assert bank.pairs is not None
+    courses: dict[bytes, Course] = {}
+    for c in range(len(whitened[0].diagonals)):
+        gram, target = _inner(whitened, bank, c, entry.parameters[0].size)
+        starts = np.argsort(-_gains_of_pairs(gram, target, bank.pairs))[: KEPT * SPREAD : SPREAD]
+        for first, last in bank.pairs[starts]:
+            course = grown(gram, target, int(first), int(last))
+            if course is not None:
+                courses[course.changes.tobytes()] = course
+    made = []
+    for course in courses.values():
+        curve = np.tensordot(course.changes.astype(float), bank.curves, 1)
+        columns = tuple(_columns(v, curve[None], bank.blind) for v in scene.views)
+        made.append(Hypothesis(entry, {}, columns, float(np.exp(course.log_trials))))
+    return made
 
 
 def _columns(view: View, curves: Array, blind: tuple[str, ...]) -> Array:
@@ -99,7 +126,7 @@ class _Whitened:
 def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array:
     """Return about the gain of every hypothesis of a bank in log likelihood under shape number `c`."""
     if bank.pairs is not None:
-        return _gains_of_pairs(views, bank, c, size)
+        return _gains_of_pairs(*_inner(views, bank, c, size), bank.pairs)
     out = []
     width = 3 * bank.curves.shape[1]
     for first in range(0, len(bank.curves), CHUNK):
@@ -114,16 +141,20 @@ def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array
     return np.concatenate(out)
 
 
-def _gains_of_pairs(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array:
-    """Return the same for differences of single curves, from the curves' own inner products."""
-    assert bank.pairs is not None
+def _inner(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> tuple[Array, Array]:
+    """Return the inner products of a bank's single curves (K, 3, K, 3), and with the data (K, 3)."""
     count = len(bank.curves)
     gram, target = np.zeros((count, 3, count, 3)), np.zeros((count, 3))
     for view in views:
         xy, x, scale = view.sums(_columns(view.view, bank.curves, bank.blind) * size, c)
         gram += (x.T @ x).reshape(count, 3, count, 3) / scale
         target += xy.reshape(count, 3) / scale
-    a, b = bank.pairs.T
+    return gram, target
+
+
+def _gains_of_pairs(gram: Array, target: Array, pairs: NDArray[np.int64]) -> Array:
+    """Return the same for differences of single curves, from the curves' own inner products."""
+    a, b = pairs.T
     crossed = gram[a, :, b, :]
     both = gram[a, :, a, :] + gram[b, :, b, :] - crossed - crossed.transpose(0, 2, 1)
     return _least_squares(both, target[a] - target[b])

@@ -60,7 +60,7 @@ class Step:
         return (self.winner.hypothesis, *self.shadows)
 
 
-def score(gain: float, parameters: int, dof: float, trials: int) -> float:
+def score(gain: float, parameters: int, dof: float, trials: float) -> float:
     """Return S: minus log10 of the F tail of a gain in log likelihood, less log10 of the grid's size."""
     tail = log_tail(2.0 * max(gain, 0.0) / dof, parameters, max(dof - parameters, 1.0))
     return float(-tail / LN10 - np.log10(trials))
@@ -92,7 +92,7 @@ def compete(
     """Score every hypothesis with baseline and `found` projected out; best of each entry, best first."""
     reduced = reduce_scene(scene, hypotheses, found, parts=True)
     null = null_log_likelihood(reduced)
-    trials: dict[int, int] = {}
+    trials: dict[int, float] = {}
     for h in hypotheses:
         trials[id(h.entry)] = h.trials or trials.get(id(h.entry), 0) + 1
     scored: dict[int, list[Scored]] = {}
@@ -103,7 +103,9 @@ def compete(
     return sorted((_best(group) for group in scored.values()), key=lambda s: -s.score), reduced
 
 
-def _judged(reduced: Sequence[Reduced], index: int, h: Hypothesis, null: float, trials: int) -> Scored | None:
+def _judged(
+    reduced: Sequence[Reduced], index: int, h: Hypothesis, null: float, trials: float
+) -> Scored | None:
     """Score a hypothesis on all axes and on each alone, and keep the better; None where it is hopeless.
 
     Set 4 `index` of the reduced scene is the whole hypothesis, the next three are its axes. All axes cost a

@@ -69,11 +69,11 @@ def turn_findings(
 ) -> list[Finding]:
     """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out."""
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
-    made = turn_scene(gyroscope, bins, baseline.up, gravity)
+    made = turn_scene(gyroscope, bins, baseline, gravity)
     if made is None:
         return []
-    scene, found = made
-    entries = [nameless(e) if e.effect in without else e for e in turn_entries(found, scene)]
+    scene, alignment = made
+    entries = [nameless(e) if e.effect in without else e for e in turn_entries(alignment.turns, scene)]
     return findings_of(scene, forward(scene, entries))
 
 

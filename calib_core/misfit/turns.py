@@ -1,80 +1,23 @@
-"""Gravity carried from rest to rest by the integrated gyroscope: the view of its scale and linearity.
-
-The error of the gyroscope is first order: an error d(t) of the rate moves gravity, as predicted at the end of
-a turn, by (R_end' sum R(t) d(t) dt) x up_end, with R(t) from the body at t to the body at the start.
-"""
+"""The view of turns: what gravity carried from rest to rest tells of the gyroscope's scale and linearity."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.carried import Aligned, Turn, aligned, cuts
 from stillcal.calib_core.misfit.catalogue.drivers import LEAST_SPAN
 from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Linear, Scene, moves, no_hypotheses
-from stillcal.calib_core.misfit.views import View
-from stillcal.calib_core.rotation import attitudes, matrix
+from stillcal.calib_core.misfit.views import Baseline, View, pruned
 from stillcal.calib_core.samples import Array, Samples
 
 LEAST_TURNS = 9
-LONGEST_TURN = 60.0
-LEAST_ANGLE = 0.2
-SHARPEST = 0.2
-"""rad from sample to sample, beyond which what happens between samples is not known from them."""
-
 OUTLIER = 8.0
 KNOWN = 2.0
 """Degrees of freedom with which the errors of turns are known beforehand."""
-
-MARGIN = 0.5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Turn:
-    """One turn. t: (n,) s; rate: (n, 3), bias off; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,)."""
-
-    end: float
-    duration: float
-    t: Array
-    rate: Array
-    carried: Array
-    up: Array
-    miss: Array
-    temperature: float
-
-    def column(self, term: Array) -> Array:
-        """Return what an error of the rate `term` (n, 3) does to gravity's direction at the end, (3,) rad."""
-        return np.cross(np.einsum("nij,nj->i", self.carried, term), self.up)
-
-
-def turns(gyroscope: Samples, bins: Bins, up: Array) -> list[Turn]:
-    """Cut the turns between successive rests; up: (N, 3) unit gravity in every bin, calibrated."""
-    if bins.rate is None:
-        return []
-    last = np.flatnonzero(np.diff(bins.rest) > 0)
-    found = [_turn(gyroscope, bins, up, int(i)) for i in last]
-    return [t for t in found if t is not None]
-
-
-def _turn(gyroscope: Samples, bins: Bins, up: Array, i: int) -> Turn | None:
-    """Cut the turn from bin i to bin i + 1, of different rests."""
-    start = float(bins.t[i] + bins.duration[i] / 2) - MARGIN
-    end = float(bins.t[i + 1] - bins.duration[i + 1] / 2) + MARGIN
-    part = gyroscope.between(start, end)
-    if end - start > LONGEST_TURN or len(part) < 10 or np.diff(part.t).max() > 0.5:
-        return None
-    if np.linalg.norm(part.xyz, axis=1).max() * np.median(np.diff(part.t)) > SHARPEST:
-        return None
-    assert bins.rate is not None
-    rate = part.xyz - (bins.rate[i] + bins.rate[i + 1]) / 2.0
-    R = matrix(attitudes(part.t, rate))
-    if np.linalg.norm(np.gradient(part.t)[:, None] * rate, axis=1).sum() < LEAST_ANGLE:
-        return None
-    carried = np.einsum("ki,nkj->nij", R[-1], R) * np.gradient(part.t)[:, None, None]
-    warm = 0.0 if bins.temperature is None else float(bins.temperature[i] + bins.temperature[i + 1]) / 2.0
-    return Turn(end, end - start, part.t, rate, carried, up[i + 1], up[i + 1] - R[-1].T @ up[i], warm)
 
 
 def _columns(found: list[Turn], term: Callable[[Turn], Array]) -> Array:
@@ -87,57 +30,57 @@ def _axiswise(values: Array) -> Array:
     return values[:, :, None] * np.eye(3)[None]
 
 
-def turn_scene(gyroscope: Samples, bins: Bins, up: Array, gravity: float) -> tuple[Scene, list[Turn]] | None:
+def turn_scene(
+    gyroscope: Samples, bins: Bins, baseline: Baseline, gravity: float
+) -> tuple[Scene, Aligned] | None:
     """Return the turns as a scene of one view, outliers dropped; None with fewer than `LEAST_TURNS` turns."""
-    found = turns(gyroscope, bins, up)
-    for _ in range(2):
-        if len(found) < LEAST_TURNS:
-            return None
-        view = turn_view(found)
-        size = np.abs(_left(view)).reshape(-1, 2).max(axis=1)
-        found = [t for t, s in zip(found, size, strict=True) if s < OUTLIER * np.median(size)]
+    found = cuts(gyroscope, bins)
     if len(found) < LEAST_TURNS:
         return None
-    return Scene("gyro", bins, (turn_view(found),), gravity, None), found
+    made = aligned(found, bins, baseline, gravity)
+    for _ in range(2):
+        size = np.abs(_left(turn_view(made))).reshape(-1, 2).max(axis=1)
+        kept = [t for t, s in zip(made.turns, size, strict=True) if s < OUTLIER * np.median(size)]
+        if len(kept) < LEAST_TURNS:
+            return None
+        made = replace(made, turns=kept)
+    return Scene("gyro", bins, (turn_view(made),), gravity, None), made
 
 
-def turn_view(found: list[Turn]) -> View:
-    """Two residuals a turn across gravity; the nine numbers of scale and misalignment are the baseline.
+def turn_view(made: Aligned) -> View:
+    """Two residuals a turn across gravity; the baseline is the nine numbers of scale and misalignment.
 
+    To it come what the accelerometer's uncertain parameters do, where that is more than the errors of turns.
     `duration` holds the angle turned through, with which errors may grow.
     """
-    across = np.array([_tangents(t.up) for t in found])
-    scale = _columns(found, lambda t: np.einsum("ai,nj->naij", np.eye(3), t.rate).reshape(len(t.rate), 3, 9))
+    found = made.turns
+    across = np.array([t.across() for t in found])
     y = np.einsum("kbi,ki->kb", across, np.array([t.miss for t in found])).ravel()
-    baseline = np.einsum("kbi,kip->kbp", across, scale).reshape(y.size, 9)
     n = y.size
-    angles = np.repeat([np.linalg.norm(np.gradient(t.t)[:, None] * t.rate, axis=1).sum() for t in found], 2)
+    scale = np.einsum("kbi,kip->kbp", across, np.array([t.scale_columns() for t in found])).reshape(n, 9)
+    accel = np.einsum("kbi,kip->kbp", across, np.array([t.unsure for t in found])).reshape(n, 9) @ made.unsure
     rough = View(
         "turn",
         y[None],
-        baseline[None],
+        np.hstack([scale, accel])[None],
         np.ones(n),
         np.eye(n),
         across.reshape(1, n, 3),
         np.arange(n),
         np.repeat([t.end for t in found], 2),
-        angles,
+        np.repeat([t.angle for t in found], 2),
         np.arange(n),
         known=KNOWN,
     )
     spread = max(1.4826 * float(np.median(np.abs(_left(rough)))), 1e-6)
-    return replace(rough, variance=np.full(n, spread**2))
+    variance = np.full(n, spread**2)
+    kept = pruned(accel, np.ones(9), variance)
+    return replace(rough, variance=variance, baseline=np.hstack([scale, kept])[None])
 
 
 def _left(view: View) -> Array:
     coefficients = np.linalg.lstsq(view.baseline[0], view.y[0], rcond=None)[0]
     return np.asarray(view.y[0] - view.baseline[0] @ coefficients)
-
-
-def _tangents(up: Array) -> Array:
-    first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(up, first)])
 
 
 SCALE = Entry(

@@ -19,6 +19,9 @@ WITHIN_BINS = 60.0
 """How well the white noise within bins tells that between them: to about a fifth in variance."""
 
 CREEP_BINS = 6
+HALVINGS = 8
+SETTLED = 1e-6
+PRIOR = np.diag(1.0 / np.array([BIAS_SIZE] * 3 + [SCALE_SIZE] * 6))
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
@@ -62,24 +65,74 @@ class Baseline:
     norm: Array
     jacobian: Array
 
+    @property
+    def parameters(self) -> Array:
+        """The nine parameters: bias, and the scale's excess over one and misalignment."""
+        return np.array([*self.bias, *(self.scale[a, b] - (a == b) for a, b in PAIRS)])
 
-def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, steps: int = 8) -> Baseline:
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Norms:
+    """What the norm of gravity says of the nine parameters. force: (n, 3); weight: (n,) 1 / (m/s^2)."""
+
+    force: Array
+    weight: Array
+    gravity: float
+
+    def rows(self, x: Array) -> tuple[Array, Array]:
+        """Return weighted rows (n + 9, 9) and their target (n + 9,) about parameters x (9,), priors below.
+
+        What misses gravity by more than the bins' noise has that much less weight: far from a solution, and
+        where bias wanders from rest to rest, the priors must not be nothing beside it.
+        """
+        fit = _linearised(self.force, x)
+        away = (self.gravity - fit.norm) * self.weight
+        excess = np.sqrt(self._excess(away))
+        design = np.vstack([fit.jacobian * (self.weight / excess)[:, None], PRIOR])
+        return design, np.concatenate([away / excess, -PRIOR @ x])
+
+    def cost(self, x: Array) -> float:
+        """Return twice the negative log of the parameters' posterior, whose least the rows lead to."""
+        away = (self.gravity - _linearised(self.force, x).norm) * self.weight
+        freedom, excess = max(away.size - x.size, 1), self._excess(away)
+        prior = PRIOR @ x
+        return float(freedom * np.log(excess) + away @ away / excess + prior @ prior)
+
+    def _excess(self, away: Array) -> float:
+        """Return how much more than the bins' noise the misses vary, at least one."""
+        return max(float(away @ away) / max(away.size - PRIOR.shape[0], 1), 1.0)
+
+
+def norms_of(force: Array, variance: Array, rest: Index, gravity: float) -> Norms:
+    """Weigh the bins of force (n, 3): a rest counts once, as uncertain as its bins wander."""
+    return Norms(force, _rest_weights(np.linalg.norm(force, axis=1), variance.mean(axis=1), rest), gravity)
+
+
+def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, steps: int = 20) -> Baseline:
     """Fit the nine parameters of |S (m - b)| = g by damped Gauss-Newton with priors of physical size.
 
     force, variance: (n, 3); rest: (n,). Norm of gravity alone leaves a common rotation free, so S is
     symmetric. Directions and columns are those of the rest's mean: a bin's own noise in the columns would
-    be regressed on itself. A rest counts once, as uncertain as its bins wander.
+    be regressed on itself.
     """
-    weight = _rest_weights(np.linalg.norm(force, axis=1), variance.mean(axis=1), rest)
-    prior = np.diag(1.0 / np.array([BIAS_SIZE] * 3 + [SCALE_SIZE] * 6))
-    x = np.zeros(9)
+    norms, x = norms_of(force, variance, rest, gravity), np.zeros(9)
+    cost = norms.cost(x)
     for _ in range(steps):
-        fit = _linearised(force, x)
-        design = np.vstack([fit.jacobian * weight[:, None], prior])
-        target = np.concatenate([(gravity - fit.norm) * weight, -prior @ x])
-        x = x + np.linalg.lstsq(design, target, rcond=None)[0]
+        step = np.asarray(np.linalg.lstsq(*norms.rows(x), rcond=None)[0])
+        x, before = _shortened(norms, x, step, cost), cost
+        cost = norms.cost(x)
+        if before - cost < SETTLED:
+            break
     steady = _linearised(rest_means(force, rest), x)
     return replace(steady, norm=_linearised(force, x).norm)
+
+
+def _shortened(norms: Norms, x: Array, step: Array, cost: float) -> Array:
+    """Return x after as much of a step as lowers the cost; x itself where no part does."""
+    for share in 0.5 ** np.arange(HALVINGS):
+        if norms.cost(x + share * step) < cost:
+            return np.asarray(x + share * step)
+    return x
 
 
 def _rest_weights(norm: Array, variance: Array, rest: Index) -> Array:
@@ -98,17 +151,35 @@ def rest_means(values: Array, rest: Index) -> Array:
     return np.asarray(means[rest])
 
 
-def _linearised(force: Array, x: Array) -> Baseline:
+def _affine(force: Array, x: Array) -> tuple[Array, Array, Array]:
+    """Return S, S (m - b) (n, 3) and its derivative (n, 3, 9) by the nine parameters."""
     scale = np.eye(3)
     for value, (a, b) in zip(x[3:], PAIRS, strict=True):
         scale[a, b] += value
         scale[b, a] = scale[a, b]
     centred = force - x[:3]
-    corrected = centred @ scale.T
+    moved = np.zeros((len(force), 3, 9))
+    moved[:, :, :3] = -scale
+    for k, (a, b) in enumerate(PAIRS, start=3):
+        moved[:, a, k] = centred[:, b]
+        moved[:, b, k] = centred[:, a]
+    return scale, centred @ scale.T, moved
+
+
+def _linearised(force: Array, x: Array) -> Baseline:
+    scale, corrected, moved = _affine(force, x)
     norm = np.linalg.norm(corrected, axis=1)
     up = corrected / norm[:, None]
-    of_scale = [up[:, a] * centred[:, b] + (a != b) * up[:, b] * centred[:, a] for a, b in PAIRS]
-    return Baseline(scale, x[:3], up, norm, np.column_stack([-up @ scale, *of_scale]))
+    return Baseline(scale, x[:3], up, norm, np.einsum("na,nap->np", up, moved))
+
+
+def tilted(force: Array, x: Array) -> tuple[Array, Array]:
+    """Return gravity's direction (n, 3) and its derivative (n, 3, 9) by the nine parameters."""
+    _, corrected, moved = _affine(force, x)
+    norm = np.linalg.norm(corrected, axis=1)
+    up = corrected / norm[:, None]
+    along = np.einsum("na,nap->np", up, moved)
+    return up, (moved - up[:, :, None] * along[:, None, :]) / norm[:, None, None]
 
 
 def pruned(columns: Array, sizes: Array, variance: Array) -> Array:

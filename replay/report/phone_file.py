@@ -108,11 +108,8 @@ def _gyroscope(
     slow: list[NoiseModel | None] = [None] * 3
     if bins.rate is not None:
         slow = [_wander(bins, bins.rate[:, a] - below.gyro[:, a]) for a in range(3)]
-    made = turn_scene(samples, bins, below.baseline.up, gravity)
-    scale = np.eye(3)
-    if made is not None:
-        view = made[0].views[0]
-        scale = scale + np.linalg.lstsq(view.baseline[0], view.y[0], rcond=1e-3)[0].reshape(3, 3)
+    made = turn_scene(samples, bins, below.baseline, gravity)
+    scale = np.asarray(np.eye(3) if made is None else np.linalg.inv(made[1].mapping))
     return _sensor(
         samples,
         bins,

@@ -6,6 +6,7 @@ what a driver's past does.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -21,7 +22,7 @@ SAW_PHASES = 10
 REST_TAUS = (15.0, 40.0, 100.0, 250.0, 600.0)
 LAGS = (60.0, 150.0, 400.0, 1000.0, 2500.0)
 JUMPS = drivers.JUMPS
-PLAYS = (0.1, 0.2, 0.35, 0.5, 0.7)
+PLAYS = (0.1, 0.2, 0.3, 0.45, 0.6, 0.75)
 
 
 def _centred(curves: Array) -> Array:
@@ -41,6 +42,12 @@ def pulses(scene: Scene) -> Bank | None:
     grids = [{"t_start": times[a], "t_end": times[b]} for a, b in zip(first, last, strict=True)]
     curves = (np.arange(n) >= borders[:, None]).astype(float)[:, None]
     return Bank(grids, curves, first.size // 3, np.stack([first, last], axis=1), JUMPS)
+
+
+def switches(scene: Scene) -> Bank | None:
+    """Return courses to and fro between two levels, changing between any two bins."""
+    bank = pulses(scene)
+    return None if bank is None else replace(bank, switching=True)
 
 
 def periods(scene: Scene) -> Bank | None:
@@ -120,7 +127,8 @@ def thermal_past(scene: Scene) -> Bank | None:
     span = float(np.ptp(now))
     curves = [*lagged, *(now - past for past in lagged)]
     curves += [now**2, now**3, np.gradient(now, bins.t), np.maximum(now, 0.0)]
-    curves += [_play(now, share * span) for share in PLAYS]
+    plays = [_play(now, share * span) for share in PLAYS]
+    curves += [*plays, *(_bent(play, now) for play in plays), _bent(now**2, now), _bent(now**3, now)]
     for share in PLAYS[1:4]:
         curves.append(np.maximum(now - now.min() - share * span, 0.0))
     return Bank([{} for _ in curves], _centred(np.array(curves)[:, None]), len(curves))
@@ -137,6 +145,11 @@ def other_pasts(scene: Scene) -> Bank | None:
     curves = [drivers.heat(bins, tau, plug, use, 0.0) for tau in LAGS for plug, use in sources]
     kept = [c for c in curves if moves(c, 1e-3)]
     return Bank([{} for _ in kept], _centred(np.array(kept)[:, None]), len(kept)) if kept else None
+
+
+def _bent(x: Array, now: Array) -> Array:
+    """Take off a curve (N,) what is in proportion to temperature: that part has a name."""
+    return np.asarray(x - x.mean() - now * (now @ (x - x.mean())) / max(float(now @ now), 1e-12))
 
 
 def _lagged(t: Array, x: Array, tau: float) -> Array:

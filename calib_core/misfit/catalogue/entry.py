@@ -36,7 +36,7 @@ class Hypothesis:
     entry: Entry
     grid: dict[str, float]
     columns: tuple[Array, ...]
-    trials: int = 0
+    trials: float = 0
 
     @property
     def axis_of(self) -> Array:
@@ -67,7 +67,8 @@ class Bank:
 
     curves: (K, q, N), each hypothesis q curves on every axis; grids: one grid point a hypothesis; trials: how
     many of them are independent, about. pairs: (P, 2), if given the hypotheses are differences of two
-    curves, not the curves. blind: views it does not show in, or not alone.
+    curves, not the curves. blind: views it does not show in, or not alone. switching: the hypotheses are
+    any courses between two levels that change at the borders, whose steps the curves are.
     """
 
     grids: list[dict[str, float]]
@@ -75,6 +76,7 @@ class Bank:
     trials: int
     pairs: NDArray[np.int64] | None = None
     blind: tuple[str, ...] = ()
+    switching: bool = False
 
     def curve(self, k: int) -> Array:
         """Return the curves (q, N) of hypothesis `k`."""

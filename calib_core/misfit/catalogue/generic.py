@@ -84,6 +84,7 @@ def entries(sensor: str) -> list[Entry]:
         ("temperature's past or bend", banks.thermal_past, 1),
         ("the past of charging or use", banks.other_pasts, 1),
         ("a stretch of time", banks.pulses, 1),
+        ("two levels in time", banks.switches, 1),
         ("time from a moment on", banks.moments, 1),
         ("a period in time", banks.periods, 2),
         ("a sawtooth in time", banks.sawteeth, 1),
