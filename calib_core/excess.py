@@ -57,34 +57,40 @@ def outliers(residuals: Array, design: Array, variances: Array, most: int, level
     """Return the rows that do not belong, worst first: the generalised extreme Studentised deviate test.
 
     (Rosner 1983, on residuals of a linear fit.) Up to `most` rows are taken out one by one, and as many
-    declared outliers as the last significant one, so that two bad rows cannot hide each other.
+    declared outliers as the last significant one, so that two bad rows cannot hide each other. What is left
+    of the others and their leverage follow from the row that goes (Cook and Weisberg 1982, 2.2), unfitted.
     level: chance of naming any row where none is bad. variances: (n,), relative to each other is enough.
     """
     n, p = design.shape
-    rows = np.arange(n)
+    white, basis = residuals / np.sqrt(variances), _orthonormal(design / np.sqrt(variances)[:, None])
+    left, leverage, spread = white - basis @ (white @ basis), (basis**2).sum(axis=1), np.eye(p)
     gone: list[int] = []
     declared = 0
-    scaled = design / np.sqrt(variances)[:, None]
-    white = residuals / np.sqrt(variances)
-    for _ in range(min(most, n - p - 2)):
-        deviates = _studentised(white[rows], scaled[rows])
-        worst = int(np.argmax(deviates))
-        free = rows.size - p - 1
-        gone.append(int(rows[worst]))
-        if deviates[worst] > quantile(free, 1.0 - level / (2.0 * rows.size)):
+    for size in range(n, n - min(most, n - p - 2), -1):
+        room, free = np.maximum(1.0 - leverage, 1e-9), size - p - 1
+        deviates = _studentised(left, room, free, float(white @ white))
+        worst = int(deviates.argmax())
+        if deviates[worst] == 0.0:
+            break
+        gone.append(worst)
+        if deviates[worst] > quantile(free, 1.0 - level / (2.0 * size)):
             declared = len(gone)
-        rows = np.delete(rows, worst)
+        toward = spread @ basis[worst]
+        shared, step = basis @ toward, 1.0 / room[worst]
+        left += shared * (left[worst] * step)
+        leverage += shared * shared * step
+        spread += np.outer(toward, toward) * step
+        left[worst] = white[worst] = basis[worst] = 0.0
     return gone[:declared]
 
 
-def _studentised(residuals: Array, design: Array) -> Array:
-    """Return each residual over its standard error as the other rows alone give it."""
-    free = len(residuals) - design.shape[1] - 1
-    left, leverage = _fitted_out(residuals, design, np.ones(len(residuals)))
-    room = np.maximum(1.0 - leverage, 1e-9)
+def _studentised(left: Array, room: Array, free: int, given: float) -> Array:
+    """Return each residual over its standard error as the other rows alone give it; rows gone have 0.
+
+    left: (n,), what the fit leaves; room: (n,), one less each row's leverage; given: sum of squares before it.
+    """
     rest = np.maximum(left @ left - left**2 / room, 0.0) / free
-    tiny = 1e-24 * max(float(residuals @ residuals), 1e-280)
-    values = np.abs(left) / np.sqrt(np.maximum(rest, tiny) * room)
+    values = np.abs(left) / np.sqrt(np.maximum(rest, 1e-24 * max(given, 1e-280)) * room)
     return np.asarray(np.where(room > 1e-6, values, 0.0))
 
 
@@ -106,4 +112,4 @@ def _orthonormal(columns: Array) -> Array:
         lower = np.linalg.cholesky(columns.T @ columns)
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.qr(columns)[0])
-    return np.asarray(np.linalg.solve(lower, columns.T).T)
+    return np.asarray(columns @ np.linalg.inv(lower).T)
