@@ -87,7 +87,7 @@ def outliers(residuals: Array, design: Array, variances: Array, most: int, level
 def _studentised(left: Array, room: Array, free: int, given: float) -> Array:
     """Return each residual over its standard error as the other rows alone give it; rows gone have 0.
 
-    left: (n,), what the fit leaves; room: (n,), one less each row's leverage; given: sum of squares before it.
+    left: (n,), what the fit leaves; room: (n,), one less the leverage; given: sum of squares before the fit.
     """
     rest = np.maximum(left @ left - left**2 / room, 0.0) / free
     values = np.abs(left) / np.sqrt(np.maximum(rest, 1e-24 * max(given, 1e-280)) * room)
