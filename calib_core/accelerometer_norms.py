@@ -49,12 +49,14 @@ class Norms:
         To first order the calibrated norm less the one wanted.
         """
         bias, scale = self._unpacked(v)
-        shifted = self.raw - bias
-        calibrated = shifted @ scale.T
-        values = ((calibrated**2).sum(axis=1) - self.target**2) / (2.0 * self.target)
-        unit = calibrated / self.target[:, None]
-        products = unit[:, :, None] * shifted[:, None, :]
-        return values, np.hstack((-unit @ scale, products.reshape(-1, 9))) @ self.matrix
+        shifted = np.ascontiguousarray(self.raw.T) - bias[:, None]
+        calibrated = scale @ shifted
+        values = (np.add.reduce(calibrated * calibrated, axis=0) - self.target**2) / (2.0 * self.target)
+        unit = calibrated / self.target
+        slopes = np.empty((12, len(self.raw)))
+        np.negative(scale.T @ unit, out=slopes[:3])
+        np.multiply(unit[:, None], shifted, out=slopes[3:].reshape(3, 3, -1))
+        return values, (self.matrix.T @ slopes).T
 
     def own_variances(self, v: Array) -> Array:
         """Return each rest's own variance of its calibrated norm, (n,), through the model `v`."""
