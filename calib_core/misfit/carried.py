@@ -15,10 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.misfit.bins import Bins
-from stillcal.calib_core.misfit.views import Baseline, Norms, norms_of, rest_means, tilted
+from stillcal.calib_core.misfit.views import (
+    Baseline,
+    Norms,
+    fit_baseline,
+    linearised,
+    norms_of,
+    rest_means,
+    tilted,
+)
 from stillcal.calib_core.rotation import attitudes, matrix
 from stillcal.calib_core.samples import Array, Samples
 
+LEAST_TURNS = 9
 LONGEST_TURN = 60.0
 LEAST_ANGLE = 0.2
 SHARPEST = 0.2
@@ -135,30 +144,38 @@ def _angle(t: Array, rate: Array) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """Turns under the affine parameters that fit norm and turns best.
+    """Both sensors' affine parameters, and the turns under them.
 
-    mapping: (3, 3), takes the rate as read to the true one.
-    unsure: (9, 9), a column a standard deviation of the accelerometer's parameters, as the norm leaves them.
+    baseline: of the accelerometer, as norm and turns fit it together; bias: (3,) of the rate, at rest;
+    mapping: (3, 3), takes the rate as read to the true one; unsure: (9, 9), a column a standard deviation of
+    the accelerometer's parameters, as the norm alone leaves them.
     """
 
     turns: list[Turn]
+    baseline: Baseline
+    bias: Array
     mapping: Array
     unsure: Array
 
 
-def aligned(found: list[Cut], bins: Bins, baseline: Baseline, gravity: float) -> Aligned:
-    """Fit the affine parameters of both sensors to norm and turns together, from the norm's on."""
+def aligned(gyroscope: Samples, bins: Bins, gravity: float) -> Aligned:
+    """Fit the affine parameters of both sensors to norm and turns; with few turns the norm's stand alone."""
+    found = cuts(gyroscope, bins)
     norms = norms_of(bins.force, bins.force_variance, bins.rest, gravity)
     steady = rest_means(bins.force, bins.rest)
+    baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
     x, mapping = baseline.parameters, np.eye(3)
-    for _ in range(ROUNDS):
-        step, error = _step(_carried(found, steady, x, mapping), norms, x)
-        x, mapping = x + step, mapping - error @ mapping
-        if max(np.abs(step).max(), np.abs(error).max()) < SETTLED:
-            break
+    if len(found) >= LEAST_TURNS:
+        for _ in range(ROUNDS):
+            step, error = _step(_carried(found, steady, x, mapping), norms, x)
+            x, mapping = x + step, mapping - error @ mapping
+            if max(np.abs(step).max(), np.abs(error).max()) < SETTLED:
+                break
+        baseline = linearised(steady, x)
     design, _ = norms.rows(x)
     unsure = np.linalg.inv(np.linalg.qr(design, mode="r"))
-    return Aligned(_carried(found, steady, x, mapping), mapping, unsure)
+    bias = np.zeros(3) if bins.rate is None else np.median(bins.rate, axis=0)
+    return Aligned(_carried(found, steady, x, mapping), baseline, bias, mapping, unsure)
 
 
 def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[Turn]:

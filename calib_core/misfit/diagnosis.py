@@ -10,6 +10,7 @@ import numpy as np
 from stillcal.calib_core.events import Charging
 from stillcal.calib_core.misfit import noise, repeats, spectrum, thresholds
 from stillcal.calib_core.misfit.bins import Bins, cut
+from stillcal.calib_core.misfit.carried import aligned
 from stillcal.calib_core.misfit.changing import changing
 from stillcal.calib_core.misfit.garbled import garbled, outside
 from stillcal.calib_core.misfit.motion import motion_findings
@@ -70,9 +71,10 @@ def diagnose(
     made = scenes(slow, claims.gravity) if len(slow) else []
     found += [f for scene in made if not _is_of(spoiled, scene.sensor) for f in slow_findings(scene, without)]
     if gyroscope is not None:
-        found += motion_findings(accelerometer, gyroscope, slow, claims.gravity, where)
-        if len(slow) and spoiled is None:
-            found += turn_findings(gyroscope, slow, claims.gravity, without)
+        affine = aligned(gyroscope, slow, claims.gravity) if len(slow) else None
+        found += motion_findings(accelerometer, gyroscope, affine, claims.gravity, where)
+        if affine is not None and spoiled is None:
+            found += turn_findings(affine, slow, claims.gravity, without)
     stated = [_named(f, without) for f in without_group_delay([f for f in found if f])]
     said = [*limits(bins), *_hidden(both, claims), *_unjudged(spoiled)]
     return Diagnosis(1, recording, verdict_of(stated), stated, said)

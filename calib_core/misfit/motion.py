@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.beyond import PARTS, Regression, of_arm
-from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.carried import Aligned
 from stillcal.calib_core.misfit.lever import lever_arm
 from stillcal.calib_core.misfit.quick import Measured, direct_finding
 from stillcal.calib_core.misfit.records import Alternative, Finding, Where
-from stillcal.calib_core.misfit.views import Baseline, fit_baseline
+from stillcal.calib_core.misfit.views import Baseline
 from stillcal.calib_core.rotation import attitudes, matrix
 from stillcal.calib_core.samples import Array, Samples
 
@@ -27,7 +27,7 @@ Spectrum = NDArray[np.complex128]
 WINDOW = 8.0
 """s over which gravity is carried; what the gyroscope's scale does meanwhile is nearly steady in time."""
 
-LEAST_RATE = 0.5
+LEAST_RATE = 0.2
 """rad/s, rms, in a window that is looked at."""
 
 LEAST_WINDOWS = 8
@@ -48,13 +48,21 @@ ARM = np.array([True, True, True, False])
 
 
 def motion_findings(
-    accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float, spoiled: Where | None = None
+    accelerometer: Samples,
+    gyroscope: Samples,
+    affine: Aligned | None,
+    gravity: float,
+    spoiled: Where | None = None,
 ) -> list[Finding]:
-    """Return what motion shows; nothing where there is too little. spoiled: when not to look."""
+    """Return what motion shows; nothing where there is too little.
+
+    affine: what rests and turns say of the sensors, None without rests; spoiled: when not to look.
+    """
     if len(gyroscope) < 200:
         return []
-    baseline, bias = _corrections(bins, gravity)
-    parts = [p for p in _windows(gyroscope, bias) if spoiled is None or _apart(p, spoiled)]
+    baseline = None if affine is None else affine.baseline
+    cut = [p for p in _windows(gyroscope, affine) if spoiled is None or _apart(p[0], spoiled)]
+    parts = cut if affine is None else [(t, rate @ affine.mapping.T) for t, rate in cut]
     if len(parts) < LEAST_WINDOWS:
         return []
     interval = float(np.median(np.diff(gyroscope.t)))
@@ -71,16 +79,9 @@ def motion_findings(
     return [f for f in found if f]
 
 
-def _corrections(bins: Bins, gravity: float) -> tuple[Baseline | None, Array]:
-    """Return what rests say of the accelerometer, None without rests, and the gyroscope's bias (3,)."""
-    if not len(bins):
-        return None, np.zeros(3)
-    bias = np.zeros(3) if bins.rate is None else np.median(bins.rate, axis=0)
-    return fit_baseline(bins.force, bins.force_variance, bins.rest, gravity), bias
-
-
-def _windows(gyroscope: Samples, bias: Array) -> Iterator[tuple[Array, Array]]:
+def _windows(gyroscope: Samples, affine: Aligned | None) -> Iterator[tuple[Array, Array]]:
     """Yield stamps (n,) and rate (n, 3) of unbroken windows in which the phone turns."""
+    bias = np.zeros(3) if affine is None else affine.bias
     n = round(WINDOW / float(np.median(np.diff(gyroscope.t))))
     for first in range(0, len(gyroscope) - n, n):
         t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
@@ -88,8 +89,8 @@ def _windows(gyroscope: Samples, bias: Array) -> Iterator[tuple[Array, Array]]:
             yield t, rate
 
 
-def _apart(part: tuple[Array, Array], spoiled: Where) -> bool:
-    return bool(part[0][-1] < spoiled.t_start or part[0][0] > spoiled.t_end)
+def _apart(t: Array, spoiled: Where) -> bool:
+    return bool(t[-1] < spoiled.t_start or t[0] > spoiled.t_end)
 
 
 def _force(samples: Samples, baseline: Baseline | None, t: Array) -> Array:

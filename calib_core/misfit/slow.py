@@ -9,6 +9,7 @@ import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.carried import Aligned
 from stillcal.calib_core.misfit.catalogue import nameless, slow_entries
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
 from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
@@ -17,9 +18,7 @@ from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, 
 from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
 from stillcal.calib_core.misfit.search import Scored, Step, forward, reduce_scene
 from stillcal.calib_core.misfit.turns import turn_entries, turn_scene
-from stillcal.calib_core.misfit.views import fit_baseline
 from stillcal.calib_core.misfit.walk import random_walk
-from stillcal.calib_core.samples import Samples
 
 SLOW_BAND = (0.0, 0.05)
 """Frequencies that means over bins of 10 s and more can show, Hz."""
@@ -64,16 +63,13 @@ def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
     ]
 
 
-def turn_findings(
-    gyroscope: Samples, bins: Bins, gravity: float, without: Collection[str] = ()
-) -> list[Finding]:
+def turn_findings(made: Aligned, bins: Bins, gravity: float, without: Collection[str] = ()) -> list[Finding]:
     """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out."""
-    baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
-    made = turn_scene(gyroscope, bins, baseline, gravity)
-    if made is None:
+    seen = turn_scene(made, bins, gravity)
+    if seen is None:
         return []
-    scene, alignment = made
-    entries = [nameless(e) if e.effect in without else e for e in turn_entries(alignment.turns, scene)]
+    scene, found = seen
+    entries = [nameless(e) if e.effect in without else e for e in turn_entries(found, scene)]
     return findings_of(scene, forward(scene, entries))
 
 

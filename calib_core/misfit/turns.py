@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.misfit.bins import Bins
-from stillcal.calib_core.misfit.carried import Aligned, Turn, aligned, cuts
+from stillcal.calib_core.misfit.carried import LEAST_TURNS, Aligned, Turn
 from stillcal.calib_core.misfit.catalogue.drivers import LEAST_SPAN
 from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Linear, Scene, moves, no_hypotheses
-from stillcal.calib_core.misfit.views import Baseline, View, pruned
-from stillcal.calib_core.samples import Array, Samples
+from stillcal.calib_core.misfit.views import View, pruned
+from stillcal.calib_core.samples import Array
 
-LEAST_TURNS = 9
 OUTLIER = 8.0
 KNOWN = 2.0
 """Degrees of freedom with which the errors of turns are known beforehand."""
@@ -30,21 +29,17 @@ def _axiswise(values: Array) -> Array:
     return values[:, :, None] * np.eye(3)[None]
 
 
-def turn_scene(
-    gyroscope: Samples, bins: Bins, baseline: Baseline, gravity: float
-) -> tuple[Scene, Aligned] | None:
+def turn_scene(made: Aligned, bins: Bins, gravity: float) -> tuple[Scene, list[Turn]] | None:
     """Return the turns as a scene of one view, outliers dropped; None with fewer than `LEAST_TURNS` turns."""
-    found = cuts(gyroscope, bins)
-    if len(found) < LEAST_TURNS:
-        return None
-    made = aligned(found, bins, baseline, gravity)
     for _ in range(2):
+        if len(made.turns) < LEAST_TURNS:
+            return None
         size = np.abs(_left(turn_view(made))).reshape(-1, 2).max(axis=1)
         kept = [t for t, s in zip(made.turns, size, strict=True) if s < OUTLIER * np.median(size)]
-        if len(kept) < LEAST_TURNS:
-            return None
         made = replace(made, turns=kept)
-    return Scene("gyro", bins, (turn_view(made),), gravity, None), made
+    if len(made.turns) < LEAST_TURNS:
+        return None
+    return Scene("gyro", bins, (turn_view(made),), gravity, None), made.turns
 
 
 def turn_view(made: Aligned) -> View:

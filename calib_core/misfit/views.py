@@ -85,7 +85,7 @@ class Norms:
         What misses gravity by more than the bins' noise has that much less weight: far from a solution, and
         where bias wanders from rest to rest, the priors must not be nothing beside it.
         """
-        fit = _linearised(self.force, x)
+        fit = linearised(self.force, x)
         away = (self.gravity - fit.norm) * self.weight
         excess = np.sqrt(self._excess(away))
         design = np.vstack([fit.jacobian * (self.weight / excess)[:, None], PRIOR])
@@ -93,14 +93,14 @@ class Norms:
 
     def cost(self, x: Array) -> float:
         """Return twice the negative log of the parameters' posterior, whose least the rows lead to."""
-        away = (self.gravity - _linearised(self.force, x).norm) * self.weight
+        away = (self.gravity - linearised(self.force, x).norm) * self.weight
         freedom, excess = max(away.size - x.size, 1), self._excess(away)
         prior = PRIOR @ x
         return float(freedom * np.log(excess) + away @ away / excess + prior @ prior)
 
     def _excess(self, away: Array) -> float:
         """Return how much more than the bins' noise the misses vary, at least one."""
-        return max(float(away @ away) / max(away.size - PRIOR.shape[0], 1), 1.0)
+        return max(float(away @ away) / float(max(away.size - PRIOR.shape[0], 1)), 1.0)
 
 
 def norms_of(force: Array, variance: Array, rest: Index, gravity: float) -> Norms:
@@ -123,8 +123,8 @@ def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, ste
         cost = norms.cost(x)
         if before - cost < SETTLED:
             break
-    steady = _linearised(rest_means(force, rest), x)
-    return replace(steady, norm=_linearised(force, x).norm)
+    steady = linearised(rest_means(force, rest), x)
+    return replace(steady, norm=linearised(force, x).norm)
 
 
 def _shortened(norms: Norms, x: Array, step: Array, cost: float) -> Array:
@@ -166,7 +166,8 @@ def _affine(force: Array, x: Array) -> tuple[Array, Array, Array]:
     return scale, centred @ scale.T, moved
 
 
-def _linearised(force: Array, x: Array) -> Baseline:
+def linearised(force: Array, x: Array) -> Baseline:
+    """Return the baseline with parameters x (9,): bias, and the scale's excess over one with misalignment."""
     scale, corrected, moved = _affine(force, x)
     norm = np.linalg.norm(corrected, axis=1)
     up = corrected / norm[:, None]

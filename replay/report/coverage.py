@@ -8,8 +8,8 @@ import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.carried import LEAST_TURNS
 from stillcal.calib_core.misfit.catalogue.drivers import LEAST_SPAN
-from stillcal.calib_core.misfit.turns import LEAST_TURNS
 from stillcal.calib_core.rests import attitude_labels
 
 ATTITUDE_ANGLE = 0.2

@@ -10,9 +10,9 @@ import numpy as np
 
 from stillcal.calib_core.allan_fit import FLOOR
 from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.carried import aligned
 from stillcal.calib_core.misfit.noise import density
 from stillcal.calib_core.misfit.spectrum import quiet
-from stillcal.calib_core.misfit.turns import turn_scene
 from stillcal.calib_core.misfit.values import comb_step
 from stillcal.calib_core.noise import NoiseModel, fit_noise
 from stillcal.calib_core.samples import Array, Samples
@@ -108,8 +108,7 @@ def _gyroscope(
     slow: list[NoiseModel | None] = [None] * 3
     if bins.rate is not None:
         slow = [_wander(bins, bins.rate[:, a] - below.gyro[:, a]) for a in range(3)]
-    made = turn_scene(samples, bins, below.baseline, gravity)
-    scale = np.asarray(np.eye(3) if made is None else np.linalg.inv(made[1].mapping))
+    scale = np.asarray(np.linalg.inv(aligned(samples, bins, gravity).mapping))
     return _sensor(
         samples,
         bins,

@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.misfit.bins import cut
+from stillcal.calib_core.misfit.carried import aligned
 from stillcal.calib_core.misfit.motion import motion_findings
 from stillcal.calib_core.misfit.records import Finding
 from stillcal.calib_core.samples import Samples, Sensor
@@ -44,7 +45,8 @@ def diagnosed(
     spin = late + rng.normal(0, 5e-4, (n, 3))
     accelerometer = Samples.checked(Sensor.ACCELEROMETER, t, force)
     gyroscope = Samples.checked(Sensor.GYROSCOPE, t, spin)
-    return motion_findings(accelerometer, gyroscope, cut(accelerometer, gyroscope), G)
+    bins = cut(accelerometer, gyroscope)
+    return motion_findings(accelerometer, gyroscope, aligned(gyroscope, bins, G), G)
 
 
 @pytest.mark.parametrize("seed", range(4))
