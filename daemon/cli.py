@@ -8,6 +8,7 @@ command is called: the daemon starts in a third of a second and never holds what
 from __future__ import annotations
 
 import sys
+from importlib.util import find_spec
 
 import click
 
@@ -55,6 +56,8 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; turn every expected error into one line on standard error."""
+    if sys.argv[1:2] == ["run"]:
+        _without_openssl()
     try:
         sys.exit(cli.main(standalone_mode=False))
     except click.exceptions.NoArgsIsHelpError as error:
@@ -75,6 +78,17 @@ def main() -> None:
         where = f"{error.filename}: " if error.filename else ""
         click.echo(f"stillcal: {where}{error.strerror or error}", err=True)
         sys.exit(BAD_INPUT)
+
+
+def _without_openssl() -> None:
+    """Keep OpenSSL, 4 MB for months, out of a process that speaks no TLS.
+
+    asyncio and hashlib load it where they can and do without where they cannot; hashes are then Python's own,
+    unless it was built without them.
+    """
+    if find_spec("_sha256") or find_spec("_sha2"):
+        for name in ("ssl", "_hashlib"):
+            sys.modules[name] = None  # type: ignore[assignment]  # importing it now fails
 
 
 def _refusals() -> tuple[type[Exception], ...]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from stillcal.daemon import log
+from stillcal.daemon import log, memory
 from stillcal.daemon.cli_lazy import examples
 from stillcal.daemon.cli_options import config_option
 from stillcal.daemon.notify import Notifier, passed_sockets
@@ -37,6 +37,7 @@ def run_command(config: Path | None, port: str | None, store: Path | None, socke
     given = Given(config, port, str(store) if store else None, socket, tuple(passed_sockets()))
     settings = given.settings()
     log.set_up(settings.log.level)
+    memory.stay_small()
     notifier = Notifier()
 
     async def serve() -> None:

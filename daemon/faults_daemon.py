@@ -15,7 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.samples import Array
 from stillcal.daemon import log
-from stillcal.daemon.memory import resident_bytes
+from stillcal.daemon.memory import resident_bytes, stay_small
 from stillcal.daemon.notify import Notifier
 from stillcal.daemon.service import Service
 from stillcal.daemon.service_given import Given
@@ -61,6 +61,7 @@ def main() -> None:
     """Serve until SIGTERM; arguments: settings, port, store, socket, and where the notes go (.npy)."""
     config, port, store, socket, told = sys.argv[1:]
     log.set_up("warning")
+    stay_small()
     asyncio.run(_serve(Given(Path(config), port, store, socket), Path(told)))
 
 

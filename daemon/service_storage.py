@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from stillcal.calib_core.events import Forget, Reject
 from stillcal.calib_core.events import Store as Keep
-from stillcal.daemon import saved_state
+from stillcal.daemon import memory, saved_state
 from stillcal.daemon.store import Outcome, Store, StoreError, StoreSettings
 from stillcal.daemon.store_document import StoreDocument
 
@@ -80,7 +80,7 @@ class Storage:
         if not await self.flush():
             return False
         try:
-            await self._run(saved_state.save, saved_state.state_path(self._store.path), data)
+            await self._run(self._save, data)
         except OSError as error:
             self._failed(f"cannot write {error.filename or 'the state'}: {error.strerror}")
             return False
@@ -107,6 +107,10 @@ class Storage:
         if isinstance(action, Forget):
             return self._store.retire(action.reason, action.t)
         return self._store.publish(action.record, action.reason, action.t)
+
+    def _save(self, data: bytes) -> None:
+        saved_state.save(saved_state.state_path(self._store.path), data)
+        memory.give_back()
 
     def _adopt(self, outcome: Outcome) -> None:
         self.document = outcome.document

@@ -285,6 +285,13 @@ def test_the_daemon_holds_no_more_than_it_uses() -> None:
     assert not [name for name in json.loads(found.stdout) if name.startswith("stillcal.replay")]
 
 
+def test_run_holds_no_openssl(tmp_path: Path) -> None:
+    with process(tmp_path, *arguments(tmp_path)) as daemon:
+        heard(daemon, "ready")
+        held = Path(f"/proc/{daemon.pid}/maps").read_text()
+        assert "numpy" in held and "libcrypto" not in held and "libssl" not in held
+
+
 @pytest.mark.parametrize(("text", "reason"), [("", "port is not set"), ("[source]\nport = 3", "must be str")])
 def test_settings_that_cannot_serve_end_it_in_one_line(tmp_path: Path, text: str, reason: str) -> None:
     given_in(tmp_path, text)

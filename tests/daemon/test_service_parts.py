@@ -6,7 +6,10 @@ import dataclasses
 import io
 import logging
 import os
+import platform
 import socket
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -246,3 +249,31 @@ def test_blocks_are_not_joined_where_time_does_not_go_on_or_columns_differ(later
     records: list[Record] = [run_of(accel, 10.0), run_of(accel, 10.0 + later)]
     assert len(list(together(records))) == 2
     assert len(list(together([run_of(accel, 10.0), run_of(accel, 10.1, celsius=20.0)]))) == 2
+
+
+# Memory
+
+PATCHY = """
+import sys
+import numpy as np
+from stillcal.daemon import memory
+if "stay_small" in sys.argv:
+    memory.stay_small()
+np.empty(1 << 22, "u1").fill(1)  # once freed, glibc keeps blocks of this size
+before, kept = memory.resident_bytes(), []
+for _ in range(100):
+    large = np.ones(200_000, "u1")
+    kept += [large, np.ones(2_000, "u1")]
+del large, kept[::2]
+if "give_back" in sys.argv:
+    memory.give_back()
+print(memory.resident_bytes() - before)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another allocator")
+@pytest.mark.parametrize(("calls", "given"), [([], False), (["stay_small"], True), (["give_back"], True)])
+def test_what_was_freed_between_what_is_kept_is_given_back(calls: list[str], given: bool):
+    """20 MB in pieces with something small behind each; left alone, glibc keeps nearly all of it."""
+    ran = subprocess.run([sys.executable, "-c", PATCHY, *calls], capture_output=True, text=True, check=True)
+    assert (int(ran.stdout) < 4e6) == given
