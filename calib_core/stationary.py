@@ -188,11 +188,23 @@ class StationaryDetector:
         whole = int(np.searchsorted(ends, horizon, side="right"))
         if whole == 0:
             return
-        self._judge_epochs(Windows.of(accel[:whole], gyro, widths[:whole], self.settings))
+        if s.mode is Mode.PROBE and self._gatherer.passes_over(float(ends[whole - 1])):
+            self._pass_over(accel[:whole], ends[:whole] - widths[:whole])
+        else:
+            self._judge_epochs(Windows.of(accel[:whole], gyro, widths[:whole], self.settings))
         s.pace = moved(s.pace, accel[:whole, K], counts[:whole])
         s.next_cell = float(ends[whole - 1])
         s.accel.rows = s.accel.rows[whole:]
         s.gyro.rows = s.gyro.rows[np.searchsorted(s.gyro.rows[:, K], s.next_cell) :]
+
+    def _pass_over(self, rows: Array, starts: Array) -> None:
+        """Count cells that no probe asks for, unjudged. starts: (n,) of the windows that they would join."""
+        s = self._s
+        first = int(np.searchsorted(starts, s.epoch_end))
+        while first < starts.size:
+            self._renew(starts[first])
+            first = int(np.searchsorted(starts, s.epoch_end))
+        s.gathered.ledger.accel_unasked += int(rows[:, N].sum())
 
     def _judge_epochs(self, windows: Windows) -> None:
         """Judge windows, renewing the floors wherever an epoch ends."""
@@ -215,7 +227,8 @@ class StationaryDetector:
             self._gatherer.scan(windows.rows, codes, steps)
         else:
             looked = self._gatherer.probed(windows.rows, codes, steps)
-        self._learn(windows, codes, looked)
+        if looked.any():
+            self._learn(windows, codes, looked)
         self._count(windows, codes, looked)
 
     def _learn(self, windows: Windows, codes: Codes, looked: Flags) -> None:

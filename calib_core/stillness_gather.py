@@ -92,6 +92,14 @@ class Gatherer:
         self.state.end_cell = float(rows[-1, K_END])
         return looked
 
+    def passes_over(self, end: float) -> bool:
+        """Tell whether the probe due begins no earlier than cell `end`; what lies before it is then past."""
+        s = self.state
+        if s.probe is None or end > s.probe.start:
+            return False
+        s.end_cell = end
+        return True
+
     def wants(self, now: float) -> Want:
         """Say what the probe under way or due wants at time `now`, s, giving up one that nothing came for."""
         window, cell = self.settings.window_s, now / self.settings.window_s

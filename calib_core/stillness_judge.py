@@ -113,6 +113,8 @@ class Half:
     @classmethod
     def of(cls, rows: Array, settings: DetectorSettings) -> Half:
         """Derive from one sensor's rows."""
+        if not rows[:, N].any():
+            return cls.absent(rows)
         lsb = rows[:, LSB]
         narrow = rows[:, HIGH] - rows[:, LOW] <= _FEW_CODES * lsb
         slack = across(np.where(narrow & np.isfinite(lsb), 0.25 * lsb * lsb, 0.0)) / 3.0
@@ -123,6 +125,13 @@ class Half:
             2 * rows[:, N] < settings.min_samples,
         )
         return cls(rows, spread(rows), rate_class(rate), constant, few, thin, slack)
+
+    @classmethod
+    def absent(cls, rows: Array) -> Half:
+        """Return what rows of zeros show: no sample, nothing moved."""
+        n = rows.shape[0]
+        none, yes, no = np.zeros(n), np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
+        return cls(rows, none, np.zeros(n, dtype=np.intp), yes, no, yes, none)
 
     def __getitem__(self, part: slice) -> Half:
         return Half(*(getattr(self, name)[part] for name in self.__slots__))
@@ -155,6 +164,8 @@ class Windows:
         return int(self.rows.shape[0])
 
     def __getitem__(self, part: slice) -> Windows:
+        if part == slice(0, len(self)):
+            return self
         return Windows(self.rows[part], self.accel[part], self.gyro[part])
 
 
@@ -170,7 +181,10 @@ def fates(windows: Windows, floors: tuple[Floor, Floor], coarse: bool, settings:
         accel.exceeds(floors[0], settings.accel_factor, settings.accel_ceiling),
         windows.gyro.exceeds(floors[1], settings.gyro_factor, settings.gyro_ceiling),
     ]
-    return np.select(conditions, list(range(1, 7)), STILL).astype(np.int8)
+    codes = np.full(len(windows), STILL, dtype=np.int8)
+    for code in range(len(conditions), 0, -1):  # the first that applies is set last
+        codes[conditions[code - 1]] = code
+    return codes
 
 
 def lively(windows: Windows, codes: Codes) -> tuple[Flags, Flags]:

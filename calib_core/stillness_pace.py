@@ -53,9 +53,12 @@ def _density(pace: Pace) -> float:
 
 def _blocks(pace: Pace, cells: Array, counts: Array) -> tuple[Array, Index, Array, Array]:
     """Return the blocks that rows fall in, each row's place among them, and their samples and cells."""
-    blocks, index = np.unique(np.floor(cells / BLOCK), return_inverse=True)
-    samples = np.bincount(index, counts, minlength=blocks.size).astype(np.float64)
-    held = np.bincount(index, minlength=blocks.size).astype(np.float64)
+    block = np.floor(cells / BLOCK)
+    starts = np.flatnonzero(np.concatenate(([True], block[1:] != block[:-1]))[: block.size])
+    lengths = np.diff(starts, append=block.size)
+    blocks, index = block[starts], np.repeat(np.arange(starts.size), lengths)
+    samples = np.add.reduceat(counts, starts) if starts.size else np.empty(0)
+    held = lengths.astype(np.float64)
     if blocks.size and blocks[0] == pace.block:
         samples[0] += pace.samples
         held[0] += pace.cells

@@ -38,7 +38,7 @@ def day(bench, seed, accel_rate, gyro_rate):
     for i, up in enumerate(UPS):
         b.shaking(b.rng.uniform(1, 5)).still(b.rng.uniform(1, 25), up)
         if i == 3:
-            b.pause(b.rng.uniform(0.1, 20.0))
+            b.pause(b.rng.uniform(0.1, 15.0))  # and 10 s of block and 3 s of lag: within max_lag_s
             b.accel_rate = 25.0
     return b
 
