@@ -43,7 +43,8 @@ path = "{0}/socket"
 [engine.schedule]
 watch = "{1}"
 """
-SETTLE_S, WATCH_S, PARTS, ASKED = 4.0, 30.0, 5, 400
+SETTLE_S, WATCH_S, PARTS, ASKED = 4.0, 60.0, 5, 400
+GOAL_MB = 45.0
 _TICK = os.sysconf("SC_CLK_TCK")
 _ALL_THREADS = 2  # of a process, what the scheduler counted
 
@@ -257,14 +258,16 @@ def _memory() -> Iterator[Row]:
         time.sleep(SETTLE_S)
         after = Usage.of(found.process.pid)
     what = "resident memory before the first calibration"
-    yield Row("2", what, before, "MB", goal="45 MB", met=before <= 45.0, margin=45.0 / before)
+    yield Row("2", what, before, "MB", goal="45 MB", met=before <= GOAL_MB, margin=GOAL_MB / before)
+    near = 1.1 * GOAL_MB
+    words = f"{after.seconds:.2f} s of processor time for ten minutes of both sensors"
     yield Row(
         "2",
         "resident memory after it",
         after.resident,
         "MB",
-        goal="back near it (within a tenth)",
-        met=after.resident <= 1.1 * before,
-        accuracy=f"{after.seconds:.2f} s of processor time for ten minutes of both sensors",
-        margin=1.1 * before / after.resident,
+        goal="near 45 MB (within a tenth)",
+        met=after.resident <= near,
+        accuracy=f"{after.resident - before:+.1f} MB; {words}",
+        margin=near / after.resident,
     )
