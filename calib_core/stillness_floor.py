@@ -49,6 +49,8 @@ def rate_class(rate: Array) -> Index:
 def counted(floor: Floor, classes: Index, spreads: Array) -> Floor:
     """Add windows' spreads to the counts; the level stays until `renewed`. Spreads of 0 do not count."""
     seen = spreads > 0
+    if not seen.any():
+        return floor
     octave = np.log2(spreads[seen]) - _LOWEST
     bins = np.clip(np.floor(octave * _PER_OCTAVE), 0, _BINS - 1).astype(np.intp)
     flat = np.bincount(classes[seen] * _BINS + bins, minlength=_RATES * _BINS)
@@ -57,6 +59,8 @@ def counted(floor: Floor, classes: Index, spreads: Array) -> Floor:
 
 def renewed(floor: Floor, settings: DetectorSettings) -> Floor:
     """Let the fresh counts in, forget by as many windows as came, and find the levels again."""
+    if not floor.fresh.any():
+        return floor
     came = floor.fresh.sum(axis=1, keepdims=True)
     keep = 0.5 ** (came * settings.window_s / settings.half_life_s)
     past = floor.past * keep + floor.fresh

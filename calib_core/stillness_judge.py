@@ -82,6 +82,8 @@ class Coarseness:
     def observed(self, half: Half, looked: Flags, ceiling: float) -> Coarseness:
         """Count windows that were looked at; nothing changes before `renewed`."""
         quiet = looked & (half.spread <= ceiling) & (half.rows[:, N] > 0) & ~half.constant
+        if not quiet.any():
+            return self
         few = quiet & half.few
         return replace(
             self,

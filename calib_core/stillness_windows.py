@@ -269,5 +269,5 @@ def correlation_inflation(m2: Array, d2: Array, limit: float) -> Array:
     (1 + r) / (1 - r) with 1 - r = d2 / (2 m2), as for a first-order process; between 1 and `limit`. Held
     (repeated) samples show up here too: each code held h times gives 2 h - 1. Both inputs are sums.
     """
-    apart = np.clip(d2 / np.maximum(2.0 * m2, 1e-300), 2.0 / (1.0 + limit), 1.0)
+    apart = np.minimum(np.maximum(d2 / np.maximum(2.0 * m2, 1e-300), 2.0 / (1.0 + limit)), 1.0)
     return np.asarray(2.0 / apart - 1.0)
