@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator
+from typing import TypeVar
 
 from stillcal.calib_core.samples import Samples, Sensor
-from stillcal.daemon.source_base import Record
+
+T = TypeVar("T")
 
 NEAR_S = 1.0
 """A block that begins so much later than the last one ended, s, or before it, is not joined to it."""
 
 
-def together(records: Iterable[Record]) -> Iterator[Record]:
+def together(records: Iterable[T]) -> Iterator[T | Samples]:
     """Join the blocks of each sensor as far as nothing else lies between them, the gyroscope's first.
 
     So the engine waits for neither. Blocks that bring a temperature or arrival stamps are not joined to

@@ -15,6 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.events import Action, Charging, End, Event, Location, Tick
 from stillcal.calib_core.samples import Samples, frozen
+from stillcal.calib_core.schedule import Watch
 from stillcal.calib_core.stillness_settings import Sleep
 from stillcal.daemon.log import say
 from stillcal.daemon.saved_state import SavedState
@@ -25,7 +26,10 @@ from stillcal.daemon.source_base import LinkDown, LinkUp, Record, Source
 from stillcal.daemon.wire_messages import Hello, Identify, Rate, Status, Temperature
 
 BATCH_S = 0.2
-"""How long samples of a phone in real time gather before the engine is woken for them, s."""
+"""How long what a phone in real time sends gathers before it is read, s."""
+
+GATHER_S = 1.0
+"""How long its samples wait for the engine while that watches without a break, s: they decide nothing yet."""
 
 LATE_S = 0.3
 """How much later than its time a sleeping phone's decision is taken, for what is still on the wire, s."""
@@ -52,7 +56,7 @@ class Pump:
         self._items: list[Samples | Event] = []
         self._celsius: float | None = None
         self._in_step = False
-        self._heard = host_time()
+        self._heard = self._thought = host_time()
         self.hello: Hello | None = None
         self.refused = 0
 
@@ -61,9 +65,18 @@ class Pump:
         while (records := await self._take()) is not None:
             for record in together(records):
                 await self._handle(record)
-            await self._think()
+            if self._urgent(records):
+                await self._think()
             if records and not self._in_step:
                 await self.source.rest(BATCH_S)
+        await self._think()
+
+    def _urgent(self, records: list[Record]) -> bool:
+        """Say whether the engine is to be woken for these records now."""
+        calm = records and not self._in_step and all(isinstance(record, Samples) for record in records)
+        view = self._mind.view
+        unhurried = view.watch is Watch.CONTINUOUS and self._saved.clock.newest < view.decides
+        return not (calm and unhurried and host_time() - self._thought < GATHER_S)
 
     async def _take(self) -> list[Record] | None:
         """Return what came; nothing where it is time to look up without, None once the source is closed."""
@@ -88,6 +101,8 @@ class Pump:
 
     def _patience(self) -> float | None:
         """Return for how long (s) there is nothing to do unless something comes."""
+        if self._items:
+            return GATHER_S
         if not self.source.connected or self._in_step:
             return None
         clock = self._saved.clock
@@ -206,7 +221,8 @@ class Pump:
 
     async def _think(self) -> None:
         """Feed what has gathered, hand on what is to be done, and tell the phone what is wanted now."""
-        items, self._items = self._items, []
+        items, self._items = list(together(self._items)), []
+        self._thought = host_time()
         if items:
             thought = await self._mind.feed(items)
             self._account_for_thinking()

@@ -14,16 +14,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from living import given_in, running, until, within_reason
 
 from stillcal.calib_core.engine import Engine
-from stillcal.calib_core.engine_state import EngineSettings
-from stillcal.calib_core.events import Reject
+from stillcal.calib_core.engine_state import EngineSettings, EngineState
+from stillcal.calib_core.events import Charging, Reject
 from stillcal.calib_core.events import Store as Keep
+from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.calib_core.schedule import ScheduleSettings
 from stillcal.daemon import saved_state
 from stillcal.daemon.cli_query import replies
+from stillcal.daemon.saved_state import SavedState
+from stillcal.daemon.serial_source import SerialSource
+from stillcal.daemon.service_mind import Mind
+from stillcal.daemon.service_pump import Pump, host_time
+from stillcal.daemon.source_base import SerialSettings
 from stillcal.daemon.store import Store, StoreError
 from stillcal.daemon.store_document import StoreDocument
 from stillcal.daemon.wire import Hello
@@ -137,6 +144,48 @@ def test_a_phone_in_real_time_sleeps_when_it_is_told(tmp_path: Path, lab: list[A
             link.cancel()
 
     within_reason(test())
+
+
+def test_watched_without_a_break_a_phone_in_real_time_is_thought_of_now_and_then_and_at_its_end(
+    tmp_path: Path, lab: list[Any]
+) -> None:
+    """The engine lags behind what was read, by no more than GATHER_S; what was read before the end counts."""
+    given = given_in(tmp_path, '[engine.schedule]\nwatch = "continuous"\n')
+    behind: set[bool] = set()
+
+    async def test() -> None:
+        async with running(given) as service:
+            link = asyncio.create_task(
+                serve_phone(lab, {}, LinkSettings(speed=1.0, credit=False), tmp_path / "tty")
+            )
+            clock = service.saved.clock
+            while not clock.newest > 2.5:
+                if known := service.mind._engine.present.latest:
+                    behind.add(max(known.values()) < clock.newest)
+                await asyncio.sleep(0.01)
+        link.cancel()
+        assert behind == {False, True}
+        state = saved_state.load(tmp_path / "store.state").state
+        assert state is not None and max(state.engine.latest.values()) == clock.newest
+
+    within_reason(test())
+
+
+def test_what_is_due_hurries_the_engine_and_samples_alone_do_not() -> None:
+    mind = Mind(EngineSettings(ScheduleSettings(watch="continuous")), None, None)
+    pump = Pump(SerialSource(SerialSettings("none")), mind, SavedState(EngineState()), 0.0, lambda _: None)
+    few = [Samples.checked(Sensor.ACCELEROMETER, [0.0, 1.0], np.zeros((2, 3)))]
+    pump._thought = host_time() + 1e6
+
+    async def test() -> None:
+        for record in (*few, Charging(2.0, True)):
+            await pump._handle(record)
+        assert not pump._urgent(few) and pump._urgent([*few, Charging(2.0, True)]) and pump._urgent([])
+        await pump._think()  # which leaves the charger for when samples are known up to it
+        assert mind.view.decides == 2.0 and pump._urgent(few)
+        mind.close()
+
+    asyncio.run(test())
 
 
 def test_another_device_is_taken_on_reload_and_bad_settings_are_refused(
