@@ -69,7 +69,6 @@ class Pump:
                 await self._think()
             if records and not self._in_step:
                 await self.source.rest(BATCH_S)
-        await self._think()
 
     def _urgent(self, records: list[Record]) -> bool:
         """Say whether the engine is to be woken for these records now."""
