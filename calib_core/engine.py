@@ -183,12 +183,18 @@ class Engine:
         horizon = self._horizon()
         while True:
             t, act = self._next_deadline()
-            self._holding.look(min(t, horizon))
             if t > horizon or act is None:
+                self._holding.look(horizon)
                 return
+            if act == self._do_event or not self._asleep_until(t):
+                self._holding.look(t)
             self._detector.wants(t)  # gives up probes that nothing came for, as it would have live
             act(t)
             horizon = min(horizon, self._horizon())
+
+    def _asleep_until(self, t: float) -> bool:
+        """Tell whether nothing before `t` (s) is asked for: it may wait to be looked at later."""
+        return self._s.watch is Watch.PROBING and self._detector.next_probe(t) >= t
 
     def _next_deadline(self) -> tuple[float, Callable[[float], None] | None]:
         s = self._s
@@ -253,11 +259,13 @@ class Engine:
         lasts = s.allowance.lasts(settings.energy)
         need = Need(rests=not self._supported_well() or s.degraded, check=s.check_due)
         watch = watch_for(need, s.watch, lasts, settings.energy.burst_s, settings.schedule)
+        onward = resumed(s, t)
+        if s.watch is Watch.PROBING and (watch is not s.watch or onward > t):
+            self._holding.look(t)
         self._turn_to(watch, t)
         step = settings.schedule.review_interval_s
         if watch is Watch.CONTINUOUS and settings.schedule.watch == "auto":
             step = min(step, max(lasts, _LEAST_REVIEW_S))
-        onward = resumed(s, t)
         if onward > t and watch is Watch.PROBING:
             self._skip_to(onward)
         idle = watch is Watch.IDLE and not need.rests

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from stillcal.calib_core.engine_state import EngineState
 from stillcal.calib_core.samples import Sensor
 from stillcal.calib_core.schedule import ScheduleSettings, least_wait
@@ -16,7 +18,9 @@ def resumed(state: EngineState, t: float) -> float:
     The gyroscope's next sample may still be on its way; the accelerometer's is known.
     """
     waiting = state.waiting.get(Sensor.ACCELEROMETER)
-    coming = [*([] if waiting is None else [float(waiting.t[0])]), *(e.t for e in state.events[:1])]
+    coming = [e.t for e in state.events[:1]]
+    if waiting is not None:
+        coming += waiting.t[np.searchsorted(waiting.t, t) :][:1].tolist()
     return max(t, min(coming or [state.heard or t]) - _LONGEST_GAP_S)
 
 
