@@ -136,8 +136,9 @@ def _weights(norms: Norms, v: Array) -> _Weights:
 
 def pooling(labels: NDArray[np.intp], weights: Array) -> Array:
     """Return the matrix (attitudes, n) that takes the weighted mean over each attitude's rests."""
-    members = (labels[None, :] == np.arange(labels.max() + 1)[:, None]) * weights
-    return np.asarray(members / members.sum(axis=1, keepdims=True))
+    matrix = np.zeros((labels.max() + 1, labels.size))
+    matrix[labels, np.arange(labels.size)] = weights / np.bincount(labels, weights)[labels]
+    return matrix
 
 
 def _whitened(norms: Norms, whitening: Array) -> Residuals:

@@ -79,7 +79,7 @@ def outliers(residuals: Array, design: Array, variances: Array, most: int, level
         shared, step = basis @ toward, 1.0 / room[worst]
         left += shared * (left[worst] * step)
         leverage += shared * shared * step
-        spread += np.outer(toward, toward) * step
+        spread += toward[:, None] * (toward * step)
         left[worst] = white[worst] = basis[worst] = 0.0
     return gone[:declared]
 
