@@ -21,7 +21,7 @@ from stillcal.calib_core import gravity as local_gravity
 from stillcal.calib_core.energy import Allowance
 from stillcal.calib_core.engine_holding import Holding
 from stillcal.calib_core.engine_judging import Judging
-from stillcal.calib_core.engine_planning import first_of_use, resumed
+from stillcal.calib_core.engine_planning import first_of_use, resumed, review_soon
 from stillcal.calib_core.engine_state import EngineSettings, EngineState, first_state, without_phone
 from stillcal.calib_core.engine_telling import Telling
 from stillcal.calib_core.events import Action, Charging, End, Event, Forget, Level, Location, Tick
@@ -117,11 +117,13 @@ class Engine:
         if settings.schedule.gravity is not None:
             state.gravity = local_gravity.given(settings.schedule.gravity)
         self._take_up(state)
+        review_soon(state, self._now(), settings.schedule)
 
     def hold(self, record: CalibrationRecord | None) -> None:
         """Take `record` for the current calibration, as after a rollback; nothing is known against it."""
         s = self._s
         s.record, s.degraded, s.checked, s.sound_until, s.trouble = record, False, None, None, None
+        review_soon(s, self._now(), self.settings.schedule)
 
     def calibrate(self) -> list[Action]:
         """Try a full calibration now, because somebody asks; say what came of it."""

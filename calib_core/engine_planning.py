@@ -38,3 +38,9 @@ def first_of_use(state: EngineState, t: float, step: float, settings: ScheduleSe
     while t < until:
         t += step
     return t
+
+
+def review_soon(state: EngineState, t: float, settings: ScheduleSettings) -> None:
+    """Hold a review within one interval of `t` (s): something was changed that left it nothing to do."""
+    if state.next_review is not None:
+        state.next_review = min(state.next_review, t + settings.review_interval_s)
