@@ -20,8 +20,8 @@ ITERATIONS = 25
 ALIKE = 0.95
 """Prior probability that the wander of a sensor's axes is of one kind and nearly one strength."""
 
-NEARLY = (0.5, 0.2, 0.05)
-"""Weights of an axis' strength 0, 1, 2 half decades of variance off the strength that the axes share."""
+NEARLY = (0.5, 0.35, 0.2, 0.1, 0.05)
+"""Weights of an axis' strength 0, 1, ... quarter decades of variance off the strength that the axes share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,6 +6,7 @@ baseline and the search is repeated.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -92,12 +93,10 @@ def compete(
     """Score every hypothesis with baseline and `found` projected out; best of each entry, best first."""
     reduced = reduce_scene(scene, hypotheses, found, parts=True)
     null = null_log_likelihood(reduced)
-    trials: dict[int, float] = {}
-    for h in hypotheses:
-        trials[id(h.entry)] = h.trials or trials.get(id(h.entry), 0) + 1
+    grids = Counter(id(h.entry) for h in hypotheses)
     scored: dict[int, list[Scored]] = {}
     for index, h in enumerate(hypotheses):
-        one = _judged(reduced, index, h, null, trials[id(h.entry)])
+        one = _judged(reduced, index, h, null, h.trials or grids[id(h.entry)])
         if one is not None:
             scored.setdefault(id(h.entry), []).append(one)
     return sorted((_best(group) for group in scored.values()), key=lambda s: -s.score), reduced

@@ -17,18 +17,22 @@ from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.noise import flicker_covariance, gauss_markov_covariance, random_walk_covariance
 from stillcal.calib_core.samples import Array
 
-STRENGTHS = 10.0 ** np.arange(-1.5, 6.1, 0.5)
+STRENGTHS = 10.0 ** np.array([-1.5, *np.arange(-1.0, 3.1, 0.25), *np.arange(3.5, 6.1, 0.5)])
 TAUS = (60.0, 240.0, 960.0)
 SLOW = TAUS[1:]
 """Correlation times of processes that are hardly to be told from a random walk, as which they begin, s."""
 
 MIXTURES = (
-    ("walk", "gauss_markov_60"),
-    ("walk", "gauss_markov_240"),
-    ("walk", "flicker"),
-    ("flicker", "gauss_markov_240"),
-    ("flicker", "gauss_markov_960"),
+    ("walk", "gauss_markov_60", 0.5),
+    ("walk", "gauss_markov_240", 0.5),
+    ("walk", "flicker", 0.2),
+    ("walk", "flicker", 0.5),
+    ("walk", "flicker", 0.8),
+    ("flicker", "gauss_markov_240", 0.5),
+    ("flicker", "gauss_markov_960", 0.5),
 )
+"""Two kinds of wander, and the share of the first in their power."""
+
 KEPT = 6
 """Views whose families are kept diagonalised: one recording's."""
 
@@ -83,7 +87,7 @@ def _base(view: View) -> Array:
 def strength_prior() -> Array:
     """Return the prior (G,) of strengths: broad about what phones have, with tails to either side."""
     away = (np.log10(STRENGTHS) - thresholds.WANDER_MIDDLE) / thresholds.WANDER_DECADES
-    weight = np.exp(-0.5 * away**2) + thresholds.WANDER_TAIL
+    weight = (np.exp(-0.5 * away**2) + thresholds.WANDER_TAIL) * np.gradient(np.log10(STRENGTHS))
     return np.asarray(weight / weight.sum())
 
 
@@ -104,9 +108,9 @@ def kinds(view: View) -> dict[str, tuple[Array, float]]:
     rates = {f"gauss_markov_{tau:.0f}": 2.0 / tau / spread[f"gauss_markov_{tau:.0f}"] for tau in SLOW}
     rates["walk"] = 1.0 / spread["walk"]
     found = {name: (c, rates.get(name, 0.0)) for name, c in unit.items()}
-    for one, other in MIXTURES:
-        rate = 0.5 * (rates.get(one, 0.0) + rates.get(other, 0.0))
-        found[f"{one}+{other}"] = (0.5 * (unit[one] + unit[other]), rate)
+    for one, other, share in MIXTURES:
+        rate = share * rates.get(one, 0.0) + (1.0 - share) * rates.get(other, 0.0)
+        found[f"{share} {one}+{other}"] = (share * unit[one] + (1.0 - share) * unit[other], rate)
     scatter = (view.rest[:, None] == view.rest[None, :]).astype(np.float64)
     if len(np.unique(view.rest)) >= 3:
         between = scatter / _spread(scatter)
