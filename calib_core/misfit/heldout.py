@@ -51,7 +51,7 @@ def held_out(scene: Scene, covariances: Sequence[Array], effects: Sequence[Hypot
                 continue
             for b in range(len(view.y)):
                 design = _design(view, b, [e.columns[i][b] * e.sizes for e in effects])
-                gain, misses = _predict(view.y[b], design, covariances[i], test)
+                gain, misses = _predict(view, b, design, covariances[i], test)
                 score, square, count = score + gain, square + float(misses @ misses), count + misses.size
     return HeldOut(score, float(np.sqrt(square / max(count, 1))))
 
@@ -67,10 +67,13 @@ def _design(view: View, block: int, effects: list[Array]) -> tuple[Array, Array]
 
 
 def _predict(
-    y: Array, design: tuple[Array, Array], covariance: Array, test: NDArray[np.bool_]
+    view: View, block: int, design: tuple[Array, Array], covariance: Array, test: NDArray[np.bool_]
 ) -> tuple[float, Array]:
-    """Return the log density of the left-out bins and their distance from the mean model."""
-    columns, precision = design
+    """Return the log density of the left-out bins and their distance from the mean model.
+
+    To the mean belongs what the baseline absorbs, as the other bins tell it.
+    """
+    y, (columns, precision) = view.y[block], design
     train = ~test
     inverse = np.linalg.inv(covariance[np.ix_(train, train)])
     weighted = inverse @ columns[train]
@@ -78,7 +81,9 @@ def _predict(
     beta = spread @ (weighted.T @ y[train])
     carry = covariance[np.ix_(test, train)] @ inverse
     left = columns[test] - carry @ columns[train]
-    residual = y[test] - columns[test] @ beta - carry @ (y[train] - columns[train] @ beta)
+    away = y[test] - columns[test] @ beta
+    known = inverse @ (y[train] - columns[train] @ beta)
+    residual = away - covariance[np.ix_(test, train)] @ known
     predicted = (
         covariance[np.ix_(test, test)] - carry @ covariance[np.ix_(train, test)] + left @ spread @ left.T
     )
@@ -87,4 +92,6 @@ def _predict(
     density = (
         -0.5 * (white @ white) - np.log(factor.diagonal()).sum() - 0.5 * white.size * np.log(2.0 * np.pi)
     )
-    return float(density), y[test] - columns[test] @ beta
+    if view.absorbed is not None:
+        away = away - view.absorbed[test] @ (view.absorbed[train].T @ known)
+    return float(density), away

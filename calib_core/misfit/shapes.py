@@ -76,12 +76,14 @@ def families(view: View) -> list[Family]:
 
 
 def _base(view: View) -> Array:
-    """White noise, and what rounding does to whole rests: part of every shape (n, n)."""
-    white = np.diag(view.variance)
-    if view.rounding is None or not view.rounding.any():
-        return white
-    shared = view.rest[:, None] == view.rest[None, :]
-    return np.asarray(white + shared * np.outer(view.rounding, view.rounding))
+    """White noise, what rounding does to whole rests, what is absorbed: part of every shape (n, n)."""
+    base = np.diag(view.variance)
+    if view.rounding is not None:
+        shared = view.rest[:, None] == view.rest[None, :]
+        base = base + shared * np.outer(view.rounding, view.rounding)
+    if view.absorbed is not None:
+        base = base + view.absorbed @ view.absorbed.T
+    return np.asarray(base)
 
 
 def strength_prior() -> Array:

@@ -11,7 +11,7 @@ from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.carried import LEAST_TURNS, Aligned, Turn
 from stillcal.calib_core.misfit.catalogue.drivers import LEAST_SPAN
 from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Linear, Scene, moves, no_hypotheses
-from stillcal.calib_core.misfit.views import View, pruned
+from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.samples import Array
 
 OUTLIER = 8.0
@@ -45,7 +45,7 @@ def turn_scene(made: Aligned, bins: Bins, gravity: float) -> tuple[Scene, list[T
 def turn_view(made: Aligned) -> View:
     """Two residuals a turn across gravity; the baseline is the nine numbers of scale and misalignment.
 
-    To it come what the accelerometer's uncertain parameters do, where that is more than the errors of turns.
+    The accelerometer's parameters may be off by as much as the norm of gravity leaves them unknown.
     `duration` holds the angle turned through, with which errors may grow.
     """
     found = made.turns
@@ -57,7 +57,7 @@ def turn_view(made: Aligned) -> View:
     rough = View(
         "turn",
         y[None],
-        np.hstack([scale, accel])[None],
+        scale[None],
         np.ones(n),
         np.eye(n),
         across.reshape(1, n, 3),
@@ -65,17 +65,16 @@ def turn_view(made: Aligned) -> View:
         np.repeat([t.end for t in found], 2),
         np.repeat([t.angle for t in found], 2),
         np.arange(n),
+        absorbed=accel,
         known=KNOWN,
     )
     spread = max(1.4826 * float(np.median(np.abs(_left(rough)))), 1e-6)
-    variance = np.full(n, spread**2)
-    kept = pruned(accel, np.ones(9), variance)
-    return replace(rough, variance=variance, baseline=np.hstack([scale, kept])[None])
+    return replace(rough, variance=np.full(n, spread**2))
 
 
 def _left(view: View) -> Array:
-    coefficients = np.linalg.lstsq(view.baseline[0], view.y[0], rcond=None)[0]
-    return np.asarray(view.y[0] - view.baseline[0] @ coefficients)
+    columns = view.nuisance()
+    return np.asarray(view.y[0] - columns @ np.linalg.lstsq(columns, view.y[0], rcond=None)[0])
 
 
 SCALE = Entry(

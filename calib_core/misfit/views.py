@@ -13,15 +13,14 @@ import numpy as np
 from stillcal.calib_core.misfit.bins import Bins, Index
 from stillcal.calib_core.samples import Array
 
-BIAS_SIZE = 0.5
-SCALE_SIZE = 0.05
+BIAS_SIZE, SCALE_SIZE, MISALIGNMENT_SIZE = 0.5, 0.05, 0.03
 WITHIN_BINS = 60.0
 """How well the white noise within bins tells that between them: to about a fifth in variance."""
 
 CREEP_BINS = 6
 HALVINGS = 8
 SETTLED = 1e-6
-PRIOR = np.diag(1.0 / np.array([BIAS_SIZE] * 3 + [SCALE_SIZE] * 6))
+PRIOR = np.diag(1.0 / np.repeat([BIAS_SIZE, SCALE_SIZE, MISALIGNMENT_SIZE], 3))
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
@@ -32,8 +31,9 @@ class View:
     y: (b, n) residual; baseline: (b, n, p) columns projected out of each block; variance: (n,) white;
     coupling: (n, n) how the bias of two bins is shared; project: (b, n, 3) what an error vector of the
     sensor in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,);
-    rounding: (n,) sd of an error that all bins of a rest share, None for none; known: degrees of freedom
-    with which `variance` is known.
+    rounding: (n,) sd of an error that all bins of a rest share, None for none; absorbed: (n, q) what
+    parameters of the baseline do at one standard deviation of what is known of them, None for none; known:
+    degrees of freedom with which `variance` is known.
     """
 
     name: str
@@ -47,12 +47,18 @@ class View:
     duration: Array
     rest: Index
     rounding: Array | None = None
+    absorbed: Array | None = None
     known: float = WITHIN_BINS
 
     @property
     def parameters(self) -> int:
         """Number of baseline parameters projected out, over all blocks."""
         return int(self.baseline.shape[0] * self.baseline.shape[2])
+
+    def nuisance(self, block: int = 0) -> Array:
+        """Return all that the baseline phone may do in a block, (n, p + q)."""
+        own = self.baseline[block]
+        return own if self.absorbed is None else np.hstack([own, self.absorbed])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +119,7 @@ def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, ste
 
     force, variance: (n, 3); rest: (n,). Norm of gravity alone leaves a common rotation free, so S is
     symmetric. Directions and columns are those of the rest's mean: a bin's own noise in the columns would
-    be regressed on itself.
+    be regressed on itself. In long rests they follow what creeps.
     """
     norms, x = norms_of(force, variance, rest, gravity), np.zeros(9)
     cost = norms.cost(x)
@@ -123,7 +129,7 @@ def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, ste
         cost = norms.cost(x)
         if before - cost < SETTLED:
             break
-    steady = linearised(rest_means(force, rest), x)
+    steady = linearised(rest_courses(force, rest), x)
     return replace(steady, norm=linearised(force, x).norm)
 
 
@@ -174,6 +180,17 @@ def linearised(force: Array, x: Array) -> Baseline:
     return Baseline(scale, x[:3], up, norm, np.einsum("na,nap->np", up, moved))
 
 
+def rest_courses(values: Array, rest: Index) -> Array:
+    """Replace each bin's values (n, k) by its rest's mean, in long rests with a ramp and settling."""
+    out = rest_means(values, rest)
+    for r in np.flatnonzero(np.bincount(rest) >= CREEP_BINS):
+        rows = np.flatnonzero(rest == r)
+        age = np.arange(rows.size, dtype=np.float64)
+        design = np.column_stack([np.ones(rows.size), age, np.log1p(age / 2.0)])
+        out[rows] = design @ np.linalg.lstsq(design, values[rows], rcond=None)[0]
+    return out
+
+
 def tilted(force: Array, x: Array) -> tuple[Array, Array]:
     """Return gravity's direction (n, 3) and its derivative (n, 3, 9) by the nine parameters."""
     _, corrected, moved = _affine(force, x)
@@ -183,21 +200,19 @@ def tilted(force: Array, x: Array) -> tuple[Array, Array]:
     return up, (moved - up[:, :, None] * along[:, None, :]) / norm[:, None, None]
 
 
-def pruned(columns: Array, sizes: Array, variance: Array) -> Array:
-    """Keep the combinations (n, q) of columns that could move the data by more than the white noise."""
-    scaled = columns * sizes / np.sqrt(variance)[:, None]
-    u, s, _ = np.linalg.svd(scaled, full_matrices=False)
-    return np.asarray(u[:, s > 1.0] * np.sqrt(variance)[:, None])
-
-
 def norm_view(bins: Bins, baseline: Baseline, gravity: float) -> View:
-    """Residual of gravity's norm: blind to any tilt of the phone."""
+    """Residual of gravity's norm: blind to any tilt of the phone.
+
+    A common scale is the baseline, being also gravity's. Bias, scale and misalignment may be as large as phones'
+    are and no larger: what changes by more is no matter of attitude, however few attitudes there are. The
+    residual is that of a faultless phone, linear about the fitted one.
+    """
     variance = np.einsum("na,na->n", baseline.up**2, bins.force_variance)
-    sizes = np.array([BIAS_SIZE] * 3 + [SCALE_SIZE] * 6)
     return View(
         name="norm",
-        y=(baseline.norm - gravity)[None],
-        baseline=pruned(baseline.jacobian, sizes, variance)[None],
+        y=(baseline.norm - gravity - baseline.jacobian @ baseline.parameters)[None],
+        baseline=np.ones((1, len(bins), 1)),
+        absorbed=baseline.jacobian @ np.linalg.inv(PRIOR),
         variance=variance,
         coupling=baseline.up @ baseline.up.T,
         project=(baseline.up @ baseline.scale)[None],

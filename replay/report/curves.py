@@ -72,7 +72,7 @@ def residuals(sensor: str, bins: Bins, below: Affine, gravity: float) -> list[Re
         view = norm_view(bins, below.baseline, gravity)
         # The baseline was fitted with what is known taken off; the residual is wanted with it in.
         y = view.y[0] + np.einsum("na,na->n", view.project[0], below.accel)
-        return [Residual(np.asarray(y), view.project[0], view.baseline[0])]
+        return [Residual(np.asarray(y), view.project[0], view.nuisance())]
     assert bins.rate is not None
     ones = np.ones((len(bins), 1))
     return [Residual(bins.rate[:, a], np.tile(np.eye(3)[a], (len(bins), 1)), ones) for a in range(3)]
