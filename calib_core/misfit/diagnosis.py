@@ -75,7 +75,7 @@ def diagnose(
         found += motion_findings(accelerometer, gyroscope, affine, claims.gravity, where)
         if affine is not None and spoiled is None:
             found += turn_findings(affine, slow, claims.gravity, without)
-    stated = [_named(f, without) for f in without_group_delay([f for f in found if f])]
+    stated = [_named(f, without) for f in without_group_delay([f for f in found if f], claims.gravity)]
     said = [*limits(bins), *_hidden(both, claims), *_unjudged(spoiled)]
     return Diagnosis(1, recording, verdict_of(stated), stated, said)
 
@@ -214,21 +214,26 @@ def _shared_error(mean: Array, bins: Bins, seen: Steps) -> Array:
     return np.asarray(seen.mean_error() ** 2 * count[which.ravel()][:, None], dtype=np.float64)
 
 
-def without_group_delay(found: list[Finding]) -> list[Finding]:
-    """Drop a time offset that a low-pass found on one sensor explains: sqrt(2) / (2 pi fc) at most, about.
+def without_group_delay(found: list[Finding], gravity: float) -> list[Finding]:
+    """Drop what a low-pass found on one sensor does to motion: delays, and what looks like a lever arm.
 
-    A second-order filter delays slow motion by that much; a first-order one by 1 / (2 pi fc).
+    A second-order filter delays slow motion by sqrt(2) / (2 pi fc), a first-order one by 1 / (2 pi fc). To
+    second order it takes gravity's own curvature for as much of an arm as gravity / (2 pi fc)^2.
     """
     cutoffs = [f for f in found if f.effect == "bandwidth"]
-    offsets = [f for f in found if f.effect == "accel_gyro_time_offset"]
-    if len(cutoffs) != 1 or not offsets:
+    if len(cutoffs) != 1:
         return found
-    cutoff, delay = cutoffs[0].parameters["cutoff"].value, offsets[0].parameters["delay"].value
-    assert isinstance(cutoff, float) and isinstance(delay, float)
-    expected = (-1.0 if cutoffs[0].sensor == "accel" else 1.0) / (2.0 * np.pi * cutoff)
-    # Fast motion, which a low-pass keeps out, is delayed less.
-    explained = 0.0 < delay / expected < 3.0
-    return [f for f in found if f is not offsets[0]] if explained else found
+    late = 1.0 / (2.0 * np.pi * np.asarray(cutoffs[0].parameters["cutoff"].value))
+    sign = -1.0 if cutoffs[0].sensor == "accel" else 1.0
+
+    def explained(one: Finding) -> bool:
+        if one.effect == "lever_arm":
+            return bool(np.linalg.norm(one.parameters["position"].value) < gravity * late**2)
+        # Fast motion, which a low-pass keeps out, is delayed less.
+        delayed = one.effect == "accel_gyro_time_offset"
+        return delayed and bool(0.0 < sign * np.asarray(one.parameters["delay"].value) / late < 3.0)
+
+    return [f for f in found if not explained(f)]
 
 
 def limits(bins: Bins) -> list[str]:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.agreement import Spectrum, disagreement
 from stillcal.calib_core.misfit.beyond import PARTS, Regression, of_arm
 from stillcal.calib_core.misfit.carried import Aligned
 from stillcal.calib_core.misfit.lever import lever_arm
@@ -21,8 +21,6 @@ from stillcal.calib_core.misfit.records import Alternative, Finding, Where
 from stillcal.calib_core.misfit.views import Baseline
 from stillcal.calib_core.rotation import attitudes, matrix
 from stillcal.calib_core.samples import Array, Samples
-
-Spectrum = NDArray[np.complex128]
 
 WINDOW = 8.0
 """s over which gravity is carried; what the gyroscope's scale does meanwhile is nearly steady in time."""
@@ -69,10 +67,11 @@ def motion_findings(
     total, sums = 0.0, []
     for _ in range(LINEARISED):
         made = [_equations(_force(accelerometer, baseline, t - total), t, w, gravity) for t, w in parts]
-        sums.append(_weighed([x for x, _ in made], [y for _, y in made]))
+        one, apart = _weighed([x for x, _ in made], [y for _, y in made])
+        sums.append(one)
         total = float(np.clip(total + sums[-1].fitted()[3], -LONGEST, LONGEST))
     where = Where(float(parts[0][0][0]), float(parts[-1][0][-1]), (0.1, 0.5 / interval), "rate of turn")
-    error = float(np.sqrt(sums[-1].jackknifed(PARTS)[1][3, 3]))
+    error = float(np.hypot(np.sqrt(sums[-1].jackknifed(PARTS)[1][3, 3]), apart))
     # Errors from few windows are themselves uncertain: Student's t, to first order.
     delay = Measured(total, max(error * (1.0 + 2.0 / len(parts)), LEAST_ERROR))
     found = [_delayed(delay, sums[0], where, interval), lever_arm(sums[-1].only(ARM), where)]
@@ -120,10 +119,11 @@ def _equations(force: Array, t: Array, rate: Array, gravity: float) -> tuple[Spe
     return spectrum(effects), spectrum(still)
 
 
-def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> Regression:
+def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> tuple[Regression, float]:
     """Return normal equations with each frequency weighed by the power of what is left there.
 
-    Maximum likelihood of a stationary noise of unknown spectrum (Whittle, 1953).
+    Maximum likelihood of a stationary noise of unknown spectrum (Whittle, 1953). With them goes the error of
+    the delay that its parts' disagreement makes.
     """
     x = np.zeros(effects[0].shape[2])
     for _ in range(REWEIGHTED):
@@ -131,7 +131,10 @@ def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> Regression:
         weight = 1.0 / np.sqrt(_smooth((np.abs(left) ** 2).mean(axis=(0, 2))))
         sums = Regression.of([_parts(e, weight) for e in effects], [_parts(y, weight) for y in still])
         x = sums.fitted()
-    return sums
+    frequency = np.arange(weight.size) / WINDOW
+    left = np.array([(y - e @ x) * weight[:, None] for e, y in zip(effects, still, strict=True)], complex)
+    late = np.array([e[:, :, 3] * weight[:, None] for e in effects], complex)
+    return sums, disagreement(late, left, frequency)
 
 
 def _smooth(power: Array) -> Array:

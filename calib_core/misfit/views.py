@@ -203,9 +203,9 @@ def tilted(force: Array, x: Array) -> tuple[Array, Array]:
 def norm_view(bins: Bins, baseline: Baseline, gravity: float) -> View:
     """Residual of gravity's norm: blind to any tilt of the phone.
 
-    A common scale is the baseline, being also gravity's. Bias, scale and misalignment may be as large as phones'
-    are and no larger: what changes by more is no matter of attitude, however few attitudes there are. The
-    residual is that of a faultless phone, linear about the fitted one.
+    A common scale is the baseline, being also gravity's. Bias, scale and misalignment may be as large as
+    those of phones and no larger: what changes by more is no matter of attitude, however few there are.
+    The residual is that of a faultless phone, linear about the fitted one.
     """
     variance = np.einsum("na,na->n", baseline.up**2, bins.force_variance)
     return View(
