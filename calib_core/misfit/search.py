@@ -188,13 +188,14 @@ def adequate(steps: Sequence[Step]) -> list[Step]:
     """Withhold names that leave too much: beside structure without a name a named effect must tower.
 
     A neighbour's name explains part of what something outside the catalogue does and leaves the rest. What
-    the best of names leaves of a large effect, its model being a model, is not reported.
+    the best of names leaves of a large effect, its model being a model, is not reported. A latent heat, whose
+    curve is known roughly at best, need only be the larger part.
     """
     steps = [_one_of_many(s, steps) for s in _one_heat(steps)]
     strange = max((s.winner.gain for s in steps if _effect(s) == "unknown"), default=0.0)
     named = max((s.winner.gain for s in steps if _effect(s) != "unknown"), default=0.0)
-    least = {True: thresholds.MODELLED * named, False: thresholds.TOWERING * strange}
-    return [s for s in steps if s.winner.gain >= least[_effect(s) == "unknown"]]
+    least = {"unknown": thresholds.MODELLED * named, "thermal_latent": strange}
+    return [s for s in steps if s.winner.gain >= least.get(_effect(s), thresholds.TOWERING * strange)]
 
 
 def _one_heat(steps: Sequence[Step]) -> list[Step]:

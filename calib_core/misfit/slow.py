@@ -26,6 +26,9 @@ SLOW_BAND = (0.0, 0.05)
 ENTRIES = 20
 """How many entries compete, to make one p value of the best one's."""
 
+AGAINST = -3.0
+"""Gain in held-out log score, nats, below which structure without a name is not believed: twenty to one."""
+
 CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
 
@@ -76,17 +79,23 @@ def turn_findings(made: Aligned, bins: Bins, gravity: float, without: Collection
 def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
-    What is nothing once the others are free to move with it was their model's fault, and is left out.
+    What is nothing once the others are free to move with it was their model's fault, and is left out. So is
+    structure without a name that the parts left out speak against.
     """
     while True:
         found = [step.winner.hypothesis for step in steps]
         others = [[f for f in found if f is not own] for own in found]
         estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
         chances = [e.chance() for e in estimates]
-        if len(steps) < 2 or max(chances) < CHANCE:
-            return [_finding(scene, *each) for each in zip(steps, estimates, others, strict=True)]
-        least = int(np.argmax(chances))
-        steps = [s for i, s in enumerate(steps) if i != least]
+        if len(steps) >= 2 and max(chances) >= CHANCE:
+            least = int(np.argmax(chances))
+            steps = [s for i, s in enumerate(steps) if i != least]
+            continue
+        made = [_finding(scene, *each) for each in zip(steps, estimates, others, strict=True)]
+        kept = [f.effect != "unknown" or f.evidence.heldout_log_score_gain > AGAINST for f in made]
+        if all(kept):
+            return made
+        steps = [s for s, keep in zip(steps, kept, strict=True) if keep]
 
 
 def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:
