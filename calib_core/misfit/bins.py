@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.events import Charging
+from stillcal.calib_core.misfit import poses
 from stillcal.calib_core.samples import Array, Samples
 
 Index = NDArray[np.int64]
@@ -41,6 +42,7 @@ PER_BIN = (
     "t",
     "duration",
     "rest",
+    "pose",
     "force",
     "force_variance",
     "vibration",
@@ -70,7 +72,8 @@ class Bins:
     charging: (n,) part of the bin on the charger, None without events; charging_switches: (m, 2) s and state.
     activity: (w, 2) s and 1 where the phone moved, per window. vibration: (n,) (m/s^2)^2. span: (start, end)
     s of the recording. Columns that were not recorded are None. force_rounding, rate_rounding: (3,) sd of the
-    error that a coarse step of the values leaves in the mean of a rest, the same in all its bins.
+    error that a coarse step of the values leaves in the mean of a rest, the same in all its bins. pose: (n,)
+    index of what the gyroscope saw no turn in, None without one.
     """
 
     t: Array
@@ -88,6 +91,7 @@ class Bins:
     charging_switches: Array | None = None
     force_rounding: Array | None = None
     rate_rounding: Array | None = None
+    pose: Index | None = None
 
     def __len__(self) -> int:
         return int(self.t.size)
@@ -192,9 +196,15 @@ def cut(
     rate = None if gyroscope is None or len(gyroscope) == 0 else windows(gyroscope, *span)
     still = without_knocks(still_windows(force, rate), force, rate)
     length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
-    first, last, rest = _bin_edges(rest_runs(still), length)
+    runs = rest_runs(still)
+    first, last, rest = _bin_edges(runs, length)
     if first.size < FEW:
-        first, last, rest = _bin_edges(rest_runs(still, BRIEFEST_REST), length)
+        runs = rest_runs(still, BRIEFEST_REST)
+        first, last, rest = _bin_edges(runs, length)
+    pose = None
+    if rate is not None:
+        one, turned = poses.poses(runs, rate.mean, rate.count, WINDOW)
+        rest, pose = one[rest], poses.of_bins(turned, first, last)
     kept = _longest(last - first)
     first, last, rest = first[kept], last[kept], rest[kept]
     duration = (last - first) * WINDOW
@@ -202,6 +212,7 @@ def cut(
         t=span[0] + (first + last) * 0.5 * WINDOW,
         duration=duration,
         rest=rest,
+        pose=None if pose is None else pose[kept],
         force=_bin_means(force.mean, first, last),
         force_variance=_white_variances(force.mean, first, last),
         vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],

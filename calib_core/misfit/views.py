@@ -227,13 +227,14 @@ def norm_view(bins: Bins, baseline: Baseline, gravity: float) -> View:
 def tangent_view(bins: Bins, baseline: Baseline) -> View | None:
     """Change of the two components across gravity inside long rests, creep of the support removed.
 
-    None where no rest has `CREEP_BINS` bins.
+    A rest is here what the gyroscope saw no turn in. None where none has `CREEP_BINS` bins.
     """
-    counts = np.bincount(bins.rest, minlength=1)
-    keep = np.flatnonzero(counts[bins.rest] >= CREEP_BINS)
+    pose = bins.rest if bins.pose is None else bins.pose
+    counts = np.bincount(pose, minlength=1)
+    keep = np.flatnonzero(counts[pose] >= CREEP_BINS)
     if keep.size == 0:
         return None
-    rest, t = bins.rest[keep], bins.t[keep]
+    rest, t = pose[keep], bins.t[keep]
     across = _across(baseline.up[keep], rest)
     creep = _creep(t, rest)
     return View(

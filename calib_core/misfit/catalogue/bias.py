@@ -27,7 +27,8 @@ NAME = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 def _near_step(entry: Entry, scene: Scene, grid: dict[str, float]) -> list[Hypothesis]:
     found = drivers.steps_near(scene, grid["t_start"])
-    return [Hypothesis(entry, g, bias_columns(scene, curve, drivers.JUMPS)) for g, curve in found]
+    blind = drivers.JUMPS if scene.bins.pose is None else ()
+    return [Hypothesis(entry, g, bias_columns(scene, curve, blind)) for g, curve in found]
 
 
 def _near_tau(entry: Entry, scene: Scene, grid: dict[str, float]) -> list[Hypothesis]:
