@@ -39,6 +39,8 @@ STYLE: Any = {
     "axes.titlelocation": "left",
     "legend.frameon": False,
     "legend.fontsize": 8.5,
+    "legend.columnspacing": 1.2,
+    "legend.handlelength": 1.4,
     "svg.fonttype": "path",
     "svg.hashsalt": "stillcal",
     "axes.formatter.useoffset": False,
@@ -54,7 +56,10 @@ class NoMatplotlibError(ValueError):
 
 @contextmanager
 def drawing(height: float = HEIGHT) -> Iterator[tuple[Figure, Axes, list[str]]]:
-    """Give a figure with one pair of axes; the list holds its SVG when the block has ended."""
+    """Give a figure with one pair of axes; the list holds its SVG when the block has ended.
+
+    What was labelled stands in a legend above the axes, where it can lie on no curve.
+    """
     try:
         import matplotlib as mpl  # noqa: PLC0415 - only where a report is asked for
         from matplotlib.figure import Figure  # noqa: PLC0415
@@ -63,7 +68,11 @@ def drawing(height: float = HEIGHT) -> Iterator[tuple[Figure, Axes, list[str]]]:
     out: list[str] = []
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
-        yield figure, figure.add_subplot(), out
+        axes = figure.add_subplot()
+        yield figure, axes, out
+        labels = axes.get_legend_handles_labels()[1]
+        if labels:
+            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(labels), borderaxespad=0.0)
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     out.append(text.getvalue())
@@ -108,7 +117,6 @@ def _against(curve: Curve, scale: float, unit: str) -> str:
             axes.plot(curve.x[order], curve.fitted[order] * scale, color=AFTER, lw=1.8, label="fitted")
         axes.set_xlabel(curve.x_name)
         axes.set_ylabel(f"bias {curve.axis}, {unit}")
-        axes.legend(loc="best")
     return out[0]
 
 
@@ -131,7 +139,6 @@ def _in_time(curve: Curve, scale: float, unit: str) -> str:
             "time, min (dotted: fifths held out in turn)" if curve.held is not None else "time, min"
         )
         axes.set_ylabel(f"bias {curve.axis}, {unit}")
-        axes.legend(loc="best")
     return out[0]
 
 
@@ -164,7 +171,6 @@ def spectrum_figure(three: Three, unit: str, mark: float | None) -> str:
             axes.axvline(mark, color="#999999", lw=1.0, ls=":")
         axes.set_xlabel("frequency, Hz" if mark is None else f"frequency, Hz (dotted: {mark:.4g} Hz)")
         axes.set_ylabel(f"density, loudest axis,\n{unit}/√Hz")
-        axes.legend(loc="best")
     return out[0]
 
 
@@ -182,7 +188,6 @@ def values_figure(three: Three, unit: str, axis: int) -> str:
         axes.set_yscale("log")
         axes.set_xlabel(f"sample less its bin's mean, {'xyz'[axis]}, {name}")
         axes.set_ylabel("part of samples")
-        axes.legend(loc="best")
     return out[0]
 
 
@@ -205,7 +210,6 @@ def intervals_figure(three: Three, *, arrival: bool) -> str:
         axes.set_yscale("log")
         axes.set_xlabel(f"interval between {'arrivals' if arrival else 'stamps'}, ms")
         axes.set_ylabel("part of intervals")
-        axes.legend(loc="best")
     return out[0]
 
 
@@ -220,5 +224,4 @@ def extremes_figure(three: Three, unit: str, limit: float) -> str:
         axes.set_yscale("log")
         axes.set_xlabel(f"largest value of a sample, {unit} (dotted: {limit:.4g})")
         axes.set_ylabel("part of samples")
-        axes.legend(loc="best")
     return out[0]

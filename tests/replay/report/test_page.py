@@ -17,6 +17,7 @@ from report_days import THERMAL, TONE, phone_with, recorded
 from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.daemon.cli import cli
 from stillcal.replay.diagnosing import diagnosed, diagnosed_rests
+from stillcal.replay.report.figures import drawing
 from stillcal.replay.report.map import CELLS
 from stillcal.replay.report.summary import LINES, summary
 from stillcal.replay.trace import Recording, TraceWriter, read_rest_table
@@ -69,6 +70,18 @@ def test_one_page_says_all_and_needs_nothing_else(recording: Maker, written: Wri
     scenario.write_text('[[segment]]\nactivity = "table"\nduration_s = 60.0\n')
     made = ["simulate", str(scenario), "--phone", str(out["p.toml"]), "--out", str(tmp_path / "again.csv")]
     assert CliRunner().invoke(cli, made).exit_code == 0
+
+
+def test_a_legend_lies_on_no_curve_however_it_runs() -> None:
+    """Three curves that fill all of the axes; the legend is beyond them and still within the figure."""
+    with drawing() as (figure, axes, _):
+        for label in ("recorded", "left after it", "held out: from the other fifths"):
+            axes.plot([0.0, 1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0], label=label)
+    legend = axes.get_legend()
+    assert legend is not None
+    place = legend.get_window_extent()
+    assert place.y0 >= axes.get_window_extent().y1
+    assert place.x0 >= 0.0 and place.x1 <= figure.bbox.x1 and place.y1 <= figure.bbox.y1
 
 
 def test_a_simulated_recording_is_compared(recording: Maker, written: Writer) -> None:
