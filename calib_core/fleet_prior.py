@@ -31,6 +31,7 @@ _CROSS_AXIS = 0.005  # half of the 1 % of cross-axis sensitivity that phones' da
 _UNKNOWN = 1.0  # variance of what a device's fit did not estimate, far beyond any phone's
 _ROUNDS, _SETTLED = 500, 1e-6
 _REWEIGHED = 2
+_HARDLY_EVER = 1e-6
 ATTITUDE_ANGLE = 0.0872665  # 5 degrees, as in AccelerometerSettings
 
 
@@ -234,6 +235,37 @@ def _posterior(
         )
 
     return residuals
+
+
+@dataclass(frozen=True, slots=True)
+class Surprise:
+    """How far a fit came to lie from its prior. squared: Mahalanobis distance; limit: hardly ever beyond.
+
+    parameter: the one farthest from the prior's mean, by `sds` of the prior's standard deviations.
+    """
+
+    squared: float
+    limit: float
+    parameter: str
+    sds: float
+
+
+def surprise(found: PriorFit, prior: FleetPrior) -> Surprise:
+    """Return how far a fit lies from its prior, with a limit that one fit in a million would pass, or fewer.
+
+    The limit is Hotelling's (1931) for a covariance that was learnt: from the prior's devices and the nine
+    that `learn` shrinks it by. A fit is drawn towards its prior, so that fewer pass.
+    """
+    from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
+
+    off = found.values - prior.mean
+    freedom = max(prior.devices, 1) + 9 - 1
+    rest = freedom - 9 + 1
+    limit = 9.0 * freedom / rest * float(f.isf(_HARDLY_EVER, 9, rest))
+    sds = off / np.sqrt(np.diag(prior.covariance))
+    worst = int(np.abs(sds).argmax())
+    squared = float(off @ np.linalg.solve(prior.covariance, off))
+    return Surprise(squared, limit, prior.names[worst], float(sds[worst]))
 
 
 def norm_variances(up: Array, covariance: Array, gravity: float) -> Array:

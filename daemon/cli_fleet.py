@@ -203,15 +203,21 @@ def first_command(
     """Calibrate a new phone's accelerometer from however few rests, with what a fleet says of its model.
 
     What the rests do not show stays what the fleet makes likely; how far each parameter is the rests' own is
-    said beside it.
+    said beside it. Rests that contradict the prior are refused. Exit code 3 where no rest was found.
     """
-    from stillcal.replay.fleet.first import document, first_calibration, read_prior  # noqa: PLC0415
+    from stillcal.calib_core.refusals import NotSupported  # noqa: PLC0415
+    from stillcal.replay.fleet.first import document, first_calibration  # noqa: PLC0415
+    from stillcal.replay.fleet.prior_file import read_prior  # noqa: PLC0415
     from stillcal.replay.trace import open_trace  # noqa: PLC0415
 
     refuse_collisions(files(json_path), [*recording_files(trace), report_path])
     opened = open_trace(trace, format_)
-    prior = read_prior(report_path, model or opened.claims.device)
-    fit, rests = first_calibration(opened, prior)
+    prior = read_prior(report_path, model, opened.claims.device)
+    try:
+        fit, rests = first_calibration(opened, prior)
+    except NotSupported as refusal:
+        click.echo(f"stillcal: {refusal}", err=True)
+        sys.exit(TOO_LITTLE)
     found = document(fit, rests, prior)
     text = pretty(found) + "\n"
     if json_path == STANDARD_OUTPUT:

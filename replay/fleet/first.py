@@ -2,66 +2,46 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from stillcal.calib_core import fleet_prior
 from stillcal.calib_core.fleet_prior import FleetPrior, PriorFit
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.refusals import NotSupported
 from stillcal.calib_core.rests import RestState, attitude_labels, force_uncertainties, forces
-from stillcal.calib_core.samples import frozen
 from stillcal.calib_core.stationary import StationaryDetector
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.trace import Trace
 
-
-class _Written(msgspec.Struct):
-    """A prior as report.py writes it."""
-
-    model: str
-    devices: int
-    mean: list[float]
-    covariance: list[list[float]]
-    scatter: float
-
-
-class _Report(msgspec.Struct):
-    """Of a report, what is read here."""
-
-    priors: list[_Written]
-
-
-def read_prior(path: Path, model: str | None = None) -> FleetPrior:
-    """Read the prior of a model from a fleet's report (JSON), or that of any model where it is not there.
-
-    Raises TraceError where the file holds no prior.
-    """
-    try:
-        priors = msgspec.json.decode(path.read_bytes(), type=_Report).priors
-    except OSError as error:
-        raise TraceError(path, f"cannot be read ({error.strerror})", "check the path") from None
-    except msgspec.DecodeError as error:
-        raise TraceError(path, f"no fleet's report: {error}", "make one: stillcal fleet-report") from None
-    if not priors:
-        raise TraceError(path, "holds no prior", "calibrate at least five devices first")
-    own = next((p for p in priors if p.model == model), priors[0])
-    return FleetPrior(frozen(own.mean), frozen(own.covariance), own.scatter, own.devices, own.model)
+_REST = "let the phone lie still for half a minute, in as many attitudes as may be"
+_STRANGE = "check --format's unit and --model, or calibrate from its rests alone: stillcal replay"
 
 
 def first_calibration(trace: Trace, prior: FleetPrior) -> tuple[PriorFit, list[RestState]]:
     """Find a recording's rests and fit them from the prior, with the rests that it stands on.
 
-    Gravity is what the maker claims, else the standard value.
+    Gravity is what the maker claims, else the standard value. Raises NotSupported where the recording has no
+    rest, and TraceError where its rests are not those of a phone that the prior speaks of.
     """
     detector, rests = StationaryDetector(), list[RestState]()
     for chunk in trace.chunks():
         rests += detector.feed(chunk.gyroscope, chunk.accelerometer)
     rests += detector.finish()
+    if not rests:
+        raise NotSupported(f"{trace.path}: no rest was found", (_REST,))
     gravity = trace.claimed_gravity() or STANDARD
-    return fleet_prior.fit(forces(rests), force_uncertainties(rests), gravity, prior), rests
+    try:
+        fit = fleet_prior.fit(forces(rests), force_uncertainties(rests), gravity, prior)
+    except NotSupported:
+        raise TraceError(trace.path, "the fit did not converge", _STRANGE) from None
+    off = fleet_prior.surprise(fit, prior)
+    if off.squared > off.limit:
+        whose = prior.model or "any model"
+        what = f"its rests contradict the prior of {whose}: {off.parameter} is {off.sds:.1f} sd from its mean"
+        raise TraceError(trace.path, what, _STRANGE)
+    return fit, rests
 
 
 def document(fit: PriorFit, rests: list[RestState], prior: FleetPrior) -> dict[str, Any]:
