@@ -1,9 +1,9 @@
 """Text tables, plain or gzipped, as blocks of numbers: fast where rows are clean, exact where they are not.
 
-A block of whole lines is brought to one delimiter, the wanted cells are cut out of it (numpy on the
-bytes) and read as one flat JSON array: msgspec's number reader measured twice as fast as numpy.loadtxt
-and gives the same bits. What JSON does not allow (nan, +1, .5) is read by float(). Only where that
-fails too are the rows walked one by one to name the guilty one. What columns mean is not known here.
+A block of whole lines is brought to one delimiter, the wanted cells are cut out of it and read as one flat
+JSON array (cells.py): msgspec's number reader measured twice as fast as numpy.loadtxt and gives the same
+bits. Only where that fails are the rows walked one by one to name the guilty one. What columns mean is not
+known here.
 """
 
 from __future__ import annotations
@@ -17,11 +17,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.samples import Array
+from stillcal.replay.formats.cells import (
+    blanks_to_commas,
+    cell_ends,
+    cut_out,
+    holding,
+    is_number,
+    read_numbers,
+)
 from stillcal.replay.formats.columns import ColumnMap
 from stillcal.replay.formats.errors import TraceError
 
@@ -30,9 +37,7 @@ EMPTY = -9.87654321e22
 
 BLOCK_BYTES = 1 << 20
 _LONGEST_LINE = 1 << 24
-_COMMA, _NEWLINE = ord(","), ord("\n")
 _BLANKS = "space"
-_numbers = msgspec.json.Decoder(list[float])
 _TEXT_REMEDY = "give the recording as plain text in UTF-8 (or gzip of it)"
 _ROW_REMEDY = "correct or delete that row"
 _CUT_REMEDY = "the recording was cut short: delete its last line, or copy it again"
@@ -83,14 +88,14 @@ class TextTable:
         self.left_out = 0
         for read, first_line, unfinished in self._line_blocks(size):
             text = self._normal(read)
-            ends = _cell_ends(text, self.width)
+            ends = cell_ends(text, self.width)
             lines = np.arange(first_line, first_line + (0 if ends is None else len(ends)))
             if ends is None:
                 text, lines = self._walked(read, first_line, unfinished)
-                ends = _cell_ends(text, self.width)
+                ends = cell_ends(text, self.width)
             if ends is None:
                 continue  # blank lines only
-            rows = _holding(text, ends, key)
+            rows = holding(text, ends, key)
             self.left_out += int(np.count_nonzero(~rows))
             yield Block(self._numbers(text, ends, rows, lines, places), lines[rows])
 
@@ -146,7 +151,7 @@ class TextTable:
         if self.delimiter == ",":
             return text
         text = text.replace(b",", b"." if self.decimal == "," else b" ")
-        return _blanks_to_commas(text) if self.delimiter == _BLANKS else text.replace(self._mark, b",")
+        return blanks_to_commas(text) if self.delimiter == _BLANKS else text.replace(self._mark, b",")
 
     @property
     def _mark(self) -> bytes:
@@ -178,8 +183,8 @@ class TextTable:
     ) -> Array:
         """Return the cells at `places` of the chosen rows, (n, k). Raises TraceError naming a guilty row."""
         columns = sorted(set(places))
-        flat, filled = _cut_out(text, ends, rows, columns)
-        values = _read_numbers(flat) if flat else np.empty(0)
+        flat, filled = cut_out(text, ends, rows, columns)
+        values = read_numbers(flat) if flat else np.empty(0)
         if values is None:
             raise self._accused(flat, filled, lines[rows], columns)
         table = np.full(filled.shape, EMPTY)
@@ -191,7 +196,7 @@ class TextTable:
     ) -> TraceError:
         """Return the error that names the first cell that is not a number."""
         for i, cell in zip(np.flatnonzero(filled).tolist(), flat.split(b","), strict=True):
-            if not _is_number(cell):
+            if not is_number(cell):
                 text = cell.decode("utf-8", "backslashreplace").strip()[:40]
                 what = f"{self.column_name(columns[i % len(columns)])} holds {text!r}, which is not a number"
                 return TraceError(self.path, what, _ROW_REMEDY, int(lines[i // len(columns)]))
@@ -200,72 +205,6 @@ class TextTable:
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""
         return f"column {self.names[place]!r}" if self.names is not None else f"column {place}"
-
-
-def _blanks_to_commas(text: bytes) -> bytes:
-    """Return `text` with one comma for every run of blanks between two words of a line."""
-    characters = np.frombuffer(b"\n" + text, dtype=np.uint8)
-    blank = (characters == ord(" ")) | (characters == ord("\t"))
-    line_end = characters == _NEWLINE
-    run_ends = blank & ~(blank | line_end)[np.r_[1 : len(blank), 0]]
-    before = np.maximum.accumulate(np.where(blank, 0, np.arange(len(blank))))
-    kept = ~blank | (run_ends & ~line_end[before])
-    return bytes(np.where(blank, np.uint8(_COMMA), characters)[kept][1:].tobytes())
-
-
-def _cell_ends(text: bytes, width: int) -> NDArray[np.intp] | None:
-    """Return where the cells end, (rows, width); None where not every row has `width` cells, or no row is."""
-    characters = np.frombuffer(text, dtype=np.uint8)
-    ends = np.flatnonzero((characters == _COMMA) | (characters == _NEWLINE))
-    if not ends.size or ends.size % width:
-        return None
-    line_end = (characters[ends] == _NEWLINE).reshape(-1, width)
-    even = line_end[:, -1].all() and not line_end[:, :-1].any()
-    return ends.reshape(-1, width) if even else None
-
-
-def _holding(text: bytes, ends: NDArray[np.intp], key: Sequence[tuple[int, str]]) -> NDArray[np.bool_]:
-    """Return which rows hold the key's texts at the key's places."""
-    characters = np.frombuffer(text, dtype=np.uint8)
-    rows = np.ones(len(ends), dtype=np.bool_)
-    for place, wanted in key:
-        value = np.frombuffer(wanted.encode(), dtype=np.uint8)
-        first = ends[:, place] - value.size
-        before = characters[np.maximum(first - 1, 0)]
-        rows &= (first == 0) | (before == _COMMA) | (before == _NEWLINE)
-        cells = characters[np.maximum(first[:, None] + np.arange(value.size), 0)]
-        rows &= (cells == value).all(axis=1)
-    return rows
-
-
-def _cut_out(
-    text: bytes, ends: NDArray[np.intp], rows: NDArray[np.bool_], columns: Sequence[int]
-) -> tuple[bytes, NDArray[np.bool_]]:
-    """Return the cells of the chosen rows and columns that hold something, with commas between.
-
-    Row by row; with them which ones those are, (chosen rows, columns).
-    """
-    lengths = np.diff(ends.ravel(), prepend=-1)
-    filled = (lengths > 1).reshape(ends.shape)
-    wanted = np.zeros(ends.shape, dtype=np.bool_)
-    wanted[:, columns] = rows[:, None]
-    wanted &= filled
-    if not wanted.all():
-        mask = np.repeat(wanted.ravel(), lengths)
-        text = np.frombuffer(text, dtype=np.uint8)[: mask.size][mask].tobytes()
-    return text[:-1].replace(b"\n", b","), filled[rows][:, columns]
-
-
-def _read_numbers(flat: bytes) -> Array | None:
-    """Read comma-separated numbers; None where a cell is not a number."""
-    try:
-        return np.array(_numbers.decode(b"[" + flat + b"]"), dtype=np.float64)
-    except msgspec.DecodeError:
-        pass
-    try:
-        return None if b"_" in flat else np.array(list(map(float, flat.split(b","))))
-    except ValueError:
-        return None
 
 
 def _unpacked(file: BinaryIO) -> io.BufferedIOBase | BinaryIO:
@@ -320,12 +259,3 @@ def _decimal(first_row: Sequence[str], decimal: str) -> str:
 def _delimiter(line: str, delimiter: str) -> str:
     """Return the delimiter to split `line` by; "auto" takes the one of , ; tab that stands in it most."""
     return max((",", ";", "\t"), key=line.count) if delimiter == "auto" else delimiter
-
-
-def _is_number(cell: bytes) -> bool:
-    """Whether a cell is a number, or empty, which is not for this module to judge."""
-    try:
-        float(cell or b"0")
-    except ValueError:
-        return False
-    return b"_" not in cell
