@@ -1,23 +1,22 @@
 """The wire, both ways, sans-I/O: bytes in, messages out, and back. Nothing here opens anything.
 
 Binary frames and lines of text may come mixed on one line (a bootloader's chatter before the firmware's
-frames); docs/wire.md says how they are told apart. Whatever comes in, nothing raises, memory stays
-bounded, and what a frame of intact bytes held is delivered exactly once, in order.
+frames); docs/wire.md says how they are told apart. They are cut and judged here, and put in order in
+wire_delivery.py. Whatever comes in, nothing raises, memory stays bounded, and what a frame of intact bytes
+held is delivered exactly once, in order.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from enum import Enum, auto
 
-from stillcal.calib_core.samples import Samples, Sensor, frozen
 from stillcal.daemon.wire_blocks import Coding
 from stillcal.daemon.wire_cobs import MARKER, MARKERS, MAX_FRAME, FrameError, unframed
-from stillcal.daemon.wire_encoder import MESSAGES, Form, WireEncoder, WireSettings
-from stillcal.daemon.wire_frames import Frame, PayloadError, parse_payload
+from stillcal.daemon.wire_delivery import WireCounters, WireDelivery
+from stillcal.daemon.wire_encoder import Form, WireEncoder, WireSettings
+from stillcal.daemon.wire_frames import PayloadError, parse_payload
 from stillcal.daemon.wire_messages import (
-    SEQUENCE_MASK,
     VERSION,
     Claim,
     Command,
@@ -29,7 +28,7 @@ from stillcal.daemon.wire_messages import (
     Status,
     Temperature,
 )
-from stillcal.daemon.wire_text import MAX_LINE, LineError, MicrosClock, Row, parse_line
+from stillcal.daemon.wire_text import MAX_LINE, LineError, Row, parse_line
 
 __all__ = [
     "VERSION",
@@ -51,37 +50,6 @@ __all__ = [
 ]
 
 PRINTABLE = bytes(range(0x20, 0x7F)) + b"\t"
-
-
-@dataclass(slots=True)
-class WireCounters:
-    """What a decoder has met since it was made.
-
-    bytes: all that came. frames, lines: good ones. samples: delivered. bad_frames: frames dropped, of
-    which crc_errors were well formed otherwise. bad_lines: printable lines that say nothing or whose CRC
-    is wrong. malformed: frames with a right CRC that make no sense. foreign: frames of another version of
-    the wire. truncated: frames or lines cut off by the end of a connection. garbage_bytes: in all of
-    these, and between them. resynchronisations: returns to a good frame or line after any of these.
-    lost_samples, lost_messages: by sequence number. invalid_samples: dropped, as not finite or running
-    back in time. restarts: sequences that began anew.
-    """
-
-    bytes: int = 0
-    frames: int = 0
-    lines: int = 0
-    samples: int = 0
-    bad_frames: int = 0
-    crc_errors: int = 0
-    bad_lines: int = 0
-    malformed: int = 0
-    foreign: int = 0
-    truncated: int = 0
-    garbage_bytes: int = 0
-    resynchronisations: int = 0
-    lost_samples: int = 0
-    lost_messages: int = 0
-    invalid_samples: int = 0
-    restarts: int = 0
 
 
 class _Mode(Enum):
@@ -107,11 +75,7 @@ class WireDecoder:
         self._parts: list[bytes] = []
         self._held = 0
         self._astray = False
-        self._out: list[Message] = []
-        self._rows: dict[Sensor, list[Row]] = {Sensor.GYROSCOPE: [], Sensor.ACCELEROMETER: []}
-        self._clock = MicrosClock()
-        self._expected: dict[str, int] = {}
-        self._session: int | None = None
+        self._delivery = WireDelivery(self.counters)
 
     def feed(self, data: bytes) -> list[Message]:
         """Take bytes as they arrived and return the messages they complete, in order."""
@@ -121,7 +85,7 @@ class WireDecoder:
             self._extend(piece)
             self._close()
         self._extend(rest)
-        return self._taken()
+        return self._delivery.taken()
 
     def end(self) -> list[Message]:
         """Note that the connection is over: half a frame or line at its end is dropped and counted."""
@@ -129,7 +93,7 @@ class WireDecoder:
             self.counters.truncated += 1
             self._discard(self._held)
         self._begin(_Mode.START)
-        return self._taken()
+        return self._delivery.taken()
 
     def snapshot(self) -> WireCounters:
         """Return a copy of the counters."""
@@ -215,7 +179,7 @@ class WireDecoder:
             return
         self._good(Form.BINARY)
         self.counters.frames += 1
-        self._deliver(frame)
+        self._delivery.deliver(frame)
 
     def _bad_frame(self, body: bytes) -> None:
         """Drop a frame, but not the whole lines within: half a frame may swallow them."""
@@ -231,7 +195,7 @@ class WireDecoder:
         if not text or (text.startswith(b"#") and _printable(text)):
             return
         try:
-            told = parse_line(text, self._clock) if len(line) <= MAX_LINE else None
+            told = parse_line(text, self._delivery.clock) if len(line) <= MAX_LINE else None
         except LineError:
             told = None
         if told is None:
@@ -240,9 +204,9 @@ class WireDecoder:
         self._good(Form.TEXT)
         self.counters.lines += 1
         if isinstance(told, Row):
-            self._add(told)
+            self._delivery.add(told)
         else:
-            self._say(told)
+            self._delivery.say(told)
 
     def _bad_line(self, line: bytes) -> None:
         self.counters.bad_lines += _printable(line[:MAX_LINE].strip(b" \t\r"))
@@ -257,70 +221,6 @@ class WireDecoder:
         self.counters.resynchronisations += self._astray
         self._astray = False
 
-    # Delivering
-
-    def _deliver(self, frame: Frame) -> None:
-        if isinstance(frame.message, Samples):
-            self._flush()
-            self.counters.invalid_samples += frame.invalid
-            self.counters.samples += len(frame.message)
-            lost = self._gap(frame.message.sensor, frame.sequence, frame.counted)
-            self.counters.lost_samples += lost
-            if len(frame.message):
-                self._out.append(frame.message)
-            return
-        self._say(frame.message)
-        self.counters.lost_messages += self._gap(MESSAGES, frame.sequence, 1)
-
-    def _say(self, message: Message) -> None:
-        self._flush()
-        if isinstance(message, Hello):
-            self._meet(message.session)
-        self._out.append(message)
-
-    def _meet(self, session: int) -> None:
-        """Expect the numbers of a new session to begin at 0."""
-        if self._session not in (None, session):
-            self.counters.restarts += 1
-            self._expected = dict.fromkeys((*Sensor, MESSAGES), 0)
-            self._clock = MicrosClock()
-        self._session = session
-
-    def _gap(self, stream: str, sequence: int, count: int) -> int:
-        """Return how many numbers of the stream are missing before `sequence`."""
-        gap = (sequence - self._expected.get(stream, sequence)) & SEQUENCE_MASK
-        self._expected[stream] = (sequence + count) & SEQUENCE_MASK
-        if gap > SEQUENCE_MASK // 2:
-            self.counters.restarts += 1
-            return 0
-        return gap
-
-    def _add(self, row: Row) -> None:
-        if row.sequence is not None:
-            self.counters.lost_samples += self._gap(row.sensor, row.sequence, 1)
-        rows = self._rows[row.sensor]
-        if rows and (row.t < rows[-1].t or (row.temperature is None) != (rows[-1].temperature is None)):
-            self._flush()
-        self._rows[row.sensor].append(row)
-
-    def _flush(self) -> None:
-        for sensor, rows in self._rows.items():
-            if rows:
-                self.counters.samples += len(rows)
-                self._out.append(_run(sensor, rows))
-                self._rows[sensor] = []
-
-    def _taken(self) -> list[Message]:
-        self._flush()
-        out, self._out = self._out, []
-        return out
-
 
 def _printable(line: bytes) -> bool:
     return not line.translate(None, PRINTABLE)
-
-
-def _run(sensor: Sensor, rows: list[Row]) -> Samples:
-    celsius = [r.temperature for r in rows if r.temperature is not None]
-    warm = frozen(celsius) if celsius else None
-    return Samples(sensor, frozen([r.t for r in rows]), frozen([r.xyz for r in rows]), warm)
