@@ -75,23 +75,20 @@ def _predict(
     """
     y, (columns, precision) = view.y[block], design
     train = ~test
-    inverse = np.linalg.inv(covariance[np.ix_(train, train)])
-    weighted = inverse @ columns[train]
-    spread = np.linalg.inv(columns[train].T @ weighted + np.diag(precision))
-    beta = spread @ (weighted.T @ y[train])
-    carry = covariance[np.ix_(test, train)] @ inverse
-    left = columns[test] - carry @ columns[train]
-    away = y[test] - columns[test] @ beta
-    known = inverse @ (y[train] - columns[train] @ beta)
-    residual = away - covariance[np.ix_(test, train)] @ known
-    predicted = (
-        covariance[np.ix_(test, test)] - carry @ covariance[np.ix_(train, test)] + left @ spread @ left.T
-    )
+    lower = np.linalg.cholesky(covariance[np.ix_(train, train)])
+    shared = np.linalg.solve(lower, covariance[np.ix_(train, test)])
+    seen, told = np.linalg.solve(lower, columns[train]), np.linalg.solve(lower, y[train])
+    spread = np.linalg.inv(seen.T @ seen + np.diag(precision))
+    beta = spread @ (seen.T @ told)
+    left = columns[test] - shared.T @ seen
+    away, known = y[test] - columns[test] @ beta, told - seen @ beta
+    residual = away - shared.T @ known
+    predicted = covariance[np.ix_(test, test)] - shared.T @ shared + left @ spread @ left.T
     factor = np.linalg.cholesky((predicted + predicted.T) / 2.0)
     white = np.linalg.solve(factor, residual)
     density = (
         -0.5 * (white @ white) - np.log(factor.diagonal()).sum() - 0.5 * white.size * np.log(2.0 * np.pi)
     )
     if view.absorbed is not None:
-        away = away - view.absorbed[test] @ (view.absorbed[train].T @ known)
+        away = away - view.absorbed[test] @ np.linalg.solve(lower, view.absorbed[train]).T @ known
     return float(density), away

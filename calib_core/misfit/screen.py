@@ -61,10 +61,10 @@ def _switching(entry: Entry, scene: Scene, whitened: Sequence[_Whitened], bank: 
     assert bank.pairs is not None
     courses: dict[bytes, Course] = {}
     for c in range(len(whitened[0].diagonals)):
-        gram, target = _inner(whitened, bank, c, entry.parameters[0].size)
+        gram, target, power = _inner(whitened, bank, c, entry.parameters[0].size)
         starts = np.argsort(-_gains_of_pairs(gram, target, bank.pairs))[: KEPT * SPREAD : SPREAD]
         for first, last in bank.pairs[starts]:
-            course = grown(gram, target, int(first), int(last))
+            course = grown(gram, target, power, int(first), int(last))
             if course is not None:
                 courses[course.changes.tobytes()] = course
     made = []
@@ -126,7 +126,7 @@ class _Whitened:
 def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array:
     """Return about the gain of every hypothesis of a bank in log likelihood under shape number `c`."""
     if bank.pairs is not None:
-        return _gains_of_pairs(*_inner(views, bank, c, size), bank.pairs)
+        return _gains_of_pairs(*_inner(views, bank, c, size)[:2], bank.pairs)
     out = []
     width = 3 * bank.curves.shape[1]
     for first in range(0, len(bank.curves), CHUNK):
@@ -141,15 +141,16 @@ def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array
     return np.concatenate(out)
 
 
-def _inner(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> tuple[Array, Array]:
-    """Return the inner products of a bank's single curves (K, 3, K, 3), and with the data (K, 3)."""
+def _inner(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> tuple[Array, Array, float]:
+    """Return inner products of a bank's single curves (K, 3, K, 3), those with the data (K, 3), its power."""
     count = len(bank.curves)
-    gram, target = np.zeros((count, 3, count, 3)), np.zeros((count, 3))
+    gram, target, power = np.zeros((count, 3, count, 3)), np.zeros((count, 3)), 0.0
     for view in views:
         xy, x, scale = view.sums(_columns(view.view, bank.curves, bank.blind) * size, c)
+        power += len(x)
         gram += (x.T @ x).reshape(count, 3, count, 3) / scale
         target += xy.reshape(count, 3) / scale
-    return gram, target
+    return gram, target, power
 
 
 def _gains_of_pairs(gram: Array, target: Array, pairs: NDArray[np.int64]) -> Array:

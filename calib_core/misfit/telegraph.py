@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from stillcal.calib_core.samples import Array
 
 FEWEST = 3
-MOST = 24
-FLIPS = 60
+MOST = 100
+FLIPS = 200
+LEAST_LEFT = 0.02
 SHARES = (0.4, 1.0)
 """Parts of their price that switches pay at first, so that a course may grow, and at last."""
 
@@ -33,21 +34,24 @@ class Course:
     log_trials: float
 
 
-def grown(gram: Array, target: Array, first: int, last: int) -> Course | None:
+def grown(gram: Array, target: Array, power: float, first: int, last: int) -> Course | None:
     """Return the likeliest course about one stretch between borders `first` and `last`.
 
     gram: (n, 3, n, 3) and target (n, 3): inner products of steps at the borders, on each axis, with each
-    other and with the data, all whitened and scaled to unit prior variance. None where fewer than `FEWEST`
-    switches gain what they cost: a step or a stretch, which have hypotheses of their own.
+    other and with the data, all whitened and scaled to unit prior variance; power: of the data. None where
+    fewer than `FEWEST` switches gain what they cost: a step or a stretch, which have hypotheses of their own.
     """
     n = len(target)
     prices = _prices(n)
     changes = np.zeros(n + 1, dtype=np.int64)
     changes[first], changes[last] = 1, -1
     for share in SHARES:
+        # What a course explains is not noise: the more, the surer is what it gains.
+        size = _amplitude(gram, target, changes[:n])
+        sure = power / max(power - float(size @ (changes[:n].astype(float) @ target)), LEAST_LEFT * power)
         for _ in range(FLIPS):
             size = _amplitude(gram, target, changes[:n])
-            flip = _best_flip(gram, target, changes, size, share * prices)
+            flip = _best_flip(gram, target, changes, size, share / sure * prices)
             if flip is None:
                 break
             changes = _flipped(changes, *flip)

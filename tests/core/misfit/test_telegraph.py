@@ -10,13 +10,15 @@ from stillcal.calib_core.samples import Array
 BORDERS = 60
 
 
-def products(y: Array) -> tuple[Array, Array]:
-    """Inner products of steps at the borders on each axis, with each other and with data (n, 3)."""
+def products(y: Array) -> tuple[Array, Array, float]:
+    """Inner products of steps at the borders on each axis, those with data (n, 3), and its power."""
     n = len(y)
     steps = (np.arange(n) >= np.linspace(2, n - 2, BORDERS).round()[:, None]).astype(float)
     steps -= steps.mean(axis=1, keepdims=True)
     gram = np.einsum("ij,ab->iajb", steps @ steps.T, np.eye(3))
-    return gram, steps @ (y - y.mean(axis=0))
+    away = y - y.mean(axis=0)
+    scale = float((away**2).mean())
+    return gram / scale, steps @ away / scale, float(y.size)
 
 
 def course(switches: list[int], n: int) -> Array:
@@ -42,8 +44,8 @@ def test_noise_grows_few_courses_and_none_that_gains_its_price() -> None:
     rng = np.random.default_rng(5)
     gains = []
     for _ in range(40):
-        gram, target = products(rng.normal(size=(240, 3)))
-        found = grown(gram, target, *sorted(rng.choice(BORDERS, 2, replace=False)))
+        gram, target, power = products(rng.normal(size=(240, 3)))
+        found = grown(gram, target, power, *sorted(rng.choice(BORDERS, 2, replace=False)))
         if found is None:
             continue
         signs = found.changes.astype(float)
