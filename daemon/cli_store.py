@@ -1,6 +1,6 @@
 """`stillcal store …`: look at a calibration store, check it, and go back to an earlier calibration.
 
-Only click and rich live here; what a store is and does is store.py's.
+The commands live here; what they print is cli_store_tables.py's, what a store is and does is store.py's.
 """
 
 from __future__ import annotations
@@ -13,17 +13,19 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from stillcal.calib_core.record import CalibrationRecord, SensorRecord
-from stillcal.calib_core.samples import Array
 from stillcal.calib_core.terms import with_terms
 from stillcal.daemon.cli_lazy import examples
+from stillcal.daemon.cli_store_tables import (
+    history_rows,
+    print_calibration,
+    print_history,
+    reading_json,
+    verdict,
+)
 from stillcal.daemon.exits import BAD_INPUT, DAMAGED
-from stillcal.daemon.store import Reading, Store
-from stillcal.daemon.store_document import HistoryEntry, StoreDocument, calibration_json
+from stillcal.daemon.store import Store
+from stillcal.daemon.store_document import StoreDocument, calibration_json
 
 path_argument = click.argument("path", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
@@ -55,7 +57,7 @@ def show(path: Path, as_json: bool) -> None:
     elif document.current is None:
         click.echo("no calibration yet")
     else:
-        _show(document.current)
+        print_calibration(document.current)
 
 
 @store_group.command(
@@ -71,18 +73,11 @@ def show(path: Path, as_json: bool) -> None:
 def history(path: Path, as_json: bool) -> None:
     """List the current, the earlier and the rejected calibrations, newest first."""
     document = _loaded(path)
-    rows = list(_history_rows(document))
+    rows = list(history_rows(document))
     if as_json:
         _print_json(rows)
         return
-    table = Table(title=str(path))
-    for name in ("back", "id", "what", "at [s]", "rms [m/s²]", "attitudes"):
-        table.add_column(name, justify="left" if name in ("id", "what") else "right", no_wrap=True)
-    table.add_column("reason", overflow="fold")
-    for row in rows:
-        figures = (_figure(row["at"]), _figure(row["rms_residual"]), _figure(row["n_states"]))
-        table.add_row(_figure(row["back"]), row["id"], row["what"], *figures, row["reason"])
-    _print(table)
+    print_history(str(path), rows)
 
 
 @store_group.command(
@@ -158,12 +153,16 @@ def verify(path: Path, as_json: bool) -> None:
     """Check that a store is whole: JSON, checksum, schema, units and values; exit 1 where it is not."""
     with _one_line():
         found = Store(_existing(path)).verify()
-    report = {"whole": found.whole, "store": _reading(found.store), "last_good": _reading(found.last_good)}
+    report = {
+        "whole": found.whole,
+        "store": reading_json(found.store),
+        "last_good": reading_json(found.last_good),
+    }
     if as_json:
         _print_json(report)
     else:
         for reading in (found.store, found.last_good):
-            click.echo(f"{reading.path}: {_verdict(reading)}")
+            click.echo(f"{reading.path}: {verdict(reading)}")
     sys.exit(0 if found.whole else DAMAGED)
 
 
@@ -192,113 +191,6 @@ def _loaded(path: Path) -> StoreDocument:
     if problem is not None:
         click.echo(f"stillcal: {path} is {problem}; showing {store.last_good_path}", err=True)
     return document or StoreDocument()
-
-
-def _history_rows(document: StoreDocument) -> Iterator[dict[str, Any]]:
-    current = document.current
-    if current is not None:
-        reason = current.acceptance.reason
-        yield _row(current, None, "current", current.fitted_at, reason)
-    back = 0
-    for entry in reversed(document.history):
-        back += entry.what == "replaced"
-        yield _entry_row(entry, back if entry.what == "replaced" else None)
-
-
-def _entry_row(entry: HistoryEntry, back: int | None) -> dict[str, Any]:
-    return _row(entry.calibration, back, entry.what.replace("_", " "), entry.at, entry.reason)
-
-
-def _row(
-    record: CalibrationRecord, back: int | None, what: str, at: float | None, reason: str
-) -> dict[str, Any]:
-    accelerometer = record.accelerometer
-    return {
-        "back": back,
-        "id": record.id,
-        "what": what,
-        "at": at,
-        "reason": reason,
-        "rms_residual": accelerometer and accelerometer.rms_residual,
-        "n_states": accelerometer and accelerometer.n_states,
-    }
-
-
-def _show(record: CalibrationRecord) -> None:
-    """Print a calibration: both sensors, then what it rests on."""
-    table = Table(title=f"calibration {record.id}", caption="calibrated = scale @ (raw - bias)")
-    table.add_column("", no_wrap=True)
-    for axis in "xyz":
-        table.add_column(axis, justify="right", no_wrap=True)
-    for name, part in (("accelerometer", record.accelerometer), ("gyroscope", record.gyroscope)):
-        if part is not None:
-            _add_sensor(table, name, part.unit, part)
-    _print(table)
-    for line in _facts(record):
-        click.echo(line)
-
-
-def _add_sensor(table: Table, name: str, unit: str, part: SensorRecord) -> None:
-    table.add_row(f"{name} bias [{unit}]", *(f"{v:.6f}" for v in part.bias))
-    if (doubt := part.bias_uncertainty) is not None:
-        table.add_row("  ± (1 sd)", *map(_figure, doubt.tolist()))
-    for axis, row in zip("xyz", part.scale, strict=True):
-        table.add_row(f"{name} scale, row {axis}", *(f"{v:.6f}" for v in row))
-
-
-def _facts(record: CalibrationRecord) -> Iterator[str]:
-    if (accelerometer := record.accelerometer) is not None:
-        yield (
-            f"accelerometer: {accelerometer.parameters} parameters from {accelerometer.n_rests} rests in "
-            f"{accelerometer.n_states} attitudes, residual {_figure(accelerometer.rms_residual)} m/s²"
-        )
-    if record.gravity is not None:
-        gravity = record.gravity
-        yield f"gravity: {gravity.value:.5f} ± {gravity.uncertainty:.5f} m/s² ({gravity.source})"
-    for term in record.terms:
-        values = ", ".join(f"{name} {_numbers(p.value)} {p.unit}" for name, p in term.parameters.items())
-        since = "".join(f", from {t:.1f} degC on" for t in term.reference.values())
-        yield f"term {term.effect}: {values}{since}"
-    yield f"fitted at: {_figure(record.fitted_at)} s"
-    yield f"accepted: {record.acceptance.how}, {record.acceptance.reason or 'no reason recorded'}"
-    if record.provenance.software:
-        yield f"by: {record.provenance.software} from {record.provenance.source or 'an unnamed source'}"
-
-
-def _numbers(values: Array) -> str:
-    return "[" + ", ".join(_numbers(v) if v.ndim else f"{v:.4g}" for v in values) + "]"
-
-
-def _reading(reading: Reading) -> dict[str, Any]:
-    current = reading.document.current if reading.document else None
-    return {
-        "path": str(reading.path),
-        "schema": reading.schema,
-        "id": current.id if current else None,
-        "history": len(reading.document.history) if reading.document else 0,
-        "problem": str(reading.problem) if reading.problem else None,
-    }
-
-
-def _verdict(reading: Reading) -> str:
-    if reading.problem is not None:
-        return str(reading.problem)
-    if reading.document is None:
-        return "missing"
-    current = reading.document.current
-    held = f"calibration {current.id}" if current else "no calibration yet"
-    return f"whole, schema {reading.schema}, {held}, {len(reading.document.history)} in the history"
-
-
-def _figure(value: float | int | None) -> str:
-    if value is None or not np.isfinite(value):
-        return "-"
-    return str(value) if isinstance(value, int) else f"{value:.6g}"
-
-
-def _print(table: Table) -> None:
-    """Print a table, taking no square bracket for markup; 120 columns where there is no terminal."""
-    Console(width=None if sys.stdout.isatty() else 120, markup=False, highlight=False).print(table)
 
 
 def _print_json(value: Any) -> None:

@@ -1,6 +1,6 @@
 """The store: one JSON file that holds the current calibration, and the care that nothing ever tears it.
 
-Files and locks live here; what the file says is store_document.py's.
+How it changes lives here; its files and locks are store_files.py's, what it says is store_document.py's.
 
 Every change writes two whole files, `NAME.last-good` first and then `NAME`, each by an atomic rename:
 a crash at any moment leaves both whole, and a `NAME` that something else damaged later is replaced by
@@ -12,9 +12,7 @@ remove the store is how one begins anew.
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
-import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,32 +21,20 @@ from types import TracebackType
 
 from stillcal.calib_core.record import CalibrationRecord
 from stillcal.daemon.atomic import NotDurableError, sync_folder, write_atomically
-from stillcal.daemon.store_document import (
-    SCHEMA,
-    Fault,
-    HistoryEntry,
-    StoreDocument,
-    StoreFormatError,
-    parse,
-    render,
-)
+from stillcal.daemon.store_document import SCHEMA, HistoryEntry, StoreDocument, render
+from stillcal.daemon.store_files import Reading, StoreError, StoreLockedError, explained, lock_taken, read
+
+__all__ = [
+    "Outcome",
+    "Reading",
+    "Store",
+    "StoreError",
+    "StoreLockedError",
+    "StoreSettings",
+    "Verification",
+]
 
 MODES = (0o600, 0o640)
-MAX_BYTES = 64 * 2**20
-"""No store grows to this; a file that did is not ours and is not read into memory."""
-
-
-class StoreError(ValueError):
-    """The store cannot be read or written; the message says why and what to do."""
-
-
-class StoreLockedError(StoreError):
-    """Another process writes this store. pid: which, or None where it did not say."""
-
-    def __init__(self, path: Path, pid: int | None) -> None:
-        who = f"process {pid}" if pid else "another process"
-        super().__init__(f"{path} is in use by {who}: stop it first, or give another --store")
-        self.pid = pid
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +54,6 @@ class StoreSettings:
             raise ValueError(f"mode = 0o{self.mode:o}: must be 0o600 or 0o640")
         if not 2 <= self.history <= 1000:
             raise ValueError(f"history = {self.history}: must be within 2..1000")
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What lies at one path. document is None where nothing is there or `problem` says what is wrong."""
-
-    path: Path
-    document: StoreDocument | None = None
-    schema: int | None = None
-    problem: StoreFormatError | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +106,7 @@ class Store:
     def lock(self) -> None:
         """Become the store's only writer until `close`. Raises StoreLockedError where somebody else is."""
         if self._lock is None:
-            self._lock = _lock_taken(self.path.with_name(self.path.name + ".lock"), self.path)
+            self._lock = lock_taken(self.path.with_name(self.path.name + ".lock"), self.path)
 
     def close(self) -> None:
         """Let other writers in."""
@@ -152,7 +128,7 @@ class Store:
 
     def verify(self) -> Verification:
         """Read the store and its twin and say what is wrong with them. Changes nothing."""
-        return Verification(_read(self.path), _read(self.last_good_path))
+        return Verification(read(self.path), read(self.last_good_path))
 
     def history(self) -> tuple[HistoryEntry, ...]:
         """Return the earlier and the rejected calibrations, oldest first."""
@@ -186,7 +162,7 @@ class Store:
                     write_atomically(path, data, self.settings.mode)
         except OSError as error:
             verb = "make durable" if isinstance(error, NotDurableError) else "write"
-            raise _explained(error, self.path, verb) from error
+            raise explained(error, self.path, verb) from error
 
     def publish(self, calibration: CalibrationRecord, reason: str = "", at: float | None = None) -> Outcome:
         """Make `calibration` the current one; the one before goes into the history, why and when (s)."""
@@ -264,75 +240,10 @@ class Store:
                 continue
             except OSError as error:
                 if error.errno not in (errno.EPERM, errno.ENOTSUP):
-                    raise _explained(error, path, "set aside") from error
+                    raise explained(error, path, "set aside") from error
                 path.rename(aside)
             sync_folder(path.parent)
             return aside
         raise StoreError(
             f"{path.parent} is full of files set aside ({label}-…): look at them and remove them"
         )
-
-
-def _read(path: Path) -> Reading:
-    try:
-        data = _bytes(path)
-    except FileNotFoundError:
-        return Reading(path)
-    except PermissionError as error:
-        raise _explained(error, path, "read") from error
-    except OSError as error:
-        return Reading(path, problem=StoreFormatError(Fault.UNREADABLE, f"{error.strerror}"))
-    try:
-        document, schema = parse(data)
-    except StoreFormatError as error:
-        return Reading(path, problem=error)
-    return Reading(path, document, schema)
-
-
-def _bytes(path: Path) -> bytes:
-    fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a FIFO must not block
-    try:
-        found = os.fstat(fd)
-        if not stat.S_ISREG(found.st_mode):
-            raise StoreError(f"{path} is not a regular file: a store cannot be there")
-        if found.st_size > MAX_BYTES:
-            raise OSError(errno.EFBIG, f"{found.st_size} bytes, more than any store has")
-        with os.fdopen(fd, "rb", closefd=False) as file:
-            return file.read()
-    finally:
-        os.close(fd)
-
-
-def _lock_taken(path: Path, store: Path) -> int:
-    try:
-        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-    except OSError as error:
-        raise _explained(error, store, "lock") from error
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        os.ftruncate(fd, 0)
-        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
-    except OSError as error:
-        holder = os.pread(fd, 32, 0).strip()
-        os.close(fd)
-        if isinstance(error, BlockingIOError):
-            raise StoreLockedError(store, int(holder) if holder.isdigit() else None) from error
-        raise _explained(error, store, "lock") from error
-    return fd
-
-
-REMEDIES = {
-    errno.ENOSPC: "the disk is full: free some space",
-    errno.EDQUOT: "the disk quota is used up: free some space",
-    errno.EFBIG: "it would be larger than this process may write: raise the limit (ulimit -f)",
-    errno.EROFS: "the file system is read-only: remount it or give another path",
-    errno.EACCES: "permission denied: run as the store's owner or give another path",
-    errno.EPERM: "not permitted: run as the store's owner or give another path",
-    errno.ENOENT: "there is no such folder: create it or give another path",
-    errno.EIO: "the disk reports an error: check it (dmesg)",
-}
-
-
-def _explained(error: OSError, path: Path, verb: str) -> StoreError:
-    remedy = REMEDIES.get(error.errno or 0, error.strerror or str(error))
-    return StoreError(f"cannot {verb} {path}: {remedy}")
