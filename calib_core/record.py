@@ -7,16 +7,13 @@ Times are s of the sensor's own stamp, forces m/s^2, rates rad/s, temperatures d
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from stillcal.calib_core.codec import plain
+from stillcal.calib_core.codec import digest, floats, jsonable
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.parameters import BIAS
@@ -252,7 +249,7 @@ class CalibrationRecord:
             "fitted_at": self.fitted_at,
             "terms": self.terms,
         }
-        return digest(_floats(jsonable(found)))[:12]
+        return digest(floats(jsonable(found)))[:12]
 
     def model(self, sensor: Sensor) -> SensorModel:
         """Return the correction of one sensor. Raises NotCalibratedError where there is none."""
@@ -264,40 +261,6 @@ class CalibrationRecord:
     def apply(self, raw: Array, sensor: Sensor) -> Array:
         """Correct raw readings (..., 3) of one sensor by its affine model; terms.py has the terms."""
         return self.model(sensor).apply(raw)
-
-
-def jsonable(record: Any) -> Any:
-    """Turn a record into dicts, lists and numbers for JSON; what is not finite becomes None (unknown)."""
-    return _finite(plain(record))
-
-
-def canonical(value: Any) -> bytes:
-    """Encode plain values in one way only: `json.dumps(value, sort_keys=True, separators=(",", ":"))`."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
-
-
-def digest(value: Any) -> str:
-    """Return the SHA-256 of the canonical JSON of plain values, in hex."""
-    return hashlib.sha256(canonical(value)).hexdigest()
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return value
-
-
-def _floats(value: Any) -> Any:
-    """Make every number a float, so that 2 given for 2.0 is the same calibration as read back."""
-    if isinstance(value, int):
-        return float(value)
-    if isinstance(value, Mapping):
-        return {key: _floats(item) for key, item in value.items()}
-    return [_floats(item) for item in value] if isinstance(value, list) else value
 
 
 def _require_within(name: str, value: float, low: float, high: float) -> None:

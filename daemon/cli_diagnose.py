@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from stillcal.calib_core.record import jsonable
+from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.daemon.atomic import write_atomically
 from stillcal.daemon.cli_diagnose_work import Answered, Wanted, judged_recording, judged_rests

@@ -15,9 +15,9 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from stillcal.calib_core.codec import from_plain
+from stillcal.calib_core.codec import digest, from_plain, jsonable
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.calib_core.record import CalibrationRecord, digest, jsonable
+from stillcal.calib_core.record import CalibrationRecord
 
 SCHEMA = 1
 FORMAT = "stillcal calibration"
@@ -243,6 +243,9 @@ def _schema(value: dict[str, Any]) -> int:
     if schema > SCHEMA:
         detail = f"written by a later stillcal: schema {schema}, this version reads up to {SCHEMA}"
         raise StoreFormatError(Fault.NEWER, detail)
+    if schema == 0 and "checksum" in value:
+        detail = "schema 0, which had no checksum, with one: changed or damaged after writing"
+        raise StoreFormatError(Fault.CORRUPT, detail)
     if schema >= 1 and not {"accelerometer", "gyroscope", "checksum"} <= value.keys():
         raise StoreFormatError(Fault.FOREIGN, "JSON with a schema, but not a stillcal store")
     return schema

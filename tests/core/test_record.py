@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from stillcal.calib_core.codec import packed, unpacked
+from stillcal.calib_core.codec import canonical, jsonable, packed, unpacked
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.record import (
     AccelerometerRecord,
@@ -18,8 +18,6 @@ from stillcal.calib_core.record import (
     StateRecord,
     Term,
     TermParameter,
-    canonical,
-    jsonable,
 )
 from stillcal.calib_core.rests import RestState
 from stillcal.calib_core.samples import Sensor

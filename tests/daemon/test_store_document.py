@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillcal.calib_core.record import jsonable
+from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.samples import Sensor
 from stillcal.daemon.store_document import (
     MIGRATIONS,
@@ -107,6 +107,14 @@ def test_pretty_is_the_same_json(value):
 def test_random_bytes_are_refused_and_never_crash(data):
     with pytest.raises(StoreFormatError):
         parse(data)
+
+
+def test_one_bit_of_the_schema_does_not_lose_the_calibration(make_record):
+    good = render(StoreDocument(current=make_record(1)))
+    assert b'"schema": 1,' in good
+    with pytest.raises(StoreFormatError, match="schema 0, which had no checksum") as refused:
+        parse(good.replace(b'"schema": 1,', b'"schema": 0,', 1))
+    assert refused.value.fault == Fault.CORRUPT
 
 
 @given(st.data())
