@@ -8,7 +8,7 @@ the attitudes support is judged in attitudes.py; known attitudes are fitted in s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -16,13 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from stillcal.calib_core import attitudes, excess
 from stillcal.calib_core.accelerometer_fit import AccelerometerFit, Dropped
-from stillcal.calib_core.accelerometer_norms import Norms, Solution, solve
-from stillcal.calib_core.attitudes import Attitude
-from stillcal.calib_core.damped import Damping
+from stillcal.calib_core.accelerometer_norms import Solution, solve
+from stillcal.calib_core.accelerometer_task import AccelerometerSettings, AttitudesMissing, Task, task_of
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.parameters import Form, basis, names
 from stillcal.calib_core.refusals import NotSupported
-from stillcal.calib_core.rests import attitude_labels
 from stillcal.calib_core.samples import Array, frozen
 from stillcal.calib_core.student import quantile
 
@@ -31,83 +29,7 @@ __all__ = ["AccelerometerFit", "AccelerometerSettings", "AttitudesMissing", "Par
 Parameters = Literal["auto", 6, 9, 12]
 
 
-@dataclass(frozen=True, slots=True)
-class AccelerometerSettings:
-    """What a fit asks of its rests, and how it proceeds.
-
-    damping: of the Gauss-Newton steps. attitude_angle: rad, rests nearer than this share an attitude.
-    max_amplification: the calibrated norm may be known, along the worst direction, this many times worse
-    than one rest is measured. The default sets what an omitted 1 % of cross-axis sensitivity costs (a
-    phone's MEMS datasheet figure; half of it, 0.05 m/s^2, along the worst direction) against the 0.01 m/s^2
-    by which a phone's rests scatter: beyond it, leaving the cross-axis terms out does less harm.
-    max_norm_sd: m/s^2, the same cost as a bound on the outcome. spare_attitudes: how many more than
-    parameters "auto" wants before it takes more than 6, so that the fit can be checked at all.
-    outlier_level: chance of dropping any rest where none is bad; 0 drops none. max_outliers: most rests
-    dropped, as a fraction. max_bias: m/s^2 and max_scale_error: beyond these it is not a phone's
-    accelerometer. rounds: of reweighting.
-    """
-
-    damping: Damping = field(default_factory=Damping)
-    attitude_angle: float = 0.0872665  # 5 degrees
-    max_amplification: float = 5.0
-    max_norm_sd: float = 0.05
-    spare_attitudes: int = 1
-    outlier_level: float = 0.01
-    max_outliers: float = 0.2
-    max_bias: float = 5.0
-    max_scale_error: float = 0.3
-    rounds: int = 10
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("attitude_angle", 0.0, 1.0),
-            ("max_amplification", 1.0, np.inf),
-            ("max_norm_sd", 0.0, np.inf),
-            ("spare_attitudes", 0, 100),
-            ("outlier_level", 0.0, 0.5),
-            ("max_outliers", 0.0, 0.5),
-            ("max_bias", 0.0, np.inf),
-            ("max_scale_error", 0.0, 1.0),
-            ("rounds", 1, 1000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}: allowed {low} to {high}")
-
-
-class AttitudesMissing(NotSupported):
-    """The attitudes do not support the model. attitudes: those to add, with their unit directions."""
-
-    def __init__(self, reason: str, wanted: tuple[Attitude, ...]) -> None:
-        super().__init__(reason, [a.words for a in wanted])
-        self.attitudes = wanted
-
-
 _DEFAULT = AccelerometerSettings()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Task:
-    """One model to be fitted. least: distinct attitudes wanted; local: (n,) gravity, m/s^2."""
-
-    norms: Norms
-    parameters: int
-    form: Form
-    least: int
-    local: Array
-    gravity_uncertainty: float
-    settings: AccelerometerSettings
-
-    @property
-    def g(self) -> float:
-        """The unit of `norms`, m/s^2."""
-        return float(self.local.mean())
-
-    def supported_by(self, rests: Norms, least: int) -> bool:
-        """Tell whether these rests' attitudes determine the model well enough."""
-        up = rests.directions()
-        if len(up) < least:
-            return False
-        return attitudes.amplification(up, self.parameters) <= self.settings.max_amplification
 
 
 def fit(
@@ -139,59 +61,15 @@ def fit(
     [1.01, 1.0, 0.99]
     """
     if parameters != "auto":
-        return _fit(_task(forces, uncertainties, gravity, gravity_uncertainty, parameters, form, settings))
+        return _fit(task_of(forces, uncertainties, gravity, gravity_uncertainty, parameters, form, settings))
     try:
-        task = _task(forces, uncertainties, gravity, gravity_uncertainty, 9, form, settings)
+        task = task_of(forces, uncertainties, gravity, gravity_uncertainty, 9, form, settings)
         return _fit(replace(task, least=9 + settings.spare_attitudes))
     except AttitudesMissing:
-        return _fit(_task(forces, uncertainties, gravity, gravity_uncertainty, 6, form, settings))
+        return _fit(task_of(forces, uncertainties, gravity, gravity_uncertainty, 6, form, settings))
 
 
-def _task(  # noqa: PLR0917 - `fit`'s own arguments, in its order
-    forces: ArrayLike,
-    uncertainties: ArrayLike | None,
-    gravity: ArrayLike,
-    gravity_uncertainty: float,
-    parameters: int,
-    form: Form,
-    settings: AccelerometerSettings,
-) -> _Task:
-    """Check the arrays and put them in units of gravity."""
-    raw = np.asarray(forces, dtype=np.float64).reshape(-1, 3) if np.size(forces) == 0 else np.asarray(forces)
-    sd = np.zeros(raw.shape) if uncertainties is None else np.asarray(uncertainties, dtype=np.float64)
-    _check_arrays(raw, sd.reshape(raw.shape) if raw.size == 0 else sd)
-    local = np.array(np.broadcast_to(np.asarray(gravity, dtype=np.float64), len(raw)))
-    if not (np.isfinite(local).all() and (local > 0.0).all() and gravity_uncertainty >= 0.0):
-        raise ValueError("gravity must be positive and its uncertainty not negative")
-    if len(raw) == 0:
-        wanted = attitudes.missing_attitudes(raw, 6, settings.max_amplification, 6)
-        raise AttitudesMissing("there is no rest", wanted)
-    g = float(local.mean())
-    _check_unit(raw, g)
-    own_form: Form = "symmetric" if parameters == 12 else form
-    labels = attitude_labels(raw, settings.attitude_angle)
-    norms = Norms(raw / g, sd / g, local / g, labels, basis(min(parameters, 9), own_form))
-    least = min(parameters, 9)
-    return _Task(norms, parameters, own_form, least, local, gravity_uncertainty, settings)
-
-
-def _check_arrays(raw: Array, sd: Array) -> None:
-    if raw.ndim != 2 or raw.shape[1] != 3:
-        raise ValueError(f"forces have shape {raw.shape}: expected (n, 3)")
-    if sd.shape != raw.shape:
-        raise ValueError(f"uncertainties have shape {sd.shape}: expected {raw.shape}")
-    if not (np.isfinite(raw).all() and np.isfinite(sd).all() and (sd >= 0.0).all()):
-        raise ValueError("forces and uncertainties must be finite, uncertainties not negative")
-
-
-def _check_unit(raw: Array, gravity: float) -> None:
-    norm = float(np.median(np.linalg.norm(raw, axis=1)))
-    if 0.5 < norm < 2.0 < gravity:
-        reason = f"the forces' norm is about {norm:.2f}: these look like multiples of g, not m/s^2"
-        raise NotSupported(reason, ["the same rests in m/s^2 (multiply by 9.80665)"])
-
-
-def _fit(task: _Task) -> AccelerometerFit:
+def _fit(task: Task) -> AccelerometerFit:
     """Fit one model or raise AttitudesMissing."""
     _require_support(task)
     used, solution = _robust(task)
@@ -205,7 +83,7 @@ def _fit(task: _Task) -> AccelerometerFit:
     return found
 
 
-def _require_support(task: _Task) -> None:
+def _require_support(task: Task) -> None:
     if task.supported_by(task.norms, task.least):
         return
     up, limit = task.norms.directions(), task.settings.max_amplification
@@ -218,7 +96,7 @@ def _require_support(task: _Task) -> None:
     raise AttitudesMissing(reason, wanted)
 
 
-def _robust(task: _Task) -> tuple[NDArray[np.bool_], Solution]:
+def _robust(task: Task) -> tuple[NDArray[np.bool_], Solution]:
     """Fit, drop what does not belong as long as the model stays supported, and fit again."""
     damping, rounds = task.settings.damping, task.settings.rounds
     solution = solve(task.norms, damping, rounds)
@@ -232,7 +110,7 @@ def _robust(task: _Task) -> tuple[NDArray[np.bool_], Solution]:
     return again, solve(task.norms.only(again), damping, rounds, solution.v)
 
 
-def _suspects(task: _Task, solution: Solution) -> list[int]:
+def _suspects(task: Task, solution: Solution) -> list[int]:
     """Return the rests that do not belong, worst first.
 
     Where the attitudes determine nine parameters, a rest that nine would explain is not a bad one, though
@@ -249,7 +127,7 @@ def _suspects(task: _Task, solution: Solution) -> list[int]:
     return excess.outliers(residuals, jacobian, variances, most, task.settings.outlier_level)
 
 
-def _without(task: _Task, rows: list[int]) -> NDArray[np.bool_]:
+def _without(task: Task, rows: list[int]) -> NDArray[np.bool_]:
     """Drop rows, worst first, each only if what is left still supports the model."""
     used = np.ones(len(task.local), dtype=bool)
     for row in rows:
@@ -259,7 +137,7 @@ def _without(task: _Task, rows: list[int]) -> NDArray[np.bool_]:
     return used
 
 
-def _explained(task: _Task, solution: Solution, fitted: int) -> NDArray[np.bool_]:
+def _explained(task: Task, solution: Solution, fitted: int) -> NDArray[np.bool_]:
     """Tell which rests the fitted ones explain, given the scatter that these show among themselves."""
     residuals, jacobian = task.norms.residuals(solution.v)
     predicted = np.einsum("ij,jk,ik->i", jacobian, solution.covariance, jacobian)
@@ -269,7 +147,7 @@ def _explained(task: _Task, solution: Solution, fitted: int) -> NDArray[np.bool_
     return np.asarray(np.abs(residuals) <= limit * sd, dtype=np.bool_)
 
 
-def _require_plausible(task: _Task, solution: Solution) -> None:
+def _require_plausible(task: Task, solution: Solution) -> None:
     settings = task.settings
     model = _model(task, solution)
     bias = float(np.abs(model.bias).max())
@@ -281,12 +159,12 @@ def _require_plausible(task: _Task, solution: Solution) -> None:
         raise NotSupported(reason, ["rests, in m/s^2, of a phone that lies still"])
 
 
-def _model(task: _Task, solution: Solution) -> SensorModel:
+def _model(task: Task, solution: Solution) -> SensorModel:
     twelve = task.norms.matrix @ solution.v
     return SensorModel.of(twelve[3:].reshape(3, 3), task.g * twelve[:3])
 
 
-def _covariance(task: _Task, solution: Solution) -> Array:
+def _covariance(task: Task, solution: Solution) -> Array:
     """Return the covariance of the model's own parameters, (p, p), in m/s^2 and 1."""
     units = np.r_[np.full(3, task.g), np.ones(9)]
     spread = np.linalg.pinv(basis(task.parameters, task.form)) @ (task.norms.matrix * units[:, None])
@@ -300,7 +178,7 @@ def _degrees_of_freedom(solution: Solution, rests: int, states: int) -> float:
     return float(rests - states) if solution.within > 0.0 else float("inf")
 
 
-def _report(task: _Task, solution: Solution, used: NDArray[np.bool_]) -> AccelerometerFit:
+def _report(task: Task, solution: Solution, used: NDArray[np.bool_]) -> AccelerometerFit:
     """Put a solution in m/s^2 and beside it what a reader needs to judge it."""
     model, kept = _model(task, solution), task.norms.only(used)
     residuals = np.linalg.norm(model.apply(task.g * task.norms.raw), axis=1) - task.local

@@ -80,8 +80,10 @@ def _first(module: ModuleType) -> str:
 
 def _module(title: str, module: ModuleType) -> Iterator[str]:
     yield f"## {title}\n\n{_prose(module)}\n"
+    handed_on = getattr(module, "__all__", ())
     for name, value in vars(module).items():
-        if not name.startswith("_") and getattr(value, "__module__", None) == module.__name__:
+        own = getattr(value, "__module__", None) == module.__name__
+        if (own and not name.startswith("_")) or name in handed_on:
             if inspect.isfunction(value):
                 yield f"### `{name}`\n\n{_call(name, value)}\n"
             elif inspect.isclass(value):
