@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from stillcal.calib_core import accelerometer, gyroscope, quality
 from stillcal.calib_core.accelerometer import AccelerometerFit, AccelerometerSettings
 from stillcal.calib_core.gravity import Gravity
-from stillcal.calib_core.gyro_bias import BiasEstimate, zeroing
-from stillcal.calib_core.gyroscope import GyroscopeFit, GyroscopeSettings, Parameters
+from stillcal.calib_core.gyroscope import GyroscopeFit, GyroscopeSettings
+from stillcal.calib_core.gyroscope_record import gyroscope_record
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.pool import HeldRest, Pool
 from stillcal.calib_core.quality import Check, Comparison, QualitySettings
@@ -26,7 +26,6 @@ from stillcal.calib_core.record import (
     Acceptance,
     CalibrationRecord,
     Evidence,
-    GyroscopeRecord,
     Provenance,
     StateRecord,
     Validity,
@@ -34,10 +33,6 @@ from stillcal.calib_core.record import (
 from stillcal.calib_core.refusals import NotSupported
 from stillcal.calib_core.rests import RestState, attitude_labels, force_uncertainties, forces
 from stillcal.calib_core.samples import Array, frozen
-
-_PARAMETER_COUNT = {Parameters.BIAS: 3, Parameters.SCALE3: 6, Parameters.FULL9: 12}
-_GYRO_NAMES = (*(f"S_{a}{b}" for a in "xyz" for b in "xyz"), "b_x", "b_y", "b_z")
-
 
 _OMITTED_CROSS_AXIS = 0.05
 """m/s^2: half of 1 % of gravity, what a phone's usual cross-axis sensitivity puts into a norm at worst
@@ -106,7 +101,7 @@ def candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSetting
     labels = attitude_labels(forces(pool.rests), settings.accelerometer.attitude_angle)
     record = CalibrationRecord(
         accelerometer=_accelerometer_record(fit),
-        gyroscope=None if gyro is None else _gyroscope_record(gyro, t),
+        gyroscope=None if gyro is None else gyroscope_record(gyro, t),
         gravity=gravity,
         fitted_at=t,
         validity=_validity(pool.rests),
@@ -162,41 +157,6 @@ def _accelerometer_record(fit: AccelerometerFit) -> AccelerometerRecord:
         n_dropped=len(fit.dropped),
         iterations=fit.iterations,
     )
-
-
-def _gyroscope_record(fit: GyroscopeFit, t: float) -> GyroscopeRecord:
-    turns = len(fit.after) - len(fit.rejected)
-    return GyroscopeRecord(
-        scale=fit.model.scale,
-        bias=fit.model.bias,
-        parameters=_PARAMETER_COUNT[fit.parameters],
-        names=_GYRO_NAMES,
-        covariance=_wandering(fit.covariance, fit.bias),
-        rms_residual=fit.rms_after if turns else None,
-        rms_nominal=fit.rms_before if turns else None,
-        n_rests=fit.bias.n_rests,
-        n_turns=turns,
-        rotation_admitted=_bounded(fit.bias.admitted),
-        missing=fit.missing,
-        zeroed_at=t,
-    )
-
-
-def _wandering(covariance: Array | None, bias: BiasEstimate) -> Array | None:
-    """Return a gyroscope's covariance (12, 12) with its bias as uncertain as one rest leaves it.
-
-    The mean over rests is known better, but the bias wanders on, and it is used between the rests.
-    """
-    if covariance is None or covariance.shape != (12, 12):
-        return covariance
-    wandering = np.array(covariance)
-    wandering[9:, 9:] = bias.covariance + np.diag(bias.wander**2)
-    return frozen(wandering)
-
-
-def _bounded(values: Array) -> Array:
-    """Return values with NaN, for unknown, where nothing bounds them."""
-    return frozen(np.where(np.isfinite(values), values, np.nan))
 
 
 def _validity(rests: Sequence[RestState]) -> Validity:
@@ -292,26 +252,6 @@ def norm_uncertainty(part: AccelerometerRecord) -> float:
     """
     omitted = _OMITTED_CROSS_AXIS if part.parameters == 6 else 0.0
     return float(np.hypot(part.rms_residual or 0.0, omitted))
-
-
-def zeroed(record: CalibrationRecord, recent: Pool, t: float) -> CalibrationRecord | None:
-    """Return the record with the gyroscope's bias measured anew at rest (4.7); None without a rate."""
-    model = SensorModel.identity() if record.gyroscope is None else record.gyroscope.model
-    try:
-        new_model, estimate = zeroing(model, recent.rests)
-    except NotSupported:
-        return None
-    known = record.gyroscope or GyroscopeRecord(scale=model.scale, bias=model.bias, parameters=3)
-    part = replace(
-        known,
-        bias=new_model.bias,
-        covariance=_wandering(known.covariance, estimate),
-        rotation_admitted=_bounded(estimate.admitted),
-        zeroed_at=t,
-    )
-    reason = f"gyroscope zeroed on {estimate.n_rests} rests"
-    acceptance = Acceptance(how="zeroing", reason=reason)
-    return replace(record, gyroscope=part, acceptance=acceptance)
 
 
 def figures(check: Check) -> Evidence:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from stillcal.calib_core import calibrate
+from stillcal.calib_core import calibrate, gyroscope_record
 from stillcal.calib_core.engine_fit import FitOutcome, FitTask, fitted
 from stillcal.calib_core.engine_state import EngineSettings, EngineState, Refusal, Trouble
 from stillcal.calib_core.engine_telling import Telling
@@ -61,7 +61,7 @@ class Judging:
         """Measure the gyroscope's bias anew (4.7) on the rests since a time, s, if they show it."""
         s = self._s
         recent = s.pool.since(since).where(self._detector.still_valid)
-        zeroed = None if s.record is None else calibrate.zeroed(s.record, recent, t)
+        zeroed = None if s.record is None else gyroscope_record.zeroed(s.record, recent, t)
         if zeroed is not None:
             s.record = zeroed
             s.counters.zeroings += 1

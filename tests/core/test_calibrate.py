@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillcal.calib_core.calibrate import zeroed
 from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.gyroscope_record import zeroed
 from stillcal.calib_core.pool import HeldRest, Pool
 from stillcal.calib_core.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.rests import RestState
