@@ -7,8 +7,6 @@ frequency, each frequency as sure as what hands do there is small.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
@@ -25,9 +23,10 @@ from stillcal.calib_core.samples import Array, Samples
 WINDOW = 8.0
 """s over which gravity is carried; what the gyroscope's scale does meanwhile is nearly steady in time."""
 
-LEAST_RATE = 0.2
-"""rad/s, rms, in a window that is looked at."""
+LEAST_RATE, LIVELY_RATE = 0.2, 0.5
+"""rad/s, rms, in a window that is looked at: the lively ones, where they are few the liveliest `WANTED`."""
 
+WANTED = 20
 LEAST_WINDOWS = 8
 LONGEST = 0.2
 LINEARISED = 4
@@ -72,20 +71,28 @@ def motion_findings(
         total = float(np.clip(total + sums[-1].fitted()[3], -LONGEST, LONGEST))
     where = Where(float(parts[0][0][0]), float(parts[-1][0][-1]), (0.1, 0.5 / interval), "rate of turn")
     error = float(np.hypot(np.sqrt(sums[-1].jackknifed(PARTS)[1][3, 3]), apart))
-    # Errors from few windows are themselves uncertain: Student's t, to first order.
-    delay = Measured(total, max(error * (1.0 + 2.0 / len(parts)), LEAST_ERROR))
+    # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
+    delay = Measured(total, max(error * (1.0 + 6.0 / len(parts)), LEAST_ERROR))
     found = [_delayed(delay, sums[0], where, interval), lever_arm(sums[-1].only(ARM), where)]
     return [f for f in found if f]
 
 
-def _windows(gyroscope: Samples, affine: Aligned | None) -> Iterator[tuple[Array, Array]]:
-    """Yield stamps (n,) and rate (n, 3) of unbroken windows in which the phone turns."""
+def _windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
+    """Return stamps (n,) and rate (n, 3) of unbroken windows in which the phone turns, the lively ones.
+
+    Slow turns of a hand tell little, and its own acceleration is the louder beside them.
+    """
     bias = np.zeros(3) if affine is None else affine.bias
     n = round(WINDOW / float(np.median(np.diff(gyroscope.t))))
+    found, size = [], []
     for first in range(0, len(gyroscope) - n, n):
         t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
-        if t[-1] - t[0] < 1.5 * WINDOW and np.sqrt((rate**2).sum(axis=1).mean()) > LEAST_RATE:
-            yield t, rate
+        rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
+        if t[-1] - t[0] < 1.5 * WINDOW and rms > LEAST_RATE:
+            found.append((t, rate))
+            size.append(rms)
+    least = min(LIVELY_RATE, sorted(size)[-min(WANTED, len(size))]) if size else 0.0
+    return [w for w, x in zip(found, size, strict=True) if x >= least]
 
 
 def _apart(t: Array, spoiled: Where) -> bool:
