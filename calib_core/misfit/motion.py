@@ -27,7 +27,7 @@ LEAST_RATE, LIVELY_RATE = 0.2, 0.5
 """rad/s, rms, in a window that is looked at: the lively ones, where they are few the liveliest `WANTED`."""
 
 WANTED = 20
-LEAST_WINDOWS = 8
+LEAST_WINDOWS = 12
 LONGEST = 0.2
 LINEARISED = 4
 """Times that the model is taken about the delay found before."""
