@@ -53,7 +53,7 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
     """
     made = families(view)
     prior, constant, yy, xy, grams = [], [], [], [], []
-    blocks = len(view.y)
+    blocks, groups = len(view.y), _grouped(columns)
     seen = np.abs(design).max(axis=(0, 1)) > 0.0
     everything = stacked(view, design[:, :, seen], extra)
     x = np.zeros((view.y.size, seen.size))
@@ -69,7 +69,7 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
             constant.append(np.log(weight) - 0.5 * (log_det + determinant))
             yy.append(y @ y)
             xy.append(y @ x)
-            grams.append(_grams(x, columns))
+            grams.append(_grams(x, groups))
     baseline = view.parameters + (0 if extra is None else extra.shape[2])
     names = tuple(f.name for f in made for _ in f.strengths)
     return Reduced(
@@ -77,7 +77,7 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
         np.array(constant),
         np.array(yy),
         np.array(xy).reshape(len(yy), -1),
-        [np.array(b) for b in zip(*grams, strict=True)],
+        _apart(groups, grams),
         columns,
         view.known + view.y.size - baseline,
         names,
@@ -95,14 +95,26 @@ def _nearness(names: tuple[str, ...]) -> Array:
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def _grams(x: Array, columns: list[Array]) -> list[Array]:
-    """Return the (k, k) inner products of each hypothesis' columns; those of one width are done together."""
-    out: list[Array] = [np.empty(0)] * len(columns)
-    for width in {c.size for c in columns}:
-        rows = [i for i, c in enumerate(columns) if c.size == width]
-        stacked = x[:, np.array([columns[i] for i in rows])].transpose(1, 2, 0)
-        for i, gram in zip(rows, stacked @ stacked.transpose(0, 2, 1), strict=True):
-            out[i] = gram
+def _grouped(columns: list[Array]) -> list[tuple[list[int], Array]]:
+    """Put hypotheses with as many columns together: which they are, and their columns (r, k)."""
+    widths: dict[int, list[int]] = {}
+    for i, c in enumerate(columns):
+        widths.setdefault(c.size, []).append(i)
+    return [(rows, np.array([columns[i] for i in rows])) for rows in widths.values()]
+
+
+def _grams(x: Array, groups: list[tuple[list[int], Array]]) -> list[Array]:
+    """Return the inner products (r, k, k) of each group's hypotheses' columns."""
+    parts = [x[:, columns].transpose(1, 2, 0) for _, columns in groups]
+    return [part @ part.transpose(0, 2, 1) for part in parts]
+
+
+def _apart(groups: list[tuple[list[int], Array]], grams: list[list[Array]]) -> list[Array]:
+    """Return the inner products (G, k, k) of each hypothesis under every shape."""
+    out: list[Array] = [np.empty(0)] * sum(len(rows) for rows, _ in groups)
+    for (rows, _), made in zip(groups, map(np.array, zip(*grams, strict=True)), strict=True):
+        for j, i in enumerate(rows):
+            out[i] = made[:, j]
     return out
 
 

@@ -88,7 +88,8 @@ def _best_flip(
     own = np.diag(products)
     level = np.cumsum(changes)[:n]
     run = np.cumsum(np.diff(level, prepend=level[0]) != 0)
-    inside = np.triu(run[:, None] == run[None, :])
+    at = np.arange(n)
+    inside = (run[:, None] == run[None, :]) & (at[:, None] <= at[None, :])
     sign = 1.0 - 2.0 * level[:, None]
     gain = sign * (pull[:n, None] - pull[None, 1:])
     gain -= 0.5 * (own[:n, None] + own[None, 1:] - 2.0 * products[:n, 1:])
