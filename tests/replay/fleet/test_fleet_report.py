@@ -10,8 +10,9 @@ import pytest
 
 from stillcal.calib_core.parameters import names
 from stillcal.replay.fleet import kept, listing
-from stillcal.replay.fleet.first import document, first_calibration, read_prior
+from stillcal.replay.fleet.first import document, first_calibration
 from stillcal.replay.fleet.outliers import distances
+from stillcal.replay.fleet.prior_file import read_prior
 from stillcal.replay.fleet.report import report
 from stillcal.replay.fleet.work import Examined, Task
 from stillcal.replay.formats.errors import TraceError
@@ -79,7 +80,7 @@ def test_a_new_phone_is_calibrated_from_its_first_minutes(phones: Path, tmp_path
     """From three to six rests, which alone support nothing; the true bias within 4 standard deviations."""
     results = fleet_of(tmp_path / "fleet", drawn(40, 1), ["A"] * 40)
     (tmp_path / "fleet.json").write_bytes(msgspec.json.encode(report(results).document()))
-    prior = read_prior(tmp_path / "fleet.json", "LG Nexus 4")
+    prior = read_prior(tmp_path / "fleet.json", claimed="LG Nexus 4")
     assert prior.model == "" and prior.devices == 40
     for number, phone in enumerate(population(4)):
         whole = next(p for p in phones.glob(f"*/phone-{number:04d}/*.csv") if "Spoilt" not in str(p))
