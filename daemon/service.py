@@ -165,7 +165,8 @@ class Service:
         while True:
             pause = SAVE_EVERY_S if changed or self.storage.trouble else SAVE_AT_LEAST_S
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._unsaved.wait(), max(saved_at + pause - host_time(), 0.0))
+                async with asyncio.timeout(max(saved_at + pause - host_time(), 0.0)):
+                    await self._unsaved.wait()
             changed = changed or self._unsaved.is_set()
             self._unsaved.clear()
             await self.storage.flush()

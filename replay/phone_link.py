@@ -142,8 +142,10 @@ class PhoneLink:
             await self._say(self.stream.standing())
 
     async def _news_within(self, seconds: float) -> bool:
+        """Wait for news so long; asyncio.wait_for would lose a cancellation that comes with them (3.11)."""
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._news.wait(), seconds)
+            async with asyncio.timeout(seconds):
+                await self._news.wait()
         return self._news.is_set()
 
     # Speech
