@@ -203,7 +203,7 @@ def cut(
         first, last, rest = _bin_edges(runs, length)
     pose = None
     if rate is not None:
-        one, turned = poses.poses(runs, rate.mean, rate.count, WINDOW)
+        one, turned = poses.poses(runs, force.mean, rate.mean, rate.count, WINDOW)
         rest, pose = one[rest], poses.of_bins(turned, first, last)
     kept = _longest(last - first)
     first, last, rest = first[kept], last[kept], rest[kept]

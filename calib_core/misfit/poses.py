@@ -1,7 +1,8 @@
 """Where a resting phone kept its pose, by the gyroscope: jumps of specific force are then the sensor's own.
 
 Specific force that jumps across gravity is a nudge of the phone or a step of the bias. A nudge shows in the
-gyroscope. Rests between which nothing turned are one rest, and a nudge parts the poses within one.
+gyroscope. Rests between which nothing turned are one rest, and a nudge parts the poses within one. What jumps
+by no more than a turn that the gyroscope may have missed parts them too.
 """
 
 from __future__ import annotations
@@ -22,15 +23,21 @@ LONGEST_GAP = 10
 LARGEST = 0.02
 """rad/s in a window of a gap, beyond which what the gyroscope adds up to is not that exact."""
 
+CLEARLY = 3.0
+"""Times the largest turn that the gyroscope may have missed, above which a jump is the sensor's own."""
+
+GRAVITY = 9.8
 AROUND = 15
 """Windows to either side whose mean is the gyroscope's bias at a window."""
 
 
-def poses(runs: list[tuple[int, int]], rate: Array, count: Array, window: float) -> tuple[Index, Index]:
+def poses(
+    runs: list[tuple[int, int]], force: Array, rate: Array, count: Array, window: float
+) -> tuple[Index, Index]:
     """Return the rest (r,) of each run, and the pose (n,) of every window, counted up at each turn.
 
-    runs: [first, last) windows at rest; rate: (n, 3) means of windows, rad/s; count: (n,) their samples;
-    window: s.
+    runs: [first, last) windows at rest; force, rate: (n, 3) means of windows, m/s^2 and rad/s; count: (n,)
+    their samples; window: s.
     """
     turned, rest = np.zeros(len(rate), dtype=np.int64), np.zeros(len(runs), dtype=np.int64)
     if not runs:
@@ -39,9 +46,12 @@ def poses(runs: list[tuple[int, int]], rate: Array, count: Array, window: float)
     noise = np.maximum(1.4826 * np.median(np.abs(angle), axis=0), 1e-9)
     for k, (a, b) in enumerate(runs):
         rest[k] = rest[k - 1] if k else 0
-        if k and _turned(runs[k - 1], (a, b), rate, count, noise / window):
-            rest[k] += 1
-            turned[a] += 1
+        if k:
+            before = runs[k - 1]
+            moved = _turned(before, (a, b), rate, count, noise / window)
+            missed = NUDGED * np.sqrt(a - before[1] + 2) * float(noise.max()) * GRAVITY
+            rest[k] += moved
+            turned[a] += moved or _jump(force, before, (a, b)) < CLEARLY * missed
         own = _less_bias(rate[a:b]) * window
         pairs = np.abs(own[1:] + own[:-1]) > NUDGED * np.sqrt(2.0) * noise
         turned[a + 1 : b] += pairs.any(axis=1)
@@ -65,6 +75,12 @@ def _turned(before: tuple[int, int], after: tuple[int, int], rate: Array, count:
     own = rate[first:last] - np.concatenate(bias).mean(axis=0)
     total = np.abs(own.sum(axis=0)) > NUDGED * np.sqrt(len(own)) * noise
     return bool(total.any() or np.abs(own).max() > LARGEST)
+
+
+def _jump(force: Array, before: tuple[int, int], after: tuple[int, int]) -> float:
+    """Return by how much specific force differs between two rests, m/s^2."""
+    ends = force[before[0] : before[1]][-AROUND:], force[after[0] : after[1]][:AROUND]
+    return float(np.linalg.norm(ends[1].mean(axis=0) - ends[0].mean(axis=0)))
 
 
 def of_bins(pose: Index, first: Array, last: Array) -> Index:
