@@ -22,7 +22,7 @@ def lying(jump: float, nudge: float, shake: float = 0.0) -> Bins:
     force = G * np.stack([np.sin(angle), np.zeros(t.size), np.cos(angle)], axis=1)
     force[:, 0] += jump * after
     away = t - SECONDS / 2
-    wobble = shake * np.sin(2.0 * np.pi * away) * (np.abs(away) < 1.5)
+    wobble = shake * np.sin(4.0 * np.pi * away) * (np.abs(away) < 1.5)
     spin = np.stack([np.zeros(t.size), np.gradient(angle, t), wobble], axis=1)
     accelerometer = Samples.checked(Sensor.ACCELEROMETER, t, force + rng.normal(0, 0.01, force.shape))
     gyroscope = Samples.checked(Sensor.GYROSCOPE, t, spin + 0.01 + rng.normal(0, 1e-3, spin.shape))
