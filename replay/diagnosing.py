@@ -23,6 +23,9 @@ from stillcal.calib_core.samples import Array
 from stillcal.replay.report.coverage import Facts, checks, facts_of, limits
 from stillcal.replay.trace import Recording
 
+SUREST = 1e-4
+"""m/s^2: the least uncertainty of a row's mean specific force, whether a table states less or none."""
+
 LEAST_ROWS = 7
 """Fewer rests than the affine accelerometer has parameters to spare show nothing beyond it."""
 
@@ -101,7 +104,7 @@ def rest_bins(rests: Sequence[RestState]) -> Bins:
         duration=duration,
         rest=np.arange(len(rests)),
         force=np.array([r.specific_force for r in rests]),
-        force_variance=np.maximum(np.array([r.force_uncertainty for r in rests]) ** 2, 1e-18),
+        force_variance=np.maximum(np.array([r.force_uncertainty for r in rests]), SUREST) ** 2,
         vibration=np.ones(len(rests)),
         activity=np.stack([start, np.zeros(len(rests))], axis=1),
         span=(float(start.min()), float((start + duration).max())),

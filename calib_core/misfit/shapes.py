@@ -33,6 +33,9 @@ MIXTURES = (
 )
 """Two kinds of wander, and the share of the first in their power."""
 
+FAINTEST = 1e-12
+"""Part of the largest variance in a view that every bin has, lest rounding make the covariance singular."""
+
 KEPT = 6
 """Views whose families are kept diagonalised: one recording's."""
 
@@ -83,7 +86,7 @@ def _base(view: View) -> Array:
         base = base + shared * np.outer(view.rounding, view.rounding)
     if view.absorbed is not None:
         base = base + view.absorbed @ view.absorbed.T
-    return np.asarray(base)
+    return np.asarray(base + FAINTEST * float(base.diagonal().max()) * np.eye(len(base)))
 
 
 def strength_prior() -> Array:
