@@ -5,7 +5,7 @@ a turn, by (R_end' sum R(t) d(t) dt) x up_end, with R(t) from the body at t to t
 
 Few attitudes leave the accelerometer's parameters unknown, but turns between them tell some of what the norm
 of gravity does not. Norm and turns are fitted together (Gauss-Newton, robust weights), and the parameters
-that the norm leaves unknown go with the turns as columns to be projected out.
+that the norm leaves unknown go with the turns, as errors that their covariance holds.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ class Cut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """One turn. t: (n,) s; rate: (n, 3); carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,).
+    """One turn. rate: (n, 3) rad/s, corrected; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,).
 
-    unsure: (3, 9) what the accelerometer's parameters do to `miss`.
+    end, duration: s; angle: rad turned through; unsure: (3, 9) what the accelerometer's parameters do to `miss`.
     """
 
     end: float

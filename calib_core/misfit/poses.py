@@ -42,9 +42,9 @@ def poses(
     turned, rest = np.zeros(len(rate), dtype=np.int64), np.zeros(len(runs), dtype=np.int64)
     if not runs:
         return rest, turned
-    angle = np.concatenate([_less_bias(rate[a:b]) for a, b in runs]) * window
-    noise = np.maximum(1.4826 * np.median(np.abs(angle), axis=0), 1e-9)
-    for k, (a, b) in enumerate(runs):
+    angles = [_less_bias(rate[a:b]) * window for a, b in runs]
+    noise = np.maximum(1.4826 * np.median(np.abs(np.concatenate(angles)), axis=0), 1e-9)
+    for k, ((a, b), own) in enumerate(zip(runs, angles, strict=True)):
         rest[k] = rest[k - 1] if k else 0
         if k:
             before = runs[k - 1]
@@ -52,7 +52,6 @@ def poses(
             missed = NUDGED * np.sqrt(a - before[1] + 2) * float(noise.max()) * GRAVITY
             rest[k] += moved
             turned[a] += moved or _jump(force, before, (a, b)) < CLEARLY * missed
-        own = _less_bias(rate[a:b]) * window
         pairs = np.abs(own[1:] + own[:-1]) > NUDGED * np.sqrt(2.0) * noise
         turned[a + 1 : b] += pairs.any(axis=1)
     return rest, np.cumsum(turned)
@@ -71,16 +70,20 @@ def _turned(before: tuple[int, int], after: tuple[int, int], rate: Array, count:
     first, last = before[1] - 1, after[0] + 1
     if last - first > LONGEST_GAP + 2 or count[first:last].min() < 0.5 * float(np.median(count)):
         return True
-    bias = [rate[a:b][-AROUND:] if a == before[0] else rate[a:b][:AROUND] for a, b in (before, after)]
-    own = rate[first:last] - np.concatenate(bias).mean(axis=0)
+    own = rate[first:last] - np.concatenate(_ends(rate, before, after)).mean(axis=0)
     total = np.abs(own.sum(axis=0)) > NUDGED * np.sqrt(len(own)) * noise
     return bool(total.any() or np.abs(own).max() > LARGEST)
 
 
 def _jump(force: Array, before: tuple[int, int], after: tuple[int, int]) -> float:
     """Return by how much specific force differs between two rests, m/s^2."""
-    ends = force[before[0] : before[1]][-AROUND:], force[after[0] : after[1]][:AROUND]
-    return float(np.linalg.norm(ends[1].mean(axis=0) - ends[0].mean(axis=0)))
+    end, start = _ends(force, before, after)
+    return float(np.linalg.norm(start.mean(axis=0) - end.mean(axis=0)))
+
+
+def _ends(values: Array, before: tuple[int, int], after: tuple[int, int]) -> tuple[Array, Array]:
+    """Return the last windows of one rest and the first of the next."""
+    return values[before[0] : before[1]][-AROUND:], values[after[0] : after[1]][:AROUND]
 
 
 def of_bins(pose: Index, first: Array, last: Array) -> Index:
