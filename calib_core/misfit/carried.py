@@ -59,7 +59,8 @@ class Cut:
 class Turn:
     """One turn. rate: (n, 3) rad/s, corrected; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,).
 
-    end, duration: s; angle: rad turned through; unsure: (3, 9) what the accelerometer's parameters do to `miss`.
+    end, duration: s; angle: rad turned through; unsure: (3, 9) what the accelerometer's parameters do to
+    `miss`.
     """
 
     end: float
