@@ -234,13 +234,19 @@ def test_a_full_queue_stops_reading_and_holds_the_sender_back(tmp_path: Path) ->
     within_reason(test())
 
 
+async def resting_source(device: Device, source: SerialSource, seconds: float) -> asyncio.Task[None]:
+    """Let a source that has greeted its device rest so long."""
+    await device.read()
+    resting = asyncio.create_task(source.rest(seconds))
+    await asyncio.sleep(0)
+    return resting
+
+
 def test_at_rest_a_trickle_wakes_nobody_and_closing_takes_what_gathered(tmp_path: Path) -> None:
     async def test() -> None:
         device = Device(tmp_path / "tty")
         async with SerialSource(quick(device.path)) as source:
-            await device.read()
-            resting = asyncio.create_task(source.rest(60.0))
-            await asyncio.sleep(0)
+            resting = await resting_source(device, source, 60.0)
             for i in range(10):
                 device.write(WireEncoder().encode(Tick(float(i))))
                 await asyncio.sleep(0.001)
@@ -255,9 +261,7 @@ def test_after_a_rest_all_is_there_and_the_line_is_watched_again(tmp_path: Path)
     async def test() -> None:
         device = Device(tmp_path / "tty")
         async with SerialSource(quick(device.path)) as source:
-            await device.read()
-            resting = asyncio.create_task(source.rest(0.05))
-            await asyncio.sleep(0)
+            resting = await resting_source(device, source, 0.05)
             device.write(WireEncoder().encode(Tick(1.0)))
             await resting
             assert source.pending and Tick(1.0) in await source.take()
@@ -292,9 +296,7 @@ def test_a_line_that_is_lost_in_a_rest_comes_back(tmp_path: Path) -> None:
     async def test() -> None:
         device = Device(tmp_path / "tty")
         async with SerialSource(quick(device.path)) as source:
-            await device.read()
-            resting = asyncio.create_task(source.rest(0.05))
-            await asyncio.sleep(0)
+            resting = await resting_source(device, source, 0.05)
             device.unplug()
             await resting
             await until(source, lost)
