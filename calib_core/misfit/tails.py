@@ -21,6 +21,7 @@ from stillcal.calib_core.misfit.records import Finding, Parameter, Where
 from stillcal.calib_core.misfit.spectrum import Quiet
 from stillcal.calib_core.samples import Array
 
+AXES = [0, 1, 2]
 FAR = 4.0
 TOGETHER = 0.2
 CLUSTERED = 0.05
@@ -69,9 +70,10 @@ def tails(still: Quiet, sensor: str, where: Where, step: float) -> Finding | Non
     step: of the values; its share of the variance is taken off.
     """
     scaled, spread = standardised(still.pieces)
-    kurtosis = [_kurtosis(scaled, a) for a in range(3)]
-    sigmas = [k.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE) for k in kurtosis]
-    axes = [a for a in range(3) if sigmas[a] >= SIGNIFICANT]
+    kurtosis = [_kurtosis(scaled, [a]) for a in range(3)]
+    together = _kurtosis(scaled, AXES)
+    sigmas = max(k.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE) for k in (*kurtosis, together))
+    axes = [a for a in AXES if sigmas >= SIGNIFICANT and _heavy(kurtosis[a])]
     everything = np.concatenate(scaled)
     if not axes or _clustered(everything[:, axes]) or _together(everything):
         return None
@@ -90,7 +92,7 @@ def tails(still: Quiet, sensor: str, where: Where, step: float) -> Finding | Non
             "1",
         ),
     }
-    seen = _left_out([z[:, axes] for z in scaled], max(sigmas))
+    seen = _left_out([z[:, axes] for z in scaled], sigmas)
     if share < RARE and fit.ratio.value > SPIKE:
         return _spikes(sensor, axes, everything, where, seen)
     return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
@@ -107,13 +109,18 @@ def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) ->
     return unknown(sensor, axes, where, sizes, statement=say, seen=seen)
 
 
-def _kurtosis(scaled: list[Array], axis: int) -> Measured:
-    """Return the excess kurtosis of one axis over all pieces.
+def _heavy(kurtosis: Measured) -> bool:
+    """Whether an axis, once far samples are sure on one or all together, is among those that have them."""
+    return kurtosis.value > max(thresholds.KURTOSIS_TOLERANCE, thresholds.AXIS_SIGMA * kurtosis.error)
+
+
+def _kurtosis(scaled: list[Array], axes: list[int]) -> Measured:
+    """Return the excess kurtosis of some axes together over all pieces.
 
     Its error from the pieces left out in tenths.
     """
-    fourth = np.array([(z[:, axis] ** 4).sum() for z in scaled])
-    second = np.array([(z[:, axis] ** 2).sum() for z in scaled])
+    fourth = np.array([(z[:, axes] ** 4).mean(axis=1).sum() for z in scaled])
+    second = np.array([(z[:, axes] ** 2).mean(axis=1).sum() for z in scaled])
     count = np.array([len(z) for z in scaled])
     part = np.arange(len(scaled)) % min(20, len(scaled))
 
@@ -124,7 +131,7 @@ def _kurtosis(scaled: list[Array], axis: int) -> Measured:
     whole = of(np.ones(part.size, dtype=bool))
     left = np.array([of(part != k) for k in np.unique(part)])
     spread = float(np.sqrt((left.size - 1) / left.size * ((left - left.mean()) ** 2).sum()))
-    return Measured(whole, max(spread, float(np.sqrt(24.0 / count.sum()))))
+    return Measured(whole, max(spread, float(np.sqrt(24.0 / (len(axes) * count.sum())))))
 
 
 def _together(z: Array) -> bool:

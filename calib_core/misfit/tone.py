@@ -33,6 +33,9 @@ LEAST_STACK = 10
 STEADY = {"accel": 0.1, "gyro": 0.03}
 STACK_ALLOWANCE = 1.15
 LOUDEST = 10.0
+LEAST_HALF, QUIET = 3.3, 2.83
+"""QUIET: mean of the largest of nine powers with no line (1 + 1/2 + ... + 1/9)."""
+
 FLANK = 0.15
 FINE = 0.05
 MOST_REFINED = 60
@@ -176,12 +179,8 @@ def _stacked(ratio: Array) -> int | None:
 
 
 def _lasting(near: Array) -> Index:
-    """Return the run of stretches in which the line lasts.
-
-    The one that gains most over half its mean power.
-    """
-    strong = np.sort(near)[-LEAST_STRETCHES:]
-    half = max(0.5 * float(min(np.median(strong), max(2.0 * near.mean(), 4.0))), 2.0)
+    """Return the run of stretches that gains most over half way from no line to the mean; near: (S,)."""
+    half = max(0.5 * (QUIET + float(near.mean())), LEAST_HALF)
     gain = np.concatenate([[0.0], np.cumsum(np.minimum(near, 4.0 * half) - half)])
     lowest = np.minimum.accumulate(gain)
     last = int(np.argmax(gain - lowest))

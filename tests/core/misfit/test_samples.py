@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.misfit.quick import Measured, mean_of
-from stillcal.calib_core.misfit.records import Claims
-from stillcal.calib_core.misfit.tails import contaminated
+from stillcal.calib_core.misfit.records import Claims, Finding, Where
+from stillcal.calib_core.misfit.spectrum import Quiet
+from stillcal.calib_core.misfit.tails import contaminated, tails
 from stillcal.calib_core.misfit.timing import clock_rate, timing_findings
 from stillcal.calib_core.misfit.tone import tone
 from stillcal.calib_core.misfit.values import comb_step, quantisation, saturation, steps
@@ -111,6 +112,21 @@ def test_contamination_is_measured() -> None:
     assert fit.ratio.error < 0.2
 
 
+def test_far_samples_too_few_for_one_axis_are_sure_on_three() -> None:
+    rng = np.random.default_rng(1)
+    wide = np.where(rng.random((28000, 3)) < 0.02, 2.3, 1.0)
+    noise = rng.normal(size=wide.shape)
+
+    def heavy(factor: np.ndarray) -> Finding | None:
+        still = Quiet(tuple(np.split(noise * factor, 112)), tuple(10.0 * np.arange(112)), 25.0)
+        return tails(still, "accel", Where(0.0, 1120.0, (0.0, 12.5), "noise at rest"), 0.0)
+
+    found = heavy(wide)
+    assert found is not None and found.effect == "noise_heavy_tailed" and found.axes == ["x", "y", "z"]
+    assert heavy(np.where([True, False, False], wide, 1.0)) is None
+    assert heavy(np.ones_like(wide)) is None
+
+
 def test_a_number_is_beyond_only_outside_its_tolerance() -> None:
     assert Measured(1.1, 0.01).beyond(0.8, 1.2) == 0.0
     assert Measured(1.3, 0.01).beyond(0.8, 1.2) == pytest.approx(10.0)
@@ -124,6 +140,7 @@ def test_a_faint_line_is_found_in_long_stretches() -> None:
     assert tone(stream(t, quiet), "accel") is None
     line = tone(stream(t, quiet + np.outer(np.sin(2 * np.pi * 11.3 * t), [0.001, 0.001, 0.001])), "accel")
     assert line is not None
+    assert line.where.t_end - line.where.t_start > 0.8 * (t[-1] - t[0]), "it lasts as long as the recording"
     assert line.parameters["frequency"].value == pytest.approx(11.3, abs=0.02)
 
 
