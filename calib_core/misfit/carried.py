@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.misfit.bins import Bins
+from stillcal.calib_core.misfit.sliding import means
 from stillcal.calib_core.misfit.views import (
     Baseline,
     Norms,
@@ -107,16 +108,15 @@ def _local_bias(rate: Array) -> Array:
     n = len(rate)
     out = (rate[1:] + rate[:-1]) / 2.0
     least = np.full(3, np.inf)
-    sums = np.vstack([np.zeros(3), np.cumsum(rate - rate.mean(axis=0), axis=0)])
+    at = np.arange(n)
     for width in WINDOWS:
         if width > 1 and width >= n:
             break
-        at = np.arange(n)
         low, high = np.maximum(at - width, 0), np.minimum(at + width + 1, n)
-        around = (sums[high] - sums[low] - np.diff(sums, axis=0)) / np.maximum(high - low - 1, 1)[:, None]
-        error = np.median(np.abs(np.diff(sums, axis=0) - around), axis=0)
-        low, high = np.maximum(at[1:] - width, 0), np.minimum(at[1:] + width, n)
-        local = (sums[high] - sums[low]) / (high - low)[:, None] + rate.mean(axis=0)
+        # A bin's distance from the mean of the others about it.
+        away = (rate - means(rate, low, high)) * ((high - low) / np.maximum(high - low - 1, 1))[:, None]
+        error = np.median(np.abs(away), axis=0)
+        local = means(rate, np.maximum(at[1:] - width, 0), np.minimum(at[1:] + width, n))
         out = np.where(error < least, local, out)
         least = np.minimum(error, least)
     return np.asarray(out)

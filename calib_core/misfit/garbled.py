@@ -3,8 +3,7 @@
 Gravity then does not go where the gyroscope takes it.
 
 Only turns between rests are looked at. A stretch is garbled where most of its turns miss by far, the others
-do
-not, and one exchange of axes or signs of one sensor, the same for the whole stretch, makes them fit.
+do not, and one exchange of axes or signs of one sensor, the same for the whole stretch, makes them fit.
 """
 
 from __future__ import annotations
@@ -35,10 +34,7 @@ AXES = "xyz"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One turn between rests. end: s; start: s; t, rate: of its samples; up.
-
-    (2, 3) gravity before and after.
-    """
+    """One turn between rests. start, end: s; t (n,), rate (n, 3): of its samples; up: (2, 3) around it."""
 
     start: float
     end: float
@@ -47,9 +43,9 @@ class Step:
     up: Array
 
     def miss(self, accel: Array, gyro: Array, inside: tuple[bool, bool, bool]) -> float:
-        """Return how far gravity is from where the rates take it, rad; inside.
+        """Return how far gravity is from where the rates take it, rad.
 
-        Of rests and rates, to be mended.
+        accel, gyro: (3, 3), what mends each; inside: whether rest, rates and rest are to be mended.
         """
         rate = self.rate @ gyro.T if inside[1] else self.rate
         before = accel @ self.up[0] if inside[0] else self.up[0]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stillcal.calib_core.misfit.sliding import means
 from stillcal.calib_core.samples import Array
 
 Index = NDArray[np.int64]
@@ -59,10 +60,8 @@ def poses(
 
 def _less_bias(rate: Array) -> Array:
     """Take the mean of their neighbourhood off the rates (n, 3) of a rest."""
-    total = np.vstack([np.zeros(3), np.cumsum(rate - rate.mean(axis=0), axis=0)])
     at = np.arange(len(rate))
-    low, high = np.maximum(at - AROUND, 0), np.minimum(at + AROUND + 1, len(rate))
-    return np.asarray(rate - rate.mean(axis=0) - (total[high] - total[low]) / (high - low)[:, None])
+    return rate - means(rate, np.maximum(at - AROUND, 0), np.minimum(at + AROUND + 1, len(rate)))
 
 
 def _turned(before: tuple[int, int], after: tuple[int, int], rate: Array, count: Array, noise: Array) -> bool:
