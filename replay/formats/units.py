@@ -38,8 +38,8 @@ _TILT = 0.2
 """rad: how far biases and misalignment may tilt the force from gravity as the gyroscope's axes have it; a
 fast spin about the vertical then seems to turn gravity by this much of its angle."""
 
-_SLOWEST_STEP = 10.0
-"""s: a longer median step between samples is another unit of time."""
+_SLOWEST_STEP = 1.0
+"""s: a longer median step is another unit of time; a sensor's of less than 1 kHz is longer in ms."""
 
 _MAP = "in a column map given as --format (docs/formats.md)"
 
@@ -80,12 +80,10 @@ class UnitCheck:
         self._norms = []
 
     def _judge_time(self, t: Array) -> None:
-        """Refuse stamps that cannot be seconds: of a sensor that gives less than a sample in ten."""
+        """Refuse stamps that cannot be seconds: of a sensor that gives less than a sample a second."""
         step = float(np.median(np.diff(t))) if t.size > FEWEST else 0.0
         if step > _SLOWEST_STEP:
-            what = (
-                f"the time stamps step by {step:.6g}, where a sensor's step by less than {_SLOWEST_STEP:g} s"
-            )
+            what = f"the time stamps step by {step:.6g}, where a sensor's step by {_SLOWEST_STEP:g} s at most"
             raise TraceError(self.path, what, f'give s, or set unit = "ns", "us" or "ms" {_MAP}')
 
     def _judge_size(self, norms: Array) -> None:

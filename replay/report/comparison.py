@@ -19,7 +19,7 @@ from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.quick import Measured, mean_of, tail
 from stillcal.calib_core.misfit.spectrum import quiet, spectra
-from stillcal.calib_core.misfit.values import comb_step
+from stillcal.calib_core.misfit.values import UNIT, comb_step
 from stillcal.calib_core.samples import Array, Samples
 from stillcal.replay.report.comparison_slow import Slow, slow_differences, slow_side
 from stillcal.replay.trace import Recording
@@ -173,22 +173,33 @@ def _of_samples(
     power = [_band_power(spectra(still), rate) for still in (one, other)]
     steps = [[comb_step(s.xyz[:, a]) or 0.0 for a in range(3)] for s, _ in (recorded, simulated)]
     for a, axis in enumerate("xyz"):
-        name = f"{sensor} {axis}"
-        yield _steps(name, steps[0][a], steps[1][a], shown)
+        name, unit = f"{sensor} {axis}", UNIT[sensor]
+        yield _steps(name, unit, (steps[0][a], steps[1][a]), shown)
         if _coarse(steps[0][a], shown[0]) and _coarse(steps[1][a], shown[1]):
             continue  # noise that hides in a step depends on where between two values a rest happens to lie
-        for what, unit, tolerance in (("spread", "ln", SPREAD_TOLERANCE), ("kurtosis", "1", SHAPE_TOLERANCE)):
-            both = (shown[0][what][:, a], shown[1][what][:, a])
-            yield _robust(f"{what} of samples at rest", name, unit, both, tolerance)
+        spreads, shapes = ((shown[0][what][:, a], shown[1][what][:, a]) for what in ("spread", "kurtosis"))
+        yield _ratio("spread of samples at rest", name, unit, spreads, SPREAD_TOLERANCE)
+        yield _robust("excess kurtosis of samples at rest", name, "1", shapes, SHAPE_TOLERANCE)
         for b in range(BANDS):
             low, high = _edges(rate)[b : b + 2]
-            what = f"power from {low:.2g} to {high:.2g} Hz"
-            yield _robust(what, name, "ln", (power[0][:, b, a], power[1][:, b, a]), BAND_TOLERANCE)
+            what = f"power from {_hertz(low)} to {_hertz(high)} Hz"
+            bands = (power[0][:, b, a], power[1][:, b, a])
+            yield _ratio(what, name, f"({unit})^2/Hz", bands, BAND_TOLERANCE)
+
+
+def _hertz(f: float) -> str:
+    return f"{f:.1f}" if f < 10.0 else f"{f:.0f}"
 
 
 def _robust(what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float) -> Compared:
     one, other = (mean_of(side, 1e-12) for side in sides)
     return Compared(what, channel, one.value, other.value, unit, difference(one, other, tolerance))
+
+
+def _ratio(what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float) -> Compared:
+    """Compare logarithms; what is told are the geometric means, in `unit`."""
+    told = _robust(what, channel, unit, sides, tolerance)
+    return replace(told, recorded=float(np.exp(told.recorded)), simulated=float(np.exp(told.simulated)))
 
 
 def _per_bin(pieces: Sequence[Array]) -> dict[str, Array]:
@@ -199,11 +210,11 @@ def _per_bin(pieces: Sequence[Array]) -> dict[str, Array]:
     return {"spread": np.log(floor), "kurtosis": fourth / floor**4 - 3.0}
 
 
-def _steps(channel: str, one: float, other: float, shown: list[dict[str, Array]]) -> Compared:
+def _steps(channel: str, unit: str, step: tuple[float, float], shown: list[dict[str, Array]]) -> Compared:
     """Compare the steps of values: they differ where one is coarse beside the noise and not the other's."""
-    coarse = _coarse(one, shown[0]) or _coarse(other, shown[1])
-    alike = not coarse or abs(one - other) < 0.02 * max(one, other)
-    return Compared("step of values", channel, one, other, "unit", 1.0 if alike else 1e-12)
+    coarse = any(_coarse(s, side) for s, side in zip(step, shown, strict=True))
+    alike = not coarse or abs(step[0] - step[1]) < 0.02 * max(step)
+    return Compared("step of values", channel, *step, unit, 1.0 if alike else 1e-12)
 
 
 def _coarse(step: float, shown: dict[str, Array]) -> bool:

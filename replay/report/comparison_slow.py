@@ -18,6 +18,7 @@ from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Scene
 from stillcal.calib_core.misfit.evidence import fit_hypothesis
 from stillcal.calib_core.misfit.scenes import scenes
 from stillcal.calib_core.misfit.search import reduce_scene
+from stillcal.calib_core.misfit.values import UNIT
 from stillcal.calib_core.misfit.views import View, fit_baseline, rest_means
 from stillcal.calib_core.samples import Array
 
@@ -44,6 +45,9 @@ RATE_TOLERANCE = 2e-4
 
 HEAT = ("bias_temperature", "thermal_latent")
 """What is fitted first, because charging, time and attitude may go with it."""
+
+TURNS = "turn"
+"""The view of gravity's direction after turns, rad; all others are in their sensor's unit."""
 
 TAU = 300.0
 """Time constant, s, of the curve that stands for its entry's grid."""
@@ -104,7 +108,9 @@ def _followed(scene: Scene) -> Iterator[tuple[tuple[str, str, float], Coefficien
             covariance = fit.covariance * np.outer(h.sizes, h.sizes) + np.diag((SAME * h.sizes) ** 2)
             unit = h.entry.parameters[0].unit
             key = (h.entry.effect, scene.sensor, h.grid.get("tau_s", 0.0) + h.sizes.size)
-            name = " and ".join([h.entry.effect, *(p.name for p in h.entry.parameters[1:])])
+            name = " and ".join(
+                [h.entry.effect, *(p.name for p in h.entry.parameters[1:] if p.name != "tau_s")]
+            )
             yield key, Coefficients(name, scene.sensor, fit.beta * h.sizes, covariance, unit)
 
 
@@ -140,8 +146,9 @@ def _wander(one: Scene, other: Scene) -> Iterator[Row]:
         from scipy.special import erfc  # noqa: PLC0415 - the daemon stays light
 
         p = float(erfc(sigmas / np.sqrt(2.0)))
-        name = f"{one.sensor} {a.name}"
-        yield "scatter of still bins", name, float(np.exp(left[0])), float(np.exp(left[1])), "unit", p
+        name = f"{one.sensor} {a.name.removeprefix('rate_')}"
+        unit = "rad" if a.name == TURNS else UNIT[one.sensor]
+        yield "scatter of still bins", name, float(np.exp(left[0])), float(np.exp(left[1])), unit, p
 
 
 def _scatter(view: View) -> float:

@@ -11,6 +11,7 @@ from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.carried import LEAST_TURNS
 from stillcal.calib_core.misfit.catalogue.drivers import LEAST_SPAN
 from stillcal.calib_core.rests import attitude_labels
+from stillcal.replay.report.wording import counted
 
 ATTITUDE_ANGLE = 0.2
 """Attitudes further apart than this count as different, rad."""
@@ -73,7 +74,8 @@ def _of_samples(facts: Facts) -> list[Check]:
         return [Check("stamps, noise, values, vibration", False, why)]
     clock = "against the host's clock" if facts.arrivals else "no arrival times: the nominal rate only"
     quiet = facts.bins >= LEAST_PIECES
-    noise = f"{facts.bins} still bins" if quiet else f"{facts.bins} still bins, {LEAST_PIECES} are needed"
+    still = counted(facts.bins, "still bin")
+    noise = still if quiet else f"{still}, {LEAST_PIECES} are needed"
     return [
         Check("stamps: jitter, drops, clock", True, clock),
         Check("arrival in bursts", facts.arrivals, "arrival times" if facts.arrivals else "no arrival times"),
@@ -84,8 +86,9 @@ def _of_samples(facts: Facts) -> list[Check]:
 
 def _slow(facts: Facts) -> list[Check]:
     enough = facts.bins >= thresholds.LEAST_BINS
-    long = f"{facts.bins} still bins in {facts.rests} rests, {facts.still_s / 60.0:.0f} min"
-    short = f"{facts.bins} still bins, {thresholds.LEAST_BINS} are needed: let the phone lie"
+    still = counted(facts.bins, "still bin")
+    long = f"{still} in {counted(facts.rests, 'rest')}, {facts.still_s / 60.0:.0f} min"
+    short = f"{still}, {thresholds.LEAST_BINS} are needed: let the phone lie"
     bins = [Check("slow bias at rest", enough, long if enough else short)]
     if not facts.stamps:
         bins = [Check("bias and scale between rests", enough, long if enough else short)]
@@ -97,7 +100,7 @@ def _slow(facts: Facts) -> list[Check]:
         Check(
             "accelerometer nonlinearity",
             enough and facts.attitudes >= 6,
-            f"{facts.attitudes} attitudes, 6 are needed",
+            f"{counted(facts.attitudes, 'attitude')}, 6 are needed",
         ),
     ]
 
@@ -109,7 +112,11 @@ def _thermometer(facts: Facts) -> str:
 
 
 def _charger(facts: Facts) -> str:
-    return "no charging events" if not facts.switches else f"{facts.switches} switches of the charger"
+    return (
+        "no charging events"
+        if not facts.switches
+        else "the charger switched " + counted(facts.switches, "time")
+    )
 
 
 def _of_gyroscope(facts: Facts) -> list[Check]:
@@ -117,11 +124,11 @@ def _of_gyroscope(facts: Facts) -> list[Check]:
         return [Check("gyroscope, and time between the sensors", False, "no gyroscope was recorded")]
     enough = facts.bins >= thresholds.LEAST_BINS
     between = facts.rests - 1
-    attitudes = f"{facts.attitudes} attitudes, 4 are needed"
+    attitudes = f"{counted(facts.attitudes, 'attitude')}, 4 are needed"
     checked = [Check("gyroscope's sensitivity to force", enough and facts.attitudes >= 4, attitudes)]
     if facts.samples == 0:
         return [*checked, Check("gyroscope's scale, time offset", False, "a table of rests holds no motion")]
-    turns = f"at most {max(between, 0)} turns from rest to rest, {LEAST_TURNS} are needed"
+    turns = f"at most {counted(max(between, 0), 'turn')} from rest to rest, {LEAST_TURNS} are needed"
     return [*checked, Check("gyroscope's scale and linearity, lever arm", between >= LEAST_TURNS, turns)]
 
 

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.heldout import FOLDS
 from stillcal.calib_core.misfit.records import Finding
@@ -33,8 +34,9 @@ SENSOR = {"accel": Sensor.ACCELEROMETER, "gyro": Sensor.GYROSCOPE}
 class Curve:
     """One axis of one finding. x: (n,) driver in `x_name`; t: (n,) s since the start; values in `unit`.
 
-    point: component plus residual; fitted: the component, None where no term is known; held: the component
-    from the other fifths; edges: s, where the fifths meet.
+    point: component plus residual; held: the component from the other fifths, None where no term is known;
+    edges: s, where the fifths meet; span: s, where the finding is. alone, line: point and component with only
+    what x itself does left in, so that the component is a curve over x; both are of `y_name`.
     """
 
     axis: str
@@ -43,9 +45,12 @@ class Curve:
     x: Array
     t: Array
     point: Array
-    fitted: Array | None
     held: Array | None
     edges: Array
+    span: tuple[float, float]
+    y_name: str
+    alone: Array
+    line: Array | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,6 +139,7 @@ def _curve(
     held = None if own is None else _held(part, everything, component, axis, t=t, edges=edges)
     x_name, x = _driver(finding, bins, axis, below)
     point = component[seen] + rest[seen] / share[seen]
+    y_name, alone, line = _alone(finding, axis, point, component[seen], up=below.baseline.up[seen])
     return Curve(
         "xyz"[axis],
         UNIT[finding.sensor],
@@ -141,10 +147,27 @@ def _curve(
         x[seen],
         t[seen],
         point,
-        None if own is None else component[seen],
         None if held is None else held[seen],
         edges,
+        (finding.where.t_start - bins.span[0], finding.where.t_end - bins.span[0]),
+        y_name,
+        alone,
+        None if own is None else line,
     )
+
+
+def _alone(
+    finding: Finding, axis: int, point: Array, component: Array, *, up: Array
+) -> tuple[str, Array, Array]:
+    """Return what is drawn over the driver, its name, and the part of the component that the driver makes."""
+    if finding.effect.endswith("scale_temperature"):
+        return "error at 1 g,", point / up[:, axis], component / up[:, axis]
+    matrix = finding.parameters.get("matrix")
+    if matrix is None:
+        return "bias", point, component
+    other = _strongest(finding, axis)
+    line = np.asarray(matrix.value)[axis, other] * STANDARD * up[:, other]
+    return "bias", point - component + line, line
 
 
 def _held(part: Residual, everything: Array, component: Array, axis: int, *, t: Array, edges: Array) -> Array:
@@ -175,7 +198,7 @@ def _driver(finding: Finding, bins: Bins, axis: int, below: Affine) -> tuple[str
         return "temperature, degC", bins.temperature
     if follows in ("own force", "attitude", "attitude, nonlinearly"):
         other = axis if finding.sensor == "accel" else _strongest(finding, axis)
-        return f"gravity along {'xyz'[other]}, m/s^2", np.asarray(9.80665 * below.baseline.up[:, other])
+        return f"gravity along {'xyz'[other]}, m/s^2", np.asarray(STANDARD * below.baseline.up[:, other])
     if follows == "vibration power":
         return "vibration, (m/s^2)^2", bins.vibration
     return "time, min", np.asarray((bins.t - bins.span[0]) / 60.0)

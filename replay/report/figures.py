@@ -18,6 +18,7 @@ from stillcal.calib_core.misfit.spectrum import quiet, spectra
 from stillcal.calib_core.samples import Array, Samples
 from stillcal.replay.report.curves import Curve, running_median
 from stillcal.replay.report.map import Map
+from stillcal.replay.report.wording import readable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,6 +28,9 @@ WIDTH, HEIGHT = 5.0, 3.1
 INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", "#c65a11", "#0b6e99"
 CLIP = 8.0
 """Departures beyond this many units of noise have one colour."""
+
+PART = 0.9
+"""A finding in less than this part of the recording is shaded in time."""
 
 STYLE: Any = {
     "font.size": 9.5,
@@ -93,6 +97,7 @@ def map_figure(drawn: Map) -> str:
         axes.invert_yaxis()
         axes.set_xlabel("time, min")
         bar = figure.colorbar(colours, ax=axes, location="top", shrink=0.8, aspect=40, extend="both")
+        bar.set_ticks([-CLIP, -CLIP / 2, 0.0, CLIP / 2, CLIP])
         bar.set_label("departure, in units of each channel's noise")
     return out[0]
 
@@ -108,21 +113,24 @@ def curve_figures(curve: Curve) -> list[str]:
 
 def _against(curve: Curve, scale: float, unit: str) -> str:
     with drawing() as (_, axes, out):
-        axes.plot(curve.x, curve.point * scale, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
-        if curve.fitted is None:
-            x, y = running_median(curve.x, curve.point)
-            axes.plot(x, y * scale, color=BEFORE, lw=1.8, label="running median: no name")
+        y = curve.alone * scale
+        axes.plot(curve.x, y, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
+        if curve.line is None:
+            x, middle = running_median(curve.x, y)
+            axes.plot(x, middle, color=BEFORE, lw=1.8, label="running median: no name")
         else:
             order = np.argsort(curve.x)
-            axes.plot(curve.x[order], curve.fitted[order] * scale, color=AFTER, lw=1.8, label="fitted")
-        axes.set_xlabel(curve.x_name)
-        axes.set_ylabel(f"bias {curve.axis}, {unit}")
+            axes.plot(curve.x[order], curve.line[order] * scale, color=AFTER, lw=1.8, label="fitted")
+        axes.set_xlabel(readable(curve.x_name))
+        axes.set_ylabel(f"{curve.y_name} {curve.axis}, {readable(unit)}")
     return out[0]
 
 
 def _in_time(curve: Curve, scale: float, unit: str) -> str:
     with drawing() as (_, axes, out):
         minutes = curve.t / 60.0
+        if curve.span[1] - curve.span[0] < PART * (curve.edges[-1] - curve.edges[0]):
+            axes.axvspan(curve.span[0] / 60.0, curve.span[1] / 60.0, color="#f1e3d6", label="where it is")
         axes.plot(minutes, curve.point * scale, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
         if curve.held is None:
             x, y = running_median(minutes, curve.point, 30)
@@ -138,7 +146,7 @@ def _in_time(curve: Curve, scale: float, unit: str) -> str:
         axes.set_xlabel(
             "time, min (dotted: fifths held out in turn)" if curve.held is not None else "time, min"
         )
-        axes.set_ylabel(f"bias {curve.axis}, {unit}")
+        axes.set_ylabel(f"bias {curve.axis}, {readable(unit)}")
     return out[0]
 
 
@@ -170,7 +178,7 @@ def spectrum_figure(three: Three, unit: str, mark: float | None) -> str:
         if mark is not None:
             axes.axvline(mark, color="#999999", lw=1.0, ls=":")
         axes.set_xlabel("frequency, Hz" if mark is None else f"frequency, Hz (dotted: {mark:.4g} Hz)")
-        axes.set_ylabel(f"density, loudest axis,\n{unit}/√Hz")
+        axes.set_ylabel(f"density, loudest axis,\n{readable(unit)}/√Hz")
     return out[0]
 
 
@@ -186,7 +194,7 @@ def values_figure(three: Three, unit: str, axis: int) -> str:
             share = np.histogram(p, edges)[0] / max(p.size, 1)
             axes.stairs(share, edges * scale, color=colour, lw=1.3, label=label)
         axes.set_yscale("log")
-        axes.set_xlabel(f"sample less its bin's mean, {'xyz'[axis]}, {name}")
+        axes.set_xlabel(f"sample less its bin's mean, {'xyz'[axis]}, {readable(name)}")
         axes.set_ylabel("part of samples")
     return out[0]
 
@@ -222,6 +230,17 @@ def extremes_figure(three: Three, unit: str, limit: float) -> str:
             axes.stairs(share, edges, color=colour, lw=1.3, label=label)
         axes.axvline(limit, color="#999999", lw=1.0, ls=":")
         axes.set_yscale("log")
-        axes.set_xlabel(f"largest value of a sample, {unit} (dotted: {limit:.4g})")
+        axes.set_xlabel(f"largest value of a sample, {readable(unit)} (dotted: {limit:.4g})")
         axes.set_ylabel("part of samples")
+    return out[0]
+
+
+def held_out_figure(before: float, after: float) -> str:
+    """Draw the held-out residual without and with what was found, for findings that have no other picture."""
+    with drawing(1.5) as (_, axes, out):
+        axes.barh([1.0, 0.0], [before, after], color=[BEFORE, AFTER], height=0.7)
+        axes.set_yticks([1.0, 0.0], ["without it", "with it"])
+        axes.tick_params(axis="y", length=0)
+        axes.set_xlim(0.0, 1.1 * max(before, after))
+        axes.set_xlabel("residual of what was held out, rms")
     return out[0]

@@ -91,10 +91,13 @@ def _slow(
     parts = zip(
         names, residuals(sensor, bins, plain, gravity), residuals(sensor, bins, better, gravity), strict=True
     )
+    variance = bins.force_variance if sensor == "accel" or bins.rate_variance is None else bins.rate_variance
     rows = []
     for name, before, after in parts:
         departure, left = left_over(before, known), left_over(after, explained)
-        noise = _bin_to_bin(left, bins)
+        # Few bins beside many parameters leave hardly anything: less than the white noise it cannot be.
+        white = np.sqrt(np.median(np.sum(before.project**2 * variance, axis=1)))
+        noise = max(_bin_to_bin(left, bins), float(white))
         value = _cells(bins.t, departure, edges)
         rows.append(Channel(name, UNIT[sensor], noise, value, value / noise))
     return rows

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.misfit.records import Finding
-from stillcal.replay.report import figures
+from stillcal.replay.report import figures, tables
 from stillcal.replay.report.case import Case, Trial
 from stillcal.replay.report.curves import UNIT, slow
 from stillcal.replay.report.mapping import Mapped
@@ -24,9 +24,8 @@ from stillcal.replay.report.wording import (
     certainty,
     ending,
     headline,
-    interval,
     number,
-    shown,
+    readable,
     title,
     to_record,
 )
@@ -42,13 +41,16 @@ h1{font-size:1.5rem;line-height:1.25}h2{font-size:1.2rem;margin-top:2.2rem;borde
 .pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,27rem),1fr));gap:1rem}
 figure{margin:.6rem 0;max-width:31rem}figure.wide{max-width:46rem}
 img{width:100%;height:auto;display:block}figcaption{font-size:.9rem;color:#444}
-.scroll{overflow-x:auto}table{border-collapse:collapse;font-size:.9rem;min-width:20rem}
-th,td{overflow-wrap:normal;text-align:left;vertical-align:top;
- padding:.25rem .7rem .25rem 0;border-bottom:1px solid #ddd}
 code,.equation{font-family:ui-monospace,monospace;font-size:.92rem}
-.equation{background:#f6f6f6;padding:.5rem .7rem;overflow-x:auto}
+.equation{background:#f6f6f6;padding:.5rem .7rem}
 .no{color:#8a3c00;font-weight:600}footer{margin-top:2.5rem;font-size:.85rem;color:#555}
 """
+
+OUTCOMES = {
+    "adequate": "Its simulated twin",
+    "unexplained": "A phone simulated as it was measured, without what has no name",
+}
+"""What was simulated last, by verdict, where it is not a phone with what was found."""
 
 
 def page(case: Case, answer: dict[str, Any], both: tuple[Trial, Trial] | None) -> str:
@@ -68,8 +70,8 @@ def page(case: Case, answer: dict[str, Any], both: tuple[Trial, Trial] | None) -
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{name}: {escape(answer['verdict'].replace('_', ' '))}</title><style>{STYLE}</style></head>"
-        f"<body><main>\n{chr(10).join(parts)}\n</main></body></html>\n"
+        f"<title>{name}: {escape(answer['verdict'].replace('_', ' '))}</title>"
+        f"<style>{STYLE}{tables.STYLE}</style></head><body><main>\n{chr(10).join(parts)}\n</main></body></html>\n"
     )
 
 
@@ -79,7 +81,8 @@ def _verdict(case: Case, answer: dict[str, Any]) -> Iterator[str]:
     kind, words = answer["verdict"], headline(answer["verdict"], done, len(checks))
     said = kind.replace("_", " ").capitalize()
     yield f'<p class="verdict {escape(kind)}"><strong>{escape(said)}</strong>: {escape(words)}.</p>'
-    yield _list(f["statement"] for f in answer["findings"])
+    yield _list(readable(f["statement"]) for f in answer["findings"])
+    yield _outcome(answer)
     known = [f"{k['effect']} ({k['sensor']}): {k['why']}" for k in answer.get("already_simulated", ())]
     if known:
         yield "<p>Already in the simulation, and so no news:</p>" + _list(known)
@@ -88,6 +91,15 @@ def _verdict(case: Case, answer: dict[str, Any]) -> Iterator[str]:
         yield "<p>In the simulation, and not in the recording:</p>" + _list(absent)
     if answer["limits"]:
         yield "<p>What this recording cannot show:</p>" + _list(answer["limits"])
+
+
+def _outcome(answer: dict[str, Any]) -> str:
+    """Say beside the verdict whether the simulation is now the recording's: a verdict may not hide that."""
+    after = answer.get("comparison_after")
+    if after is None:
+        return ""
+    which = OUTCOMES.get(answer["verdict"], "A phone simulated with what was found")
+    return f"<p>{which}, on this recording's own day: {escape(told(after))}.</p>"
 
 
 def _list(items: Iterable[str]) -> str:
@@ -106,9 +118,9 @@ def _map(case: Case) -> Picture:
     caption = (
         "Each row is a channel: the norm of gravity and the rates at rest, the spread of single samples at"
         " rest, how far intervals are off the period. Each column is a stretch of time; grey is where the"
-        " phone moved. Colour is the departure from the twin before anything found is taken off; beyond"
-        f" {figures.CLIP:.0f} units it is full. One unit of noise in the row that departs most,"
-        f" {loudest.name}, is {number(loudest.noise)} {loudest.unit}."
+        " phone moved or nothing was recorded. Colour is the departure from the twin before anything found is"
+        f" taken off; beyond {figures.CLIP:.0f} units it is full. One unit of noise in the row that departs"
+        f" most, {loudest.name}, is {number(loudest.noise)} {readable(loudest.unit)}."
     )
     return Picture(figures.map_figure(case.map), alt, caption)
 
@@ -137,47 +149,37 @@ def _findings(case: Case, answer: dict[str, Any], both: tuple[Trial, Trial] | No
 
 def _finding(case: Case, one: Mapped, both: tuple[Trial, Trial] | None) -> Iterator[str]:
     finding = one.finding
-    yield f"<h3>{escape(title(finding))}</h3><p>{escape(finding.statement)}</p>"
+    yield f"<h3>{escape(title(finding))}</h3><p>{escape(readable(finding.statement))}</p>"
     equation = ending(finding.effect, EQUATIONS)
     if equation:
         yield f'<p class="equation">{equation}</p>'
     drawn = pictures(case, one, both)
     if drawn:
         yield f'<div class="pictures">{"".join(_figure(p) for p in drawn)}</div>'
-    yield _parameters(finding)
-    yield f"<p>{_sure(finding)}</p>"
+    yield tables.parameters(finding)
+    yield f"<p>{_sure(finding, case.about.t_start)}</p>"
     yield _alternatives(finding)
     following = to_record(finding)
     if following:
-        yield f"<p>To learn more: {escape(following)}.</p>"
+        yield f"<p>What to record next: {escape(following)}.</p>"
     if one.effect is None:
         yield f"<p>In the phone file: {escape(one.why)}.</p>"
 
 
-def _parameters(finding: Finding) -> str:
-    rows = [
-        (escape(name), escape(shown(p.value)), escape(interval(p.ci95)), escape(p.unit))
-        for name, p in finding.parameters.items()
-    ]
-    return _table(("parameter", "value", "95 % interval", "unit"), rows)
-
-
-def _sure(finding: Finding) -> str:
+def _sure(finding: Finding, start: float) -> str:
     e, where = finding.evidence, finding.where
-    unit = UNIT[finding.sensor] + " " if slow(finding) else ""
-    span = f"from {where.t_start:.0f} to {where.t_end:.0f} s"
-    text = (
-        f"How sure: {certainty(e.p_value)} (p = {e.p_value:.1e}), {span}, following {escape(where.driver)}."
-    )
+    unit = readable(UNIT[finding.sensor]) + " " if slow(finding) else ""
+    span = f"from {where.t_start - start:.0f} to {where.t_end - start:.0f} s after the start"
+    text = f"How sure: {certainty(e.p_value)} (p = {tables.p_words(e.p_value)}), {span},"
+    text += f" following {escape(where.driver)}."
+    better = "falls" if e.heldout_rmse_after < e.heldout_rmse_before else "does not fall"
+    rms = f"{number(e.heldout_rmse_before)} to {number(e.heldout_rmse_after)} {unit}rms"
     if e.folds:
-        text += (
-            f" Held out in {e.folds} parts, the residual falls from {number(e.heldout_rmse_before)} to"
-            f" {number(e.heldout_rmse_after)} {unit}rms, and the log score gains"
-            f" {number(e.heldout_log_score_gain)}."
-        )
+        gain = e.heldout_log_score_gain
+        text += f" Held out in {e.folds} parts, the residual {better}: {rms}; the log score"
+        text += f" {'gains' if gain > 0.0 else 'loses'} {number(abs(gain))} nats."
     elif e.heldout_rmse_before > 0.0:
-        rms = f"{number(e.heldout_rmse_before)} to {number(e.heldout_rmse_after)}"
-        text += f" It takes the residual from {rms} rms."
+        text += f" The residual {better}: {rms}."
     return text
 
 
@@ -192,14 +194,16 @@ def _alternatives(finding: Finding) -> str:
         )
         for a in finding.alternatives
     ]
-    return "<p>What else was tried for it:</p>" + _table(("effect", "held-out log score gain", ""), rows)
+    return "<p>What else was tried for it:</p>" + tables.table(
+        ("effect", "held-out log score gain", "verdict"), rows
+    )
 
 
 def _comparison(answer: dict[str, Any]) -> Iterator[str]:
     given = answer.get("comparison")
     if given is not None:
         yield "<h2>Beside the simulated recording</h2>"
-        yield f"<p>The simulated recording {escape(told(given))}.</p>" + _tests(given)
+        yield f"<p>The simulated recording {escape(told(given))}.</p>" + tables.comparison(given)
     before, after = answer.get("comparison_before"), answer.get("comparison_after")
     if before is None or after is None:
         return
@@ -209,7 +213,7 @@ def _comparison(answer: dict[str, Any]) -> Iterator[str]:
             "<p>A simulated phone, with the affine errors and the noise measured here, lives through this"
             f" recording's own day. Its recording: {escape(told(after))}.</p>"
         )
-        yield _tests(after)
+        yield tables.comparison(after)
         return
     yield "<h2>The simulation before and after</h2>"
     yield (
@@ -217,27 +221,7 @@ def _comparison(answer: dict[str, Any]) -> Iterator[str]:
         " with what was found; both recordings are then compared with this one.</p>"
     )
     yield f"<p>Before: {escape(told(before))}. After: {escape(told(after))}.</p>"
-    yield _tests(before, after)
-
-
-def _tests(before: dict[str, Any], after: dict[str, Any] | None = None, most: int = 12) -> str:
-    """Return the table of the statistics that differ most, with what they are afterwards."""
-    later = {} if after is None else {(t["statistic"], t["channel"]): t for t in after["tests"]}
-    rows = []
-    for t in before["tests"][:most]:
-        cells = [escape(t["statistic"]), escape(t["channel"]), number(t["recorded"])]
-        cells += [number(t["simulated"]), f"{t['p_corrected']:.1e}"]
-        other = later.get((t["statistic"], t["channel"]))
-        if after is not None:
-            cells += (
-                ["", ""] if other is None else [number(other["simulated"]), f"{other['p_corrected']:.1e}"]
-            )
-        rows.append((*cells, escape(t["unit"])))
-    heads: tuple[str, ...] = ("statistic", "channel", "recorded", "simulated", "p")
-    if after is not None:
-        heads = (*heads[:3], "simulated before", "p before", "simulated after", "p after")
-    note = f"<p>The {len(rows)} of {len(before['tests'])} statistics that differ most; p is corrected.</p>"
-    return note + _table((*heads, "unit"), rows)
+    yield tables.comparison(before, after)
 
 
 def _checked(answer: dict[str, Any]) -> Iterator[str]:
@@ -246,13 +230,6 @@ def _checked(answer: dict[str, Any]) -> Iterator[str]:
         (escape(c["what"]), "yes" if c["done"] else '<span class="no">no</span>', escape(c["how"]))
         for c in answer["checked"]
     ]
-    yield _table(("departures", "checked", "on what, or why not"), rows)
+    yield tables.table(("departures", "checked", "on what, or why not"), rows)
     if answer["findings"]:
         yield "<p>After what was found, nothing else passed the threshold of the search.</p>"
-
-
-def _table(heads: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    """Return a table of trusted cells."""
-    head = "".join(f'<th scope="col">{h}</th>' for h in heads)
-    body = "".join(f"<tr>{''.join(f'<td>{c}</td>' for c in row)}</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'

@@ -12,6 +12,7 @@ from stillcal.replay.report import figures
 from stillcal.replay.report.case import Case, Trial
 from stillcal.replay.report.curves import Curve
 from stillcal.replay.report.mapping import Mapped
+from stillcal.replay.report.wording import readable
 from stillcal.replay.trace import Recording
 
 MOST_AXES = 3
@@ -34,23 +35,34 @@ def pictures(case: Case, one: Mapped, both: tuple[Trial, Trial] | None) -> list[
     curves = case.curves(one)[:MOST_AXES]
     if curves:
         return [p for curve in curves for p in _of_curve(one.finding, curve)]
-    return [] if both is None else _of_samples(case, one.finding, both)
+    drawn = [] if both is None else _of_samples(case, one.finding, both)
+    return drawn or _of_held_out(one.finding)
+
+
+def _of_held_out(finding: Finding) -> list[Picture]:
+    before, after = finding.evidence.heldout_rmse_before, finding.evidence.heldout_rmse_after
+    if not before > 0.0:
+        return []
+    alt = f"Held-out residual without it {before:.3g} rms, with it {after:.3g}."
+    caption = "What predicts the parts of the recording that were left out, without and with it."
+    return [Picture(figures.held_out_figure(before, after), alt, caption)]
 
 
 def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
     drawn = figures.curve_figures(curve)
     effect = finding.effect.replace("_", " ")
     low, high = float(curve.point.min()), float(curve.point.max())
-    size = f"from {low:.3g} to {high:.3g} {curve.unit}"
+    size = f"from {low:.3g} to {high:.3g} {readable(curve.unit)}"
     against = Picture(
         drawn[0],
         f"Bias of axis {curve.axis} against {curve.x_name}, {size}, with the curve of {effect}.",
-        f"Axis {curve.axis}: each point is a still bin's bias by what the finding follows.",
+        f"Axis {curve.axis}: each point is a still bin, by what the finding follows.",
     )
     in_time = Picture(
         drawn[-1],
         f"Bias of axis {curve.axis} in time, {size}, with the held-out prediction of {effect}.",
-        f"Axis {curve.axis}: the line in each fifth was fitted to the other four; below, what it leaves."
+        f"Axis {curve.axis}: the line in each fifth was fitted to the other four; the dots about zero are"
+        " what it leaves."
         if curve.held is not None
         else f"Axis {curve.axis} in time: what no effect of the catalogue explains.",
     )
@@ -77,20 +89,26 @@ def _kind(finding: Finding) -> tuple[Draw, str, str] | None:
     if finding.effect in SPECTRAL:
         mark = _number(finding, "frequency", "cutoff")
         draw: Draw = lambda three, unit: figures.spectrum_figure(three, unit, mark)  # noqa: E731 - one of five
-        return draw, "Noise density at rest", "Noise inside rests, by frequency."
+        return (
+            draw,
+            "Noise density at rest",
+            "Noise inside rests, by frequency: with what was found the dashed line should lie on what was"
+            " recorded.",
+        )
     if finding.effect in LIMITED:
         limit = _number(finding, "limit") or 1.0
         return (
             lambda t, unit: figures.extremes_figure(t, unit, limit),
             "Histogram of largest values",
-            "Values.",
+            "How often a sample's largest value is how large. Between rests the simulated phone moves roughly"
+            " as recorded, and may not reach the limit.",
         )
     if finding.sensor == "timing":
         late = finding.effect == "arrival_bursts"
-        caption = "Intervals, on a logarithmic scale."
+        caption = "How often an interval is how long, on a logarithmic scale."
         return lambda t, _: figures.intervals_figure(t, arrival=late), "Histogram of intervals", caption
-    if finding.effect in VALUED:
-        caption = "Single samples inside rests."
+    if finding.effect in VALUED and finding.where.driver != "rate of turn":
+        caption = "How far single samples lie from the mean of their still bin, on a logarithmic scale."
         return lambda t, unit: figures.values_figure(t, unit, axis), "Histogram of samples at rest", caption
     return None
 

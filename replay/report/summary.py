@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from stillcal.replay.report.wording import headline
+from stillcal.replay.report.wording import counted, headline
 
 LINES = 10
 
@@ -53,9 +53,10 @@ def told(comparison: dict[str, Any]) -> str:
     tests = comparison["tests"]
     different = [t for t in tests if t["p_corrected"] < comparison["level"]]
     if not different:
-        return f"not told from the recording by {len(tests)} statistics"
+        return f"not told from the recording by {counted(len(tests), 'statistic')}"
     first = ", ".join(f"{t['statistic']} ({t['channel']})" for t in different[:2])
-    return f"differs in {len(different)} of {len(tests)} statistics, most in {first}"
+    most = "most in " if len(different) > 2 else ""
+    return f"differs in {len(different)} of {counted(len(tests), 'statistic')}, {most}{first}"
 
 
 def _unseen(answer: dict[str, Any]) -> Iterator[str]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from stillcal.calib_core.misfit.catalogue import slow_entries
 from stillcal.calib_core.misfit.records import Finding
 
@@ -107,17 +105,11 @@ def number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def shown(value: Any) -> str:
-    """Return a parameter's value, nested lists as rows."""
-    if isinstance(value, list):
-        if value and isinstance(value[0], list):
-            return "; ".join(shown(row) for row in value)
-        return ", ".join(number(v) for v in value)
-    return number(value)
+def readable(text: str) -> str:
+    """Return units and what has units in it as people write them: m/s² for m/s^2."""
+    return text.replace("^2", "²").replace("^3", "³")
 
 
-def interval(ci: Any) -> str:
-    """Return 95 % intervals, one for each number."""
-    if ci and isinstance(ci[0], list):
-        return "; ".join(interval(row) for row in ci)
-    return f"{number(ci[0])} to {number(ci[1])}"
+def counted(count: int, one: str) -> str:
+    """Return a number with its noun, in the plural where it is not one."""
+    return f"{count} {one}" if count == 1 else f"{count} {one}s"
