@@ -77,10 +77,20 @@ def residuals(sensor: str, bins: Bins, below: Affine, gravity: float) -> list[Re
         view = norm_view(bins, below.baseline, gravity)
         # The baseline was fitted with what is known taken off; the residual is wanted with it in.
         y = view.y[0] + np.einsum("na,na->n", view.project[0], below.accel)
-        return [Residual(np.asarray(y), view.project[0], view.nuisance())]
+        return [Residual(np.asarray(y), view.project[0], affine_columns(below.baseline.up))]
     assert bins.rate is not None
     ones = np.ones((len(bins), 1))
     return [Residual(bins.rate[:, a], np.tile(np.eye(3)[a], (len(bins), 1)), ones) for a in range(3)]
+
+
+def affine_columns(up: Array) -> Array:
+    """Return what an affine accelerometer's errors may do to gravity's norm, (n, 9). up: (n, 3).
+
+    Offset, bias, scale and misalignment over gravity's direction alone. In columns over the measured force
+    the three scales less the offset would be the residual itself, and free to take it all away.
+    """
+    x, y, z = up.T
+    return np.column_stack([np.ones_like(x), x, y, z, x * x, y * y, x * y, y * z, z * x])
 
 
 def left_over(part: Residual, explained: Array) -> Array:
