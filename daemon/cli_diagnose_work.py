@@ -57,6 +57,8 @@ def judged_recording(
     case = case_of(recording, found.diagnosis, found.known())
     answer = answered(found.diagnosis, facts(recording, case.bins))
     answer |= {"map": case.map.plain(), **found.plain()}
+    if wanted.phone is not None:
+        answer["judged_phone"] = wanted.phone
     if wanted.simulated is not None:
         tell(f"comparing with {wanted.simulated.name}")
         answer["comparison"] = _compared(case, wanted.simulated)

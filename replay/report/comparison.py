@@ -152,6 +152,13 @@ def _intervals(samples: Samples, period: float) -> tuple[Array, Array, Array]:
     return np.array(mean), np.array(scatter), np.array(missing)
 
 
+def stamps_measured(samples: Samples) -> tuple[float, float]:
+    """Return the standard deviation of a stamp about an even rate, s, and the part of samples missing."""
+    _, scatter, missing = _intervals(samples, float(np.median(np.diff(samples.t))))
+    lost = float(missing.mean())
+    return float(np.median(scatter)), lost / (1.0 + lost)
+
+
 def _burst_parts(samples: Samples, period: float) -> Array | None:
     if samples.t_arrival is None:
         return None

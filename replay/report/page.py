@@ -21,6 +21,7 @@ from stillcal.replay.report.pictures import Picture, pictures
 from stillcal.replay.report.summary import told
 from stillcal.replay.report.wording import (
     EQUATIONS,
+    against,
     certainty,
     ending,
     headline,
@@ -81,6 +82,9 @@ def _verdict(case: Case, answer: dict[str, Any]) -> Iterator[str]:
     kind, words = answer["verdict"], headline(answer["verdict"], done, len(checks))
     said = kind.replace("_", " ").capitalize()
     yield f'<p class="verdict {escape(kind)}"><strong>{escape(said)}</strong>: {escape(words)}.</p>'
+    if "judged_phone" in answer:
+        beside = against(answer["judged_phone"])
+        yield f"<p>{escape(beside[0].upper() + beside[1:])}.</p>"
     yield _list(readable(f["statement"]) for f in answer["findings"])
     yield _outcome(answer)
     known = [f"{k['effect']} ({k['sensor']}): {k['why']}" for k in answer.get("already_simulated", ())]

@@ -28,6 +28,7 @@ from stillcal.replay.phone.settings import (
     Wandering,
     per_axis,
 )
+from stillcal.replay.report.comparison import stamps_measured
 from stillcal.replay.report.mapping import IN_WHITE, Mapped
 from stillcal.replay.trace import Recording
 from stillcal.replay.twin import Affine, Lived, affine
@@ -35,6 +36,9 @@ from stillcal.replay.twin import Affine, Lived, affine
 LEAST_BINS = 8
 MOST_BINS = 48
 """Slow noise is fitted to so many bins at most: neighbours in a rest are put together beyond."""
+
+MOST_MISSING = 0.5
+"""Where more of the samples than this are missing the intervals are uneven, not samples lost."""
 
 TAUS = (240.0,)
 """Correlation times of the Gauss-Markov part that are tried, s."""
@@ -59,17 +63,28 @@ def phone_of(
             claimed=recording.claims.accel_noise_density,
         ),
         gyro=_gyroscope(recording, bins, effects, below, gravity),
-        clock=ClockSettings(shared=_together(recording.accelerometer, recording.gyroscope)),
+        clock=_clock(recording, effects),
         heat=_heat(recording.accelerometer, about),
         claims=_claims(recording),
         effects=tuple(effects),  # type: ignore[arg-type]  # every member of the registry
     )
 
 
+def _clock(recording: Recording, effects: Sequence[Effect]) -> ClockSettings:
+    """Return the stamps' clock, with their scatter and what is missing unless effects have these."""
+    told = {e.name for e in effects}
+    scatter, missing = stamps_measured(recording.accelerometer)
+    return ClockSettings(
+        shared=_together(recording.accelerometer, recording.gyroscope),
+        jitter_s=0.0 if "timestamp_jitter" in told else float(f"{scatter:.4g}"),
+        drop_fraction=0.0 if "dropped_samples" in told or missing > MOST_MISSING else float(f"{missing:.3g}"),
+    )
+
+
 def plain_phone(
     phone: Phone, found: Sequence[Mapped], known: Sequence[Effect], recording: Recording, below: Affine
 ) -> Phone:
-    """Return the phone as it was before anything was found: affine, with the same wander, as it is claimed.
+    """Return the phone as it was before anything was found: affine, its wander the same, its clock even.
 
     below: the affine phone fitted with no effects but those known before.
     """
@@ -82,7 +97,8 @@ def plain_phone(
         quiet_gyro = _as_claimed(gyro, claims.gyro_noise_density if "gyro" in loud else None, "gyro" in loud)
         gyro = msgspec.structs.replace(quiet_gyro, bias=_vector(below.rate_bias))
     accel = msgspec.structs.replace(accel, bias=_vector(below.baseline.bias), scale=scale)
-    return msgspec.structs.replace(phone, accel=accel, gyro=gyro, effects=tuple(known))
+    clock = ClockSettings(shared=phone.clock.shared)
+    return msgspec.structs.replace(phone, accel=accel, gyro=gyro, clock=clock, effects=tuple(known))
 
 
 def _as_claimed(settings: SensorSettings, density: float | None, loud: bool) -> SensorSettings:

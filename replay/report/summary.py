@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from stillcal.replay.report.wording import counted, headline
+from stillcal.replay.report.wording import against, counted, headline
 
 LINES = 10
 
 
 def summary(answer: dict[str, Any]) -> list[str]:
     """Return at most `LINES` lines."""
-    lines = [_verdict(answer), *_findings(answer), *_comparisons(answer), *_unseen(answer)]
+    lines = [_verdict(answer), *_twin(answer), *_findings(answer), *_comparisons(answer), *_unseen(answer)]
     if len(lines) <= LINES:
         return lines
     return [*lines[: LINES - 1], f"  and {len(lines) - LINES + 1} lines more: --json or --report has all"]
@@ -22,6 +22,11 @@ def _verdict(answer: dict[str, Any]) -> str:
     checks = answer["checked"]
     words = headline(answer["verdict"], sum(c["done"] for c in checks), len(checks))
     return f"{answer['recording']}: {answer['verdict'].replace('_', ' ')} - {words}"
+
+
+def _twin(answer: dict[str, Any]) -> Iterator[str]:
+    if "judged_phone" in answer:
+        yield f"  {against(answer['judged_phone'])}"
 
 
 def _findings(answer: dict[str, Any]) -> Iterator[str]:

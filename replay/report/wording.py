@@ -105,6 +105,11 @@ def number(value: float) -> str:
     return f"{value:.4g}"
 
 
+def against(phone: str) -> str:
+    """Return what is judged where a phone file is the twin."""
+    return f"judged beside the phone {phone}: of what both have, parameters are the difference"
+
+
 def readable(text: str) -> str:
     """Return units and what has units in it as people write them: m/s² for m/s^2."""
     return text.replace("^2", "²").replace("^3", "³")

@@ -13,7 +13,7 @@ from report_days import THERMAL, TONE, phone_with, recorded
 from stillcal.replay.diagnosing import bins_of, diagnosis_of
 from stillcal.replay.phone.phone import load_phone
 from stillcal.replay.report.case import Case, case_of, trials
-from stillcal.replay.report.comparison import Compared, compare, corrected, side_of
+from stillcal.replay.report.comparison import Compared, compare, corrected, side_of, stamps_measured
 from stillcal.replay.report.phone_file import phone_text
 from stillcal.replay.trace import Recording
 from stillcal.replay.twin_judged import judged
@@ -90,3 +90,17 @@ def test_p_values_are_corrected_by_holm() -> None:
     found = corrected([Compared("s", str(p), 0.0, 0.0, "1", p) for p in (0.5, 0.004, 0.001)])
     assert [t.p_corrected for t in found.tests] == pytest.approx([0.003, 0.008, 0.5])
     assert not found.accepted
+
+
+def test_the_clock_of_the_written_phone_scatters_and_loses_as_the_recording_does() -> None:
+    """Less than a finding takes: half a per cent of the samples, stamps by 0.3 ms of 40."""
+    uneven = msgspec.structs.replace(phone_with().clock, jitter_s=3e-4, drop_fraction=0.005)
+    real = recorded(msgspec.structs.replace(phone_with(), clock=uneven), 3)
+    scatter, missing = stamps_measured(real.accelerometer)
+    assert scatter == pytest.approx(3e-4, rel=0.05)
+    assert missing == pytest.approx(0.005, rel=0.3)
+    case = case_of(real, diagnosis_of(real, "r"))
+    told = {m.finding.effect for m in case.found}
+    clock = case.phone().clock
+    assert clock.jitter_s == (0.0 if "timestamp_jitter" in told else pytest.approx(scatter, rel=1e-3))
+    assert clock.drop_fraction == (0.0 if "dropped_samples" in told else pytest.approx(missing, rel=1e-2))
