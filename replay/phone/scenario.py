@@ -57,8 +57,10 @@ def read_settings(name: str | Path, folder: str, kind: type[T]) -> T:
             p.name[:-5] for p in (files("stillcal.config") / folder).iterdir() if p.name.endswith(".toml")
         )
         raise ValueError(f"{name}: no such file, and not one of {', '.join(known)}") from error
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
-        raise ValueError(f"{source}: {error}") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{source}: is not a text file; give TOML as docs/phone.md has it") from error
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise ValueError(f"{source}: {error}; docs/phone.md says what it may hold") from error
 
 
 def load_scenario(name: str | Path) -> Scenario:

@@ -207,7 +207,7 @@ def _comparison(answer: dict[str, Any]) -> Iterator[str]:
     given = answer.get("comparison")
     if given is not None:
         yield "<h2>Beside the simulated recording</h2>"
-        yield f"<p>The simulated recording {escape(told(given))}.</p>" + tables.comparison(given)
+        yield f"<p>The simulated recording: {escape(told(given))}.</p>" + tables.comparison(given)
     before, after = answer.get("comparison_before"), answer.get("comparison_after")
     if before is None or after is None:
         return

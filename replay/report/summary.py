@@ -58,7 +58,7 @@ def told(comparison: dict[str, Any]) -> str:
     tests = comparison["tests"]
     different = [t for t in tests if t["p_corrected"] < comparison["level"]]
     if not different:
-        return f"not told from the recording by {counted(len(tests), 'statistic')}"
+        return f"cannot be told from the recording by {counted(len(tests), 'statistic')}"
     first = ", ".join(f"{t['statistic']} ({t['channel']})" for t in different[:2])
     most = "most in " if len(different) > 2 else ""
     return f"differs in {len(different)} of {counted(len(tests), 'statistic')}, {most}{first}"
