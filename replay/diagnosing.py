@@ -11,7 +11,7 @@ import numpy as np
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.events import Charging
 from stillcal.calib_core.misfit import diagnosis
-from stillcal.calib_core.misfit.bins import Bins, cut
+from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.catalogue import slow_entries
 from stillcal.calib_core.misfit.records import Claims, Diagnosis, Finding, verdict_of
 from stillcal.calib_core.misfit.scenes import scenes
@@ -46,7 +46,7 @@ def plugs(recording: Recording) -> list[Charging]:
 
 def bins_of(recording: Recording) -> Bins:
     """Return the recording's still bins."""
-    return cut(recording.accelerometer, recording.gyroscope, plugs(recording))
+    return diagnosis.still_bins(recording.accelerometer, recording.gyroscope, plugs(recording))
 
 
 def diagnosis_of(

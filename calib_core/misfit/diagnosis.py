@@ -16,6 +16,7 @@ from stillcal.calib_core.misfit.garbled import garbled, outside
 from stillcal.calib_core.misfit.motion import motion_findings
 from stillcal.calib_core.misfit.records import Claims, Diagnosis, Finding, Where, verdict_of
 from stillcal.calib_core.misfit.scenes import scenes
+from stillcal.calib_core.misfit.shaken import steady
 from stillcal.calib_core.misfit.slow import slow_findings, turn_findings
 from stillcal.calib_core.misfit.spectrum import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.misfit.tails import tails
@@ -61,7 +62,7 @@ def diagnose(
     claims = claims or Claims()
     accelerometer, twice = repeats.without_doubles(accelerometer)
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
-    bins = cut(accelerometer, gyroscope, events)
+    bins = still_bins(accelerometer, gyroscope, events)
     spoiled = None if gyroscope is None else garbled(accelerometer, gyroscope, bins, claims.gravity)
     where = None if spoiled is None else spoiled.where
     clear = bins if where is None else outside(bins, where.t_start, where.t_end)
@@ -78,6 +79,11 @@ def diagnose(
     stated = [_named(f, without) for f in without_group_delay([f for f in found if f], claims.gravity)]
     said = [*limits(bins), *_hidden(both, claims), *_unjudged(spoiled)]
     return Diagnosis(1, recording, verdict_of(stated), stated, said)
+
+
+def still_bins(accelerometer: Samples, gyroscope: Samples | None, events: Sequence[Charging] = ()) -> Bins:
+    """Return the bins in which the phone lay still, a vehicle's turns left out."""
+    return steady(cut(accelerometer, gyroscope, events))
 
 
 def _is_of(spoiled: Finding | None, sensor: str) -> bool:

@@ -16,16 +16,24 @@ from stillcal.calib_core.misfit.records import Finding, Where
 SURE = 5.0
 """Normal deviations from nothing, a walker's steps being no pure chance."""
 
+ALIKE = 0.4
+"""Standard error, as a part of the arm, by which frequencies and directions may disagree."""
 
-def lever_arm(sums: Regression, where: Where) -> Finding | None:
-    """Find an arm, three columns, that all windows agree on and that predicts those it was not fitted to."""
+
+def lever_arm(sums: Regression, apart: float, where: Where) -> Finding | None:
+    """Find an arm, three columns, that windows agree on and that predicts those left out.
+
+    apart: by what part of it frequencies and directions disagree, one standard error. A leg that swings as
+    its walker steps is no arm: it looks like another one at each.
+    """
     arm, covariance, gain = sums.jackknifed(PARTS)
     square = float(arm @ np.linalg.solve(covariance, arm))
     sigmas = _sigmas(square, min(PARTS, len(sums.power)))
     error = np.sqrt(covariance.diagonal())
     # A covariance from few windows may be far too narrow in some direction, hardly along an axis.
-    if min(sigmas, float(np.abs(arm / error).max())) < SURE or gain < thresholds.LEVER_GAIN:
+    if min(sigmas, float(np.abs(arm / error).max())) < SURE or gain < thresholds.LEVER_GAIN or apart > ALIKE:
         return None
+    error = np.hypot(error, apart * arm)
     axes = [a for a in range(3) if abs(arm[a]) > thresholds.AXIS_SIGMA * error[a]]
     text = ", ".join(f"{100.0 * x:.1f}" for x in arm)
     say = f"The accelerometer sits {text} cm from the point that the phone turns about."

@@ -66,14 +66,14 @@ def motion_findings(
     total, sums = 0.0, []
     for _ in range(LINEARISED):
         made = [_equations(_force(accelerometer, baseline, t - total), t, w, gravity) for t, w in parts]
-        one, apart = _weighed([x for x, _ in made], [y for _, y in made])
+        one, apart, arm_apart = _weighed([x for x, _ in made], [y for _, y in made])
         sums.append(one)
         total = float(np.clip(total + sums[-1].fitted()[3], -LONGEST, LONGEST))
     where = Where(float(parts[0][0][0]), float(parts[-1][0][-1]), (0.1, 0.5 / interval), "rate of turn")
     error = float(np.hypot(np.sqrt(sums[-1].jackknifed(PARTS)[1][3, 3]), apart))
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
     delay = Measured(total, max(error * (1.0 + 6.0 / len(parts)), LEAST_ERROR))
-    found = [_delayed(delay, sums[0], where, interval), lever_arm(sums[-1].only(ARM), where)]
+    found = [_delayed(delay, sums[0], where, interval), lever_arm(sums[-1].only(ARM), arm_apart, where)]
     return [f for f in found if f]
 
 
@@ -126,11 +126,11 @@ def _equations(force: Array, t: Array, rate: Array, gravity: float) -> tuple[Spe
     return spectrum(effects), spectrum(still)
 
 
-def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> tuple[Regression, float]:
+def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> tuple[Regression, float, float]:
     """Return normal equations with each frequency weighed by the power of what is left there.
 
-    Maximum likelihood of a stationary noise of unknown spectrum (Whittle, 1953). With them goes the error of
-    the delay that its parts' disagreement makes.
+    Maximum likelihood of a stationary noise of unknown spectrum (Whittle, 1953). With them go the errors that
+    parts that disagree make: of the delay, s, and of the arm, a part of it.
     """
     x = np.zeros(effects[0].shape[2])
     for _ in range(REWEIGHTED):
@@ -140,8 +140,9 @@ def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> tuple[Regression
         x = sums.fitted()
     frequency = np.arange(weight.size) / WINDOW
     left = np.array([(y - e @ x) * weight[:, None] for e, y in zip(effects, still, strict=True)], complex)
-    late = np.array([e[:, :, 3] * weight[:, None] for e in effects], complex)
-    return sums, disagreement(late, left, frequency)
+    arm, late = np.append(x[:3], 0.0), np.array([0.0, 0.0, 0.0, 1.0])
+    terms = [np.array([e @ term * weight[:, None] for e in effects], complex) for term in (late, arm)]
+    return sums, disagreement(terms[0], left, frequency), disagreement(terms[1], left, frequency)
 
 
 def _smooth(power: Array) -> Array:

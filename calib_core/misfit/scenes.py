@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stillcal.calib_core.misfit import views
+from stillcal.calib_core.misfit import rates, views
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.catalogue.entry import Scene
 
@@ -14,5 +14,5 @@ def scenes(bins: Bins, gravity: float) -> list[Scene]:
     tangent = views.tangent_view(bins, baseline)
     force_views = (norm,) if tangent is None else (norm, tangent)
     found = [Scene("accel", bins, force_views, gravity, baseline.up)]
-    rates = tuple(views.rate_views(bins))
-    return [*found, Scene("gyro", bins, rates, gravity, baseline.up)] if rates else found
+    turning = tuple(rates.rate_views(bins, baseline.up))
+    return [*found, Scene("gyro", bins, turning, gravity, baseline.up)] if turning else found

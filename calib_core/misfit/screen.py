@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.misfit.catalogue.entry import Bank, Entry, Hypothesis, Scene
+from stillcal.calib_core.misfit.catalogue.entry import TILTED, Bank, Entry, Hypothesis, Scene
 from stillcal.calib_core.misfit.evidence import Reduced, joint, log_terms, projected, stacked
 from stillcal.calib_core.misfit.shapes import families
 from stillcal.calib_core.misfit.telegraph import Course, grown
@@ -52,7 +52,7 @@ def screened(
 
 def hypothesis(entry: Entry, scene: Scene, bank: Bank, k: int) -> Hypothesis:
     """Return curve number `k` of a bank as a hypothesis, its curves on each axis one after another."""
-    columns = tuple(_columns(v, bank.curve(k)[None], bank.blind) for v in scene.views)
+    columns = tuple(_columns(v, bank.curve(k)[None]) for v in scene.views)
     return Hypothesis(entry, bank.grids[k], columns, bank.trials)
 
 
@@ -70,14 +70,14 @@ def _switching(entry: Entry, scene: Scene, whitened: Sequence[_Whitened], bank: 
     made = []
     for course in courses.values():
         curve = np.tensordot(course.changes.astype(float), bank.curves, 1)
-        columns = tuple(_columns(v, curve[None], bank.blind) for v in scene.views)
+        columns = tuple(_columns(v, curve[None]) for v in scene.views)
         made.append(Hypothesis(entry, {}, columns, float(np.exp(course.log_trials))))
     return made
 
 
-def _columns(view: View, curves: Array, blind: tuple[str, ...]) -> Array:
-    """Columns (b, n, K q 3) of a bias that follows curves (K, q, N) on each axis, but in `blind` views."""
-    if view.name in blind:
+def _columns(view: View, curves: Array) -> Array:
+    """Columns (b, n, K q 3) of a bias that follows curves (K, q, N) on each axis; none where phones tilt."""
+    if view.name in TILTED:
         return np.zeros((*view.y.shape, 3 * curves.shape[0] * curves.shape[1]))
     at = curves[:, :, view.bins].reshape(-1, view.bins.size).T
     made = at[None, :, :, None] * view.project[:, :, None, :]
@@ -133,7 +133,7 @@ def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array
         curves = bank.curves[first : first + CHUNK]
         gram, target = np.zeros((len(curves), width, width)), np.zeros((len(curves), width))
         for view in views:
-            xy, x, scale = view.sums(_columns(view.view, curves, bank.blind) * size, c)
+            xy, x, scale = view.sums(_columns(view.view, curves) * size, c)
             parts = x.reshape(len(x), len(curves), width)
             gram += parts.transpose(1, 2, 0) @ parts.transpose(1, 0, 2) / scale
             target += xy.reshape(len(curves), width) / scale
@@ -146,7 +146,7 @@ def _inner(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> tuple
     count = len(bank.curves)
     gram, target, power = np.zeros((count, 3, count, 3)), np.zeros((count, 3)), 0.0
     for view in views:
-        xy, x, scale = view.sums(_columns(view.view, bank.curves, bank.blind) * size, c)
+        xy, x, scale = view.sums(_columns(view.view, bank.curves) * size, c)
         power += len(x)
         gram += (x.T @ x).reshape(count, 3, count, 3) / scale
         target += xy.reshape(count, 3) / scale

@@ -26,11 +26,11 @@ SLOW_BAND = (0.0, 0.05)
 ENTRIES = 20
 """How many entries compete, to make one p value of the best one's."""
 
-AGAINST = -3.0
-"""Gain in held-out log score, nats, below which structure without a name is not believed: twenty to one."""
+IN_FAVOUR = 1.6
+"""Gain in held-out log score, nats, that a finding must have: five to one on parts that no fit has seen."""
 
 CHANCE = 1e-3
-"""Probability of parameters as large by chance, above which a finding beside others is none."""
+"""Probability of parameters as large by chance, above which a finding is none."""
 
 ACT = {
     "temperature": "; correct it by the thermometer",
@@ -80,22 +80,25 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
-    structure without a name that the parts left out speak against.
+    what the parts that took no part in the fit do not speak for.
     """
     while True:
         found = [step.winner.hypothesis for step in steps]
         others = [[f for f in found if f is not own] for own in found]
         estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
         chances = [e.chance() for e in estimates]
-        if len(steps) >= 2 and max(chances) >= CHANCE:
-            least = int(np.argmax(chances))
-            steps = [s for i, s in enumerate(steps) if i != least]
+        if steps and max(chances) >= CHANCE:
+            steps = _without(steps, int(np.argmax(chances)))
             continue
         made = [_finding(scene, *each) for each in zip(steps, estimates, others, strict=True)]
-        kept = [f.effect != "unknown" or f.evidence.heldout_log_score_gain > AGAINST for f in made]
-        if all(kept):
+        gains = [f.evidence.heldout_log_score_gain for f in made]
+        if min(gains, default=np.inf) > IN_FAVOUR:
             return made
-        steps = [s for s, keep in zip(steps, kept, strict=True) if keep]
+        steps = _without(steps, int(np.argmin(gains)))
+
+
+def _without(steps: Sequence[Step], k: int) -> list[Step]:
+    return [s for i, s in enumerate(steps) if i != k]
 
 
 def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:

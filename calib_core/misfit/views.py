@@ -1,4 +1,4 @@
-"""The baseline phone and the residuals that must vanish under it: norm and tangent of gravity, rate at rest.
+"""The baseline phone and the residuals that must vanish under it: norm and tangent of gravity.
 
 A view holds residuals of the still bins with the baseline's columns that are to be projected out. What an
 effect would do in each view is the catalogue's business; how noise looks is `shapes`'.
@@ -17,7 +17,10 @@ BIAS_SIZE, SCALE_SIZE, MISALIGNMENT_SIZE = 0.5, 0.05, 0.03
 WITHIN_BINS = 60.0
 """How well the white noise within bins tells that between them: to about a fifth in variance."""
 
-CREEP_BINS = 6
+CREEP_BINS, COURSE_BINS = 10, 6
+CREEP_TAUS = (1 / 20, 1 / 6, 1 / 2)
+"""Parts of a rest in which its support gives way exponentially: any exponential is nearly a sum of these."""
+
 HALVINGS = 8
 SETTLED = 1e-6
 PRIOR = np.diag(1.0 / np.repeat([BIAS_SIZE, SCALE_SIZE, MISALIGNMENT_SIZE], 3))
@@ -130,7 +133,9 @@ def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, ste
         if before - cost < SETTLED:
             break
     steady = linearised(rest_courses(force, rest), x)
-    return replace(steady, norm=linearised(force, x).norm)
+    # At gravity's own length: columns of scale would else hold what is left of the norm, and explain it.
+    length = np.where(np.arange(x.size) < 3, 1.0, gravity / steady.norm[:, None])
+    return replace(steady, norm=linearised(force, x).norm, jacobian=steady.jacobian * length)
 
 
 def _shortened(norms: Norms, x: Array, step: Array, cost: float) -> Array:
@@ -183,7 +188,7 @@ def linearised(force: Array, x: Array) -> Baseline:
 def rest_courses(values: Array, rest: Index) -> Array:
     """Replace each bin's values (n, k) by its rest's mean, in long rests with a ramp and settling."""
     out = rest_means(values, rest)
-    for r in np.flatnonzero(np.bincount(rest) >= CREEP_BINS):
+    for r in np.flatnonzero(np.bincount(rest) >= COURSE_BINS):
         rows = np.flatnonzero(rest == r)
         age = np.arange(rows.size, dtype=np.float64)
         design = np.column_stack([np.ones(rows.size), age, np.log1p(age / 2.0)])
@@ -265,34 +270,11 @@ def _across(up: Array, rest: Index) -> Array:
 
 
 def _creep(t: Array, rest: Index) -> Array:
-    """Offset, ramp and logarithmic relaxation of every rest: (n, 3 rests)."""
+    """Offset, ramp and exponential relaxations of every rest: (n, 5 rests)."""
     columns = []
     for r in np.unique(rest):
         inside = rest == r
         age = np.where(inside, t - t[inside][0], 0.0)
-        log_age = np.log1p(age / 20.0)
-        columns += [inside.astype(np.float64), age / max(age.max(), 1e-9), log_age / max(log_age.max(), 1e-9)]
+        part = age / max(float(age.max()), 1e-9)
+        columns += [inside.astype(np.float64), part, *(inside * np.exp(-part / tau) for tau in CREEP_TAUS)]
     return np.column_stack(columns)
-
-
-def rate_views(bins: Bins) -> list[View]:
-    """Rate at rest, one view an axis; the constant bias is the baseline."""
-    if bins.rate is None or bins.rate_variance is None:
-        return []
-    n = len(bins)
-    return [
-        View(
-            name=f"rate_{'xyz'[a]}",
-            y=bins.rate[None, :, a],
-            baseline=np.ones((1, n, 1)),
-            variance=bins.rate_variance[:, a],
-            coupling=np.ones((n, n)),
-            project=np.broadcast_to(np.eye(3)[a], (1, n, 3)),
-            bins=np.arange(n),
-            t=bins.t,
-            duration=bins.duration,
-            rest=bins.rest,
-            rounding=None if bins.rate_rounding is None else np.full(n, bins.rate_rounding[a]),
-        )
-        for a in range(3)
-    ]

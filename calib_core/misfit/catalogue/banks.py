@@ -21,7 +21,6 @@ SAW_CYCLES = np.arange(1.5, 20.0, 0.15)
 SAW_PHASES = 10
 REST_TAUS = (15.0, 40.0, 100.0, 250.0, 600.0)
 LAGS = (60.0, 150.0, 400.0, 1000.0, 2500.0)
-JUMPS = drivers.JUMPS
 PLAYS = (0.1, 0.2, 0.3, 0.45, 0.6, 0.75)
 
 
@@ -41,7 +40,7 @@ def pulses(scene: Scene) -> Bank | None:
     times = [drivers.border(scene.bins, int(i)) for i in borders]
     grids = [{"t_start": times[a], "t_end": times[b]} for a, b in zip(first, last, strict=True)]
     curves = (np.arange(n) >= borders[:, None]).astype(float)[:, None]
-    return Bank(grids, curves, first.size // 3, np.stack([first, last], axis=1), JUMPS)
+    return Bank(grids, curves, first.size // 3, np.stack([first, last], axis=1))
 
 
 def switches(scene: Scene) -> Bank | None:
@@ -69,7 +68,7 @@ def sawteeth(scene: Scene) -> Bank | None:
     if not made:
         return None
     curves = np.array([(t * c / span + phase) % 1.0 for c, phase in made])[:, None]
-    return Bank([{"period_s": span / c} for c, _ in made], _centred(curves), len(made) // 4, None, JUMPS)
+    return Bank([{"period_s": span / c} for c, _ in made], _centred(curves), len(made) // 4)
 
 
 def moments(scene: Scene) -> Bank | None:
@@ -81,7 +80,7 @@ def moments(scene: Scene) -> Bank | None:
     made = list(product(at, taus))
     curves = [np.where(t > a, -np.expm1(-np.maximum(t - a, 0.0) / tau), 0.0) for a, tau in made]
     grids = [{"t_start": float(a)} for a, _ in made]
-    return Bank(grids, _centred(np.array(curves)[:, None]), len(made) // 3, None, JUMPS)
+    return Bank(grids, _centred(np.array(curves)[:, None]), len(made) // 3)
 
 
 def _rests(bins: Bins) -> tuple[Index, Array]:

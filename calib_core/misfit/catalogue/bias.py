@@ -6,6 +6,7 @@ import numpy as np
 
 from stillcal.calib_core.misfit.catalogue import drivers
 from stillcal.calib_core.misfit.catalogue.entry import (
+    TILTED,
     Entry,
     Hypothesis,
     Linear,
@@ -27,7 +28,7 @@ NAME = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 def _near_step(entry: Entry, scene: Scene, grid: dict[str, float]) -> list[Hypothesis]:
     found = drivers.steps_near(scene, grid["t_start"])
-    blind = drivers.JUMPS if scene.bins.pose is None else ()
+    blind = TILTED if scene.bins.pose is None else ()
     return [Hypothesis(entry, g, bias_columns(scene, curve, blind)) for g, curve in found]
 
 

@@ -14,8 +14,6 @@ Driver = tuple[dict[str, float], Array]
 TAUS = (60.0, 120.0, 240.0, 480.0, 960.0, 1920.0)
 STEPS = 250
 PARTS = 6
-JUMPS = ("tangent",)
-"""Views in which a nudge of the phone looks like a jump of the sensor."""
 
 LATENT_TAUS = (90.0, 200.0, 450.0, 900.0, 1800.0)
 LEAST_SPAN = 0.3
@@ -58,7 +56,7 @@ def steps(scene: Scene) -> Bank | None:
         return None
     inside = np.unique(np.linspace(2, n - 3, STEPS).round().astype(int))
     made = [_step_at(scene.bins, int(i), part) for i in inside for part in np.arange(PARTS) / PARTS]
-    return Bank([g for g, _ in made], np.array([c for _, c in made])[:, None], 3 * inside.size, None, JUMPS)
+    return Bank([g for g, _ in made], np.array([c for _, c in made])[:, None], 3 * inside.size)
 
 
 def steps_near(scene: Scene, t_start: float) -> list[Driver]:

@@ -61,21 +61,24 @@ class Linear:
     size: float
 
 
+TILTED = ("tangent",)
+"""Views in which a support that gives way, or a nudge, looks like any course of a bias."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Bank:
     """Many curves an effect may follow, of which the best few are fitted.
 
     curves: (K, q, N), each hypothesis q curves on every axis; grids: one grid point a hypothesis; trials: how
     many of them are independent, about. pairs: (P, 2), if given the hypotheses are differences of two
-    curves, not the curves. blind: views it does not show in, or not alone. switching: the hypotheses are
-    any courses between two levels that change at the borders, whose steps the curves are.
+    curves, not the curves. switching: the hypotheses are any courses between two levels that change at the
+    borders, whose steps the curves are.
     """
 
     grids: list[dict[str, float]]
     curves: Array
     trials: int
     pairs: NDArray[np.int64] | None = None
-    blind: tuple[str, ...] = ()
     switching: bool = False
 
     def curve(self, k: int) -> Array:

@@ -13,6 +13,7 @@ from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.catalogue import banks, drivers
 from stillcal.calib_core.misfit.catalogue.bias import SIZE, UNIT
 from stillcal.calib_core.misfit.catalogue.entry import (
+    TILTED,
     Entry,
     Hypothesis,
     Linear,
@@ -52,7 +53,7 @@ def _gain_of_a_stretch(entry: Entry, scene: Scene) -> list[Hypothesis]:
         for b in cuts[i + 1 :]:
             inside = (t >= a) & (t < b)
             if 2 < inside.sum() < t.size - 2:
-                columns = per_axis(scene, force * inside[:, None], drivers.JUMPS)
+                columns = per_axis(scene, force * inside[:, None], TILTED)
                 found.append(Hypothesis(entry, {"t_start": float(a), "t_end": float(b)}, columns))
     return found
 

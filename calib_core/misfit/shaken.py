@@ -1,0 +1,36 @@
+"""Bins in which something shook the phone and turned it too: a car that creeps along lies still to no sensor.
+
+Vibration alone is no reason to leave a bin out: what shakes may shift a bias, which is then by its power.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.misfit.bins import Bins
+
+LOUD = 2.0
+"""Times the spread of the quietest tenth of the bins that a shaken one has."""
+
+FEWEST = 6
+"""Quiet bins that tell where the rate lies at rest."""
+
+TURNED = 6.0
+"""Robust standard deviations of the quiet bins' rates."""
+
+
+def steady(bins: Bins) -> Bins:
+    """Return the bins without shaken ones whose rate is neither that of quiet bins nor follows the power."""
+    if bins.rate is None or bins.rate_variance is None or not len(bins):
+        return bins
+    loud = bins.vibration > LOUD**2 * float(np.quantile(bins.vibration, 0.1))
+    if not loud.any() or (~loud).sum() < FEWEST:
+        return bins
+    quiet = bins.rate[~loud]
+    middle = np.median(quiet, axis=0)
+    scatter = 1.4826 * np.median(np.abs(quiet - middle), axis=0)
+    spread = np.maximum(np.sqrt(bins.rate_variance), scatter)
+    power = np.where(loud, bins.vibration, 0.0)
+    shifted = np.median((bins.rate[loud] - middle) / power[loud, None], axis=0)
+    away = np.abs(bins.rate - middle - power[:, None] * shifted) / spread
+    return bins.chosen(~loud | (away.max(axis=1) < TURNED))
