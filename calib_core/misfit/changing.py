@@ -77,7 +77,8 @@ def _of_axis(measured: Levels, inside: NDArray[np.bool_], axis: int) -> float:
 
 def _white(spectrum: Spectra, inside: NDArray[np.bool_]) -> bool:
     """Whether the spectrum changes alike in all bands: not a road, nor steps in the house."""
-    ratio = np.log(np.median(spectrum.power[inside], axis=0) / np.median(spectrum.power[~inside], axis=0))
+    within, without = (np.median(spectrum.power[rows], axis=0) for rows in (inside, ~inside))
+    ratio = np.log(np.maximum(within, 1e-300) / np.maximum(without, 1e-300))
     course = [float(part.mean()) for part in np.array_split(ratio[spectrum.band], BANDS)]
     return float(np.ptp(course)) < max(WHITE, 0.35 * abs(float(np.mean(course))))
 

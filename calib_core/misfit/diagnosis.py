@@ -19,6 +19,7 @@ from stillcal.calib_core.misfit.scenes import scenes
 from stillcal.calib_core.misfit.shaken import steady
 from stillcal.calib_core.misfit.slow import slow_findings, turn_findings
 from stillcal.calib_core.misfit.spectrum import Quiet, Spectra, bandwidth, quiet
+from stillcal.calib_core.misfit.stuck import stuck
 from stillcal.calib_core.misfit.tails import tails
 from stillcal.calib_core.misfit.timing import timing_findings
 from stillcal.calib_core.misfit.tone import tone
@@ -63,17 +64,21 @@ def diagnose(
     accelerometer, twice = repeats.without_doubles(accelerometer)
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
     bins = still_bins(accelerometer, gyroscope, events)
-    spoiled = None if gyroscope is None else garbled(accelerometer, gyroscope, bins, claims.gravity)
-    where = None if spoiled is None else spoiled.where
-    clear = bins if where is None else outside(bins, where.t_start, where.t_end)
-    both = [_Stream.of(s, x, clear, claims) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
-    found = [spoiled, repeats.doubled(accelerometer, twice), *direct_findings(both, claims)]
+    sensors = [(s, x) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
+    lost = [f for s, x in sensors if (f := stuck(x, s))]
+    spoiled = (
+        None if gyroscope is None else garbled(accelerometer, gyroscope, _outside(bins, lost), claims.gravity)
+    )
+    gone = [*lost, spoiled] if spoiled else lost
+    clear = _outside(bins, gone)
+    both = [_Stream.of(s, x, clear, claims) for s, x in sensors]
+    found = [*gone, repeats.doubled(accelerometer, twice), *direct_findings(both, claims)]
     slow = _roughened(_unlimited(clear, [f for f in found if f], both[0]), {s.sensor: s.steps for s in both})
     made = scenes(slow, claims.gravity) if len(slow) else []
     found += [f for scene in made if not _is_of(spoiled, scene.sensor) for f in slow_findings(scene, without)]
     if gyroscope is not None:
         affine = aligned(gyroscope, slow, claims.gravity) if len(slow) else None
-        found += motion_findings(accelerometer, gyroscope, affine, claims.gravity, where)
+        found += motion_findings(accelerometer, gyroscope, affine, claims.gravity, [f.where for f in gone])
         if affine is not None and spoiled is None:
             found += turn_findings(affine, slow, claims.gravity, without)
     stated = [_named(f, without) for f in without_group_delay([f for f in found if f], claims.gravity)]
@@ -84,6 +89,13 @@ def diagnose(
 def still_bins(accelerometer: Samples, gyroscope: Samples | None, events: Sequence[Charging] = ()) -> Bins:
     """Return the bins in which the phone lay still, a vehicle's turns left out."""
     return steady(cut(accelerometer, gyroscope, events))
+
+
+def _outside(bins: Bins, found: Sequence[Finding]) -> Bins:
+    """Return the bins that do not touch the time of any of the findings."""
+    for f in found:
+        bins = outside(bins, f.where.t_start, f.where.t_end)
+    return bins
 
 
 def _is_of(spoiled: Finding | None, sensor: str) -> bool:
@@ -146,9 +158,9 @@ def _of_stream(stream: _Stream, claims: Claims, factor: float) -> list[Finding]:
     lsb, declared = (
         (claims.accel_lsb, claims.accel_range) if sensor == "accel" else (claims.gyro_lsb, claims.gyro_range)
     )
-    stuck, share = repeats.held(samples, sensor)
+    held, share = repeats.held(samples, sensor)
     comb = quantisation(samples, sensor, stream.steps, lsb) if len(stream.still.pieces) >= 3 else None
-    found = [stuck, comb, saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)]
+    found = [held, comb, saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)]
     if not stream.steps.hides_noise():
         found.append(tone(samples, sensor))
         if share < repeats.MANY:

@@ -7,6 +7,8 @@ frequency, each frequency as sure as what hands do there is small.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
@@ -49,7 +51,7 @@ def motion_findings(
     gyroscope: Samples,
     affine: Aligned | None,
     gravity: float,
-    spoiled: Where | None = None,
+    spoiled: Sequence[Where] = (),
 ) -> list[Finding]:
     """Return what motion shows; nothing where there is too little.
 
@@ -58,7 +60,7 @@ def motion_findings(
     if len(gyroscope) < 200:
         return []
     baseline = None if affine is None else affine.baseline
-    cut = [p for p in _windows(gyroscope, affine) if spoiled is None or _apart(p[0], spoiled)]
+    cut = [p for p in _windows(gyroscope, affine) if all(_apart(p[0], s) for s in spoiled)]
     parts = cut if affine is None else [(t, rate @ affine.mapping.T) for t, rate in cut]
     if len(parts) < LEAST_WINDOWS:
         return []

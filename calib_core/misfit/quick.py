@@ -107,9 +107,9 @@ def unknown(
     statement: str,
     seen: Seen,
 ) -> Finding:
-    """Build a finding that no entry of the catalogue describes. sizes.
-
-    Numbers and units that say how large.
-    """
-    parameters = {name: Parameter(value, [value, value], unit) for name, (value, unit) in sizes.items()}
+    """Build a finding that the catalogue has no name for. sizes: numbers, with units, that say how large."""
+    parameters = {
+        name: Parameter(value, np.stack([value, value], axis=-1).tolist(), unit)
+        for name, (value, unit) in sizes.items()
+    }
     return direct_finding("unknown", sensor, axes, where, parameters, statement=statement, seen=seen)

@@ -171,10 +171,11 @@ def named_axes(found: Estimate) -> list[str]:
     return [AXES[a] for a in range(3) if by_axis[a] >= least and large[a]]
 
 
-def _size(found: Estimate) -> str:
-    """Return the largest component of the first parameter, in words."""
+def _size(found: Estimate, axes: list[str]) -> str:
+    """Return the first parameter's largest component on the named axes, in words."""
     first = found.hypothesis.entry.parameters[0]
-    top = int(np.argmax(np.abs(found.value[: first.count])))
+    named = np.isin(found.hypothesis.axis_of[: first.count], [AXES.index(a) for a in axes])
+    top = int(np.argmax(np.abs(found.value[: first.count]) * named))
     unit = "" if first.unit == "1" else f" {first.unit}"
     return f"{first.name} {found.value[top]:.3g}{unit}"
 
@@ -187,7 +188,8 @@ def _where(scene: Scene, hypothesis: Hypothesis) -> Where:
 
 def _statement(found: Estimate, axes: list[str], alternatives: list[Alternative]) -> str:
     entry = found.hypothesis.entry
-    text = f"{entry.sentence.format(axes=', '.join(axes))[:-1]} ({_size(found)}){ACT.get(entry.follows, '')}."
+    said = entry.sentence.format(axes=", ".join(axes))[:-1]
+    text = f"{said} ({_size(found, axes)}){ACT.get(entry.follows, '')}."
     alike = [a.effect for a in alternatives if a.indistinguishable]
     if not alike:
         return text

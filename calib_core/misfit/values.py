@@ -179,6 +179,9 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
     return direct_finding(f"{sensor}_saturation", sensor, axes, where, parameter, statement=say, seen=seen)
 
 
+MOST_PILED = 0.5
+"""Part of the samples above which what they lie on is no limit, but a width taken from what was no rest."""
+
 LEAST_LEVELS = 5
 """Different values that must lie within three standard deviations below a limit."""
 
@@ -216,7 +219,8 @@ def _flat_top(size: Array, noise: float, least: float) -> tuple[float, float] | 
     pile = size > top - 2.0 * width
     below = int(((size > top - 6.0 * width) & ~pile).sum())
     runs = int((pile[1:] & pile[:-1]).sum())
-    if pile.sum() < thresholds.LEAST_PILE or runs < 3 or pile.sum() < 3.0 * (below + 1):
+    few = pile.sum() < thresholds.LEAST_PILE or runs < 3 or pile.sum() < 3.0 * (below + 1)
+    if few or pile.mean() > MOST_PILED:
         return None
     values = size[pile]
     return float(np.median(values)), float(values.std() / np.sqrt(values.size))
