@@ -196,14 +196,16 @@ def _hard_stop(values: Array, noise: float) -> tuple[float, float] | None:
     found = []
     for signed in (values, -values):
         top = float(signed.max())
-        least = top - max(1e-6 * abs(top), 0.1 * step)
-        on = signed >= least
+        width = max(1e-6 * abs(top), 0.1 * step)
+        on = signed >= top - width
         under = signed[(signed > top - 3.0 * noise) & ~on]
         below, runs = under.size, int((on[1:] & ~on[:-1]).sum())
         # Values of few levels end on their highest by themselves, evenly spaced or not.
         if np.unique(under).size < LEAST_LEVELS:
             continue
-        if on.sum() >= max(thresholds.LEAST_PILE, 5.0 * (below * step / (3.0 * noise) + 1.0)) and runs >= 3:
+        # By chance on the top step, or, where there are no steps, within `width` of the top of a sine.
+        share = step / (3.0 * noise) if step else np.sqrt(width / (3.0 * noise))
+        if on.sum() >= max(thresholds.LEAST_PILE, 5.0 * (below * share + 1.0)) and runs >= 3:
             found.append(abs(top))
     if not found or step > noise:
         return None
