@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.events import Charging
 from stillcal.calib_core.misfit import poses
+from stillcal.calib_core.misfit.windows import KNOCK, WINDOW, Windows, windows, without_spikes
 from stillcal.calib_core.samples import Array, Samples
 
 Index = NDArray[np.int64]
 
-WINDOW = 1.0
 SHORTEST_REST = 5
 BRIEFEST_REST = 2
 FEW = 12
@@ -26,9 +26,6 @@ FEW = 12
 
 STILL_FORCE = 0.08
 STILL_RATE = 0.03
-KNOCK = 3.0
-"""Spread of a window over that of its rest, above which something touched the phone."""
-
 RARE = 0.1
 """Part of a rest's windows that may be so; where it is more, coarse steps or a steady shake do it."""
 
@@ -52,16 +49,6 @@ PER_BIN = (
     "charging",
 )
 """The columns of `Bins` that have a row a bin."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Windows:
-    """One-second windows of one sensor. t: (n,) s, middles; count: (n,); mean, variance: (n, 3)."""
-
-    t: Array
-    count: Array
-    mean: Array
-    variance: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,26 +90,6 @@ class Bins:
         }
         kept["rest"] = np.unique(self.rest[keep], return_inverse=True)[1].astype(np.int64)
         return replace(self, **kept)
-
-
-def windows(samples: Samples, t_start: float, t_end: float) -> Windows:
-    """Return statistics of `samples` in windows of `WINDOW` s; windows without samples have count 0."""
-    n = max(1, int((t_end - t_start) / WINDOW))
-    index = ((samples.t - t_start) / WINDOW).astype(np.int64)
-    keep = (index >= 0) & (index < n)
-    index, xyz = index[keep], samples.xyz[keep]
-    count = np.bincount(index, minlength=n).astype(np.float64)
-    safe = np.maximum(count, 1.0)[:, None]
-    center = np.median(xyz, axis=0) if len(xyz) else np.zeros(3)
-    total = _sums(index, xyz - center, n)
-    mean: Array = total / safe
-    variance: Array = _sums(index, (xyz - center - mean[index]) ** 2, n) / np.maximum(safe - 1.0, 1.0)
-    middles = np.asarray(t_start + (np.arange(n) + 0.5) * WINDOW, dtype=np.float64)
-    return Windows(middles, count, np.asarray(mean + center, dtype=np.float64), variance)
-
-
-def _sums(index: Index, xyz: Array, n: int) -> Array:
-    return np.stack([np.bincount(index, weights=xyz[:, a], minlength=n) for a in range(3)], axis=1)
 
 
 def still_windows(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
@@ -194,6 +161,8 @@ def cut(
     span = (float(accelerometer.t[0]), float(accelerometer.t[-1]))
     force = windows(accelerometer, *span)
     rate = None if gyroscope is None or len(gyroscope) == 0 else windows(gyroscope, *span)
+    if rate is not None:
+        force, rate = without_spikes(force, rate), without_spikes(rate, force)
     still = without_knocks(still_windows(force, rate), force, rate)
     length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
     runs = rest_runs(still)

@@ -26,8 +26,8 @@ FAR = 4.0
 TOGETHER = 0.2
 CLUSTERED = 0.05
 MOST_WIDE = 0.35
-RARE = 2e-3
-SPIKE = 8.0
+SPIKE, RARE = 8.0, 2e-3
+"""Far samples are spikes, no noise, above this ratio if fewer than this part (more at a larger ratio)."""
 LEAST_SPIKES = 5
 EDGES = 400
 FARTHEST = 60.0
@@ -93,7 +93,7 @@ def tails(still: Quiet, sensor: str, where: Where, step: float) -> Finding | Non
         ),
     }
     seen = _left_out([z[:, axes] for z in scaled], sigmas)
-    if share < RARE and fit.ratio.value > SPIKE:
+    if fit.ratio.value > SPIKE and share < RARE * fit.ratio.value / SPIKE:
         return _spikes(sensor, axes, everything, where, seen)
     return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
 

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.misfit import thresholds
-from stillcal.calib_core.misfit.bins import Bins, windows
+from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.records import Claims
+from stillcal.calib_core.misfit.windows import windows
 from stillcal.calib_core.samples import Array, Samples
 from stillcal.replay.report.curves import UNIT, left_over, residuals
 from stillcal.replay.trace import Recording

@@ -11,9 +11,10 @@ from itertools import product
 
 import numpy as np
 
-from stillcal.calib_core.misfit.bins import WINDOW, Bins, Index
+from stillcal.calib_core.misfit.bins import Bins, Index
 from stillcal.calib_core.misfit.catalogue import drivers
 from stillcal.calib_core.misfit.catalogue.entry import Bank, Scene, moves
+from stillcal.calib_core.misfit.windows import WINDOW
 from stillcal.calib_core.samples import Array
 
 CYCLES = 40.0

@@ -6,8 +6,9 @@ from itertools import product
 
 import numpy as np
 
-from stillcal.calib_core.misfit.bins import WINDOW, Bins
+from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.catalogue.entry import Bank, Scene, moves
+from stillcal.calib_core.misfit.windows import WINDOW
 from stillcal.calib_core.samples import Array
 
 Driver = tuple[dict[str, float], Array]

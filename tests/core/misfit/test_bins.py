@@ -26,6 +26,21 @@ def test_a_knock_ends_a_rest_and_is_in_no_bin() -> None:
     assert cut_up.vibration.max() < 1.5 * np.median(cut_up.vibration)
 
 
+def test_a_spike_of_one_sensor_is_in_no_mean_and_ends_no_rest() -> None:
+    rng, force, t = np.random.default_rng(2), resting(), np.arange(N) / 50.0
+    quiet = rng.normal(0, 1e-3, (N, 3))
+    spiked = quiet.copy()
+    spiked[700::700, 1] += 0.04
+
+    def both(rate: np.ndarray) -> Bins:
+        accel, gyro = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
+        return cut(Samples.checked(accel, t, force), Samples.checked(gyro, t, rate))
+
+    whole, spiky = both(quiet), both(spiked)
+    assert np.unique(spiky.rest).size == 1 and whole.rate is not None and spiky.rate is not None
+    np.testing.assert_allclose(spiky.rate, whole.rate, atol=1e-5)
+
+
 def test_values_that_toggle_between_two_steps_are_still() -> None:
     coarse = np.round(resting(0.02) / 0.1) * 0.1
     assert np.unique(bins(coarse).rest).size == 1
