@@ -94,14 +94,18 @@ def _quantiles(candidates: list[Hypothesis], name: str, weight: Array) -> tuple[
 
 def parameters(found: Estimate) -> dict[str, Parameter]:
     """Return the parameters as the answer wants them."""
-    out, first = {}, 0
-    for p in found.hypothesis.entry.parameters:
+    out, first, entry = {}, 0, found.hypothesis.entry
+    sigma = np.hypot(found.sigma, entry.rough * found.value)
+    for p in entry.parameters:
         rows = slice(first, first + p.count)
-        out[p.name] = _linear(found.value[rows], found.sigma[rows], p.unit)
+        out[p.name] = _linear(found.value[rows], sigma[rows], p.unit)
         first += p.count
     for name, (value, low, high) in found.grid.items():
         if name in GRID_PARAMETERS:
-            out[name] = Parameter(value, [low, high], found.hypothesis.entry.grid_units[name])
+            # Half-widths of the logarithm, and of what the model is off by, add up as squares.
+            down, up = (np.hypot(np.log(x / value), 1.96 * entry.rough) for x in (low, high))
+            interval = [float(value * np.exp(-down)), float(value * np.exp(up))]
+            out[name] = Parameter(value, interval, entry.grid_units[name])
     return out
 
 

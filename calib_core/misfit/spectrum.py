@@ -26,7 +26,7 @@ ORDERS = (1, 2, 4)
 USED_RANGE = 3.5
 LEAST_PIECES = 3
 CLEAN = 0.02
-MODEL = 0.008
+MODEL = 0.02
 """Relative error of a cutoff for not knowing how the filter was made."""
 SHARED = 1.9
 """Numbers of a spectrum under overlapping Hann windows for each independent one."""

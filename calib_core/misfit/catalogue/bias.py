@@ -20,6 +20,9 @@ from stillcal.calib_core.samples import Array
 DRIFT_HANDICAP = 1.5
 """A ramp is what a random walk looks like: steady drift must be thirty times less likely by chance."""
 
+ROUGH = 0.25
+"""How far heat is from a first-order response to charging and use, as a part of it."""
+
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 SIZE = {"accel": 0.3, "gyro": 0.02}
 PER_KELVIN = {"accel": 0.02, "gyro": 2e-3}
@@ -96,6 +99,7 @@ def _thermal(sensor: str) -> list[Entry]:
             grid_units={"tau_s": "s"},
             refine=_near_tau,
             kin=_other_lags,
+            rough=ROUGH,
         ),
     ]
 

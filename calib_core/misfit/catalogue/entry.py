@@ -100,6 +100,7 @@ class Entry:
     give away.
     recurs: whether it may be found more than once. by_row: its parameters are a matrix, row by row of the
     axis they act on; else the axes in turn. bank: instead of `propose`, curves too many to fit them all.
+    rough: relative standard error that a curve which is only roughly known adds to sizes and time constants.
     """
 
     effect: str
@@ -117,6 +118,7 @@ class Entry:
     recurs: bool = False
     by_row: bool = False
     bank: Callable[[Scene], Bank | None] | None = None
+    rough: float = 0.0
 
 
 def no_hypotheses(_entry: Entry, _scene: Scene) -> list[Hypothesis]:
