@@ -77,7 +77,7 @@ DELAY_TOLERANCE = 2.5e-3
 BANDWIDTH_LIMIT = 0.38
 """Part of the sample rate below which a low-pass is a finding: parts come with 0.40 to 0.44 (BMI270)."""
 
-CERTAIN = 0.95
+CERTAIN = 0.99
 """Posterior probability of a random walk beyond the limit that makes it a finding."""
 
 BANDWIDTH_GAIN = 60.0
