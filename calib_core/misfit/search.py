@@ -170,7 +170,7 @@ def visible(reduced: Sequence[Reduced], h: int) -> int:
 
 
 def forward(scene: Scene, entries: Sequence[Entry], threshold: float = thresholds.SCORE) -> list[Step]:
-    """Return the forward steps whose winner passes the threshold, at most `thresholds.MAX_FINDINGS`."""
+    """Return the forward steps above the threshold, at most `thresholds.MAX_FINDINGS`; names unweighed."""
     steps: list[Step] = []
     while len(steps) < thresholds.MAX_FINDINGS:
         before = [h for s in steps for h in s.explained]
@@ -181,7 +181,7 @@ def forward(scene: Scene, entries: Sequence[Entry], threshold: float = threshold
         step = refined(scene, step, before)
         steps.append(step)
         entries = [e for e in entries if not _spent(e, step.winner.hypothesis.entry)]
-    return adequate(steps)
+    return steps
 
 
 def adequate(steps: Sequence[Step]) -> list[Step]:

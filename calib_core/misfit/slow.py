@@ -16,7 +16,7 @@ from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
 from stillcal.calib_core.misfit.evidence import fit_hypothesis
 from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
 from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
-from stillcal.calib_core.misfit.search import Scored, Step, forward, reduce_scene
+from stillcal.calib_core.misfit.search import Scored, Step, adequate, forward, reduce_scene
 from stillcal.calib_core.misfit.turns import turn_entries, turn_scene
 from stillcal.calib_core.misfit.walk import random_walk
 
@@ -59,7 +59,7 @@ def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
         return []
     entries = slow_entries(scene.sensor, without)
     steps = forward(scene, entries)
-    walks = random_walk(scene, [h for step in steps for h in step.explained])
+    walks = random_walk(scene, [h for step in adequate(steps) for h in step.explained])
     return [
         *findings_of(scene, steps),
         *(replace(f, effect="unknown") if f.effect in without else f for f in walks),
@@ -80,25 +80,34 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
-    what the parts that took no part in the fit do not speak for.
+    what the parts that took no part in the fit do not speak for; names are then weighed anew.
     """
-    while True:
-        found = [step.winner.hypothesis for step in steps]
+    while kept := adequate(steps):
+        found = [step.winner.hypothesis for step in kept]
         others = [[f for f in found if f is not own] for own in found]
         estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
         chances = [e.chance() for e in estimates]
-        if steps and max(chances) >= CHANCE:
-            steps = _without(steps, int(np.argmax(chances)))
+        if max(chances) >= CHANCE:
+            steps = _without(steps, kept[int(np.argmax(chances))])
             continue
-        made = [_finding(scene, *each) for each in zip(steps, estimates, others, strict=True)]
+        made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
         gains = [f.evidence.heldout_log_score_gain for f in made]
-        if min(gains, default=np.inf) > IN_FAVOUR:
+        if min(gains) > IN_FAVOUR:
             return made
-        steps = _without(steps, int(np.argmin(gains)))
+        steps = _without(steps, kept[int(np.argmin(gains))])
+    return []
 
 
-def _without(steps: Sequence[Step], k: int) -> list[Step]:
-    return [s for i, s in enumerate(steps) if i != k]
+def _without(steps: Sequence[Step], weak: Step) -> list[Step]:
+    """Return the steps without one; structure without a name that scored better than it takes its place.
+
+    Steps after that one were taken beside the name, and go with it.
+    """
+    i = next(i for i, s in enumerate(steps) if s.winner.fit is weak.winner.fit)
+    passed_over = steps[i].others[0] if steps[i].others else weak.winner
+    if passed_over.hypothesis.entry.effect == "unknown" and passed_over.score > weak.winner.score:
+        return [*steps[:i], Step(passed_over, ())]
+    return [*steps[:i], *steps[i + 1 :]]
 
 
 def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:
