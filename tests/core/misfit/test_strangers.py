@@ -15,8 +15,8 @@ from stillcal.calib_core.misfit.evidence import fit_hypothesis, null_log_likelih
 from stillcal.calib_core.misfit.records import Finding
 from stillcal.calib_core.misfit.scenes import scenes
 from stillcal.calib_core.misfit.screen import hypothesis, screened
-from stillcal.calib_core.misfit.search import reduce_scene
-from stillcal.calib_core.misfit.slow import slow_findings
+from stillcal.calib_core.misfit.search import Scored, Step, proposals, ranking, reduce_scene
+from stillcal.calib_core.misfit.slow import findings_of, slow_findings
 
 Array = np.ndarray
 QUIET = {sensor: nulls.Wander(pink=0.1 * white) for sensor, white in nulls.WHITE.items()}
@@ -136,3 +136,13 @@ def test_every_stranger_can_be_drawn() -> None:
         put = effects.drawn(rng, day, kind, "gyro")
         assert put.name is None
         assert np.ptp(put.error) > 0.0
+
+
+def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_without_one() -> None:
+    _, day = day_of(6)
+    scene, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
+    period = ranking(scene, slow_entries("gyro"))[0]
+    drift = proposals(scene, [e for e in slow_entries("gyro") if e.effect == "gyro_bias_drift"])[0]
+    name = Scored(drift, fit_hypothesis(reduce_scene(scene, [drift]), 0), 5.0, 10.0)
+    assert [f.effect for f in findings_of(scene, [Step(name, (period,))])] == ["unknown"]
+    assert findings_of(scene, [Step(name, ())]) == []
