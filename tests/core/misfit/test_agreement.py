@@ -1,4 +1,4 @@
-"""A delay's error grows where its parts disagree, and only there."""
+"""The error of a delay, or an arm, grows where its parts disagree, and only there."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.misfit.agreement import disagreement
+from stillcal.calib_core.misfit.beyond import Regression
+from stillcal.calib_core.misfit.lever import lever_arm
+from stillcal.calib_core.misfit.records import Where
 
 WINDOWS, FREQUENCIES = 40, 60
 FREQUENCY = np.arange(FREQUENCIES) / 8.0
@@ -32,3 +35,15 @@ def test_delays_that_differ_between_directions_are_as_uncertain_as_they_differ()
     apart = late * np.array([0.01, -0.01, 0.0])
     error = disagreement(late, noise + apart, FREQUENCY)
     assert 0.0005 < error < 0.01
+
+
+def test_an_arm_on_which_frequencies_do_not_agree_is_none() -> None:
+    rng = np.random.default_rng(5)
+    arm, designs = np.array([0.0, 0.08, -0.05]), [rng.normal(size=(60, 3, 3)) for _ in range(WINDOWS)]
+    sums = Regression.of(designs, [d @ arm + rng.normal(0.0, 0.05, (60, 3)) for d in designs])
+    where = Where(0.0, 600.0, (0.1, 25.0), "rate of turn")
+    found = lever_arm(sums, 0.2, where)
+    assert found is not None and found.effect == "lever_arm"
+    low, high = found.parameters["position"].ci95[1]
+    assert high - low == pytest.approx(2 * 1.96 * 0.2 * 0.08, rel=0.1)
+    assert lever_arm(sums, 0.5, where) is None
