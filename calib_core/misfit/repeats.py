@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit.left_out import of_counts
 from stillcal.calib_core.misfit.quick import unknown
@@ -14,6 +15,12 @@ SIGNIFICANT = 6.0
 ALLOWED = 0.3
 LEAST_SHARE = 0.002
 LEAST_COUNT = 20
+ALONE = 1.02
+"""Times the repeats on all axes that one axis has, above which axes repeat by themselves too."""
+
+COME_BACK = 0.5
+"""Part of the changes that lead to a value never seen before, below which values come in few steps."""
+
 MANY = 0.05
 """Part of the samples held beyond which spectrum and tails are not judged."""
 
@@ -61,6 +68,8 @@ def held(samples: Samples, sensor: str) -> tuple[Finding | None, float]:
     sigmas = excess / np.sqrt(expected + 1.0)
     if excess < max(LEAST_COUNT, ALLOWED * expected) or share < LEAST_SHARE or sigmas < SIGNIFICANT:
         return None, share
+    if _mixed_steps(samples.xyz, same, float(together.sum())):
+        return None, share
     first, last = _bulk(np.maximum(together - chance, 0.0))
     where = Where(
         float(samples.t[first * n]),
@@ -81,6 +90,17 @@ def held(samples: Samples, sensor: str) -> tuple[Finding | None, float]:
     )
     sizes = {"fraction": (share, "1"), "longest": (float(longest), "samples")}
     return unknown(sensor, [0, 1, 2], where, sizes, statement=say, seen=seen), share
+
+
+def _mixed_steps(xyz: Array, same: NDArray[np.bool_], together: float) -> bool:
+    """Whether coarse steps went through a calibration, which mixes the axes: no one then repeats alone.
+
+    Values xyz (n, 3) of coarse steps come back again and again; those of a sensor that was read late do not.
+    """
+    if float(same.sum(axis=(0, 1)).max()) > ALONE * together:
+        return False
+    changes = len(xyz) - together
+    return len(np.unique(xyz, axis=0)) < COME_BACK * changes
 
 
 def _bulk(excess: Array) -> tuple[int, int]:

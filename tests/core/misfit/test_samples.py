@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.misfit import repeats
 from stillcal.calib_core.misfit.quick import Measured, mean_of
 from stillcal.calib_core.misfit.records import Claims, Finding, Where
 from stillcal.calib_core.misfit.spectrum import Quiet
@@ -164,3 +165,15 @@ def test_a_line_is_found_in_rests_too_short_for_long_stretches() -> None:
     assert tone(stream(t, still), "accel") is None
     line = tone(stream(t, still + np.outer(np.sin(2 * np.pi * 13.0 * t), [0.0, 0.0, 0.01])), "accel")
     assert line is not None and line.parameters["frequency"].value == pytest.approx(13.0, abs=0.02)
+
+
+def test_coarse_values_that_were_calibrated_are_not_held() -> None:
+    """Mixed axes repeat together or not at all, as held samples do; but their values come back."""
+    rng = np.random.default_rng(10)
+    mixing = np.eye(3) + rng.normal(0, 0.02, (3, 3))
+    coarse = np.round(rng.normal(0, 0.01, (N, 3)) / 0.02) * 0.02
+    assert repeats.held(stream(even(), coarse @ mixing.T), "gyro")[0] is None
+    fine = rng.normal(0, 0.01, (N, 3))
+    late = np.flatnonzero(rng.random(N) < 0.1)[1:]
+    fine[late] = fine[late - 1]
+    assert repeats.held(stream(even(), fine @ mixing.T), "gyro")[0] is not None
