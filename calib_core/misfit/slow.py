@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -26,11 +27,11 @@ SLOW_BAND = (0.0, 0.05)
 ENTRIES = 20
 """How many entries compete, to make one p value of the best one's."""
 
-IN_FAVOUR = 1.6
-"""Gain in held-out log score, nats, that a finding must have: five to one on parts that no fit has seen."""
+IN_FAVOUR = 3.0
+"""Gain in held-out log score, nats, that a finding must have: twenty to one on parts that no fit has seen."""
 
 CHANCE = 1e-3
-"""Probability of parameters as large by chance, above which a finding is none."""
+"""Probability of parameters as large by chance, above which a finding beside others is none."""
 
 ACT = {
     "temperature": "; correct it by the thermometer",
@@ -80,14 +81,16 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
-    what the parts that took no part in the fit do not speak for; names are then weighed anew.
+    what the parts that took no part in the fit do not speak for; names are then weighed anew. Where nothing
+    is left, structure without a name that the first name was preferred to is tried.
     """
+    first = steps[0] if steps else None
     while kept := adequate(steps):
         found = [step.winner.hypothesis for step in kept]
         others = [[f for f in found if f is not own] for own in found]
         estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
         chances = [e.chance() for e in estimates]
-        if max(chances) >= CHANCE:
+        if len(kept) >= 2 and max(chances) >= CHANCE:
             steps = _without(steps, kept[int(np.argmax(chances))])
             continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
@@ -95,19 +98,15 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
         if min(gains) > IN_FAVOUR:
             return made
         steps = _without(steps, kept[int(np.argmin(gains))])
-    return []
+    passed_over = first.others[0] if first and first.others else None
+    if first is None or passed_over is None or passed_over.score <= first.winner.score:
+        return []
+    return findings_of(scene, [Step(passed_over, ())])
 
 
 def _without(steps: Sequence[Step], weak: Step) -> list[Step]:
-    """Return the steps without one; structure without a name that scored better than it takes its place.
-
-    Steps after that one were taken beside the name, and go with it.
-    """
-    i = next(i for i, s in enumerate(steps) if s.winner.fit is weak.winner.fit)
-    passed_over = steps[i].others[0] if steps[i].others else weak.winner
-    if passed_over.hypothesis.entry.effect == "unknown" and passed_over.score > weak.winner.score:
-        return [*steps[:i], Step(passed_over, ())]
-    return [*steps[:i], *steps[i + 1 :]]
+    """Return the steps before one and not those after it, which were taken beside it."""
+    return list(takewhile(lambda s: s.winner.fit is not weak.winner.fit, steps))
 
 
 def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:
