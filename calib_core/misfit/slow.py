@@ -27,8 +27,8 @@ SLOW_BAND = (0.0, 0.05)
 ENTRIES = 20
 """How many entries compete, to make one p value of the best one's."""
 
-IN_FAVOUR = 3.0
-"""Gain in held-out log score, nats, that a finding must have: twenty to one on parts that no fit has seen."""
+NAMELESS = 3.0
+"""Gain in held-out log score, nats, that structure without a name must have (twenty to one); a name, any."""
 
 CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
@@ -94,8 +94,8 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
             steps = _without(steps, kept[int(np.argmax(chances))])
             continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
-        gains = [f.evidence.heldout_log_score_gain for f in made]
-        if min(gains) > IN_FAVOUR:
+        gains = [f.evidence.heldout_log_score_gain - NAMELESS * (f.effect == "unknown") for f in made]
+        if min(gains) > 0.0:
             return made
         steps = _without(steps, kept[int(np.argmin(gains))])
     passed_over = first.others[0] if first and first.others else None
