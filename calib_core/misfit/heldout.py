@@ -1,7 +1,7 @@
 """Held-out evidence: blocks of time predicted from the rest, with and without an effect.
 
-Twenty stretches of the recording are dealt to `FOLDS` folds in turn, each predicted from the four others.
-Sizes of effects and the baseline are integrated out over all views together, so that the log score is exact:
+Each fifth of the recording is predicted from the four others. Sizes of effects and the baseline are
+integrated out over all views together, so that the log score of what was left out is exact:
 
     log p(left out | others) = log p(everything) - log p(others)
 
@@ -22,7 +22,7 @@ from stillcal.calib_core.misfit.shapes import families
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.samples import Array
 
-FOLDS, STRETCHES = 5, 20
+FOLDS = 5
 DIFFUSE = 1e-6
 
 
@@ -84,7 +84,7 @@ def held_out(scene: Scene, covariances: Sequence[Covariance], effects: Sequence[
 
 def _dealt(t: Array, start: float, end: float) -> NDArray[np.int64]:
     """Return the fold (n,) of bins at times t (n,)."""
-    return np.clip((t - start) / (end - start) * STRETCHES, 0, STRETCHES - 1).astype(np.int64) % FOLDS
+    return np.clip((t - start) / (end - start) * FOLDS, 0, FOLDS - 1).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from stillcal.calib_core.misfit.catalogue.entry import (
     bias_columns,
     no_hypotheses,
 )
-from stillcal.calib_core.misfit.heldout import FOLDS, STRETCHES, Covariance, held_out
+from stillcal.calib_core.misfit.heldout import FOLDS, Covariance, held_out
 from stillcal.calib_core.misfit.scenes import scenes
 
 RAMP = Entry(
@@ -53,7 +53,7 @@ def test_the_log_score_is_that_of_all_less_that_of_the_others() -> None:
     norm, (start, end) = replace(scene, views=(view,)), scene.bins.span
     columns = ramp.columns[0][0] * ramp.sizes
     spread = covariances(norm)[0].matrix + columns @ columns.T
-    fold = np.minimum(((view.t - start) / (end - start) * STRETCHES).astype(int), STRETCHES - 1) % FOLDS
+    fold = np.minimum(((view.t - start) / (end - start) * FOLDS).astype(int), FOLDS - 1)
     expected = 0.0
     for k in range(FOLDS):
         rest = fold != k
