@@ -1,14 +1,18 @@
-"""Streams of a phone at rest and in motion, with known truth, for the tests of the core."""
+"""Streams of a phone at rest and in motion, with known truth; makes `turned_phones` importable."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stillcal.calib_core.samples import Samples, Sensor
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 G = 9.80665
 
