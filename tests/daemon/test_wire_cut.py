@@ -10,14 +10,7 @@ from hypothesis import strategies as st
 from wire_said import OTHERS, G, joined, run
 
 from stillcal.calib_core.samples import Samples, Sensor
-from stillcal.daemon.wire import (
-    Coding,
-    Form,
-    Message,
-    WireDecoder,
-    WireEncoder,
-    WireSettings,
-)
+from stillcal.daemon.wire import Coding, Form, Message, WireDecoder, WireEncoder, WireSettings
 from stillcal.daemon.wire_cobs import MAX_FRAME, cobs_encode, framed
 
 

@@ -11,11 +11,7 @@ from wire_said import joined, others, run, same
 
 from stillcal.calib_core.events import Charging, Location, Tick
 from stillcal.calib_core.samples import Samples
-from stillcal.daemon.wire import (
-    WireDecoder,
-    WireEncoder,
-    WireSettings,
-)
+from stillcal.daemon.wire import WireDecoder, WireEncoder, WireSettings
 from stillcal.daemon.wire_cobs import MAX_FRAME, framed
 from stillcal.daemon.wire_frames import MAX_HELLO
 

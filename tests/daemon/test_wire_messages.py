@@ -11,14 +11,7 @@ from hypothesis import strategies as st
 from wire_said import OTHERS, A, joined, run, same
 
 from stillcal.calib_core.samples import Samples, Sensor
-from stillcal.daemon.wire import (
-    Coding,
-    Form,
-    Message,
-    WireDecoder,
-    WireEncoder,
-    WireSettings,
-)
+from stillcal.daemon.wire import Coding, Form, Message, WireDecoder, WireEncoder, WireSettings
 
 
 @pytest.mark.parametrize("form", Form)

@@ -7,14 +7,7 @@ from collections.abc import Callable, Iterable
 from wire_said import A, G, run
 
 from stillcal.calib_core.events import Tick
-from stillcal.daemon.wire import (
-    Form,
-    Hello,
-    Message,
-    WireDecoder,
-    WireEncoder,
-    WireSettings,
-)
+from stillcal.daemon.wire import Form, Hello, Message, WireDecoder, WireEncoder, WireSettings
 from stillcal.daemon.wire_messages import SEQUENCE_MASK
 
 

@@ -7,13 +7,7 @@ import pytest
 from wire_said import G, joined, others, run
 
 from stillcal.calib_core.events import Charging, Location
-from stillcal.daemon.wire import (
-    Form,
-    Temperature,
-    WireDecoder,
-    WireEncoder,
-    WireSettings,
-)
+from stillcal.daemon.wire import Form, Temperature, WireDecoder, WireEncoder, WireSettings
 from stillcal.daemon.wire_text import COUNTER, MAX_LINE, MicrosClock, crc16
 
 

@@ -10,15 +10,7 @@ import numpy as np
 from stillcal.calib_core.events import Charging, End, Location, Tick
 from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.calib_core.stationary import Sense, Sleep
-from stillcal.daemon.wire import (
-    Grant,
-    Hello,
-    Identify,
-    Message,
-    Rate,
-    Status,
-    Temperature,
-)
+from stillcal.daemon.wire import Grant, Hello, Identify, Message, Rate, Status, Temperature
 
 A, G = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
 
