@@ -1,4 +1,4 @@
-"""Calibrations to store, told apart by a number; short folders. Makes `living.py` importable by the tests."""
+"""Calibrations by number, a phone's ten minutes, short folders; makes the modules beside it importable."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from stillcal.calib_core.record import (
     StateRecord,
     Validity,
 )
+from stillcal.replay.phone import load_phone, load_scenario, simulate
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -68,6 +70,12 @@ def _record(number: float, how: How = "calibration", states: int = 2) -> Calibra
 def make_record() -> MakeRecord:
     """Make a calibration by number."""
     return _record
+
+
+@pytest.fixture(scope="session")
+def lab() -> list[Any]:
+    """Ten minutes of a phone laid in 24 attitudes."""
+    return list(simulate(load_scenario("lab"), load_phone("consumer"), 1).chunks())
 
 
 @pytest.fixture

@@ -1,16 +1,8 @@
-"""The whole daemon on a simulated phone's pseudo-terminal, in this process and as a process of its own."""
+"""The whole daemon lives with a simulated phone: as replayed, through restarts, asleep, with another one."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import json
-import os
-import signal
-import socket
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,21 +17,17 @@ from stillcal.calib_core.events import Store as Keep
 from stillcal.calib_core.samples import Samples, Sensor
 from stillcal.calib_core.schedule import ScheduleSettings
 from stillcal.daemon import saved_state
-from stillcal.daemon.cli_query import replies
 from stillcal.daemon.saved_state import SavedState
 from stillcal.daemon.serial_source import SerialSource
 from stillcal.daemon.service_mind import Mind
 from stillcal.daemon.service_pump import Pump, host_time
 from stillcal.daemon.source_base import SerialSettings
-from stillcal.daemon.store import Store, StoreError
+from stillcal.daemon.store import Store
 from stillcal.daemon.store_document import StoreDocument
 from stillcal.daemon.wire import Hello
-from stillcal.replay.phone import load_phone, load_scenario, simulate
 from stillcal.replay.phone_link import LinkSettings, PhoneLink, serve_phone
 from stillcal.replay.phone_stream import PhoneStream
 from stillcal.replay.runner import replay
-
-STILLCAL = [str(Path(sys.executable).with_name("stillcal"))]
 
 PROBING = """
 [engine.schedule]
@@ -51,15 +39,6 @@ probe_max_s = 0.6
 w_min_s = 1.0
 w_spread_s = 0.0
 """
-
-
-@pytest.fixture(scope="module")
-def lab() -> list[Any]:
-    """Ten minutes of a phone laid in 24 attitudes."""
-    return list(simulate(load_scenario("lab"), load_phone("consumer"), 1).chunks())
-
-
-# The same life, live and replayed
 
 
 @pytest.mark.parametrize("watch", ["auto", "probing"])
@@ -186,176 +165,6 @@ def test_what_is_due_hurries_the_engine_and_samples_alone_do_not() -> None:
         mind.close()
 
     asyncio.run(test())
-
-
-def test_another_device_is_taken_on_reload_and_bad_settings_are_refused(
-    tmp_path: Path, lab: list[Any], caplog: pytest.LogCaptureFixture
-) -> None:
-    given = given_in(tmp_path)
-
-    async def test() -> None:
-        async with running(given) as service:
-            given.config.write_text("[engine.schedule]\nattitudes_wanted = 3\n")
-            os.kill(os.getpid(), signal.SIGHUP)
-            await until(lambda: "attitudes_wanted = 3: must be 6 or more" in caplog.text)
-            assert service.settings.engine.schedule.attitudes_wanted == 30
-            given.config.write_text("[engine.schedule]\nattitudes_wanted = 12\n[source]\nbaud = 9600\n")
-            os.kill(os.getpid(), signal.SIGHUP)
-            await until(lambda: service.settings.source.baud == 9600)
-            await serve_phone(lab[:3], {}, path=tmp_path / "tty")
-            await until(lambda: service.saved.clock.newest > 100)
-            assert service.source.settings.baud == 9600
-
-    within_reason(test())
-
-
-def test_the_manager_hears_everything_in_order(tmp_path: Path) -> None:
-    given = given_in(tmp_path)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as manager:
-        manager.bind(str(tmp_path / "notify"))
-        heard: list[str] = []
-
-        def listen() -> bool:
-            with contextlib.suppress(BlockingIOError):
-                while True:
-                    heard.extend(manager.recv(4096).decode().splitlines())
-            return heard.count("WATCHDOG=1") >= 3
-
-        async def test() -> None:
-            environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
-            async with running(given, environ) as service:
-                await until(listen)
-                await service.reload()
-            listen()
-
-        within_reason(test())
-    order = [line for line in heard if line.partition("=")[0] in ("READY", "RELOADING", "STOPPING")]
-    assert order == ["READY=1", "RELOADING=1", "READY=1", "STOPPING=1"]
-    assert any(line.startswith("STATUS=no phone; no calibration yet") for line in heard)
-
-
-def test_a_full_disk_delays_nothing_and_is_made_up_for(
-    tmp_path: Path, lab: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given = given_in(tmp_path)
-    publish = Store.publish
-    monkeypatch.setattr("stillcal.daemon.service.SAVE_EVERY_S", 0.01)
-
-    def refuse(*arguments: Any) -> None:
-        raise StoreError("the disk is full: free some space")
-
-    async def test() -> None:
-        async with running(given) as service:
-            monkeypatch.setattr(Store, "publish", refuse)
-            await serve_phone(lab, {}, path=tmp_path / "tty")
-            await until(lambda: service.trouble)
-            assert service.view.record is not None and service.document.current is None
-            monkeypatch.setattr(Store, "publish", publish)
-            await until(lambda: service.document.current is not None)
-            await until(lambda: not service.trouble)
-
-    within_reason(test())
-
-
-# As a process of its own
-
-
-@contextlib.contextmanager
-def process(folder: Path, *more: str, **options: Any) -> Iterator[subprocess.Popen[str]]:
-    command = [*STILLCAL, "run", "--config", str(folder / "stillcal.toml"), *more]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **options) as daemon:
-        try:
-            yield daemon
-        finally:
-            daemon.kill()
-
-
-def arguments(folder: Path) -> list[str]:
-    given = given_in(folder)
-    return ["--port", given.port, "--store", given.store, "--socket", given.socket]
-
-
-def heard(daemon: subprocess.Popen[str], word: str) -> str:
-    assert daemon.stderr is not None
-    for line in daemon.stderr:
-        if word in line:
-            return line
-    raise AssertionError(f"the daemon ended before it said {word!r}")
-
-
-def asked(folder: Path, method: str) -> dict[str, Any]:
-    (reply,) = replies(folder / "socket", {"method": f"io.stillcal.Calibration.{method}"})
-    return reply["parameters"]
-
-
-def test_killed_at_once_it_keeps_its_rests_and_a_second_one_is_refused(
-    tmp_path: Path, lab: list[Any]
-) -> None:
-    more = arguments(tmp_path)
-
-    async def test() -> None:
-        async with PhoneLink(PhoneStream(lab), Hello(session=4, flow="credit")) as link:
-            link.plug(tmp_path / "tty")
-            phone = asyncio.create_task(link.serve())
-            with process(tmp_path, *more) as daemon:
-                await asyncio.to_thread(heard, daemon, "calibrated")
-                await until(
-                    lambda: saved_state.load(tmp_path / "store.state").state.engine.counters.rests > 0
-                )
-                second = await asyncio.to_thread(
-                    subprocess.run, [*STILLCAL, "run", *more], capture_output=True, text=True, check=False
-                )
-                assert second.returncode == 2
-                assert f"in use by process {daemon.pid}" in second.stderr.splitlines()[-1]
-                daemon.kill()
-            await phone
-        held = saved_state.load(tmp_path / "store.state").state.engine
-        assert held.counters.rests > 0
-        with process(tmp_path, *more) as daemon:
-            await asyncio.to_thread(heard, daemon, "ready")
-            status = (await asyncio.to_thread(asked, tmp_path, "GetStatus"))["status"]
-            assert status["rests_held"] == len(held.pool.held)
-            daemon.send_signal(signal.SIGTERM)
-            assert await asyncio.to_thread(daemon.wait, 30) == 0
-        assert not (tmp_path / "socket").exists()
-
-    within_reason(test())
-
-
-def test_the_daemon_holds_no_more_than_it_uses() -> None:
-    script = (
-        "import sys, json, stillcal.daemon.cli, stillcal.daemon.cli_run, stillcal.daemon.service;"
-        "print(json.dumps(sorted(sys.modules)))"
-    )
-    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    loaded = {name.split(".")[0] for name in json.loads(found.stdout)}
-    assert {"numpy", "serial", "msgspec", "asyncvarlink", "click"} <= loaded
-    assert not loaded & {"scipy", "rich", "matplotlib", "sklearn", "pandas", "dask", "pyarrow", "varlink"}
-    assert not [name for name in json.loads(found.stdout) if name.startswith("stillcal.replay")]
-
-
-def test_run_holds_no_openssl(tmp_path: Path) -> None:
-    with process(tmp_path, *arguments(tmp_path)) as daemon:
-        heard(daemon, "ready")
-        held = Path(f"/proc/{daemon.pid}/maps").read_text()
-        assert "numpy" in held and "libcrypto" not in held and "libssl" not in held
-
-
-@pytest.mark.parametrize(("text", "reason"), [("", "port is not set"), ("[source]\nport = 3", "must be str")])
-def test_settings_that_cannot_serve_end_it_in_one_line(tmp_path: Path, text: str, reason: str) -> None:
-    given_in(tmp_path, text)
-    command = [*STILLCAL, "run", "--config", str(tmp_path / "stillcal.toml")]
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert found.returncode == 2
-    (line,) = found.stderr.splitlines()
-    assert reason in line
-
-
-def test_asking_where_nobody_answers_is_exit_4(tmp_path: Path) -> None:
-    command = [*STILLCAL, "query", "--socket", str(tmp_path / "none")]
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert found.returncode == 4
-    assert "no daemon answers" in found.stderr and not found.stdout
 
 
 def test_another_phone_begins_anew_and_the_olds_calibration_is_in_the_history(
