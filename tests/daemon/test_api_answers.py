@@ -1,58 +1,27 @@
-"""The socket, asked by the independent varlink client and by clients that mean no good."""
+"""What the socket answers to the independent varlink client."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import dataclasses
 import json
 import os
-import socket
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import varlink
+from asking import NAME, STILLCAL, asked, client, stored
 from living import answering, within_reason
 
 from stillcal.calib_core.events import Reject
 from stillcal.calib_core.events import Store as Keep
 from stillcal.calib_core.samples import Sensor
 from stillcal.daemon.faults_kill import example
-from stillcal.daemon.faults_socket import nonsense
-from stillcal.daemon.notify import Notifier
-from stillcal.daemon.service import Service
-from stillcal.daemon.service_given import Given
 from stillcal.daemon.store import Store
-
-STILLCAL = str(Path(sys.executable).with_name("stillcal"))
-NAME = "io.stillcal.Calibration"
-
-
-@contextlib.contextmanager
-def client(folder: Path) -> Iterator[Any]:
-    with varlink.Client(address=f"unix:{folder}/socket") as found, found.open(NAME) as opened:
-        yield opened
-
-
-async def asked(folder: Path, ask: Callable[[Any], Any]) -> Any:
-    def run() -> Any:
-        with client(folder) as opened:
-            return ask(opened)
-
-    return await asyncio.to_thread(run)
-
-
-def stored(folder: Path, *records: Any) -> None:
-    for record in records:
-        Store(folder / "store.json").publish(record)
-
-
-# What is answered
 
 
 def test_the_interface_describes_itself(folder: Path) -> None:
@@ -224,150 +193,5 @@ def test_who_may_asks_for_a_calibration_and_for_zeroing(folder: Path) -> None:
                 await asked(folder, lambda c: c.ZeroNow())  # rests without a gyroscope
             status = (await asked(folder, lambda c: c.GetStatus()))["status"]
             assert status["failed_checks"] == 0 and status["diagnosis"] == ""
-
-    within_reason(test())
-
-
-# What is endured
-
-
-async def connected(folder: Path) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-    return await asyncio.open_unix_connection(str(folder / "socket"))
-
-
-async def ask(line: tuple[asyncio.StreamReader, asyncio.StreamWriter], method: str, **more: Any) -> Any:
-    line[1].write(json.dumps({"method": f"{NAME}.{method}", **more}).encode() + b"\0")
-    return json.loads((await line[0].readuntil(b"\0"))[:-1])
-
-
-def test_malformed_messages_harm_nobody(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
-    async def test() -> None:
-        async with answering(folder) as service:
-            good = await connected(folder)
-            for message in nonsense(1000, seed=4):
-                line = await connected(folder)
-                line[1].write(message)
-                line[1].write_eof()
-                await line[0].read()
-                line[1].close()
-            assert "parameters" in await ask(good, "GetStatus")
-            assert service.view.record is None
-
-    within_reason(test())
-    assert "Traceback" not in caplog.text
-
-
-def test_half_of_many_clients_stall_and_the_others_are_answered(folder: Path) -> None:
-    text = "[socket]\nconnections = 64\nstall_s = 0.3\n"
-
-    async def test() -> None:
-        async with answering(folder, text):
-            stalled = [await connected(folder) for _ in range(40)]
-            for _, writer in stalled[:20]:
-                writer.write(b'{"method": "half a question')
-            for _, writer in stalled[20:]:
-                writer.write(json.dumps({"method": "org.varlink.service.GetInfo"}).encode() * 1 + b"\0")
-            others = [await connected(folder) for _ in range(60)]
-            for _ in range(3):
-                answers = await asyncio.gather(*(ask(line, "GetStatus") for line in others))
-                assert all("status" in answer["parameters"] for answer in answers)
-            assert all([await reader.read() == b"" for reader, _ in stalled[:20]])
-            for _, writer in (*stalled, *others):
-                writer.close()
-
-    within_reason(test())
-
-
-def test_who_takes_no_answers_is_dropped(folder: Path, make_record: Any) -> None:
-    stored(folder, make_record(1))
-    many = json.dumps({"method": f"{NAME}.GetStatus"}).encode() + b"\0"
-
-    async def test() -> None:
-        async with answering(folder, "[socket]\nstall_s = 0.2\ncalls_per_s = 1e6\n"):
-            line = socket.socket(socket.AF_UNIX)
-            line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            line.setblocking(False)
-            line.connect(str(folder / "socket"))
-            loop = asyncio.get_running_loop()
-            with pytest.raises((BrokenPipeError, ConnectionResetError)):
-                while True:
-                    await loop.sock_sendall(line, many * 100)
-            line.close()
-            assert "parameters" in await ask(await connected(folder), "GetStatus")
-
-    within_reason(test())
-
-
-def test_a_question_without_end_is_not_kept(folder: Path) -> None:
-    async def test() -> None:
-        async with answering(folder, "[socket]\nmessage_bytes = 4096\n"):
-            reader, writer = await connected(folder)
-            with contextlib.suppress(ConnectionError):
-                writer.write(b"x" * 1_000_000)
-                await writer.drain()
-            with contextlib.suppress(ConnectionError):
-                assert await reader.read() == b""
-
-    within_reason(test())
-
-
-def test_a_listener_that_does_not_listen_is_dropped_and_holds_up_nothing(
-    folder: Path, make_record: Any
-) -> None:
-    record = make_record(1)
-
-    async def test() -> None:
-        async with answering(folder, "[socket]\nstall_s = 0.2\n") as service:
-            line = socket.socket(socket.AF_UNIX)
-            line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            line.connect(str(folder / "socket"))
-            line.sendall(json.dumps({"method": f"{NAME}.Monitor", "more": True}).encode() + b"\0")
-            while not len(service.news):
-                await asyncio.sleep(0.001)
-            action = Reject(1.0, record, "no " * 5000)
-            while len(service.news):
-                service.news.tell(action)
-                await asyncio.sleep(0)
-            line.close()
-
-    within_reason(test())
-
-
-def test_a_second_daemon_on_the_same_socket_is_refused_and_a_dead_ones_place_is_taken(folder: Path) -> None:
-    dead = socket.socket(socket.AF_UNIX)
-    dead.bind(str(folder / "socket"))
-    dead.close()
-
-    async def test() -> None:
-        given = Given(None, "none", str(folder / "other.json"), str(folder / "socket"))
-        config = folder / "stillcal.toml"
-        config.write_text("")
-        async with answering_after(folder):
-            second = Service(given.settings(), given, Notifier({}))
-            second.open()
-            with pytest.raises(ValueError, match="in use by another daemon"):
-                await second.run()
-            second.storage.close()
-
-    within_reason(test())
-
-
-@contextlib.asynccontextmanager
-async def answering_after(folder: Path) -> AsyncIterator[Service]:
-    """Run the daemon where a dead one's socket lies, and wait until it answers."""
-    async with answering(folder) as service:
-        while True:
-            with contextlib.suppress(ConnectionRefusedError):
-                (await connected(folder))[1].close()
-                break
-            await asyncio.sleep(0.001)
-        yield service
-
-
-@pytest.mark.parametrize("mode", ["0o600", "0o660"])
-def test_the_sockets_permissions_are_the_settings(folder: Path, mode: str) -> None:
-    async def test() -> None:
-        async with answering(folder, f"[socket]\nmode = {mode}\n"):
-            assert (folder / "socket").stat().st_mode & 0o777 == int(mode, 8)
 
     within_reason(test())
