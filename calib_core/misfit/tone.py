@@ -6,13 +6,12 @@ typing or a road do not. Its frequency and amplitude come from the stamps themse
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from stillcal.calib_core.misfit.left_out import blocks, rms
 from stillcal.calib_core.misfit.quick import SIGNIFICANT, Index, Seen, direct_finding, vector
 from stillcal.calib_core.misfit.records import Finding, Parameter, Where
+from stillcal.calib_core.misfit.stretches import INDEPENDENT, NEIGHBOURS, Stretches, stretches
 from stillcal.calib_core.misfit.values import UNIT
 from stillcal.calib_core.samples import Array, Samples
 
@@ -24,38 +23,29 @@ PLAIN = 1e-20
 """Probability of a line by chance below which short stretches show it well enough."""
 
 LEAST_LINE_HZ = 4.0
-BODY_HZ, SURE = 6.0, 1e-12
+BODY_HZ, SURE = 6.0, 1e-30
 """Below this frequency a line must be as sure: overtones of hearts and hands reach so far."""
 
-LINE_P = 1e-7
+LINE_P = 1e-6
 LEAST_STRETCHES = 5
+"""Stretches' lengths that a line must last."""
 LEAST_STACK = 10
-STEADY = {"accel": 0.1, "gyro": 0.03}
-STACK_ALLOWANCE = 1.15
+USUAL = 0.98
+"""Quantile of all lines that tells how much larger than a flat spectrum's they come out here."""
 LOUDEST = 10.0
 LEAST_HALF, QUIET = 3.3, 2.83
 """QUIET: mean of the largest of nine powers with no line (1 + 1/2 + ... + 1/9)."""
 
-FLANK = 0.15
+FLANK, FLANK_SIGMAS = 0.15, 2.0
 FINE = 0.05
 MOST_REFINED = 60
 CLOCK = 2e-5
+STUDENT = 1.42
+"""Of a standard error from five parts: 97.5 % quantile with four degrees of freedom, over 1.96."""
 NAMED = 0.3
 PACES = (0.6, 3.0)
 """Hz of hearts and steps."""
 CONTRAST = 5.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stretches:
-    """Steady stretches. t: (S, n) s; values: (S, n, 3), no means; first: (S,); ratio, power: (S, F, 3)."""
-
-    t: Array
-    values: Array
-    first: Index
-    f: Array
-    power: Array
-    ratio: Array
 
 
 def tone(samples: Samples, sensor: str) -> Finding | None:
@@ -67,13 +57,13 @@ def tone(samples: Samples, sensor: str) -> Finding | None:
 
 
 def _of_any_length(samples: Samples, sensor: str) -> Finding | None:
-    short = _stretches(samples, sensor, SHORT)
+    short = stretches(samples, sensor, SHORT)
     found = _tone(samples, sensor, short)
     if found is not None and found.evidence.p_value < PLAIN:
         return found
-    found = _tone(samples, sensor, _stretches(samples, sensor, LONG)) or found
-    if found is None and (short is None or short.first.size < LEAST_STACK):
-        return _tone(samples, sensor, _stretches(samples, sensor, BRIEF))
+    found = _tone(samples, sensor, stretches(samples, sensor, LONG)) or found
+    if found is None and (short is None or float(short.share.sum()) < LEAST_STACK):
+        return _tone(samples, sensor, stretches(samples, sensor, BRIEF))
     return found
 
 
@@ -84,94 +74,51 @@ def _tone(samples: Samples, sensor: str, seen: Stretches | None) -> Finding | No
     high = np.flatnonzero((seen.f > LEAST_LINE_HZ) & (seen.f < 0.49 * rate))
     if high.size == 0:
         return None
-    k = _line(seen.ratio[:, high])
+    k = _line(seen.ratio[:, high], seen.share)
     if k is None:
         return None
     middle = int(high[k])
     near = seen.ratio[:, middle - 1 : middle + 2].max(axis=(1, 2))
     lasting = _lasting(near)
     profile = seen.power[lasting][:, max(middle - 20, 0) : middle + 21].sum(axis=(0, 2))
-    if lasting.size < LEAST_STRETCHES or not _narrow(profile) or _of_a_body(seen, lasting, middle):
+    brief = float(seen.share[lasting].sum()) < LEAST_STRETCHES
+    if brief or not _narrow(profile, 3 * lasting.size) or _of_a_body(seen, lasting, middle):
         return None
     return _stated(samples, sensor, seen, lasting, middle)
 
 
-def _stretches(samples: Samples, sensor: str, seconds: float) -> Stretches | None:
-    rate = 1.0 / float(np.median(np.diff(samples.t)))
-    length = int(seconds * rate)
-    if length < 100 or len(samples) < 3 * length:
-        return None
-    first = _steady(samples.xyz, max(round(rate), 1), length, STEADY[sensor])
-    first = first[samples.t[first + length - 1] - samples.t[first] < 1.2 * seconds]
-    if first.size < 3:
-        return None
-    rows = first[:, None] + np.arange(length)
-    values = samples.xyz[rows] - samples.xyz[rows].mean(axis=1, keepdims=True)
-    power, ratio = _ratios(values)
-    f = np.asarray(np.fft.rfftfreq(length, 1.0 / rate), dtype=np.float64)
-    return Stretches(samples.t[rows], values, first, f, power, ratio)
-
-
-def _steady(xyz: Array, second: int, length: int, most: float) -> Index:
-    """Return first rows of stretches, one after another, whose means over a second stay where they are.
-
-    They are rests, shaken or not; each begins where the one before has ended, or as the phone comes to rest.
-    """
-    count = len(xyz) // second
-    means = xyz[: count * second].reshape(count, second, 3).mean(axis=1)
-    span = max(length // second, 1)
-    around = np.lib.stride_tricks.sliding_window_view(means, span, axis=0)
-    still = np.ptp(around, axis=2).max(axis=1) < most
-    still = still[: max((len(xyz) - length) // second + 1, 0)]
-    starts, free = [], 0
-    for k in np.flatnonzero(still):
-        if k * second >= free:
-            starts.append(int(k) * second)
-            free = starts[-1] + length
-    return np.array(starts, dtype=np.int64)
-
-
-def _ratios(values: Array) -> tuple[Array, Array]:
-    """Return powers (S, F, 3) and their ratio to the mean of 34 neighbours, a line's own bins apart."""
-    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
-
-    spectrum = np.fft.rfft(values * np.hanning(values.shape[1])[None, :, None], axis=1)
-    power = np.asarray(np.abs(spectrum) ** 2)
-    around, own = 41 * uniform_filter1d(power, 41, axis=1), 7 * uniform_filter1d(power, 7, axis=1)
-    background = np.maximum((around - own) / 34.0, 1e-6 * power.mean(axis=1, keepdims=True))
-    return power, np.asarray(power / np.maximum(background, 1e-300))
-
-
-def _line(ratio: Array) -> int | None:
+def _line(ratio: Array, share: Array) -> int | None:
     """Return the frequency that stands out in `LEAST_STRETCHES` stretches, or in the mean of all."""
     best = ratio.max(axis=2)
     threshold = float(np.log(best.size * 3 / LINE_P))
     near = np.maximum(best, np.maximum(np.roll(best, 1, axis=1), np.roll(best, -1, axis=1)))
-    hits = (near > threshold).sum(axis=0)
+    hits = share @ (near > threshold)
     if hits.max() >= LEAST_STRETCHES:
-        clear = hits >= hits.max() - 1
+        clear = hits > hits.max() - 1.5
         return int(np.argmax(np.where(clear, best.sum(axis=0), 0.0)))
     return _stacked(ratio)
 
 
 def _stacked(ratio: Array) -> int | None:
-    """Return where the mean power of all, half or a quarter of the stretches stands out, or None.
+    """Return where all, half or a quarter of the stretches together stand out, or None.
 
-    On one axis, or in the sum of the three.
+    On one axis, or on the three together. Without a line a ratio to the mean of n independent neighbours has
+    F(2, 2n): minus twice its log-probability is chi-squared with two degrees of freedom (Fisher's method).
     """
-    from scipy.stats import gamma  # noqa: PLC0415 - the daemon stays light
+    from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
 
-    total = np.concatenate([np.zeros((1, *ratio.shape[1:])), np.cumsum(np.minimum(ratio, LOUDEST), axis=0)])
+    told = 2.0 * INDEPENDENT * np.log1p(np.minimum(ratio, LOUDEST) / INDEPENDENT)
+    total = np.concatenate([np.zeros((1, *ratio.shape[1:])), np.cumsum(told, axis=0)])
     best: tuple[float, int] | None = None
     for part in (1, 2, 4):
         count = len(ratio) // part
         if count < LEAST_STACK:
             break
         first = np.arange(0, len(ratio) - count + 1, max(count // 2, 1))
-        mean = (total[first + count] - total[first]) / count
-        # The background of 34 lines scatters by a sixth, which widens the tail of means of powers.
-        for values, freedom in ((mean.max(axis=2), count), (mean.mean(axis=2), 3 * count)):
-            limit = float(gamma.isf(LINE_P / mean.size, freedom, scale=1.0 / freedom)) * STACK_ALLOWANCE
+        stack = total[first + count] - total[first]
+        for values, freedom in ((stack.max(axis=2), 2 * count), (stack.sum(axis=2), 6 * count)):
+            usual = float(np.quantile(values, USUAL)) / float(chi2.ppf(USUAL, freedom))
+            limit = float(chi2.isf(LINE_P / stack.size, freedom)) * max(usual, 1.0)
             top = float(values.max()) / limit
             if top > 1.0 and (best is None or top > best[0]):
                 best = top, int(np.argmax(values.max(axis=0)))
@@ -188,13 +135,14 @@ def _lasting(near: Array) -> Index:
     return np.arange(first, last, dtype=np.int64)
 
 
-def _narrow(profile: Array) -> bool:
-    """Whether the power (41,) about a line falls off as a Hann window's own does, within three bins."""
+def _narrow(profile: Array, count: int) -> bool:
+    """Whether the power (41,), a sum of `count` powers, falls off within three bins, as a Hann window's."""
     middle = profile.size // 2
     away = np.abs(np.arange(profile.size) - middle)
     floor = float(np.median(profile[away > 12]))
-    flank = float(profile[(away >= 4) & (away <= 6)].mean()) - floor
-    return flank < FLANK * (float(profile[away <= 1].mean()) - floor)
+    flank = profile[(away >= 4) & (away <= 6)]
+    chance = FLANK_SIGMAS * floor * float(np.sqrt(NEIGHBOURS / INDEPENDENT / count / flank.size))
+    return float(flank.mean()) - floor - chance < FLANK * (float(profile[away <= 1].mean()) - floor)
 
 
 def _of_a_body(seen: Stretches, rows: Index, middle: int) -> bool:
@@ -236,7 +184,7 @@ def _frequency(seen: Stretches, rows: Index, middle: int) -> tuple[float, float]
     best = _peak(grid, power.sum(axis=0))
     parts = np.array([_peak(grid, power[fold != k].sum(axis=0)) for k in np.unique(fold)])
     n = parts.size
-    error = float(np.sqrt((n - 1) / n * ((parts - parts.mean()) ** 2).sum()))
+    error = STUDENT * float(np.sqrt((n - 1) / n * ((parts - parts.mean()) ** 2).sum()))
     return best, float(np.hypot(error, max(CLOCK * best, 2e-3 * step)))
 
 

@@ -145,6 +145,21 @@ def test_a_faint_line_is_found_in_long_stretches() -> None:
     assert line.parameters["frequency"].value == pytest.approx(11.3, abs=0.02)
 
 
+def test_a_line_near_the_limit_of_what_can_be_seen_has_its_frequency() -> None:
+    """Quarter of an hour; the matched filter that knows all would see 16 standard deviations."""
+    t = np.arange(22_500) / 25.0
+    inside = 0
+    for seed in range(10):
+        rng = np.random.default_rng([11, seed])
+        frequency = rng.uniform(6.5, 11.0)
+        faint = 16.0 * 0.01 * np.sqrt(2.0 / t.size) * np.sin(2 * np.pi * frequency * t)
+        line = tone(stream(t, rng.normal(0, 0.01, (t.size, 3)) + np.outer(faint, [0, 1, 0])), "accel")
+        assert line is not None and line.axes == ["y"]
+        low, high = line.parameters["frequency"].ci95
+        inside += low <= frequency <= high
+    assert inside >= 7, "95 % intervals: fewer than 7 of 10 have a chance of 1 in 1,000"
+
+
 def test_stamps_that_run_fast_at_the_nominal_rate_are_skewed() -> None:
     """The host says 3 in 1000 fast, the nominal rate as much slow: the samples come as they should."""
     host = even()
