@@ -91,13 +91,16 @@ def _dealt(t: Array, start: float, end: float) -> NDArray[np.int64]:
 class _Sums:
     """What some bins say. constant: log density with no effect, nats, baseline integrated out.
 
-    information, target: (k, k) and (k,) of the effects' sizes; factor: (m, m), takes errors to white ones.
+    information, target: (k, k) and (k,) of the effects' sizes; factor: (m, m), takes errors to white ones;
+    white: (m, p + k + 1), baseline, effects and data so taken; own: (p, p), factor of the baseline's own.
     """
 
     constant: float
     information: Array
     target: Array
     factor: Array
+    white: Array
+    own: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,23 +130,22 @@ class _Part:
         left = white[:, p:].T @ white[:, p:] - taken.T @ taken
         logs = np.log(lower.diagonal()).sum() + np.log(own.diagonal()).sum()
         constant = -0.5 * float(left[-1, -1]) - float(logs) - 0.5 * len(white) * float(np.log(2.0 * np.pi))
-        return _Sums(constant, left[:-1, :-1], left[:-1, -1], np.asarray(lower))
+        return _Sums(constant, left[:-1, :-1], left[:-1, -1], np.asarray(lower), white, np.asarray(own))
 
     def missed(self, rows: NDArray[np.bool_], sums: _Sums, size: Array) -> Array:
         """Return how far the bins that are not `rows` are from the mean model that `rows` tell.
 
         To the mean belongs what the baseline absorbs.
         """
-        lower, away = sums.factor, self.y - self.effects @ size
-        white = np.linalg.solve(lower, np.column_stack([self.baseline, away])[rows])
-        p = self.baseline.shape[1]
-        gram = white[:, :p].T @ white[:, :p] + DIFFUSE * np.eye(p)
-        away = away - self.baseline @ np.linalg.solve(gram, white[:, :p].T @ white[:, p])
+        baseline, effects, y = np.split(sums.white, [self.baseline.shape[1], sums.white.shape[1] - 1], axis=1)
+        white = y[:, 0] - effects @ size
+        offset = np.linalg.solve(sums.own.T, np.linalg.solve(sums.own, baseline.T @ white))
+        away = (self.y - self.effects @ size - self.baseline @ offset)[~rows]
         if self.view.absorbed is None:
-            return np.asarray(away[~rows])
-        known = np.linalg.solve(lower, np.column_stack([self.view.absorbed, away])[rows])
-        parameters = self.covariance.scale * (known[:, :-1].T @ known[:, -1])
-        return np.asarray(away[~rows] - self.view.absorbed[~rows] @ parameters)
+            return np.asarray(away)
+        known = np.linalg.solve(sums.factor, self.view.absorbed[rows])
+        parameters = self.covariance.scale * (known.T @ (white - baseline @ offset))
+        return np.asarray(away - self.view.absorbed[~rows] @ parameters)
 
 
 def _evidence(sums: Sequence[_Sums]) -> tuple[float, Array]:

@@ -21,7 +21,6 @@ from stillcal.calib_core.misfit.search import reduce_scene
 from stillcal.calib_core.misfit.values import UNIT
 from stillcal.calib_core.misfit.views import View, fit_baseline, rest_means
 from stillcal.calib_core.samples import Array
-from stillcal.replay.report.curves import affine_columns
 
 Row = tuple[str, str, float, float, str, float]
 """statistic, channel, recorded, simulated, unit, p."""
@@ -140,7 +139,7 @@ def _wander(one: Scene, other: Scene) -> Iterator[Row]:
     for a, b in zip(one.views, other.views, strict=False):
         if a.name != b.name:
             continue
-        left = [np.log(max(_scatter(v, s.up), 1e-12)) for v, s in ((a, one), (b, other))]
+        left = [np.log(max(_scatter(v), 1e-12)) for v in (a, b)]
         # A wander has few independent pieces however many bins: its variance is known to some ten of them.
         error = np.sqrt(1.0 / 10.0)
         sigmas = max(abs(left[0] - left[1]) - WANDER_TOLERANCE, 0.0) / error
@@ -152,12 +151,9 @@ def _wander(one: Scene, other: Scene) -> Iterator[Row]:
         yield "scatter of still bins", name, float(np.exp(left[0])), float(np.exp(left[1])), unit, p
 
 
-def _scatter(view: View, up: Array | None) -> float:
+def _scatter(view: View) -> float:
     """Root mean square of a view's residuals with all that the baseline phone may do projected out."""
-    if view.name == "norm" and up is not None:
-        columns = [affine_columns(up)]
-    else:
-        columns = [view.nuisance(b) for b in range(len(view.y))]
+    columns = [view.nuisance(b) for b in range(len(view.y))]
     left = [r - x @ np.linalg.lstsq(x, r, rcond=None)[0] for r, x in zip(view.y, columns, strict=True)]
     return float(np.sqrt(np.mean(np.square(left))))
 

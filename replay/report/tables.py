@@ -54,8 +54,7 @@ def parameters(finding: Finding) -> str:
 
 
 def _numbers(name: str, parameter: Parameter) -> Iterator[tuple[str, float, str]]:
-    limits = np.asarray(parameter.ci95, dtype=np.float64)
-    pairs = limits.reshape(-1, 2) if limits.shape[-1] == 2 else np.moveaxis(limits, 0, -1).reshape(-1, 2)
+    pairs = np.asarray(parameter.ci95, dtype=np.float64).reshape(-1, 2)
     for (place, value), (low, high) in zip(_flat(parameter.value), pairs.tolist(), strict=True):
         yield f"{name} {place}".strip(), value, _interval(low, high)
 
