@@ -17,6 +17,8 @@ from stillcal.daemon.store import Store
 STILLCAL = str(Path(sys.executable).with_name("stillcal"))
 NAME = "io.stillcal.Calibration"
 
+Line = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
 
 @contextlib.contextmanager
 def client(folder: Path) -> Iterator[Any]:
@@ -37,10 +39,10 @@ def stored(folder: Path, *records: Any) -> None:
         Store(folder / "store.json").publish(record)
 
 
-async def connected(folder: Path) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+async def connected(folder: Path) -> Line:
     return await asyncio.open_unix_connection(str(folder / "socket"))
 
 
-async def ask(line: tuple[asyncio.StreamReader, asyncio.StreamWriter], method: str, **more: Any) -> Any:
+async def ask(line: Line, method: str, **more: Any) -> Any:
     line[1].write(json.dumps({"method": f"{NAME}.{method}", **more}).encode() + b"\0")
     return json.loads((await line[0].readuntil(b"\0"))[:-1])

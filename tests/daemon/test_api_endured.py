@@ -5,16 +5,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import select
 import socket
 from pathlib import Path
 from typing import Any
 
 import pytest
-from asking import NAME, ask, connected, stored
-from living import answering, within_reason
+from asking import NAME, Line, ask, connected, stored
+from living import answering, until, within_reason
 
 from stillcal.calib_core.events import Reject
 from stillcal.daemon.faults_socket import nonsense
+from stillcal.daemon.service_news import BACKLOG
+from stillcal.replay.phone_link import LinkSettings, serve_phone
 
 
 def test_malformed_messages_harm_nobody(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -88,23 +91,60 @@ def test_a_question_without_end_is_not_kept(folder: Path) -> None:
     within_reason(test())
 
 
+async def listening(line: Line, marked: str, heard: list[int]) -> None:
+    """Listen for news, and keep the numbers that follow the mark in their reasons, until the line ends."""
+    line[1].write(json.dumps({"method": f"{NAME}.Monitor", "more": True}).encode() + b"\0")
+    with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError):
+        while True:
+            event = json.loads((await line[0].readuntil(b"\0"))[:-1])["parameters"]["event"]
+            if event["reason"].startswith(marked):
+                heard.append(int(event["reason"].split()[1]))
+
+
+def hung_up(line: socket.socket) -> bool:
+    """Whether the other end has closed; reads nothing."""
+    poll = select.poll()
+    poll.register(line, 0)
+    return any(seen & select.POLLHUP for _, seen in poll.poll(0))
+
+
 def test_a_listener_that_does_not_listen_is_dropped_and_holds_up_nothing(
-    folder: Path, make_record: Any
+    folder: Path, make_record: Any, lab: list[Any]
 ) -> None:
+    """While it is told of 15 kB at a time, others hear and are answered, and the phone's samples come."""
     record = make_record(1)
+    text = '[socket]\nstall_s = 0.2\ncalls_per_s = 1e6\n[engine.schedule]\nwatch = "continuous"\n'
 
     async def test() -> None:
-        async with answering(folder, "[socket]\nstall_s = 0.2\n") as service:
-            line = socket.socket(socket.AF_UNIX)
-            line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            line.connect(str(folder / "socket"))
-            line.sendall(json.dumps({"method": f"{NAME}.Monitor", "more": True}).encode() + b"\0")
-            while not len(service.news):
-                await asyncio.sleep(0.001)
-            action = Reject(1.0, record, "no " * 5000)
-            while len(service.news):
-                service.news.tell(action)
-                await asyncio.sleep(0)
-            line.close()
+        async with answering(folder, text) as service, asyncio.TaskGroup() as others:
+            heard: list[int] = []
+            phone = others.create_task(
+                serve_phone(lab, {}, LinkSettings(speed=10.0, credit=False), folder / "tty")
+            )
+            others.create_task(listening(await connected(folder), "told", heard))
+            await until(lambda: len(service.news) == 1 and service.source.wire.samples)
+            deaf = socket.socket(socket.AF_UNIX)
+            deaf.connect(str(folder / "socket"))
+            deaf.sendall(json.dumps({"method": f"{NAME}.Monitor", "more": True}).encode() + b"\0")
+            await until(lambda: len(service.news) == 2)
+            asking, told, samples = await connected(folder), 0, service.source.wire.samples
+            while not hung_up(deaf):
+                for _ in range(16):
+                    told += 1
+                    service.news.tell(Reject(1.0, record, f"told {told} " + "no " * 5000))
+                await until(lambda last=told: last in heard)
+                assert "parameters" in await ask(asking, "GetStatus")
+                assert max(listener.queue.qsize() for listener in service.news._listeners) <= BACKLOG
+            assert service.source.wire.samples > samples
+            assert heard == list(range(1, told + 1)) and len(service.news) == 1
+            deaf.settimeout(0)
+            got = b""
+            with contextlib.suppress(ConnectionResetError):
+                while piece := deaf.recv(65_536):
+                    got += piece
+            assert got.count(b"told") < told
+            deaf.close()
+            phone.cancel()
+            service.stop()
 
     within_reason(test())
