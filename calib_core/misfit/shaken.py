@@ -5,12 +5,18 @@ Vibration alone is no reason to leave a bin out: what shakes may shift a bias, w
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from stillcal.calib_core.misfit.bins import Bins
 
 LOUD = 2.0
 """Times the spread of the quietest tenth of the bins that a shaken one has."""
+
+SHAKEN = 0.14
+"""m/s^2 on three axes at which no phone lies still: twice what 400 ug/sqrt(Hz), the most that Android's
+compatibility definition (7.3.1) allows, are over 100 Hz."""
 
 FEWEST = 6
 """Quiet bins that tell where the rate lies at rest."""
@@ -20,10 +26,16 @@ TURNED = 6.0
 
 
 def steady(bins: Bins) -> Bins:
-    """Return the bins without shaken ones whose rate is neither that of quiet bins nor follows the power."""
+    """Return the bins without shaken ones whose rate is neither that of quiet bins nor follows the power.
+
+    Where nine in ten are shaken, nothing tells a bias from a vehicle's slow turn, and they have no rate.
+    """
     if bins.rate is None or bins.rate_variance is None or not len(bins):
         return bins
-    loud = bins.vibration > LOUD**2 * float(np.quantile(bins.vibration, 0.1))
+    floor = float(np.quantile(bins.vibration, 0.1))
+    if floor > SHAKEN**2:
+        return replace(bins, rate=None, rate_variance=None)
+    loud = bins.vibration > LOUD**2 * floor
     if not loud.any() or (~loud).sum() < FEWEST:
         return bins
     quiet = bins.rate[~loud]

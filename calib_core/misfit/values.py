@@ -19,6 +19,13 @@ PRINTED = 0.5
 DITHERED = 2.2
 HIDDEN = 3.5
 HARMONICS = 8
+USUAL = {
+    "accel": 9.80665 * 2.0 ** np.arange(1, 5) / 32768.0,
+    "gyro": np.deg2rad(np.outer([125.0 / 32768.0, 4.375e-3], 2.0 ** np.arange(5))).ravel(),
+}
+"""Steps of 16 bits at the usual ranges, 2 to 16 g and 125 to 2000 deg/s (Bosch BMI160, TDK ICM-20948), and
+STMicroelectronics' sensitivities (LSM6DSO)."""
+LIKE = 3e-3
 
 
 def comb_step(values: Array) -> float | None:
@@ -101,7 +108,8 @@ def steps(samples: Samples, sd: Array) -> Steps:
 def quantisation(samples: Samples, sensor: str, seen: Steps, lsb: float | None) -> Finding | None:
     """Find a step coarser than the declared one, or, where none is declared, than the noise.
 
-    A power of ten is how values are printed, and no finding unless it is half of the noise.
+    A power of ten is how values are printed, and no finding unless it is half of the noise. The step of 16
+    bits at a usual range is one as soon as it does more to the values than to add to their variance.
     """
     limit = [1.5 * lsb if lsb else float(seen.sd[a]) for a in range(3)]
     axes = [
@@ -109,6 +117,7 @@ def quantisation(samples: Samples, sensor: str, seen: Steps, lsb: float | None) 
         for a in range(3)
         if seen.step[a] > limit[a]
         and not (_power_of_ten(seen.step[a]) and seen.step[a] < PRINTED * seen.sd[a])
+        and (lsb or seen.blurs_level() or not _usual(seen.step[a], sensor))
     ]
     if not axes:
         return None
@@ -126,6 +135,10 @@ def quantisation(samples: Samples, sensor: str, seen: Steps, lsb: float | None) 
 
 def _power_of_ten(step: float) -> bool:
     return bool(abs(np.log10(step) - np.rint(np.log10(step))) < 1e-3)
+
+
+def _usual(step: float, sensor: str) -> bool:
+    return bool(np.abs(step / USUAL[sensor] - 1.0).min() < LIKE)
 
 
 def _on_grid(values: Array) -> Seen:

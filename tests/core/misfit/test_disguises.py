@@ -60,7 +60,7 @@ def car() -> tuple[Bins, np.ndarray]:
     rng, day = day_of(2)
     bins = nulls.bins_of(rng, day, QUIET)
     loud = rng.random(len(bins)) < 0.2
-    return replace(bins, vibration=np.where(loud, 20.0 * bins.vibration, bins.vibration)), loud
+    return replace(bins, vibration=0.02**2 * np.where(loud, 20.0, 1.0) * bins.vibration), loud
 
 
 def test_a_car_that_turns_slowly_does_not_rest() -> None:
@@ -72,10 +72,17 @@ def test_a_car_that_turns_slowly_does_not_rest() -> None:
     np.testing.assert_array_equal(kept.t, bins.t[~turning])
 
 
+def test_where_nothing_is_quiet_rates_are_not_judged() -> None:
+    bins, _ = car()
+    driven = steady(replace(bins, vibration=np.full(len(bins), 0.2**2)))
+    assert driven.rate is None and len(driven) == len(bins)
+    assert steady(replace(bins, vibration=np.full(len(bins), 0.05**2))).rate is not None
+
+
 def test_a_bias_that_follows_the_shaking_stays() -> None:
     bins, _ = car()
     assert bins.rate is not None
-    shaken = replace(bins, rate=bins.rate + bins.vibration[:, None] * np.array([2e-4, 0.0, 0.0]))
+    shaken = replace(bins, rate=bins.rate + bins.vibration[:, None] * np.array([0.5, 0.0, 0.0]))
     assert len(steady(shaken)) == len(bins)
 
 

@@ -145,6 +145,19 @@ def test_a_faint_line_is_found_in_long_stretches() -> None:
     assert line.parameters["frequency"].value == pytest.approx(11.3, abs=0.02)
 
 
+@pytest.mark.parametrize(
+    ("step", "coarse"), [(1000.0 / 32768.0, False), (0.0333, True), (2000.0 / 32768.0, True)]
+)
+def test_sixteen_bits_at_a_usual_range_are_no_finding_while_they_are_dithered(
+    step: float, coarse: bool
+) -> None:
+    """Steps of 1.2, 1.3 and 2.5 times the noise; only the first is a part's own and well dithered."""
+    step = float(np.deg2rad(step))
+    noise = np.random.default_rng(12).normal(0, np.deg2rad(0.0245), (N, 3))
+    values = stream(even(), step * np.round(noise / step))
+    assert (quantisation(values, "gyro", steps(values, values.xyz.std(axis=0)), None) is not None) == coarse
+
+
 def test_a_line_near_the_limit_of_what_can_be_seen_has_its_frequency() -> None:
     """Quarter of an hour; the matched filter that knows all would see 16 standard deviations."""
     t = np.arange(22_500) / 25.0
