@@ -123,6 +123,7 @@ class _Stream:
 
     sensor: str
     samples: Samples
+    bins: Bins
     still: Quiet
     steps: Steps
     spectra: Spectra | None
@@ -138,7 +139,9 @@ class _Stream:
         seen = steps(samples, sd)
         floor = seen.largest**2 / (6.0 * still.rate)
         made = None if seen.hides_noise() else spectrum.judged(still, floor)
-        return cls(sensor, samples, still, seen, made, None if made is None else noise.levels(made, floor))
+        return cls(
+            sensor, samples, bins, still, seen, made, None if made is None else noise.levels(made, floor)
+        )
 
 
 def direct_findings(streams: Sequence[_Stream], claims: Claims) -> list[Finding]:
@@ -174,16 +177,17 @@ def _at_rest(stream: _Stream, claims: Claims, factor: float) -> list[Finding | N
         return []
     samples, sensor = stream.samples, stream.sensor
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, stream.still.rate / 2.0), "noise at rest")
-    other = None if stream.steps.blurs_level() else changing(stream.spectra, stream.levels, sensor)
+    fine = not stream.steps.blurs_level()
+    other = changing(stream.spectra, stream.levels, sensor, stream.bins) if fine else None
     least = float(stream.steps.sd.min())
-    fine = least > 0.0 and stream.steps.largest < COARSEST * least
-    wide = tails(stream.still, sensor, where, stream.steps.largest) if fine else None
+    dithered = least > 0.0 and stream.steps.largest < COARSEST * least
+    wide = tails(stream.still, sensor, where, stream.steps.largest) if dithered else None
     claim = noise.claimed(sensor, claims)
     claim = None if claim is None else factor * claim
     found: list[Finding | None] = [other, wide]
     if noise.suppressed(stream.levels, claim):
         found.append(bandwidth(stream.spectra, sensor, where))
-    if wide is None and other is None and not stream.steps.blurs_level():
+    if wide is None and other is None and fine:
         found += noise.noise_findings(sensor, stream.levels, claim, where)
     return found
 
