@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.events import Charging
 from stillcal.calib_core.misfit import poses
+from stillcal.calib_core.misfit.thermometer import reconstructed
 from stillcal.calib_core.misfit.windows import KNOCK, WINDOW, Windows, windows, without_spikes
 from stillcal.calib_core.samples import Array, Samples
 
@@ -234,7 +235,8 @@ def _bin_temperatures(samples: Samples, t_start: float, first: Array, last: Arra
     if known.sum() < 2 or first.size == 0:
         return None
     grid = t_start + (np.arange(int(last.max())) + 0.5) * WINDOW
-    at_windows = np.interp(grid, samples.t[known], samples.temperature[known])
+    smooth = reconstructed(samples.t[known], samples.temperature[known])
+    at_windows = np.interp(grid, samples.t[known], smooth)
     return _bin_means(at_windows[:, None], first, last)[:, 0]
 
 
