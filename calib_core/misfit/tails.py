@@ -23,6 +23,11 @@ from stillcal.calib_core.samples import Array
 
 AXES = [0, 1, 2]
 FAR = 4.0
+BOUND = 6.0
+"""Spreads at which samples are held for their fourth moment: no normal one is beyond.
+
+Below eight degrees of freedom Student's has no variance: its error would grow with the moment itself."""
+
 TOGETHER = 0.2
 CLUSTERED = 0.05
 MOST_WIDE = 0.35
@@ -71,9 +76,11 @@ def tails(still: Quiet, sensor: str, where: Where, step: float) -> Finding | Non
     """
     scaled, spread = standardised(still.pieces)
     kurtosis = [_kurtosis(scaled, [a]) for a in range(3)]
-    together = _kurtosis(scaled, AXES)
-    sigmas = max(k.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE) for k in (*kurtosis, together))
-    axes = [a for a in AXES if sigmas >= SIGNIFICANT and _heavy(kurtosis[a])]
+    bounded = [np.clip(z, -BOUND, BOUND) for z in scaled]
+    held = [_kurtosis(bounded, [a]) for a in range(3)]
+    every = (*kurtosis, *held, _kurtosis(scaled, AXES), _kurtosis(bounded, AXES))
+    sigmas = max(k.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE) for k in every)
+    axes = [a for a in AXES if sigmas >= SIGNIFICANT and (_heavy(kurtosis[a]) or _heavy(held[a]))]
     everything = np.concatenate(scaled)
     if not axes or _clustered(everything[:, axes]) or _together(everything):
         return None
