@@ -1,4 +1,4 @@
-"""The views of the gyroscope at rest: its rate is nothing but the Earth's."""
+"""The gyroscope at rest: its rate is nothing but the Earth's."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.samples import Array
 
-EARTH = 7.292e-5 / np.sqrt(2.0)
-"""rad/s: the Earth's rate about the vertical, as large as at 45 degrees of latitude."""
+EARTH = 7.292e-5
+"""rad/s (WGS 84)."""
 
 
 def rate_views(bins: Bins, up: Array) -> list[View]:
     """Rate at rest, one view an axis; the baseline is a constant and the Earth's turn about `up` (n, 3).
 
-    What the Earth turns about the horizontal follows heading: that scatters between rests.
+    The latitude is not known: both parts are as large as at 45 degrees. What the Earth turns about the
+    horizontal follows heading, which all bins of a rest share and the next rest does not.
     """
     if bins.rate is None or bins.rate_variance is None:
         return []
     n = len(bins)
+    rounding = np.zeros(3) if bins.rate_rounding is None else bins.rate_rounding
+    heading = 0.25 * EARTH**2 * (1.0 - up**2)
     return [
         View(
             name=f"rate_{'xyz'[a]}",
@@ -32,8 +35,8 @@ def rate_views(bins: Bins, up: Array) -> list[View]:
             t=bins.t,
             duration=bins.duration,
             rest=bins.rest,
-            rounding=None if bins.rate_rounding is None else np.full(n, bins.rate_rounding[a]),
-            absorbed=EARTH * up[:, a : a + 1],
+            rounding=np.sqrt(rounding[a] ** 2 + heading[:, a]),
+            absorbed=EARTH / np.sqrt(2.0) * up[:, a : a + 1],
         )
         for a in range(3)
     ]

@@ -27,8 +27,9 @@ SLOW_BAND = (0.0, 0.05)
 ENTRIES = 20
 """How many entries compete, to make one p value of the best one's."""
 
-NAMELESS = 3.0
-"""Gain in held-out log score, nats, that structure without a name must have (twenty to one); a name, any."""
+LEAST_GAIN = 3.0
+"""Gain in held-out log score, nats, of structure without a name and of what stands beside other findings
+(twenty to one); a name by itself must have any."""
 
 CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
@@ -81,11 +82,14 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
-    what the parts that took no part in the fit do not speak for; names are then weighed anew. Where nothing
-    is left, structure without a name that the first name was preferred to is tried.
+    what the parts that took no part in the fit do not speak for, a name that was worth it in a pair only;
+    names are then weighed anew. Where nothing is left, structure without a name that the first name was
+    preferred to is tried.
     """
     first = steps[0] if steps else None
     while kept := adequate(steps):
+        if len(kept) == 1 and not _stands_alone(kept[0].winner):
+            break
         found = [step.winner.hypothesis for step in kept]
         others = [[f for f in found if f is not own] for own in found]
         estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
@@ -94,7 +98,8 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
             steps = _without(steps, kept[int(np.argmax(chances))])
             continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
-        gains = [f.evidence.heldout_log_score_gain - NAMELESS * (f.effect == "unknown") for f in made]
+        least = [LEAST_GAIN * (f.effect == "unknown" or len(made) > 1) for f in made]
+        gains = [f.evidence.heldout_log_score_gain - x for f, x in zip(made, least, strict=True)]
         if min(gains) > 0.0:
             return made
         steps = _without(steps, kept[int(np.argmin(gains))])
@@ -102,6 +107,12 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
     if first is None or passed_over is None or passed_over.score <= first.winner.score:
         return []
     return findings_of(scene, [Step(passed_over, ())])
+
+
+def _stands_alone(found: Scored) -> bool:
+    """Whether a finding scores at least what a name that is preferred to nameless structure may."""
+    allowed = thresholds.UNKNOWN_MARGIN + found.hypothesis.entry.handicap
+    return found.score >= thresholds.SCORE - allowed
 
 
 def _without(steps: Sequence[Step], weak: Step) -> list[Step]:

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.carried import LEAST_TURNS, Aligned, Turn
+from stillcal.calib_core.misfit.catalogue import generic
 from stillcal.calib_core.misfit.catalogue.drivers import LEAST_SPAN
 from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Linear, Scene, moves, no_hypotheses
 from stillcal.calib_core.misfit.views import View
@@ -114,9 +116,28 @@ CUBIC = Entry(
     handicap=HANDICAP,
 )
 
+SAY_NAMELESS = generic.SAY.replace("bias", "gain")
+AGEING = replace(
+    SCALE,
+    effect="unknown",
+    follows="time x rate of turn",
+    parameters=(Linear("gain", "1", 3, 0.02),),
+    sentence=SAY_NAMELESS + "time.",
+    handicap=thresholds.UNKNOWN_HANDICAP,
+)
+LOPSIDED = replace(
+    AGEING,
+    follows="size of the rate of turn",
+    sentence=SAY_NAMELESS + "which way it turns.",
+    handicap=HANDICAP + thresholds.UNKNOWN_HANDICAP,
+)
+
 
 def turn_entries(found: list[Turn], scene: Scene) -> list[Entry]:
-    """Return what turns can show: nonlinearity, and scale against temperature where it was recorded."""
+    """Return what turns can show: nonlinearity, and scale against temperature where it was recorded.
+
+    Without a name, a scale that changes with time or with the sense of the turn.
+    """
     across = scene.views[0].project.reshape(-1, 2, 3)
 
     def seen(entry: Entry, *terms: Callable[[Turn], Array]) -> Entry:
@@ -130,7 +151,13 @@ def turn_entries(found: list[Turn], scene: Scene) -> list[Entry]:
     def square(t: Turn) -> Array:
         return _axiswise(t.rate**2)
 
-    proposed = [seen(QUADRATIC, square), seen(CUBIC, square, lambda t: _axiswise(t.rate**3))]
+    start, end = scene.bins.span
+    proposed = [
+        seen(QUADRATIC, square),
+        seen(CUBIC, square, lambda t: _axiswise(t.rate**3)),
+        seen(LOPSIDED, lambda t: _axiswise(np.abs(t.rate))),
+        seen(AGEING, lambda t: _axiswise(t.rate * ((t.end - start) / (end - start) - 0.5))),
+    ]
     warm = np.array([t.temperature for t in found])
     if scene.bins.temperature is not None and moves(warm, LEAST_SPAN):
         middle = float(warm.mean())

@@ -14,7 +14,7 @@ import numpy as np
 
 from stillcal.calib_core.samples import Array
 from stillcal.replay.challenge.noise import log_uniform
-from stillcal.replay.challenge.world import World, lagged
+from stillcal.replay.challenge.world import EARTH, World, lagged
 
 LEAST_REST_S = 14.0
 
@@ -56,7 +56,7 @@ def play(day: Day, rng: np.random.Generator) -> World:
     return World(
         t,
         day.gravity * up + push,
-        rate,
+        rate + _earth(t, up, rests, rng),
         rate_dot,
         _warmth(day, t, drive, rng),
         _held(drive, t),
@@ -64,6 +64,19 @@ def play(day: Day, rng: np.random.Generator) -> World:
         rests,
         turns,
     )
+
+
+def _earth(t: Array, up: Array, rests: Array, rng: np.random.Generator) -> Array:
+    """Return the Earth's rate (n, 3) in the body, somewhere between 65 degrees south and north.
+
+    Headings are anything at every rest, and no matter while the phone is turned.
+    """
+    latitude = math.radians(rng.uniform(-65.0, 65.0))
+    place = np.clip(np.searchsorted(rests[:, 0], t, side="right") - 1, 0, None)
+    north = rng.standard_normal((len(rests), 3))[place]
+    north -= (north * up).sum(axis=1, keepdims=True) * up
+    north /= np.linalg.norm(north, axis=1, keepdims=True)
+    return EARTH * (math.sin(latitude) * up + math.cos(latitude) * north)
 
 
 def _rows(t: Array, begin: float, end: float) -> slice:

@@ -1,9 +1,10 @@
 """How visible an effect is: d' on binned rests under the true coloured covariance, and held-out gain.
 
 d'^2 = delta' C^-1 delta. C is the covariance of the bins' means, plus broad normal priors on all that a
-calibration may absorb, which is projecting it out: the gyroscope's constant bias; the accelerometer's
-bias and nine scale terms, and for every rest the unknown attitude with a steady creep of it. Nothing that
-an observer of rests could know is left out, so no observer of rests can do better than this d'.
+calibration may absorb, which is projecting it out: the gyroscope's constant bias and the Earth's rate,
+latitude unknown and so in every rest the heading; the accelerometer's bias and nine scale terms, and for
+every rest the unknown attitude with a steady creep of it. Nothing that an observer of rests could know is
+left out, so no observer of rests can do better than this d'.
 Effects seen only in motion are weighed turn by turn in `motion`.
 """
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from stillcal.calib_core.samples import Array
 from stillcal.replay.challenge.noise import Colour
-from stillcal.replay.challenge.world import Bins
+from stillcal.replay.challenge.world import EARTH, Bins
 
 BIAS, SCALE, POSE, CREEP = 1.0, 0.5, 1.0, 0.01
 """Prior standard deviations in m/s^2: bias, scale and misalignment (5 % of g), attitude, creep in a rest."""
@@ -60,7 +61,18 @@ def _tangents(up: Array) -> tuple[Array, Array]:
 def gyroscope_precision(bins: Bins, colour: Colour) -> Array:
     """Return the inverse covariance (3m, 3m) of the gyroscope's bin means, axis after axis."""
     one = colour.covariance(bins.t, bins.width) + GYRO_BIAS**2
-    return np.kron(np.eye(3), np.linalg.inv(one))
+    free = _turning(bins)
+    return np.asarray(np.linalg.inv(np.kron(np.eye(3), one) + free @ free.T))
+
+
+def _turning(bins: Bins) -> Array:
+    """Return the Earth's rate at 45 degrees about up, and about the unknown north of every rest, (3m, k)."""
+    up = bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True)
+    columns = [EARTH / math.sqrt(2.0) * up.T]
+    for rest in np.unique(bins.rest):
+        inside = bins.rest == rest
+        columns += [0.5 * EARTH * tangent[:, None] * inside for tangent in _tangents(up[inside][0])]
+    return np.stack([c.ravel() for c in columns], axis=1)
 
 
 def precision(bins: Bins, sensor: str, colour: Colour) -> Array:

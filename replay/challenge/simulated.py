@@ -68,7 +68,8 @@ def drawn_day(duration: float, rng: np.random.Generator) -> Scenario:
         "longitude": 0.0,
         "altitude": float(rng.uniform(0.0, 800.0)),
     }
-    return msgspec.convert({"segment": segments, "duration_s": duration, "place": place}, type=Scenario)
+    told = {"segment": segments, "duration_s": duration, "place": place, "earth_rotation": True}
+    return msgspec.convert(told, type=Scenario)
 
 
 def world_of(simulation: Simulation) -> World:

@@ -11,6 +11,9 @@ from stillcal.calib_core.samples import Array
 MARGIN_S = 1.0
 """What is left out at both ends of a rest, s."""
 
+EARTH = 7.292115e-5
+"""Rotation of the Earth, rad/s (WGS 84)."""
+
 WIDTH_S, MOST_BINS = 10.0, 200
 """Length of a bin in s, and the number beyond which bins are made longer."""
 

@@ -145,5 +145,7 @@ def test_the_baselines_find_a_plain_effect_in_white_noise(solver: str, tmp_path:
     assert "gyro_bias_temperature" in named
     if solver == "affine_white_bic":
         told = named["gyro_bias_temperature"]["parameters"]["slope"]["value"]
-        assert told == pytest.approx(key.effects[0].parameters["slope"], rel=0.3, abs=1e-5)
+        assert told == pytest.approx(key.effects[0].parameters["slope"], rel=0.3, abs=3e-5), (
+            "the Earth turns 7e-5 rad/s while it warms by a few K"
+        )
     assert msgspec.json.encode(answer)

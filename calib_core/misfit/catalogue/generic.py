@@ -27,6 +27,7 @@ from stillcal.calib_core.samples import Array
 
 STRETCH_CUTS = 14
 GAIN = 0.02
+SLOPE = 1e-3
 SAY = "Something outside the catalogue moves the bias on {axes}: it follows "
 GRID = {"t_start": "s", "t_end": "s", "period_s": "s"}
 
@@ -58,6 +59,33 @@ def _gain_of_a_stretch(entry: Entry, scene: Scene) -> list[Hypothesis]:
     return found
 
 
+def _gain_in_time(entry: Entry, scene: Scene) -> list[Hypothesis]:
+    """Propose gains that grow with time, by so much in the whole recording."""
+    if scene.up is None or scene.sensor != "accel" or distinct(scene.up) < 4:
+        return []
+    grown = unit_range(drivers.age(scene.bins))
+    return [Hypothesis(entry, {}, per_axis(scene, own_force(scene) * grown[:, None], TILTED))]
+
+
+def _crossed(entry: Entry, scene: Scene) -> list[Hypothesis]:
+    """Propose what an axis takes up of the two others' force, by temperature: x of y and z, and so on."""
+    if scene.up is None or scene.sensor != "accel" or distinct(scene.up) < 4:
+        return []
+    force = own_force(scene)
+    others = np.stack([np.delete(force, a, axis=1) for a in range(3)], axis=1)
+    errors = (others[:, :, None, :] * np.eye(3)[None, :, :, None]).reshape(len(force), 3, 6)
+    return [
+        Hypothesis(
+            entry, grid, tuple(_times(v.project, (errors * warm[:, None, None])[v.bins]) for v in scene.views)
+        )
+        for grid, warm in drivers.temperature(scene)
+    ]
+
+
+def _times(project: Array, errors: Array) -> Array:
+    return np.asarray(np.einsum("bni,nik->bnk", project, errors))
+
+
 def _gravity_squared(entry: Entry, scene: Scene) -> list[Hypothesis]:
     """Rate by squares and products of gravity's components, the same five on each axis."""
     if scene.up is None or scene.sensor != "gyro" or distinct(scene.up) < 8:
@@ -80,6 +108,8 @@ def entries(sensor: str) -> list[Entry]:
         ("vibration power", curves(_vibration), "amplitude", 3),
         ("attitude, nonlinearly", _gravity_squared, "amplitude", 15),
         ("own force in a stretch of time", _gain_of_a_stretch, "gain", 3),
+        ("own force, with time", _gain_in_time, "gain", 3),
+        ("temperature x the other axes' force", _crossed, "slope", 6),
     ]
     banked = [
         ("temperature's past or bend", banks.thermal_past, 1),
@@ -92,7 +122,7 @@ def entries(sensor: str) -> list[Entry]:
         ("time since the phone was moved", banks.since_moves, 1),
         ("time since the last change of attitude", banks.strains, 3),
     ]
-    sizes = {"amplitude": (UNIT[sensor], SIZE[sensor]), "gain": ("1", GAIN)}
+    sizes = {"amplitude": (UNIT[sensor], SIZE[sensor]), "gain": ("1", GAIN), "slope": ("1/K", SLOPE)}
 
     def entry(follows: str, parameter: Linear) -> Entry:
         return Entry(
@@ -107,7 +137,7 @@ def entries(sensor: str) -> list[Entry]:
         )
 
     found = [
-        replace(entry(f, Linear(name, sizes[name][0], k, sizes[name][1])), propose=propose, by_row=k == 15)
+        replace(entry(f, Linear(name, sizes[name][0], k, sizes[name][1])), propose=propose, by_row=k > 3)
         for f, propose, name, k in direct
     ]
     found += [
