@@ -1,0 +1,78 @@
+"""Codes that a converter never gives: a bit that never changes.
+
+On the grid of its steps an axis with a dead bit k leaves out every other run of 2^k codes, over the whole
+range that motion took it through. A sound one that was seen in m such pairs of runs is in one half of each by
+chance, 2^-m.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.misfit.catalogue.entry import AXES
+from stillcal.calib_core.misfit.left_out import of_counts
+from stillcal.calib_core.misfit.quick import Index, unknown
+from stillcal.calib_core.misfit.records import Finding, Number, Where
+from stillcal.calib_core.misfit.values import comb_step
+from stillcal.calib_core.samples import Array, Samples
+
+BITS = 14
+BY_CHANCE = 1e-6
+SPOILED = ("noise_heavy_tailed", "noise_unequal_axes", "accel_quantisation", "gyro_quantisation")
+ON_GRID = 0.25
+"""Steps that a value may be off the grid."""
+
+
+def dead_bits(samples: Samples, sensor: str) -> Finding | None:
+    """Find axes of which one bit never changes."""
+    found = {a: b for a in range(3) if (b := _dead_bit(samples.xyz[:, a])) is not None}
+    if not found:
+        return None
+    axes = list(found)
+    told = ", ".join(f"{bit} of {AXES[a]}" for a, (bit, _) in found.items())
+    say = f"A bit of the {sensor} sensor never changes ({told}): every other run of 2^bit values is missing."
+    pairs = float(min(pairs for _, pairs in found.values()))
+    one = np.full(10, pairs / 10.0)
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")
+    bits: Number = [float(bit) for bit, _ in found.values()]
+    sizes = {"bit": (bits, "1"), "pairs": (pairs, "1")}
+    return unknown(sensor, axes, where, sizes, statement=say, seen=of_counts(one, one, 0.5, 30.0))
+
+
+def _dead_bit(values: Array) -> tuple[int, int] | None:
+    """Return the bit of values (n,) that never changes and in how many pairs of runs; None where all do.
+
+    The lowest bit is not among them: without it the step is twice as large.
+    """
+    step = comb_step(values)
+    if step is None:
+        return None
+    away = (values - float(np.median(values))) / step
+    codes = np.unique(np.rint(away)).astype(np.int64)
+    if float(np.quantile(np.abs(away - np.rint(away)), 0.99)) > ON_GRID:
+        return None
+    for bit in range(1, BITS):
+        run = 2**bit
+        start = _half(codes, run)
+        if start is None:
+            continue
+        pairs = int(np.unique((codes - start) // (2 * run)).size)
+        if np.log(2.0) * pairs > np.log(6.0 * BITS * 2.0 * run / BY_CHANCE):
+            return bit, pairs
+    return None
+
+
+def _half(codes: Index, run: int) -> int | None:
+    """Return where the run of codes that occur begins, modulo two runs; None where more than one occurs."""
+    seen = np.unique(codes % (2 * run))
+    gaps = np.diff(np.concatenate([seen, [seen[0] + 2 * run]]))
+    widest = int(np.argmax(gaps))
+    return int(seen[(widest + 1) % seen.size]) if gaps[widest] > run else None
+
+
+def beside(found: list[Finding], bits: Finding | None) -> list[Finding]:
+    """Return one sensor's findings and the dead bit, without what it does to the noise of its axes."""
+    if bits is None:
+        return found
+    lost = set(bits.axes)
+    return [bits, *(f for f in found if f.effect not in SPOILED or not set(f.axes) <= lost)]

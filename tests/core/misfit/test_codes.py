@@ -1,0 +1,63 @@
+"""A bit that never changes is found with its axis; sound, still and printed ones are silent."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.misfit.codes import beside, dead_bits
+from stillcal.calib_core.misfit.quick import Seen, direct_finding
+from stillcal.calib_core.misfit.records import Finding, Where
+from stillcal.calib_core.samples import Samples, Sensor
+
+STEP = 0.004788403
+
+
+def counts(seed: int, moved: float = 1500.0) -> np.ndarray:
+    """Forty rests of 400 samples, motion of 100 between them: codes (n, 3)."""
+    rng = np.random.default_rng(seed)
+    place = np.repeat(rng.uniform(-moved, moved, (40, 3)), 500, axis=0)
+    moving = (np.arange(20000) % 500 < 100)[:, None]
+    return np.rint(place + moving * rng.normal(0.0, moved / 3, place.shape) + rng.normal(0, 2.5, place.shape))
+
+
+def said(values: np.ndarray) -> Finding | None:
+    return dead_bits(Samples.checked(Sensor.ACCELEROMETER, np.arange(len(values)) / 50.0, values), "accel")
+
+
+@pytest.mark.parametrize("bit", [1, 3, 5])
+@pytest.mark.parametrize("value", [0, 1])
+@pytest.mark.parametrize("bias", [0.0, 0.1234567])
+def test_a_dead_bit_is_found_whatever_its_value_and_the_bias(bit: int, value: int, bias: float) -> None:
+    codes = counts(bit).astype(int)
+    codes[:, 2] = codes[:, 2] | (1 << bit) if value else codes[:, 2] & ~(1 << bit)
+    found = said(codes * STEP + bias)
+    assert found is not None and found.effect == "unknown" and found.axes == ["z"]
+    assert found.parameters["bit"].value == [float(bit)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sound_converters_are_silent(seed: int) -> None:
+    codes = counts(seed)
+    assert said(codes * STEP) is None
+    assert said(np.round(codes * STEP, 3)) is None
+    assert said(codes @ np.array([[1.0, 0.02, 0.0], [0.0, 0.99, 0.01], [0.01, 0.0, 1.01]]) * STEP) is None
+
+
+def test_what_hardly_moves_shows_no_bit() -> None:
+    """Within a few runs of eight codes a bit may rest by chance."""
+    codes = counts(1, moved=20.0).astype(int)
+    assert said((codes & ~8) * STEP) is None
+
+
+def test_noise_of_an_axis_with_a_dead_bit_is_not_judged() -> None:
+    def heavy(axes: list[int]) -> Finding:
+        where, seen = Where(0.0, 1.0, (0.0, 1.0), "noise at rest"), Seen(9.0, 9.0, 1.0, 0.5)
+        return direct_finding("noise_heavy_tailed", "accel", axes, where, {}, statement="", seen=seen)
+
+    codes = counts(1).astype(int)
+    codes[:, 2] &= ~8
+    bit = said(codes * STEP)
+    assert beside([heavy([2])], bit) == [bit]
+    assert len(beside([heavy([0, 2])], bit)) == 2
+    assert len(beside([heavy([2])], None)) == 1
