@@ -12,7 +12,7 @@ from stillcal.calib_core.misfit import noise, repeats, spectrum, thresholds
 from stillcal.calib_core.misfit.bins import Bins, cut
 from stillcal.calib_core.misfit.carried import aligned
 from stillcal.calib_core.misfit.changing import changing
-from stillcal.calib_core.misfit.codes import beside, dead_bits
+from stillcal.calib_core.misfit.codes import beside, dead_bits, dead_zone
 from stillcal.calib_core.misfit.garbled import garbled, outside
 from stillcal.calib_core.misfit.motion import motion_findings
 from stillcal.calib_core.misfit.records import Claims, Diagnosis, Finding, Where, verdict_of
@@ -169,7 +169,8 @@ def _of_stream(stream: _Stream, claims: Claims, factor: float) -> list[Finding]:
         found.append(tone(samples, sensor))
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor)
-    return beside([f for f in found if f is not None], dead_bits(samples, sensor))
+    lost = [dead_bits(samples, sensor), dead_zone(samples, sensor)]
+    return beside([f for f in found if f is not None], lost)
 
 
 def _at_rest(stream: _Stream, claims: Claims, factor: float) -> list[Finding | None]:
