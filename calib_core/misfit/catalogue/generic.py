@@ -68,21 +68,27 @@ def _gain_in_time(entry: Entry, scene: Scene) -> list[Hypothesis]:
 
 
 def _crossed(entry: Entry, scene: Scene) -> list[Hypothesis]:
-    """Propose what an axis takes up of the two others' force, by temperature: x of y and z, and so on."""
+    """Propose what each axis and the next take up of each other's force, by temperature.
+
+    The norm of gravity sees no more of misalignment than what the two axes have in common.
+    """
     if scene.up is None or scene.sensor != "accel" or distinct(scene.up) < 4:
         return []
     force = own_force(scene)
-    others = np.stack([np.delete(force, a, axis=1) for a in range(3)], axis=1)
-    errors = (others[:, :, None, :] * np.eye(3)[None, :, :, None]).reshape(len(force), 3, 6)
+    errors = np.zeros((len(force), 3, 3))
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        errors[:, a, a], errors[:, b, a] = 0.5 * force[:, b], 0.5 * force[:, a]
     return [
         Hypothesis(
-            entry, grid, tuple(_times(v.project, (errors * warm[:, None, None])[v.bins]) for v in scene.views)
+            entry,
+            grid,
+            tuple(_seen(v.project, (errors * warm[:, None, None])[v.bins]) for v in scene.views),
         )
         for grid, warm in drivers.temperature(scene)
     ]
 
 
-def _times(project: Array, errors: Array) -> Array:
+def _seen(project: Array, errors: Array) -> Array:
     return np.asarray(np.einsum("bni,nik->bnk", project, errors))
 
 
@@ -109,7 +115,7 @@ def entries(sensor: str) -> list[Entry]:
         ("attitude, nonlinearly", _gravity_squared, "amplitude", 15),
         ("own force in a stretch of time", _gain_of_a_stretch, "gain", 3),
         ("own force, with time", _gain_in_time, "gain", 3),
-        ("temperature x the other axes' force", _crossed, "slope", 6),
+        ("temperature x another axis' force", _crossed, "slope", 3),
     ]
     banked = [
         ("temperature's past or bend", banks.thermal_past, 1),
@@ -137,7 +143,7 @@ def entries(sensor: str) -> list[Entry]:
         )
 
     found = [
-        replace(entry(f, Linear(name, sizes[name][0], k, sizes[name][1])), propose=propose, by_row=k > 3)
+        replace(entry(f, Linear(name, sizes[name][0], k, sizes[name][1])), propose=propose, by_row=k == 15)
         for f, propose, name, k in direct
     ]
     found += [

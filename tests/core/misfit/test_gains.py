@@ -1,0 +1,68 @@
+"""Gains that change with what the catalogue has no name for are called unknown, and say what they follow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import nulls
+import numpy as np
+import pytest
+from test_carried import G, day
+from test_slow import day_of
+from test_strangers import QUIET
+
+from stillcal.calib_core.misfit.bins import cut
+from stillcal.calib_core.misfit.carried import aligned
+from stillcal.calib_core.misfit.records import Finding
+from stillcal.calib_core.misfit.scenes import scenes
+from stillcal.calib_core.misfit.slow import slow_findings, turn_findings
+
+
+def accelerometer(crossed: float, ageing: float, scale: float) -> list[Finding]:
+    """A day in which y gains 1/K times what x feels, all axes age, and z's scale follows temperature."""
+    rng, lived = day_of(4)
+    warm = lived.temperature - lived.temperature.mean()
+    error = ageing * G * lived.up * (lived.t / lived.t[-1])[:, None]
+    error[:, 1] += crossed * G * warm * lived.up[:, 0]
+    error[:, 2] += scale * G * warm * lived.up[:, 2]
+    return slow_findings(scenes(nulls.bins_of(rng, lived, QUIET, accel_error=error), nulls.G)[0])
+
+
+def test_what_an_axis_takes_up_of_another_by_temperature_is_no_scale() -> None:
+    found = accelerometer(2e-4, 0.0, 0.0)
+    assert [(f.effect, f.where.driver) for f in found] == [("unknown", "temperature x another axis' force")]
+    assert found[0].axes == ["x"], "x with y"
+    np.testing.assert_allclose(found[0].parameters["slope"].value, [2e-4, 0, 0], atol=4e-5)
+
+
+def test_a_gain_that_ages_is_no_temperature_s() -> None:
+    found = accelerometer(0.0, 2e-3, 0.0)
+    assert [(f.effect, f.where.driver) for f in found] == [("unknown", "own force, with time")]
+    np.testing.assert_allclose(found[0].parameters["gain"].value, 2e-3, rtol=0.2)
+
+
+def test_a_scale_that_follows_temperature_keeps_its_name() -> None:
+    assert [f.effect for f in accelerometer(0.0, 0.0, 2e-4)] == ["accel_scale_temperature"]
+
+
+@pytest.mark.parametrize(
+    ("name", "driver"),
+    [("ageing", "time x rate of turn"), ("lopsided", "size of the rate of turn"), ("none", "")],
+)
+def test_turns_tell_gains_by_time_and_by_sense(name: str, driver: str) -> None:
+    force, spin, _ = day()
+    turning = np.linalg.norm(spin.xyz, axis=1) > 0.05
+    rate = np.where(turning[:, None], spin.xyz - 0.005, 0.0)
+    error = {
+        "ageing": 0.01 * rate * (spin.t / spin.t[-1])[:, None],
+        "lopsided": 0.01 * np.abs(rate),
+        "none": 0.0 * rate,
+    }[name]
+    gyroscope = replace(spin, xyz=spin.xyz + error)
+    bins = cut(force, gyroscope)
+    found = turn_findings(aligned(gyroscope, bins, G), bins, G)
+    assert [(f.effect, f.where.driver) for f in found] == ([("unknown", driver)] if driver else [])
+    for f in found:
+        low, high = np.moveaxis(np.array(f.parameters["gain"].ci95), -1, 0)
+        np.testing.assert_allclose(f.parameters["gain"].value, 0.01, atol=0.004)
+        assert ((low < 0.01) & (high > 0.01)).sum() >= 2
