@@ -88,8 +88,9 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
     """
     first = steps[0] if steps else None
     while kept := adequate(steps):
-        if len(kept) == 1 and not _stands_alone(kept[0].winner):
-            break
+        if not _stands_alone(kept[-1].winner):
+            steps = _without(steps, kept[-1]) + _passed_over(kept[-1])
+            continue
         found = [step.winner.hypothesis for step in kept]
         others = [[f for f in found if f is not own] for own in found]
         estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
@@ -113,6 +114,11 @@ def _stands_alone(found: Scored) -> bool:
     """Whether a finding scores at least what a name that is preferred to nameless structure may."""
     allowed = thresholds.UNKNOWN_MARGIN + found.hypothesis.entry.handicap
     return found.score >= thresholds.SCORE - allowed
+
+
+def _passed_over(step: Step) -> list[Step]:
+    """Return what a name was preferred to for the sake of a second one that did not last."""
+    return [Step(s, ()) for s in step.others[:1] if s.score >= thresholds.SCORE]
 
 
 def _without(steps: Sequence[Step], weak: Step) -> list[Step]:
@@ -187,7 +193,8 @@ def named_axes(found: Estimate) -> list[str]:
     size = np.abs(found.value) / found.hypothesis.sizes
     share = np.array([size[owner == a].max(initial=0.0) for a in range(3)])
     large = share >= thresholds.AXIS_SHARE * share.max()
-    return [AXES[a] for a in range(3) if by_axis[a] >= least and large[a]]
+    named = [AXES[a] for a in range(3) if by_axis[a] >= least and large[a]]
+    return named or [AXES[int(np.argmax(by_axis))]]
 
 
 def _size(found: Estimate, axes: list[str]) -> str:
