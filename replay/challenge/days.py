@@ -25,6 +25,7 @@ class Day:
 
     stirred: None, or breathing, heartbeat, creep, vehicle. vivid: shaken and spun between rests. pivot:
     turned about a fixed point, as on a hinge. plugs: how often the charger is put in. gravity: m/s^2.
+    earth_rotation: whether the gyroscope feels the Earth turn.
     """
 
     duration: float
@@ -38,6 +39,7 @@ class Day:
     heat_k: float = 6.0
     wandering_k: float = 0.0
     gravity: float = 9.80665
+    earth_rotation: bool = True
 
 
 def play(day: Day, rng: np.random.Generator) -> World:
@@ -56,7 +58,7 @@ def play(day: Day, rng: np.random.Generator) -> World:
     return World(
         t,
         day.gravity * up + push,
-        rate + _earth(t, up, rests, rng),
+        rate + day.earth_rotation * _earth(t, up, rests, rng),
         rate_dot,
         _warmth(day, t, drive, rng),
         _held(drive, t),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,7 +110,8 @@ def test_gravity_turns_as_the_rate_says() -> None:
 
 @pytest.mark.parametrize("stirred", ["breathing", "creep"])
 def test_what_tilts_a_resting_phone_is_told_to_the_gyroscope_too(stirred: str) -> None:
-    world = play(Day(120.0, 100.0, rest_s=(50.0, 60.0), stirred=stirred), np.random.default_rng(6))
+    day = Day(120.0, 100.0, rest_s=(50.0, 60.0), stirred=stirred, earth_rotation=False)
+    world = play(day, np.random.default_rng(6))
     begin, end = world.rests[1]
     rows = slice(*np.searchsorted(world.t, (begin + 1.0, end - 1.0)))
     up = world.force[rows] / 9.80665
@@ -158,3 +160,15 @@ def test_scale_and_bias_of_the_gyroscope_are_absorbed_in_turns_too() -> None:
         turn_d_prime(world, played(world, "gyro_nonlinearity", {"quadratic": [0.02, 0.02, 0.02]}), colour)
         > 20.0
     )
+
+
+def test_the_earth_turns_under_every_rest() -> None:
+    """Its rate has one part along up in all rests, and at each another direction across it."""
+    day = Day(400.0, 25.0, attitudes=4)
+    with_it, without = (play(replace(day, earth_rotation=e), np.random.default_rng(8)) for e in (True, False))
+    np.testing.assert_array_equal(with_it.force, without.force)
+    still = with_it.rest_of(with_it.t) >= 0
+    felt, up = (with_it.rate - without.rate)[still], (with_it.force / day.gravity)[still]
+    np.testing.assert_allclose(np.linalg.norm(felt, axis=1), 7.292115e-5, rtol=1e-9)
+    np.testing.assert_allclose((felt * up).sum(axis=1), (felt[0] * up[0]).sum(), rtol=1e-6)
+    assert len(np.unique(felt.round(12), axis=0)) == len(with_it.rests)
