@@ -30,6 +30,9 @@ from stillcal.calib_core.samples import Array, Samples
 
 LEAST_TURNS = 9
 LONGEST_TURN = 60.0
+SHORT_OF = 0.98
+"""Part of a limit that a rate, less its bias, may reach."""
+
 LEAST_ANGLE = 0.2
 SHARPEST = 0.2
 """rad from sample to sample, beyond which what happens between samples is not known from them."""
@@ -90,14 +93,17 @@ class Turn:
         return np.stack([first, np.cross(self.up, first)])
 
 
-def cuts(gyroscope: Samples, bins: Bins) -> list[Cut]:
-    """Cut the turns between successive rests, each less the bias that its neighbourhood tells best."""
+def cuts(gyroscope: Samples, bins: Bins, limit: float = np.inf) -> list[Cut]:
+    """Cut the turns between successive rests, each less the bias that its neighbourhood tells best.
+
+    Turns in which a rate comes near `limit` (rad/s), where the sensor stops, are left out.
+    """
     if bins.rate is None:
         return []
     bias = _local_bias(bins.rate)
     last = np.flatnonzero(np.diff(bins.rest) > 0)
     found = [_cut(gyroscope, bins, bias, int(i)) for i in last]
-    return [c for c in found if c is not None]
+    return [c for c in found if c is not None and np.abs(c.rate).max() < SHORT_OF * limit]
 
 
 def _local_bias(rate: Array) -> Array:
@@ -159,9 +165,12 @@ class Aligned:
     unsure: Array
 
 
-def aligned(gyroscope: Samples, bins: Bins, gravity: float) -> Aligned:
-    """Fit the affine parameters of both sensors to norm and turns; with few turns the norm's stand alone."""
-    found = cuts(gyroscope, bins)
+def aligned(gyroscope: Samples, bins: Bins, gravity: float, limit: float = np.inf) -> Aligned:
+    """Fit the affine parameters of both sensors to norm and turns; with few turns the norm's stand alone.
+
+    limit: rad/s, the rate that no turn may reach.
+    """
+    found = cuts(gyroscope, bins, limit)
     norms = norms_of(bins.force, bins.force_variance, bins.rest, gravity)
     steady = rest_means(bins.force, bins.rest)
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)

@@ -78,7 +78,8 @@ def diagnose(
     made = scenes(slow, claims.gravity) if len(slow) else []
     found += [f for scene in made if not _is_of(spoiled, scene.sensor) for f in slow_findings(scene, without)]
     if gyroscope is not None:
-        affine = aligned(gyroscope, slow, claims.gravity) if len(slow) else None
+        most = min(_limits_of("gyro_saturation", found), default=np.inf)
+        affine = aligned(gyroscope, slow, claims.gravity, most) if len(slow) else None
         found += motion_findings(accelerometer, gyroscope, affine, claims.gravity, [f.where for f in gone])
         if affine is not None and spoiled is None:
             found += turn_findings(affine, slow, claims.gravity, without)
@@ -206,9 +207,14 @@ def _one_tone(found: list[Finding]) -> list[Finding]:
     return [f for f in found if f is not tones[1]] if abs(a - b) < 0.05 else found
 
 
+def _limits_of(effect: str, found: Sequence[Finding | None]) -> list[float]:
+    said = [f for f in found if f is not None and f.effect == effect]
+    return [float(np.min(f.parameters["limit"].value)) for f in said]
+
+
 def _unlimited(bins: Bins, found: Sequence[Finding], force: _Stream) -> Bins:
     """Return the bins whose force is clear of a limit that was found: what is cut off shifts the mean."""
-    limits = [f.parameters["limit"].value for f in found if f.effect == "accel_saturation"]
+    limits = _limits_of("accel_saturation", found)
     if not limits or not len(bins):
         return bins
     clear = limits[0] - CLEAR * force.steps.sd
@@ -216,10 +222,7 @@ def _unlimited(bins: Bins, found: Sequence[Finding], force: _Stream) -> Bins:
 
 
 def _roughened(bins: Bins, seen: dict[str, Steps]) -> Bins:
-    """Return bins whose means are no surer than steps that hide the noise allow.
-
-    However many lie in one place.
-    """
+    """Return bins whose means are no surer than steps that hide the noise allow, however many lie as one."""
     for sensor, values, variances in (
         ("accel", "force", "force_variance"),
         ("gyro", "rate", "rate_variance"),

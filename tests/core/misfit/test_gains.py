@@ -12,7 +12,7 @@ from test_slow import day_of
 from test_strangers import QUIET
 
 from stillcal.calib_core.misfit.bins import cut
-from stillcal.calib_core.misfit.carried import aligned
+from stillcal.calib_core.misfit.carried import aligned, cuts
 from stillcal.calib_core.misfit.records import Finding
 from stillcal.calib_core.misfit.scenes import scenes
 from stillcal.calib_core.misfit.slow import slow_findings, turn_findings
@@ -66,3 +66,13 @@ def test_turns_tell_gains_by_time_and_by_sense(name: str, driver: str) -> None:
         low, high = np.moveaxis(np.array(f.parameters["gain"].ci95), -1, 0)
         np.testing.assert_allclose(f.parameters["gain"].value, 0.01, atol=0.004)
         assert ((low < 0.01) & (high > 0.01)).sum() >= 2
+
+
+def test_turns_that_reach_a_limit_tell_nothing_of_linearity() -> None:
+    force, spin, _ = day()
+    stop = float(np.quantile(np.abs(spin.xyz), 0.995))
+    clipped = replace(spin, xyz=np.clip(spin.xyz, -stop, stop))
+    bins = cut(force, clipped)
+    whole, free = cuts(clipped, bins), cuts(clipped, bins, stop)
+    reached = [c for c in whole if np.abs(c.rate).max() > stop - 0.01]
+    assert len(reached) >= 1 and len(free) == len(whole) - len(reached)
