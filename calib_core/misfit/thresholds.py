@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-SCORE = 3.8
+SCORE = 4.0
 """Least score S of a slow finding, from tests/core/misfit/calibrate.py (docs/misfit.md, 5)."""
 
 WORTH_FITTING = 1.0

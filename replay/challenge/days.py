@@ -1,6 +1,6 @@
 """The examiner's own days: a phone laid down, taken up and laid down otherwise, and what stirs it meanwhile.
 
-Only where up is matters to the sensors, so the state carried along is the up direction in body axes. Turns
+Only where up and north are matters to the sensors, so these directions in body axes are carried along. Turns
 are about one body-fixed axis with the minimum-jerk profile 10 s^3 - 15 s^4 + 6 s^5 (Flash and Hogan 1985),
 so rates and their derivatives are exact. Hands, roads and hearts add accelerations.
 """
@@ -46,7 +46,8 @@ def play(day: Day, rng: np.random.Generator) -> World:
     """Play a day out."""
     t = np.arange(int(day.duration * day.rate_hz)) / day.rate_hz
     rests, turns = _course(day, rng)
-    up, rate, rate_dot = _turned(day, t, rests, turns, rng)
+    up, north, rate, rate_dot = _turned(day, t, rests, turns, rng)
+    earth = day.earth_rotation * _earth(up, north, rng)
     push = np.zeros_like(up)
     for begin, end in zip(rests[:-1, 1], rests[1:, 0], strict=True):
         rows = _rows(t, begin, end)
@@ -58,7 +59,7 @@ def play(day: Day, rng: np.random.Generator) -> World:
     return World(
         t,
         day.gravity * up + push,
-        rate + day.earth_rotation * _earth(t, up, rests, rng),
+        rate + earth,
         rate_dot,
         _warmth(day, t, drive, rng),
         _held(drive, t),
@@ -68,16 +69,9 @@ def play(day: Day, rng: np.random.Generator) -> World:
     )
 
 
-def _earth(t: Array, up: Array, rests: Array, rng: np.random.Generator) -> Array:
-    """Return the Earth's rate (n, 3) in the body, somewhere between 65 degrees south and north.
-
-    Headings are anything at every rest, and no matter while the phone is turned.
-    """
+def _earth(up: Array, north: Array, rng: np.random.Generator) -> Array:
+    """Return the Earth's rate (n, 3) in the body, somewhere between 65 degrees south and north."""
     latitude = math.radians(rng.uniform(-65.0, 65.0))
-    place = np.clip(np.searchsorted(rests[:, 0], t, side="right") - 1, 0, None)
-    north = rng.standard_normal((len(rests), 3))[place]
-    north -= (north * up).sum(axis=1, keepdims=True) * up
-    north /= np.linalg.norm(north, axis=1, keepdims=True)
     return EARTH * (math.sin(latitude) * up + math.cos(latitude) * north)
 
 
@@ -111,24 +105,28 @@ def _attitudes(day: Day, rng: np.random.Generator) -> Array:
 
 def _turned(
     day: Day, t: Array, rests: Array, turns: Array, rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
-    """Return up, rate and its derivative at t; writes each turn's axis and angle into `turns`."""
+) -> tuple[Array, Array, Array, Array]:
+    """Return up, north, rate and its derivative at t; writes each turn's axis and angle into `turns`."""
     up, rate, rate_dot = np.empty((t.size, 3)), np.zeros((t.size, 3)), np.zeros((t.size, 3))
+    north = np.empty_like(up)
     known = _attitudes(day, rng)
     here = known[0]
-    up[_rows(t, 0.0, rests[0, 1])] = here
+    ahead = np.cross(here, rng.standard_normal(3))
+    ahead /= np.linalg.norm(ahead)
+    first = _rows(t, 0.0, rests[0, 1])
+    up[first], north[first] = here, ahead
     for turn, (begin, end) in zip(turns, rests[1:], strict=True):
         there = known[rng.integers(len(known))] if len(known) > 1 else _nearby(here, rng)
         axis, angle = _way(here, there, rng)
         angle += math.copysign(2.0 * math.pi, angle) * day.vivid  # a whole spin more ends where it would
         turn[2:5], turn[5] = axis, angle
-        rows = _rows(t, turn[0], turn[1])
+        rows, then = _rows(t, turn[0], turn[1]), _rows(t, begin, end + 1.0)
         turned, speed, jerk = minimum_jerk(t[rows] - turn[0], turn[1] - turn[0], angle)
-        up[rows] = rotated(here, axis, -turned)
+        up[rows], north[rows] = rotated(here, axis, -turned), rotated(ahead, axis, -turned)
         rate[rows], rate_dot[rows] = speed[:, None] * axis, jerk[:, None] * axis
-        here = rotated(here, axis, np.array([-angle]))[0]
-        up[_rows(t, begin, end + 1.0)] = here
-    return up, rate, rate_dot
+        here, ahead = (rotated(v, axis, np.array([-angle]))[0] for v in (here, ahead))
+        up[then], north[then] = here, ahead
+    return up, north, rate, rate_dot
 
 
 def _nearby(up: Array, rng: np.random.Generator) -> Array:
