@@ -140,8 +140,11 @@ def _low_pass(
     """
     rate, floor = noise
     power = typical.mean(axis=1)
-    used = band & (np.log(power) > np.quantile(np.log(power[band]), 0.9) - USED_RANGE)
-    seen = np.log(power[used])
+    if np.median(power[band]) <= 0.0:
+        return None
+    logs = np.log(np.maximum(power, np.finfo(np.float64).tiny))
+    used = band & (logs > np.quantile(logs[band], 0.9) - USED_RANGE)
+    seen = logs[used]
     cutoffs = np.geomspace(0.02 * rate, 0.49 * rate, CUTOFFS)
     best: tuple[float, int, int, Array, Array] | None = None
     for order, shapes in _shapes(f, cutoffs, rate):
