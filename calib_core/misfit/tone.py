@@ -27,8 +27,8 @@ BODY_HZ, SURE = 6.0, 1e-30
 """Below this frequency a line must be as sure: overtones of hearts and hands reach so far."""
 
 LINE_P = 1e-6
-LEAST_STRETCHES = 5
-"""Stretches' lengths that a line must last."""
+LEAST_STRETCHES = 4.5
+"""Stretches' lengths that a line must last: nine that overlap by half make five."""
 LEAST_STACK = 10
 USUAL = 0.98
 """Quantile of all lines that tells how much larger than a flat spectrum's they come out here."""
