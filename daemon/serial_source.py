@@ -29,7 +29,9 @@ from stillcal.daemon.wire import (
     WireSettings,
 )
 
-READ_BYTES = 65_536
+READ_BYTES = 4096
+"""What is read at once: what a terminal holds, so that a full queue is overrun by no more than that."""
+
 ROOM_BYTES = 3072
 """What may gather on the line unread: three quarters of what a terminal holds before it stops the sender."""
 

@@ -12,7 +12,7 @@ from serial_line import Device, block, lost, quick, seen, starts, until
 
 from stillcal.calib_core.events import Tick
 from stillcal.calib_core.stationary import Sense
-from stillcal.daemon.serial_source import SerialSource
+from stillcal.daemon.serial_source import READ_BYTES, SerialSource
 from stillcal.daemon.source_base import LinkDown, LinkUp, Record
 from stillcal.daemon.wire import Form, Identify, WireDecoder, WireEncoder, WireSettings
 
@@ -50,7 +50,7 @@ def test_a_full_queue_stops_reading_and_holds_the_sender_back(tmp_path: Path) ->
                     if source.link.pauses:
                         break
                     await asyncio.sleep(0)
-            assert len(source._records) <= 8 + 4096 // frame + 1
+            assert len(source._records) <= 8 + READ_BYTES // frame + 1
             records: list[Record] = []
             async for record in source:
                 records.append(record)
