@@ -9,6 +9,7 @@ its expectation under white dither. Effects that live on single samples cannot b
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,32 +51,46 @@ class RestDraws:
     gravity: float
 
 
-class _Slow:
-    """One Gauss-Markov process, asked for its mean over one rest after another."""
+def _shares(gap: float, span: float, tau: float) -> tuple[float, ...]:
+    """Return what a process of unit variance keeps and gains over a gap and a rest after it, both s.
 
-    def __init__(self, process: GaussMarkov, rng: np.random.Generator) -> None:
-        self._sigma, self._tau, self._rng = process.sigma, process.tau, rng
-        self._now = process.sigma * rng.standard_normal(3)
+    The integral over the rest and the value at its end are jointly Gaussian given that at its start
+    (Gillespie 1996, Phys. Rev. E 54, 2084, Eq. 2.9-2.10).
+    """
+    keep = math.exp(-gap / tau)
+    x = span / tau
+    fall = math.exp(-x)
+    var_end = 1.0 - fall**2
+    covariance = (1.0 - fall) ** 2 / x
+    var_mean = max(2.0 * x - 3.0 + 4.0 * fall - fall**2, 0.0) / x**2
+    across = math.sqrt(max(var_mean - covariance**2 / var_end, 0.0))
+    end = math.sqrt(var_end)
+    return keep, math.sqrt(1.0 - keep**2), x, fall, end, covariance / end, across
 
-    def mean(self, gap: float, span: float) -> Array:
-        """Wait for `gap` s, then return the mean over `span` s; shape (3,).
 
-        The integral over the span and the end value are jointly Gaussian given the start (Gillespie 1996,
-        Phys. Rev. E 54, 2084, Eq. 2.9-2.10).
-        """
-        keep = math.exp(-gap / self._tau)
-        start = keep * self._now + self._sigma * math.sqrt(1.0 - keep**2) * self._rng.standard_normal(3)
-        x = span / self._tau
-        fall = math.exp(-x)
-        var_end = 1.0 - fall**2
-        covariance = (1.0 - fall) ** 2 / x
-        var_mean = max(2.0 * x - 3.0 + 4.0 * fall - fall**2, 0.0) / x**2
-        first, second = self._rng.standard_normal((2, 3))
-        across = math.sqrt(max(var_mean - covariance**2 / var_end, 0.0))
-        self._now = start * fall + self._sigma * math.sqrt(var_end) * first
-        toward = covariance / math.sqrt(var_end)
-        mean: Array = start * (1.0 - fall) / x + self._sigma * (toward * first + across * second)
-        return mean
+def _slow_means(slow: Sequence[GaussMarkov], gap: Array, duration: Array, seed: int) -> Array:
+    """Return the means of all processes but silent ones over n rests; shape (processes, n, 3).
+
+    duration: (n,) s of the rests; gap: (n,) s before each.
+    """
+    loud = [(i, p) for i, p in enumerate(slow) if p.sigma.any()]
+    if not loud:
+        return np.zeros((0, gap.size, 3))
+    sigma = np.array([p.sigma for _, p in loud])[:, None]
+    sources = [seeded(seed, "rests", i) for i, _ in loud]
+    now = sigma[:, 0] * [source.standard_normal(3) for source in sources]
+    draws = np.array([source.standard_normal((gap.size, 3, 3)) for source in sources])
+    spans = list(zip(gap, duration, strict=True))
+    shares = np.array([[_shares(g, d, p.tau) for g, d in spans] for _, p in loud])
+    keep, wait, x, fall, end, toward, across = np.moveaxis(shares, 2, 0)[..., None]
+    waiting, first, second = np.moveaxis(draws, 2, 0)
+    moved, ended = sigma * wait * waiting, sigma * end * first
+    start = np.empty_like(moved)
+    for i in range(gap.size):
+        start[:, i] = keep[:, i] * now + moved[:, i]
+        now = start[:, i] * fall[:, i] + ended[:, i]
+    means: Array = start * (1.0 - fall) / x + sigma * (toward * first + across * second)
+    return means
 
 
 class _Walk:
@@ -181,11 +196,10 @@ def draw_rests(
 
 
 def _wander(slow: list[GaussMarkov], walk: Array, gap: Array, duration: Array, seed: int) -> Array:
-    parts: list[_Slow | _Walk] = [
-        _Slow(p, seeded(seed, "rests", i)) for i, p in enumerate(slow) if p.sigma.any()
-    ]
-    parts += [_Walk(walk, seeded(seed, "rests", "walk"))] if walk.any() else []
     total = np.zeros((gap.size, 3))
-    for part in parts:
+    for means in _slow_means(slow, gap, duration, seed):
+        total += means
+    if walk.any():
+        part = _Walk(walk, seeded(seed, "rests", "walk"))
         total += [part.mean(g, d) for g, d in zip(gap, duration, strict=True)]
     return total
