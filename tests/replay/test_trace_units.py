@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,20 @@ HEADER = "t,ax,ay,az,gx,gy,gz"
 SCENES = ["turning", "walking", "still"]
 
 
+@cache
+def turned(scene: str, n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
+    """Return rates (n, 3) rad/s and up (n, 3) of a phone at 100 Hz, and the generator that drew them."""
+    rng = np.random.default_rng(seed)
+    amplitude = {"turning": 1.0, "walking": 0.5, "still": 0.0}[scene]
+    phases = rng.uniform(0, 2 * np.pi, 3)
+    rate = amplitude * np.sin(np.outer(np.arange(n) / 100, [0.7, 1.1, 1.7]) + phases)
+    up = np.empty((n, 3))
+    up[0] = 0.0, 0.0, 1.0
+    for i, turn in enumerate(Rotation.from_rotvec(rate[:-1] / 100).as_matrix()):
+        np.matmul(up[i], turn, out=up[i + 1])
+    return rate, up, rng
+
+
 def phone(
     scene: str, n: int = 3000, seed: int = 0, scale: float = 1.0, gyro_bias: float = 0.01
 ) -> np.ndarray:
@@ -21,15 +37,8 @@ def phone(
 
     Noise is that of a phone's sensors: 0.02 m/s^2 and 0.002 rad/s a sample at 100 Hz.
     """
-    rng = np.random.default_rng(seed)
-    t = np.arange(n) / 100
-    amplitude = {"turning": 1.0, "walking": 0.5, "still": 0.0}[scene]
-    phases = rng.uniform(0, 2 * np.pi, 3)
-    rate = amplitude * np.sin(np.outer(t, [0.7, 1.1, 1.7]) + phases)
-    attitude, force = Rotation.identity(), np.empty((n, 3))
-    for i, step in enumerate(rate / 100):
-        force[i] = attitude.inv().apply([0, 0, 9.81])
-        attitude = attitude * Rotation.from_rotvec(step)
+    rate, up, drawn = turned(scene, n, seed)
+    t, force, rng = np.arange(n) / 100, 9.81 * up, deepcopy(drawn)
     if scene == "walking":
         force += np.column_stack([np.zeros(n), np.zeros(n), 1.5 * np.sin(2 * np.pi * 1.8 * t)])
     force = scale * force + 0.2 + rng.normal(0, 0.02, (n, 3))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from scipy.spatial.transform import Rotation
+from turning import ups
 
 from stillcal.calib_core.misfit.bins import cut
 from stillcal.calib_core.misfit.carried import aligned
@@ -16,6 +19,7 @@ BIAS = np.array([0.12, -0.2, 0.3])
 GYRO = np.array([[1.02, 0.004, 0.0], [-0.006, 0.99, 0.003], [0.0, 0.002, 1.015]])
 
 
+@cache
 def day() -> tuple[Samples, Samples, Array]:
     """Forty rests of 25 s in eight attitudes, a turn of 4 s between; and gravity (n, 3)."""
     rng = np.random.default_rng(2)
@@ -29,10 +33,7 @@ def day() -> tuple[Samples, Samples, Array]:
         rates += [np.zeros((n, 3)), swell[:, None] / swell.sum() * RATE * turn]
         now = target
     rate = np.concatenate(rates)
-    poses = [places[0]]
-    for w in (rate[1:] + rate[:-1]) / (2 * RATE):
-        poses.append(poses[-1] * Rotation.from_rotvec(w))
-    up = Rotation.concatenate(poses).inv().apply([0.0, 0.0, 1.0])
+    up = ups(places[0], rate, RATE)
     t = np.arange(len(rate)) / RATE
     force = (G * up) @ np.linalg.inv(SCALE).T + BIAS + rng.normal(0, 0.01, up.shape)
     spin = rate @ GYRO.T + 0.005 + rng.normal(0, 1e-3, up.shape)

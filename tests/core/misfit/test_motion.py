@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
+from turning import ups
 
 from stillcal.calib_core.misfit.bins import cut
 from stillcal.calib_core.misfit.carried import aligned
@@ -33,12 +34,7 @@ def diagnosed(
         rate[rows] = 2.5 * swell[:, None] * wobble
         shaken = lfilter([1.0], [1.0, -0.9], rng.normal(0, 0.1, (200, 3)), axis=0)
         hand[rows] = swell[:, None] * shaken
-    turns = [Rotation.from_rotvec(w) for w in (rate[1:] + rate[:-1]) / (2 * RATE)]
-    attitude, poses = Rotation.random(random_state=seed), []
-    for turn in turns:
-        poses.append(attitude)
-        attitude = attitude * turn
-    up = Rotation.concatenate([*poses, attitude]).inv().apply([0.0, 0.0, 1.0])
+    up = ups(Rotation.random(random_state=seed), rate, RATE)
     about = np.cross(rate, np.cross(rate, arm)) + np.cross(np.gradient(rate, 1 / RATE, axis=0), arm)
     force = G * up + hand + about + rng.normal(0, 0.008, (n, 3))
     late = np.stack([np.interp(t - delay, t, rate[:, a]) for a in range(3)], axis=1)
