@@ -1,12 +1,9 @@
-"""Recordings of the simulated phone: repeatable, cut anywhere, timed as real ones, true to their files."""
+"""Recordings of the simulated phone: repeatable, cut anywhere, timed as real ones, true to what is told."""
 
 from __future__ import annotations
 
 import math
-from importlib.resources import files
-from itertools import pairwise
-from pathlib import Path
-from typing import get_args
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -20,27 +17,16 @@ from stillcal.replay.phone import (
     Chunk,
     Location,
     Scenario,
-    dump_phone,
+    Simulation,
     load_phone,
     load_scenario,
-    population,
     simulate,
 )
-from stillcal.replay.phone.effects import EFFECTS
 from stillcal.replay.phone.gravity import gravity_at
 from stillcal.replay.phone.heat import Heat, Surroundings
-from stillcal.replay.phone.population import FACE_RANGE, MODELS, face_deviations
-from stillcal.replay.phone.scenario import Segment
 from stillcal.replay.phone.settings import HeatSettings
 from stillcal.replay.phone.timeline import Steps
 
-PHONES = sorted(
-    p.name[:-5] for p in (files("stillcal.config") / "phones").iterdir() if p.name.endswith(".toml")
-)
-SCENARIOS = sorted(
-    p.name[:-5] for p in (files("stillcal.config") / "scenarios").iterdir() if p.name.endswith(".toml")
-)
-LENGTHS = {"day": (86_400.0, 1), "week": (604_800.0, 7)}
 SHORT = """
 {"duration_s": 200.0, "segment": [
   {"activity": "table", "duration_s": 100.0, "rest_s": [4.0, 20.0]},
@@ -80,11 +66,18 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not(phone: str)
     assert not same(first.accelerometer, other.accelerometer)
 
 
+@cache
+def uncut() -> tuple[Simulation, Chunk]:
+    """Return a phone's life and, at once, all that it records."""
+    simulation = simulate(short(), load_phone("nexus4"), seed=4)
+    return simulation, simulation.whole()
+
+
 @given(st.floats(0.5, 250.0))
 @settings(max_examples=8, deadline=None)
 def test_how_the_stream_is_cut_changes_nothing(seconds: float) -> None:
-    simulation = simulate(short(), load_phone("nexus4"), seed=4)
-    whole, chunks = simulation.whole(), list(simulation.chunks(seconds))
+    simulation, whole = uncut()
+    chunks = list(simulation.chunks(seconds))
     accel, gyro = joined(chunks)
     assert same(accel, whole.accelerometer)
     assert same(gyro, whole.gyroscope)
@@ -99,32 +92,6 @@ def test_chunks_hold_what_their_time_says() -> None:
         for t in (chunk.accelerometer.t, chunk.gyroscope.t, [e.t for e in chunk.events]):
             assert all(before <= x < chunk.t_end for x in t)
         before = chunk.t_end
-
-
-@pytest.mark.parametrize("name", PHONES)
-def test_ready_phones_load_survive_a_dump_and_record_valid_samples(name: str, tmp_path: Path) -> None:
-    phone = load_phone(name)
-    file = tmp_path / "phone.toml"
-    file.write_text(dump_phone(phone), encoding="utf-8")
-    assert load_phone(file) == phone
-    recording = simulate(load_scenario("starved"), phone, seed=2).whole()
-    for run in (recording.accelerometer, recording.gyroscope):
-        checked = Samples.checked(run.sensor, run.t, run.xyz, run.temperature, run.t_arrival)
-        assert len(checked) > 20_000
-        assert np.all(np.diff(run.t_arrival) >= 0.0)
-
-
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_ready_scenarios_play(name: str) -> None:
-    scenario = load_scenario(name)
-    once = msgspec.structs.replace(scenario, repeat=1, duration_s=None)
-    simulation = simulate(once, load_phone("ideal"), seed=1)
-    pieces = simulation.plan.pieces
-    assert pieces[0].t_start == 0.0
-    assert pieces[-1].t_end >= simulation.plan.duration
-    assert all(a.t_end == b.t_start for a, b in pairwise(pieces))
-    assert len(simulation.truth.rests) >= 1
-    assert (scenario.duration_s, scenario.repeat) == LENGTHS.get(name, (None, 1))
 
 
 def test_a_course_is_repeated_drawn_anew_and_cut_or_rested_to_length() -> None:
@@ -224,15 +191,6 @@ def test_a_phone_without_a_gyroscope_streams_without_one() -> None:
     assert all(c.gyroscope is None for c in simulation.chunks(50.0))
 
 
-def test_claims_fill_up_from_the_settings_and_can_be_wrong() -> None:
-    phone = load_phone("nexus4")
-    claimed = phone.claimed()
-    assert claimed["nominal_rate_hz"] == 200.0 != phone.accel.rate_hz
-    assert claimed["device"] == "LG Nexus 4"
-    assert claimed["accel_noise_density"] == 0.0025
-    assert "gravity" not in claimed
-
-
 def test_heat_follows_use_and_charging_with_two_time_constants() -> None:
     steps = Steps.of([0.0, 100.0], [0.0, 1.0])
     surroundings = Surroundings(Steps.of([0.0, 100.0], [20.0, 20.0]), steps, steps)
@@ -264,79 +222,9 @@ def test_thermometer_reads_the_true_temperature_in_its_steps() -> None:
     assert simulate(short(), load_phone("nexus4"), seed=1).whole().accelerometer.temperature is None
 
 
-def test_population_spreads_as_the_measured_devices_did() -> None:
-    """Stisen et al. 2015, 3.1: deviations of -8.5 % to +7.5 % of g, mean 9.76 m/s^2; Table 1: rates."""
-    phones = population(400, seed=1)
-    affine = [(np.array(p.accel.bias), np.array(p.accel.scale)) for p in phones]
-    deviations = np.concatenate([face_deviations(*a) for a in affine])
-    assert FACE_RANGE[0] <= deviations.min() < -0.08
-    assert 0.07 < deviations.max() <= FACE_RANGE[1]
-    assert 9.81 * (1.0 + deviations.mean()) == pytest.approx(9.76, abs=0.02)
-    nominal = {p.claims.nominal_rate_hz for p in phones}
-    assert nominal == {m.rate_hz for m in MODELS} == {25.0, 50.0, 100.0, 125.0, 150.0, 200.0}
-    share = np.mean([p.claims.device == "LG Nexus 4" for p in phones])
-    assert share == pytest.approx(11 / 38, abs=0.08)
-
-
-def test_population_is_the_same_whatever_its_size() -> None:
-    assert population(3, seed=9) == population(5, seed=9)[:3]
-    assert population(2, seed=9) != population(2, seed=10)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[accel]\nrate_hz = 0.0", "rate_hz"),
-        ("[accel]\nscale = [[0, 0, 0], [0, 0, 0], [0, 0, 0]]", "invertible"),
-        ("[accel]\ncutoff_hz = 60.0", "cutoff_hz"),
-        ("[accel.noise]\nwhite = -1.0", "white"),
-        ("[clock]\ndrop_fraction = 1.5", "drop_fraction"),
-        ("[accel]\nbiass = [0, 0, 0]", "biass"),
-        ('[[effect]]\nname = "magic"', "magic"),
-        ("[accel", "table declaration"),
-    ],
-)
-def test_a_bad_phone_file_is_refused_with_file_and_field(text: str, said: str, tmp_path: Path) -> None:
-    file = tmp_path / "bad.toml"
-    file.write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match=said) as refusal:
-        load_phone(file)
-    assert "bad.toml" in str(refusal.value)
-
-
-def test_an_unknown_name_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match="typical"):
-        load_phone("no_such_phone")
-    with pytest.raises(ValueError, match="tables"):
-        load_scenario("no_such_scenario")
-
-
-def test_bad_scenarios_are_refused(tmp_path: Path) -> None:
-    for text, said in (
-        ('[[segment]]\nactivity = "flying"', "flying"),
-        ('[[segment]]\nactivity = "rest"\nduration_s = -1.0', "duration_s"),
-        ('[[segment]]\nactivity = "rest"\nplace = { latitude = 91.0, longitude = 0.0 }', "latitude"),
-        ("segment = []", "segment"),
-        ('[[segment]]\nactivity = "rest"\nsupport = "ceiling"', "ceiling"),
-        ('[[segment]]\nactivity = "table"\nsupports = { moon = 1.0 }', "moon"),
-        ('[[segment]]\nactivity = "table"\nrest_s = [90.0, 5.0]', "rest_s"),
-    ):
-        file = tmp_path / "scenario.toml"
-        file.write_text(text, encoding="utf-8")
-        with pytest.raises(ValueError, match=said):
-            load_scenario(file)
-
-
 def test_poses_can_be_told_one_by_one() -> None:
     ups = np.array([[0.0, 0.6, 0.8], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     segment = {"activity": "poses", "ups": ups.tolist(), "rest_s": 5.0}
     simulation = simulate(msgspec.convert({"segment": [segment]}, type=Scenario), load_phone("ideal"), seed=1)
     assert np.array([r.up for r in simulation.truth.rests]) == pytest.approx(ups, abs=1e-12)
     assert [r.t_end - r.t_start for r in simulation.truth.rests] == pytest.approx([5.0] * 3)
-
-
-def test_the_guide_names_every_effect_phone_scenario_and_activity() -> None:
-    guide = (Path(__file__).resolve().parents[2] / "docs" / "phone.md").read_text(encoding="utf-8")
-    activities = [k.__struct_config__.tag for k in get_args(Segment)]
-    missing = [n for n in [*EFFECTS, *PHONES, *SCENARIOS, *activities] if f"`{n}`" not in guide]
-    assert not missing
