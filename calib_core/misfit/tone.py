@@ -16,8 +16,8 @@ from stillcal.calib_core.misfit.values import UNIT
 from stillcal.calib_core.samples import Array, Samples
 
 BRIEF, SHORT, LONG = 8.0, 20.0, 60.0
-"""s of a stretch: short ones tell when a line comes and goes, long ones show faint lines, brief ones are for
-rests that hold no others."""
+"""s of a stretch: short ones tell when a line comes and goes, long ones, or as long as a rest and no shorter
+than short ones, show faint lines, brief ones are for rests that hold no others."""
 
 PLAIN = 1e-20
 """Probability of a line by chance below which short stretches show it well enough."""
@@ -26,7 +26,7 @@ LEAST_LINE_HZ = 4.0
 BODY_HZ, SURE = 6.0, 1e-30
 """Below this frequency a line must be as sure: overtones of hearts and hands reach so far."""
 
-LINE_P = 1e-6
+LINE_P = 1e-5
 LEAST_STRETCHES = 4.5
 """Stretches' lengths that a line must last: nine that overlap by half make five."""
 LEAST_STACK = 10
@@ -61,7 +61,7 @@ def _of_any_length(samples: Samples, sensor: str) -> Finding | None:
     found = _tone(samples, sensor, short)
     if found is not None and found.evidence.p_value < PLAIN:
         return found
-    found = _tone(samples, sensor, stretches(samples, sensor, LONG)) or found
+    found = _tone(samples, sensor, stretches(samples, sensor, LONG, SHORT)) or found
     if found is None and (short is None or float(short.share.sum()) < LEAST_STACK):
         return _tone(samples, sensor, stretches(samples, sensor, BRIEF))
     return found
@@ -80,7 +80,7 @@ def _tone(samples: Samples, sensor: str, seen: Stretches | None) -> Finding | No
     middle = int(high[k])
     near = seen.ratio[:, middle - 1 : middle + 2].max(axis=(1, 2))
     lasting = _lasting(near)
-    profile = seen.power[lasting][:, max(middle - 20, 0) : middle + 21].sum(axis=(0, 2))
+    profile = _profile(seen, lasting, middle)
     brief = float(seen.share[lasting].sum()) < LEAST_STRETCHES
     if brief or not _narrow(profile, 3 * lasting.size) or _of_a_body(seen, lasting, middle):
         return None
@@ -135,8 +135,16 @@ def _lasting(near: Array) -> Index:
     return np.arange(first, last, dtype=np.int64)
 
 
+def _profile(seen: Stretches, rows: Index, middle: int) -> Array:
+    """Return the power (41,) about a line, summed over stretches, in steps of what each one tells apart."""
+    steps = np.arange(-20, 21)
+    at = middle + np.round(np.outer(seen.wider[rows], steps)).astype(np.int64)
+    within = np.clip(at, 0, seen.f.size - 1)
+    return np.asarray(seen.power[rows[:, None], within].sum(axis=(0, 2)))
+
+
 def _narrow(profile: Array, count: int) -> bool:
-    """Whether the power (41,), a sum of `count` powers, falls off within three bins, as a Hann window's."""
+    """Whether the power (41,), a sum of `count` powers, falls off within three bins, as a taper's."""
     middle = profile.size // 2
     away = np.abs(np.arange(profile.size) - middle)
     floor = float(np.median(profile[away > 12]))
@@ -165,13 +173,11 @@ def _of_a_body(seen: Stretches, rows: Index, middle: int) -> bool:
 
 
 def _amplitudes(seen: Stretches, rows: Index, f: Array) -> Array:
-    """Return complex amplitudes (rows, f, 3) of sines by the stamps, under a Hann window."""
-    window = np.hanning(seen.values.shape[1])
+    """Return complex amplitudes (rows, f, 3) of sines by the stamps, tapered."""
     out = np.empty((rows.size, f.size, 3), dtype=np.complex128)
     for i, row in enumerate(rows):
-        t = seen.t[row] - seen.t[row].mean()
-        out[i] = np.exp(-2j * np.pi * np.outer(f, t)) @ (seen.values[row] * window[:, None])
-    return np.asarray(2.0 * out / window.sum())
+        out[i] = np.exp(-2j * np.pi * np.outer(f, seen.t[row])) @ seen.tapered[row]
+    return np.asarray(out * seen.to_amplitude[rows, None, None])
 
 
 def _frequency(seen: Stretches, rows: Index, middle: int) -> tuple[float, float]:
@@ -200,8 +206,8 @@ def _peak(grid: Array, power: Array) -> float:
 def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | None:
     frequency, error = _frequency(seen, rows, middle)
     line = np.abs(_amplitudes(seen, rows, np.array([frequency]))[:, 0]) ** 2
-    scale = (2.0 / np.hanning(seen.values.shape[1]).sum()) ** 2
-    noise = scale * seen.power[rows, middle] / np.maximum(seen.ratio[rows, middle], 1e-300)
+    scale = seen.to_amplitude[rows] ** 2
+    noise = scale[:, None] * seen.power[rows, middle] / np.maximum(seen.ratio[rows, middle], 1e-300)
     power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)
     amplitude = np.sqrt(np.maximum(power, 0.0))
     scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude
@@ -212,7 +218,7 @@ def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle:
     evidence = _left_out(line, noise)
     if evidence.sigmas < SIGNIFICANT:
         return None
-    first, last = int(seen.first[rows[0]]), int(seen.first[rows[-1]]) + seen.values.shape[1] - 1
+    first, last = int(seen.first[rows[0]]), int(seen.first[rows[-1]] + seen.length[rows[-1]]) - 1
     half = 1.96 * error
     parameters = {
         "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),

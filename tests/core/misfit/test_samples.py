@@ -195,6 +195,22 @@ def test_a_line_is_found_in_rests_too_short_for_long_stretches() -> None:
     assert line is not None and line.parameters["frequency"].value == pytest.approx(13.0, abs=0.02)
 
 
+def test_a_line_too_faint_for_any_rest_is_found_in_all_of_them_together() -> None:
+    """Twenty rests of forty seconds; all of them have 13 standard deviations of it, each alone 3."""
+    t = np.arange(21_500) / 25.0
+    moving = t % 43.0 > 40.0
+    frequency, size = 8.37, 13.0 * 0.01 * np.sqrt(2.0 / np.count_nonzero(~moving))
+    faint = np.outer(size * np.sin(2 * np.pi * frequency * t), [1.0, 0.0, 0.0])
+    seen = 0
+    for seed in range(10):
+        rng = np.random.default_rng([13, seed])
+        moved = moving[:, None] * rng.normal(0, 3.0, (t.size, 3))
+        line = tone(stream(t, rng.normal(0, 0.01, (t.size, 3)) + moved + faint), "accel")
+        seen += line is not None and abs(line.parameters["frequency"].value - frequency) < 0.01  # type: ignore[operator]
+    assert seen >= 8
+    assert tone(stream(t, rng.normal(0, 0.01, (t.size, 3)) + moved), "accel") is None
+
+
 def test_coarse_values_that_were_calibrated_are_not_held() -> None:
     """Mixed axes repeat together or not at all, as held samples do; but their values come back."""
     rng = np.random.default_rng(10)
