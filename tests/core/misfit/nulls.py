@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 FAMILIES = ("white", "flicker", "gm50", "gm300", "gm1500", "walk_weak", "walk_strong", "mixture")
 WHITE = {"accel": 0.003, "gyro": 1.5e-4}
 G = 9.80665
+EARTH = 7.292e-5
 
 
 @dataclass
@@ -115,6 +116,14 @@ def random_attitudes(rng: np.random.Generator, n: int) -> Array:
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
+def earth(rng: np.random.Generator, day: Day) -> Array:
+    """Return the Earth's rate in the body, second by second (n, 3): one latitude, a heading a rest."""
+    latitude = np.arcsin(rng.uniform(-1.0, 1.0))
+    horizontal = np.cross(day.up, rng.normal(size=(day.rest.max() + 2, 3))[day.rest])
+    north = horizontal / np.maximum(np.linalg.norm(horizontal, axis=1, keepdims=True), 1e-12)
+    return EARTH * (np.sin(latitude) * day.up + np.cos(latitude) * north)
+
+
 def cut(day: Day, length: float = 18.0) -> tuple[Array, Array, Array]:
     """Cut a day's rests into bins: edges (m, 2) s, the rest (m,) of each, averages (m, n) over seconds."""
     edges: list[tuple[int, int]] = []
@@ -144,7 +153,7 @@ def bins_of(
     force = G * day.up @ scale.T + rng.normal(0, 0.1, 3) + family["accel"].series(rng, n)
     force = force + rng.normal(0, WHITE["accel"], (n, 3)) + (0.0 if accel_error is None else accel_error)
     rate = rng.normal(0, 0.01, 3) + family["gyro"].series(rng, n) + rng.normal(0, WHITE["gyro"], (n, 3))
-    rate = rate + (0.0 if gyro_error is None else gyro_error)
+    rate = rate + earth(rng, day) + (0.0 if gyro_error is None else gyro_error)
     edges, owner, average = cut(day)
     duration = np.diff(edges, axis=1)[:, 0].astype(float)
     switches = np.flatnonzero(np.diff(day.charging)) + 1
