@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit.quick import Index
 from stillcal.calib_core.samples import Array, Samples
@@ -41,7 +42,7 @@ class Stretches:
     @property
     def wider(self) -> Array:
         """How many of the frequencies `f` lie between two that a stretch of its length tells apart, (S,)."""
-        return self.tapered.shape[1] / np.asarray(self.length, dtype=np.float64)
+        return np.asarray(self.tapered.shape[1] / self.length, dtype=np.float64)
 
     @property
     def to_amplitude(self) -> Array:
@@ -78,11 +79,11 @@ def _steady(xyz: Array, second: int, longest: int, shortest: int, most: float) -
     """
     count = len(xyz) // second
     means = xyz[: count * second].reshape(count, second, 3).mean(axis=1)
-    free, placed = np.ones(len(xyz), dtype=bool), []
+    taken, placed = np.zeros(len(xyz), dtype=np.bool_), []
     for length in _lengths(longest, shortest):
-        starts = _starts(means, second, length, most, free)
+        starts = _starts(means, second, length, most, taken)
         for start in starts:
-            free[start : start + length] = False
+            taken[start : start + length] = True
         placed += [(start, length) for start in starts]
     ordered = np.array(sorted(placed), dtype=np.int64).reshape(-1, 2)
     return ordered[:, 0], ordered[:, 1]
@@ -96,17 +97,17 @@ def _lengths(longest: int, shortest: int) -> list[int]:
     return lengths
 
 
-def _starts(means: Array, second: int, length: int, most: float, free: Array) -> list[int]:
-    """Return where stretches of one length begin; free: (N,), which rows no longer ones hold."""
+def _starts(means: Array, second: int, length: int, most: float, taken: NDArray[np.bool_]) -> list[int]:
+    """Return where stretches of one length begin; taken: (N,), which rows longer ones hold."""
     span = max(length // second, 1)
     if span > len(means):
         return []
     around = np.lib.stride_tricks.sliding_window_view(means, span, axis=0)
     still = np.ptp(around, axis=2).max(axis=1) < most
-    still = still[: max((free.size - length) // second + 1, 0)]
-    taken = np.concatenate([[0], np.cumsum(~free)])
+    still = still[: max((taken.size - length) // second + 1, 0)]
+    before = np.concatenate([[0], np.cumsum(taken)])
     begins = np.flatnonzero(still) * second
-    begins = begins[taken[begins + length] == taken[begins]]
+    begins = begins[before[begins + length] == before[begins]]
     starts, next_one = [], 0
     for begin in begins:
         if begin >= next_one:
