@@ -27,6 +27,8 @@ from stillcal.replay.phone import draw_rests, load_phone
 from stillcal.replay.wire_faults import Figures
 
 QUIET_S = 3.0
+"""How long nothing is asked of the daemon before the first calibration, and after the last, s."""
+
 PAUSE_S = 0.02
 """Between the questions of one client, s."""
 
@@ -41,17 +43,17 @@ KEPT_MIB = 10.0
 """Memory that calibrating may leave in use, MiB."""
 
 
-def calibrating(times: int, seed: int, folder: Path) -> list[Figures]:
-    """Calibrate so many times in a daemon that runs in `folder`, which is empty."""
-    return asyncio.run(_calibrating(times, seed, folder))
+def calibrating(times: int, seed: int, folder: Path, quiet_s: float = QUIET_S) -> list[Figures]:
+    """Calibrate so many times in a daemon that runs in `folder`, which is empty, with quiet around it."""
+    return asyncio.run(_calibrating(times, seed, folder, quiet_s))
 
 
-async def _calibrating(times: int, seed: int, folder: Path) -> list[Figures]:
+async def _calibrating(times: int, seed: int, folder: Path, quiet_s: float) -> list[Figures]:
     state = EngineState(pool=gathered(seed))
     data = saved_state.encode(saved_state.SavedState(state))
     saved_state.save(saved_state.state_path(folder / "store.json"), data)
     async with running(folder, SocketSettings(calls_per_s=1000.0)) as target:
-        await asyncio.sleep(QUIET_S)
+        await asyncio.sleep(quiet_s)
         began = time.monotonic()
         asking = [asyncio.create_task(_asking(target)) for _ in range(CLIENTS)]
         took = [await _calibrate(target) for _ in range(times)]
@@ -59,7 +61,7 @@ async def _calibrating(times: int, seed: int, folder: Path) -> list[Figures]:
         for client in asking:
             client.cancel()
         waited = np.concatenate([await client for client in asking])
-        await asyncio.sleep(QUIET_S)
+        await asyncio.sleep(quiet_s)
     noted = np.load(folder / "lateness.npy")
     fits = Figures(
         f"{times} calibrations",

@@ -61,17 +61,17 @@ class Left:
     rests: int = 0
 
 
-def killed_live(kills: int, seed: int, folder: Path) -> Figures:
-    """Let `kills` daemons follow one another in an empty `folder`, each killed at random."""
-    return asyncio.run(_killed(kills, seed, folder))
+def killed_live(kills: int, seed: int, folder: Path, life_s: float = LIFE_S) -> Figures:
+    """Let `kills` daemons follow one another in an empty `folder`, each killed at random within `life_s`."""
+    return asyncio.run(_killed(kills, seed, folder, life_s))
 
 
-async def _killed(kills: int, seed: int, folder: Path) -> Figures:
+async def _killed(kills: int, seed: int, folder: Path, life_s: float) -> Figures:
     chance, counts, left = random.Random(seed), Counter[str](), Left()
     (folder / "stillcal.toml").write_text(SETTINGS)
     async with _phone(folder, seed):
         for _ in range(kills):
-            heard = await _life(folder, chance)
+            heard = await _life(folder, chance, life_s)
             counts["calibrations heard to be stored"] += heard.fitted_at > left.fitted_at
             counts["half-written temporaries"] += any(p.suffix == ".tmp" for p in folder.iterdir())
             known = replace(left, fitted_at=max(left.fitted_at, heard.fitted_at))
@@ -97,8 +97,8 @@ async def _phone(folder: Path, seed: int) -> AsyncIterator[None]:
         await asyncio.gather(phone, return_exceptions=True)
 
 
-async def _life(folder: Path, chance: random.Random) -> Left:
-    """Start a daemon, kill it, and return what it was heard to have stored."""
+async def _life(folder: Path, chance: random.Random, lasts: float) -> Left:
+    """Start a daemon, kill it `lasts` s after it answers at most; return what it was heard to have stored."""
     names = {"config": "stillcal.toml", "port": "tty", "store": "store.json", "socket": "socket"}
     options = [part for option, name in names.items() for part in (f"--{option}", str(folder / name))]
     command = [sys.executable, "-c", "from stillcal.daemon.cli import main; main()", "run", *options]
@@ -106,12 +106,12 @@ async def _life(folder: Path, chance: random.Random) -> Left:
     heard = Left()
     try:
         if chance.random() < 1 / 3:
-            await asyncio.sleep(chance.uniform(0.0, LIFE_S))
+            await asyncio.sleep(chance.uniform(0.0, lasts))
             return heard
         async with asyncio.timeout(START_S):
             while not await asyncio.to_thread(_answers, folder):
                 await asyncio.sleep(ASK_S)
-        until = asyncio.get_running_loop().time() + chance.uniform(0.0, LIFE_S)
+        until = asyncio.get_running_loop().time() + chance.uniform(0.0, lasts)
         while asyncio.get_running_loop().time() < until:
             heard = await asyncio.to_thread(_stored, folder, heard)
             await asyncio.sleep(min(ASK_S, max(until - asyncio.get_running_loop().time(), 0.0)))

@@ -38,12 +38,12 @@ def test_killed_while_it_saves_it_loses_nothing(tmp_path: Path) -> None:
 
 
 def test_the_whole_daemon_killed_again_and_again_loses_nothing() -> None:
-    found = faults.in_folder(lambda folder: killed_live(4, 1, folder))
+    found = faults.in_folder(lambda folder: killed_live(4, 1, folder, life_s=2.0))
     assert found.holds and found.counts["rests kept"] > 0, found
 
 
 def test_calibrating_is_counted_and_leaves_no_memory_behind() -> None:
-    fits, loop, answers, memory = faults.in_folder(lambda folder: calibrating(3, 1, folder))
+    fits, loop, answers, memory = faults.in_folder(lambda folder: calibrating(3, 1, folder, quiet_s=1.0))
     assert fits.counts["rests held"] == 240
     assert memory.holds, memory
     assert loop.counts["wake-ups"] > 0 and answers.counts["answers"] > 0
