@@ -62,6 +62,7 @@ class Recording:
         return float(self.streams[0].t[-1])
 
 
+@cache
 def _lived() -> Recording:
     whole = simulate(LIVED, load_phone("consumer"), 3).whole()
     assert whole.gyroscope is not None

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from forked import Forked
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
@@ -63,7 +64,7 @@ def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp
     assert 0 < len(before) < 5
     assert {row["status"] for row in before} == {"calibrated"}
 
-    again = called("fleet", phones, "--out", out, "--workers", 1)
+    again = called("fleet", phones, "--out", out, "--workers", 2)
     assert (again.returncode, again.stderr) == (0, "")
     assert f"5 recordings, {len(before)} of them finished before" in again.stdout
     assert again.stdout.count("Spoilt/phone-0000/recording.csv:3: column 'ax' holds nan") == 1
@@ -94,9 +95,10 @@ def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp
     ],
 )
 def test_nothing_to_do_is_one_line(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
-    found = called("fleet", *arguments, "--out", tmp_path / "results")
+    with Forked(["fleet", *arguments, "--out", tmp_path / "results"]) as found:
+        complaint = found.said()[1]
     assert found.returncode == BAD_INPUT
-    assert said in found.stderr and found.stderr.count("\n") == 1
+    assert said in complaint and complaint.count("\n") == 1
     assert not (tmp_path / "results").exists()
 
 
@@ -110,11 +112,12 @@ def test_a_new_phone_is_calibrated_and_its_recording_never_written_over(phones: 
     report.write_text(json.dumps({"priors": [prior]}))
     recording = next(path for path in sorted(phones.rglob("recording.csv")) if "nan" not in path.read_text())
     before = recording.read_bytes()
-    refused = called("fleet-first", recording, "--prior", report, "--json", recording)
-    assert refused.returncode == BAD_INPUT and "is read by this command" in refused.stderr
-    assert recording.read_bytes() == before
-    said = called("fleet-first", recording, "--prior", report, "--json", found)
-    assert said.returncode == 0 and "from the rests" in said.stdout, said.stderr
+    with Forked(["fleet-first", recording, "--prior", report, "--json", recording]) as refused:
+        assert "is read by this command" in refused.said()[1]
+    assert refused.returncode == BAD_INPUT and recording.read_bytes() == before
+    with Forked(["fleet-first", recording, "--prior", report, "--json", found]) as calibrated:
+        said, complaint = calibrated.said()
+    assert calibrated.returncode == 0 and "from the rests" in said, complaint
     told = json.loads(found.read_text())
     sds = [told["accelerometer"]["covariance"][i][i] ** 0.5 for i in range(9)]
     assert all(sd <= wide for sd, wide in zip(sds, spread, strict=True))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from forked import Forked
 
 from stillcal.daemon.cli import cli
 from stillcal.daemon.exits import INTERRUPTED
@@ -55,16 +56,11 @@ def test_a_phone_on_a_line_is_calibrated_as_its_recording_is(folder: Path) -> No
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_takes_the_phone_and_its_link_away(folder: Path, number: signal.Signals) -> None:
     port = folder / "phone"
-    with subprocess.Popen(
-        [STILLCAL, "simulate", "lab", "--serial", "--port", port, "--quiet"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as phone:
-        assert phone.stdout is not None and phone.stdout.readline().strip() == str(port)
+    with Forked(["simulate", "lab", "--serial", "--port", port, "--quiet"]) as phone:
+        assert phone.stdout.readline().strip() == str(port)
         assert port.is_symlink()
         phone.send_signal(number)
-        said = phone.communicate(timeout=60)[1]
+        said = phone.said()[1]
     assert phone.returncode == INTERRUPTED and said.strip() == "stillcal: interrupted; nothing half-written"
     assert list(folder.iterdir()) == []
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from forked import Forked
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -61,18 +60,16 @@ def test_a_scenario_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def started(out: Path) -> subprocess.Popen[str]:
+def started(out: Path) -> Forked:
     """Start the demo and wait until its daemon has spoken of the phone."""
-    command = [sys.executable, "-m", "stillcal.daemon.demo", "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    assert process.stdout is not None
+    process = Forked(["--out", out], demo, together=True)
     for line in process.stdout:
         if "gravity" in line:
             return process
     raise AssertionError("the demo ended before its daemon spoke")
 
 
-def daemon_of(process: subprocess.Popen[str]) -> int:
+def daemon_of(process: Forked) -> int:
     (child,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     return int(child)
 
@@ -91,7 +88,7 @@ def test_interrupted_it_leaves_no_daemon_behind(tmp_path: Path, number: signal.S
 def test_a_daemon_that_dies_is_told_with_its_log(tmp_path: Path) -> None:
     with started(tmp_path / "out") as process:
         os.kill(daemon_of(process), signal.SIGKILL)
-        said, _ = process.communicate(timeout=30)
+        said, _ = process.said()
     assert process.returncode == 1
     assert f"the daemon ended with code -9: see {tmp_path / 'out' / 'live.log'}" in said
 

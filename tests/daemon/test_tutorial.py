@@ -4,30 +4,42 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
-import sys
 from pathlib import Path
+
+from forked import Forked
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 BLOCK = re.compile(r"^```console\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 
 
+TERMINAL = {"COLUMNS": "90", "LANG": "C.UTF-8"}
+
+
 def ran(command: str, folder: Path) -> str:
-    """Run a line of the shell with stillcal on the path, in a terminal of 90 columns; return what it said."""
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "COLUMNS": "90", "LANG": "C.UTF-8"}
-    done = subprocess.run(
+    """Run a line of the shell, in a terminal of 90 columns; return what it said."""
+    first, then, rest = command.partition(";")
+    said = ""
+    if first.startswith("stillcal "):
+        with Forked(shlex.split(first)[1:], folder=folder, more=TERMINAL, together=True) as stillcal:
+            said = stillcal.said()[0]
+        command = f"(exit {stillcal.returncode}){then}{rest}"
+    return "".join(line.rstrip() + "\n" for line in (said + shell(command, folder)).splitlines())
+
+
+def shell(command: str, folder: Path) -> str:
+    return subprocess.run(
         command,
         shell=True,
         cwd=folder,
-        env=environment,
+        env=os.environ | TERMINAL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         check=False,
-    )
-    return "".join(line.rstrip() + "\n" for line in done.stdout.splitlines())
+    ).stdout
 
 
 def commands(block: str) -> list[tuple[str, str]]:
