@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands do; before numpy is first imported
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # or each process that is started compiles stillcal anew
 
 import pytest
 

@@ -46,14 +46,20 @@ def case_with(recording: Callable[..., Recording]) -> Callable[..., Case]:
     return of
 
 
+def _write(recording: Recording, path: Path) -> Path:
+    with TraceWriter(path, temperature=True, arrival=True, claims=recording.claims) as writer:
+        writer.write(recording.accelerometer, recording.gyroscope, tuple(recording.events))
+    return path
+
+
 @pytest.fixture
 def written(tmp_path: Path) -> Callable[[Recording, str], Path]:
     """Give a function that writes a recording as a file."""
+    return lambda recording, name: _write(recording, tmp_path / name)
 
-    def write(recording: Recording, name: str) -> Path:
-        path = tmp_path / name
-        with TraceWriter(path, temperature=True, arrival=True, claims=recording.claims) as writer:
-            writer.write(recording.accelerometer, recording.gyroscope, tuple(recording.events))
-        return path
 
-    return write
+@pytest.fixture(scope="session")
+def sound(recording: Callable[..., Recording], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two recordings of a sound phone, of different seeds, as files."""
+    folder = tmp_path_factory.mktemp("sound")
+    return _write(recording(), folder / "real.csv"), _write(recording(seed=5), folder / "alike.csv")

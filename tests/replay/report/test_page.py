@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -84,17 +85,25 @@ def test_a_legend_lies_on_no_curve_however_it_runs() -> None:
     assert place.x0 >= 0.0 and place.x1 <= figure.bbox.x1 and place.y1 <= figure.bbox.y1
 
 
-def test_a_simulated_recording_is_compared(recording: Maker, written: Writer) -> None:
-    real = written(recording(), "real.csv")
-    alike, shaken = written(recording(seed=5), "alike.csv"), written(recording(TONE, seed=5), "shaken.csv")
-    assert json.loads(run(real, "--simulated", alike, "--json", "-"))["comparison"]["accepted"]
+@pytest.fixture(scope="module")
+def beside_its_like(sound: tuple[Path, Path]) -> Any:
+    """What is said of a sound phone's recording beside another one's."""
+    real, alike = sound
+    return json.loads(run(real, "--simulated", alike, "--json", "-"))
+
+
+def test_a_simulated_recording_is_compared(
+    recording: Maker, written: Writer, sound: tuple[Path, Path], beside_its_like: Any
+) -> None:
+    real, shaken = sound[0], written(recording(TONE, seed=5), "shaken.csv")
+    assert beside_its_like["comparison"]["accepted"]
     other = json.loads(run(real, "--simulated", shaken, "--json", "-"))["comparison"]
     assert not other["accepted"]
     assert {t["channel"] for t in other["tests"] if t["p_corrected"] < other["level"]} == {"accel z"}
 
 
-def test_the_map_is_quiet_where_nothing_is_wrong(recording: Maker, written: Writer) -> None:
-    answer = json.loads(run(written(recording(), "quiet.csv"), "--json", "-"))
+def test_the_map_is_quiet_where_nothing_is_wrong(beside_its_like: Any) -> None:
+    answer = beside_its_like
     assert answer["verdict"] == "adequate"
     quick = [c for c in answer["map"]["channels"] if c["channel"].endswith("noise")]
     assert len(quick) == 6
