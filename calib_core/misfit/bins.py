@@ -25,6 +25,10 @@ BRIEFEST_REST = 2
 FEW = 12
 """Where rests of `SHORTEST_REST` windows give fewer bins than this, rests of `BRIEFEST_REST` count too."""
 
+LOUDEST_FORCE, LOUDEST_RATE = 0.5, 0.1
+"""m/s^2 and rad/s, spread within a second on three axes beyond which nothing lies: a phone that is carried
+nearly all day is shaken by more, a phone in a car or on a washing machine by less."""
+
 STILL_FORCE = 0.08
 STILL_RATE = 0.03
 RARE = 0.1
@@ -97,7 +101,7 @@ def still_windows(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
     """Return which windows (n,) are still: quiet for this recording, and mean force and rate that stay."""
     enough = force.count >= max(3.0, 0.5 * float(np.median(force.count)))
     spread = np.sqrt(force.variance.sum(axis=1))
-    floor = float(np.quantile(spread[enough], 0.1)) if enough.any() else 0.0
+    floor = min(float(np.quantile(spread[enough], 0.1)), LOUDEST_FORCE) if enough.any() else 0.0
     still = enough & (spread < 3.0 * floor + STILL_FORCE)
     jump = np.abs(np.diff(force.mean, axis=0)).max(axis=1)
     steady = jump < 0.03 + 6.0 * np.sqrt(
@@ -123,7 +127,7 @@ def without_knocks(still: NDArray[np.bool_], force: Windows, rate: Windows | Non
 
 def _not_turning(rate: Windows, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
     turn = np.sqrt(rate.variance.sum(axis=1))
-    floor = float(np.quantile(turn[still], 0.1))
+    floor = min(float(np.quantile(turn[still], 0.1)), LOUDEST_RATE)
     rest = np.median(rate.mean[still], axis=0)
     noise = 4.0 * floor / np.sqrt(np.maximum(rate.count, 1.0))
     slow = np.abs(rate.mean - rest).max(axis=1) < STILL_RATE + noise

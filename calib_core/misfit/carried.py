@@ -34,7 +34,7 @@ SHORT_OF = 0.98
 """Part of a limit that a rate, less its bias, may reach."""
 
 LEAST_ANGLE = 0.2
-SHARPEST = 0.2
+SHARPEST = 0.5
 """rad from sample to sample, beyond which what happens between samples is not known from them."""
 
 MARGIN = 0.5

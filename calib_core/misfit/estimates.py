@@ -18,8 +18,8 @@ from stillcal.calib_core.misfit.search import reduce_scene
 from stillcal.calib_core.samples import Array
 
 GRID_PARAMETERS = ("tau_s", "period_s")
-WIDENED = 1.25
-"""Standard errors are widened by this: the curvature at the maximum knows nothing of the search before it."""
+WIDENED = 1.1
+"""Standard errors are widened by this: they know nothing of the search before them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

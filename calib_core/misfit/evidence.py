@@ -209,16 +209,29 @@ def _least(view: Reduced, h: int) -> Array:
 
 
 def fit_hypothesis(views: Sequence[Reduced], h: int) -> Fit:
-    """Fit hypothesis `h` to all views at once; the better of two starts (likely shapes, and white noise)."""
+    """Fit hypothesis `h` to all views at once, and tell how sure its parameters are."""
+    beta, value, weights = _highest(views, h)
+    return Fit(beta, _covariance(views, h, beta, weights), value)
+
+
+def highest(views: Sequence[Reduced], h: int) -> float:
+    """Return the log likelihood of hypothesis `h` at its maximum."""
+    return _highest(views, h)[1]
+
+
+def _highest(views: Sequence[Reduced], h: int) -> tuple[Array, float, list[Array]]:
+    """Return the better of two climbs, begun from the likely shapes and from white noise."""
     _, likely = joint(views, [log_terms(v, v.yy) for v in views])
     informed = [w * v.dof / (v.known + v.yy) for v, w in zip(views, likely, strict=True)]
     plain = [np.eye(len(v.yy))[0] for v in views]
-    fits = [_climb(views, h, start) for start in (informed, plain)]
-    return max(fits, key=lambda f: f.log_likelihood)
+    return max((_climb(views, h, start) for start in (informed, plain)), key=lambda c: c[1])
 
 
-def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> Fit:
-    """Climb by expectation maximisation over shapes and scales: every step is a weighted least squares."""
+def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> tuple[Array, float, list[Array]]:
+    """Climb by expectation maximisation over shapes and scales: every step is a weighted least squares.
+
+    Return the parameters (k,), the log likelihood, and the probabilities of the shapes in every view.
+    """
     beta = _solve(views, h, weights)
     for _ in range(ITERATIONS):
         left = [residuals(v, h, beta) for v in views]
@@ -229,7 +242,7 @@ def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> Fit:
             break
     terms = [log_terms(v, residuals(v, h, beta)) for v in views]
     value, likely = joint(views, terms)
-    return Fit(beta, _covariance(views, h, beta, likely), value - 0.5 * float(beta @ beta))
+    return beta, value - 0.5 * float(beta @ beta), likely
 
 
 def residuals(view: Reduced, h: int, beta: Array) -> Array:
@@ -249,16 +262,37 @@ def _solve(views: Sequence[Reduced], h: int, weights: list[Array]) -> Array:
 
 
 def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Array]) -> Array:
-    """Return the inverse observed information of the shape-averaged likelihood (Louis, JRSS B 44, 1982)."""
-    expected = np.zeros((beta.size, beta.size))
-    missing = np.zeros_like(expected)
-    for v, weight in zip(views, likely, strict=True):
-        rate = v.dof / (v.known + residuals(v, h, beta))
-        score = rate[:, None] * (v.xy[:, v.columns[h]] - v.blocks[h] @ beta)
-        mean = weight @ score
-        expected += np.einsum("g,gij->ij", weight * rate, v.blocks[h])
-        missing += np.einsum("g,gi,gj->ij", weight * (1.0 + 2.0 / v.dof), score, score) - np.outer(mean, mean)
-    observed = expected - missing
-    # Where the shapes disagree so much that the curvature is lost, the expected information is all there is.
-    curvature = observed if np.linalg.eigvalsh(observed).min() > 0 else expected
-    return np.asarray(np.linalg.inv(curvature + np.eye(beta.size)), dtype=np.float64)
+    """Return the covariance (k, k) of a fit, its mean and spread under every shape taken together.
+
+    A shape weighs by its likelihood with the parameters integrated out (Laplace), the other views held at
+    their expected information: one that leaves a parameter uncertain has more room for it than the curvature
+    at the maximum knows of.
+    """
+    rates = [v.dof / (v.known + residuals(v, h, beta)) for v in views]
+    pulls = [
+        r[:, None] * (v.xy[:, v.columns[h]] - v.blocks[h] @ beta) for v, r in zip(views, rates, strict=True)
+    ]
+    expected = [_expected(v, h, r * w) for v, r, w in zip(views, rates, likely, strict=True)]
+    pulled = sum(w @ p for w, p in zip(likely, pulls, strict=True)) - beta
+    whole = sum(expected) + np.eye(beta.size)
+    inverses, steps, terms = [], [], []
+    for v, rate, pull, own, weight in zip(views, rates, pulls, expected, likely, strict=True):
+        precision = whole - own + rate[:, None, None] * v.blocks[h]
+        force = pulled - weight @ pull + pull
+        inverse = np.linalg.inv(precision)
+        step = np.einsum("gij,gj->gi", inverse, force)
+        room = 0.5 * (np.einsum("gi,gi->g", force, step) - np.linalg.slogdet(precision)[1])
+        inverses.append(inverse)
+        steps.append(step)
+        terms.append(log_terms(v, residuals(v, h, beta)) + room)
+    _, weights = joint(views, terms)
+    new = [_expected(v, h, r * w) for v, r, w in zip(views, rates, weights, strict=True)]
+    total = np.linalg.inv(sum(new) + np.eye(beta.size))
+    for own, now, inverse, step, weight in zip(expected, new, inverses, steps, weights, strict=True):
+        mixed = np.einsum("g,gij->ij", weight, inverse) + np.einsum("g,gi,gj->ij", weight, step, step)
+        total = total + mixed - np.linalg.inv(whole - own + now)
+    return np.asarray(total, dtype=np.float64)
+
+
+def _expected(view: Reduced, h: int, weight: Array) -> Array:
+    return np.asarray(np.einsum("g,gij->ij", weight, view.blocks[h]))

@@ -21,6 +21,7 @@ from stillcal.calib_core.misfit.evidence import (
     Reduced,
     fit_hypothesis,
     gain_bound,
+    highest,
     null_log_likelihood,
     reduce_view,
 )
@@ -118,7 +119,7 @@ def _judged(
         least = max(best, thresholds.WORTH_FITTING)
         if score(gain_bound(reduced, part) - null, rank, dof, trials * cost) < least:
             continue
-        gain = fit_hypothesis(reduced, part).log_likelihood - null
+        gain = highest(reduced, part) - null
         best = max(best, score(gain, rank, dof, trials * cost))
     if not np.isfinite(best):
         return None
@@ -293,7 +294,7 @@ def refined(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
         return replace(step, shadows=kin)
     candidates = winner.entry.refine(winner.entry, scene, winner.grid)
     reduced = reduce_scene(scene, candidates, before)
-    gains = [fit_hypothesis(reduced, i).log_likelihood for i in range(len(candidates))]
+    gains = [highest(reduced, i) for i in range(len(candidates))]
     best = int(np.argmax(gains))
     near = [candidates[i] for i in (best - 1, best + 1) if 0 <= i < len(candidates)]
     return replace(step, winner=replace(step.winner, hypothesis=candidates[best]), shadows=(*near, *kin))

@@ -44,3 +44,12 @@ def test_a_spike_of_one_sensor_is_in_no_mean_and_ends_no_rest() -> None:
 def test_values_that_toggle_between_two_steps_are_still() -> None:
     coarse = np.round(resting(0.02) / 0.1) * 0.1
     assert np.unique(bins(coarse).rest).size == 1
+
+
+def test_a_phone_that_is_carried_all_day_rests_only_where_it_is_put_down() -> None:
+    """Steps of a walk, even ones, but for the last twentieth."""
+    walked = np.arange(N) < 0.95 * N
+    t = np.arange(N) / 50.0
+    steps = np.stack([np.sin(2 * np.pi * f * t) for f in (1.0, 2.0, 4.0)], axis=1)
+    seen = bins(resting() + 2.5 * steps * walked[:, None])
+    assert len(seen) and seen.t.min() > 0.95 * t[-1]
