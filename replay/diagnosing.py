@@ -133,7 +133,7 @@ def diagnosed_rests(rests: Sequence[RestState], name: str, claims: Claims | None
     bins, timed = rest_bins(rests), _timed(rests)
     found = _of_rests(bins, claims or Claims(), timed=timed)
     facts = facts_of(bins, 0, stamps=timed)
-    said = [text for text in diagnosis.limits(bins) if timed or "charging" not in text]
+    said = [text for text in diagnosis.limits(bins, bins.rate is not None) if timed or "charging" not in text]
     return answered(Diagnosis(1, name, verdict_of(found), found, said), facts)
 
 

@@ -84,7 +84,7 @@ def diagnose(
         if affine is not None and spoiled is None:
             found += turn_findings(affine, slow, claims.gravity, without)
     stated = [_named(f, without) for f in without_group_delay([f for f in found if f], claims.gravity)]
-    said = [*limits(bins), *_hidden(both, claims), *_unjudged(spoiled)]
+    said = [*limits(bins, gyroscope is not None), *_hidden(both, claims), *_unjudged(spoiled)]
     return Diagnosis(1, recording, verdict_of(stated), stated, said)
 
 
@@ -263,17 +263,18 @@ def without_group_delay(found: list[Finding], gravity: float) -> list[Finding]:
     return [f for f in found if not explained(f)]
 
 
-def limits(bins: Bins) -> list[str]:
-    """Say what this recording cannot show."""
+def limits(bins: Bins, gyroscope: bool) -> list[str]:
+    """Say what this recording, with or without a gyroscope, cannot show."""
     said = []
     if len(bins) == 0:
         said.append("the phone never lies still: only stamps, values and motion are judged")
     elif len(bins) < thresholds.LEAST_BINS:
-        said.append(
-            f"{len(bins)} still bins of 10 s: slow effects need {thresholds.LEAST_BINS}; let the phone lie"
-        )
-    if bins.rate is None:
+        need = thresholds.LEAST_BINS
+        said.append(f"{len(bins)} still bins of 10 s: slow effects need {need}; let the phone lie")
+    if not gyroscope:
         said.append("no gyroscope: nothing is said of it, nor of the time between the sensors")
+    elif bins.rate is None and len(bins):
+        said.append("shaken all along, as in a car: no rate at rest tells the gyroscope's bias")
     if bins.temperature is None:
         said.append("no temperature: thermal effects are only seen through charging and use")
     if len(np.unique(bins.rest)) < 6:
