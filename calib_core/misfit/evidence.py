@@ -30,7 +30,8 @@ class Reduced:
 
     prior: (G,) log; constant: (G,) prior and determinants; yy: (G,); xy: (G, M); blocks: one (G, k, k) a
     hypothesis; columns: its column indices; dof: nu0 + n - p; walk: (G,) variance rate, 1/s, of random walks;
-    near: (G, G) how an axis' shape scatters about the one that the axes share; known: nu0.
+    jump: (G,) variance of what is another in every rest; near: (G, G) how an axis' shape scatters about the
+    one that the axes share; known: nu0.
     """
 
     prior: Array
@@ -42,6 +43,7 @@ class Reduced:
     dof: float
     family: tuple[str, ...]
     walk: Array
+    jump: Array
     near: Array
     known: float
 
@@ -82,6 +84,7 @@ def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | 
         view.known + view.y.size - baseline,
         names,
         np.concatenate([f.walk for f in made]),
+        np.concatenate([f.jump for f in made]),
         _nearness(names),
         view.known,
     )

@@ -41,10 +41,33 @@ KEPT = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Kind:
+    """One kind of wander at unit strength: covariance (n, n), what of it walks (variance rate, 1/s) or jumps.
+
+    The rate of a slow Gauss-Markov process is that with which it begins; what jumps is the variance that
+    all bins of a rest share and the next rest does not.
+    """
+
+    covariance: Array
+    walk: float = 0.0
+    jump: float = 0.0
+
+    def beside(self, other: Kind, share: float) -> Kind:
+        """Return a mixture with another kind; share: this one's part of the power."""
+        mine, its = share, 1.0 - share
+        return Kind(
+            mine * self.covariance + its * other.covariance,
+            mine * self.walk + its * other.walk,
+            mine * self.jump + its * other.jump,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Family:
     """One kind of wander beside white noise, at G strengths.
 
-    strengths, weight: (G,), prior; walk: (G,) variance rate of the random walk in it, unit^2/s.
+    strengths, weight: (G,), prior; walk: (G,) variance rate of the random walk in it, unit^2/s; jump: (G,)
+    variance of what is another in every rest, unit^2.
     rotation: (n, n), takes data into axes where the shapes are diagonal; diagonals: (G, n).
     """
 
@@ -52,6 +75,7 @@ class Family:
     strengths: Array
     weight: Array
     walk: Array
+    jump: Array
     rotation: Array
     diagonals: Array
 
@@ -68,13 +92,14 @@ def families(view: View) -> list[Family]:
     made = kinds(view)
     n, weight = view.t.size, 1.0 / (len(made) + 1)
     none, alone = np.zeros(1), np.array([weight])
-    found = [Family("white", none, alone, none, whiten, np.ones((1, n)))]
+    found = [Family("white", none, alone, none, none, whiten, np.ones((1, n)))]
     prior = strength_prior() * weight
     median = float(np.median(view.variance))
-    for name, (unit, rate) in made.items():
-        values, vectors = np.linalg.eigh(whiten @ (unit * median) @ whiten.T)
+    for name, kind in made.items():
+        values, vectors = np.linalg.eigh(whiten @ (kind.covariance * median) @ whiten.T)
         diagonals = 1.0 + STRENGTHS[:, None] * np.maximum(values, 0.0)
-        found.append(Family(name, STRENGTHS, prior, STRENGTHS * median * rate, vectors.T @ whiten, diagonals))
+        walk, jump = STRENGTHS * median * kind.walk, STRENGTHS * median * kind.jump
+        found.append(Family(name, STRENGTHS, prior, walk, jump, vectors.T @ whiten, diagonals))
     return found
 
 
@@ -96,32 +121,32 @@ def strength_prior() -> Array:
     return np.asarray(weight / weight.sum())
 
 
-def kinds(view: View) -> dict[str, tuple[Array, float]]:
-    """Return unit wander covariances (n, n) of each family and the random walk's variance rate in them, 1/s.
+def kinds(view: View) -> dict[str, Kind]:
+    """Return the kinds of wander at unit strength.
 
-    The rate of a slow Gauss-Markov process is that with which it begins.
     All views of a sensor have the same families in the same unit, a bias that scatters between the view's
     bins like their white noise. Turns begin anew each, but their errors may grow with the angle.
     """
     if view.name == "turn":
-        return {"growing": (np.diag((view.duration / np.median(view.duration)) ** 2), 0.0)}
-    walk = random_walk_covariance(view.t, view.duration)
-    raw = {"flicker": flicker_covariance(view.t, view.duration), "walk": walk}
+        return {"growing": Kind(np.diag((view.duration / np.median(view.duration)) ** 2))}
+    raw = {
+        "flicker": flicker_covariance(view.t, view.duration),
+        "walk": random_walk_covariance(view.t, view.duration),
+    }
     raw |= {f"gauss_markov_{tau:.0f}": gauss_markov_covariance(view.t, view.duration, tau) for tau in TAUS}
-    spread = {name: _spread(c) for name, c in raw.items()}
-    unit = {name: c * view.coupling / spread[name] for name, c in raw.items()}
-    rates = {f"gauss_markov_{tau:.0f}": 2.0 / tau / spread[f"gauss_markov_{tau:.0f}"] for tau in SLOW}
-    rates["walk"] = 1.0 / spread["walk"]
-    found = {name: (c, rates.get(name, 0.0)) for name, c in unit.items()}
+    rates = {"walk": 1.0} | {f"gauss_markov_{tau:.0f}": 2.0 / tau for tau in SLOW}
+    found = {}
+    for name, covariance in raw.items():
+        spread = _spread(covariance)
+        found[name] = Kind(covariance * view.coupling / spread, rates.get(name, 0.0) / spread)
     for one, other, share in MIXTURES:
-        rate = share * rates.get(one, 0.0) + (1.0 - share) * rates.get(other, 0.0)
-        found[f"{share} {one}+{other}"] = (share * unit[one] + (1.0 - share) * unit[other], rate)
-    scatter = (view.rest[:, None] == view.rest[None, :]).astype(np.float64)
+        found[f"{share} {one}+{other}"] = found[one].beside(found[other], share)
     if len(np.unique(view.rest)) >= 3:
-        between = scatter / _spread(scatter)
-        found["scatter"] = (between, 0.0)
-        found["flicker+scatter"] = (0.5 * (unit["flicker"] + between), 0.0)
-        found["walk+scatter"] = (0.5 * (unit["walk"] + between), 0.5 * rates["walk"])
+        scatter = (view.rest[:, None] == view.rest[None, :]).astype(np.float64)
+        spread = _spread(scatter)
+        found["scatter"] = Kind(scatter / spread, 0.0, 1.0 / spread)
+        found["flicker+scatter"] = found["flicker"].beside(found["scatter"], 0.5)
+        found["walk+scatter"] = found["walk"].beside(found["scatter"], 0.5)
     return found
 
 

@@ -8,13 +8,13 @@ from itertools import takewhile
 
 import numpy as np
 
-from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit import jumps, thresholds
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.carried import Aligned
 from stillcal.calib_core.misfit.catalogue import nameless, slow_entries
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
 from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
-from stillcal.calib_core.misfit.evidence import fit_hypothesis
+from stillcal.calib_core.misfit.evidence import Reduced, fit_hypothesis
 from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
 from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
 from stillcal.calib_core.misfit.search import Scored, Step, adequate, forward, reduce_scene
@@ -61,11 +61,22 @@ def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
         return []
     entries = slow_entries(scene.sensor, without)
     steps = forward(scene, entries)
-    walks = random_walk(scene, [h for step in adequate(steps) for h in step.explained])
+    found, left = _jumps(scene, steps)
+    if found:
+        steps = [step for step in adequate(steps) if jumps.stands(scene, step.winner, found)]
+        found, left = _jumps(scene, steps)
     return [
         *findings_of(scene, steps),
-        *(replace(f, effect="unknown") if f.effect in without else f for f in walks),
+        *([jumps.finding(scene, found)] if found else []),
+        *(replace(f, effect="unknown") if f.effect in without else f for f in random_walk(scene, left)),
     ]
+
+
+def _jumps(scene: Scene, steps: Sequence[Step]) -> tuple[jumps.Jumps | None, list[Reduced]]:
+    """Return a bias' jumps beside the steps, and the scene with these taken out."""
+    explained = [h for step in adequate(steps) for h in step.explained]
+    left = reduce_scene(scene, [nothing(scene)], explained)
+    return jumps.jumps(scene, explained, left), left
 
 
 def turn_findings(made: Aligned, bins: Bins, gravity: float, without: Collection[str] = ()) -> list[Finding]:

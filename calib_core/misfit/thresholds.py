@@ -71,6 +71,13 @@ KURTOSIS_TOLERANCE = 0.3
 RANDOM_WALK = {"accel": 30e-6 * 9.80665, "gyro": 1.745e-5}
 """Bias random walk that Android allows (7.3): 30 ug sqrt(Hz), 0.001 deg/s sqrt(Hz); per sqrt(s)."""
 
+JUMP = {"accel": 5e-4, "gyro": 7.3e-5}
+"""Standard deviation of a bias that is another in every rest, m/s^2 and rad/s, that is no finding: 50 ug, and
+the Earth's own rate, of whose latitude and heading nothing is known."""
+
+CERTAIN_JUMP = 0.999
+"""Posterior probability of jumps beyond that which makes them a finding."""
+
 DELAY_TOLERANCE = 2.5e-3
 """s between the sensors that Android allows for high fidelity (7.3)."""
 

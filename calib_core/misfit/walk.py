@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.catalogue.bias import NAME, UNIT
-from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, nothing
+from stillcal.calib_core.misfit.catalogue.entry import AXES, Scene
 from stillcal.calib_core.misfit.evidence import Reduced, joint, log_terms
 from stillcal.calib_core.misfit.records import Evidence, Finding, Parameter, Where
-from stillcal.calib_core.misfit.search import reduce_scene
 from stillcal.calib_core.samples import Array
 
 BOUNDED = 2.0
@@ -73,10 +72,9 @@ def walks_of(views: Sequence[Reduced]) -> list[Walk]:
     return out
 
 
-def random_walk(scene: Scene, explained: Sequence[Hypothesis]) -> list[Finding]:
-    """Find a bias random walk beyond what Android allows, in what the effects leave."""
+def random_walk(scene: Scene, reduced: Sequence[Reduced]) -> list[Finding]:
+    """Find a bias random walk beyond what Android allows. reduced: the scene, what was found taken out."""
     limit = thresholds.RANDOM_WALK[scene.sensor]
-    reduced = reduce_scene(scene, [nothing(scene)], explained)
     walks = [w for v, w in zip(scene.views, walks_of(reduced), strict=True) if v.name != "tangent"]
     sure = max(w.beyond(limit) for w in walks)
     if sure < thresholds.CERTAIN:

@@ -1,0 +1,57 @@
+"""A bias that is another in every rest: found where it is, and told from the Earth and from names."""
+
+from __future__ import annotations
+
+import nulls
+import numpy as np
+
+from stillcal.calib_core.misfit.catalogue.entry import nothing
+from stillcal.calib_core.misfit.jumps import DRIVER, jumps
+from stillcal.calib_core.misfit.records import Finding
+from stillcal.calib_core.misfit.scenes import scenes
+from stillcal.calib_core.misfit.search import reduce_scene
+from stillcal.calib_core.misfit.slow import slow_findings
+
+SIZE = np.array([6e-4, 6e-4, 6e-4])
+
+
+def short_rests(seed: int) -> tuple[np.random.Generator, nulls.Day]:
+    """Draw a day of twenty rests and more."""
+    rng = np.random.default_rng([seed, 77])
+    while True:
+        day = nulls.schedule(rng)
+        if day.rest.max() > 20 and np.unique(day.up.round(1), axis=0).shape[0] > 12:
+            return rng, day
+
+
+def by_rest(rng: np.random.Generator, day: nulls.Day, size: np.ndarray) -> np.ndarray:
+    """Return an error (seconds, 3) that is drawn anew for every rest."""
+    return np.asarray(rng.normal(size=(day.rest.max() + 2, 3))[day.rest] * size)
+
+
+def found(seed: int, family: str, size: np.ndarray, slope: float = 0.0) -> list[Finding]:
+    rng, day = short_rests(seed)
+    error = by_rest(rng, day, size) + slope * (day.temperature - day.temperature.mean())[:, None]
+    return slow_findings(scenes(nulls.bins_of(rng, day, family, gyro_error=error), nulls.G)[1])
+
+
+def test_jumps_are_found_as_large_as_they_are() -> None:
+    findings = found(1, "flicker", SIZE)
+    assert [(f.effect, f.where.driver) for f in findings] == [("unknown", DRIVER)]
+    low, high = np.array(findings[0].parameters["size"].ci95).T
+    assert (low < SIZE).all() and (high > SIZE).all()
+    assert findings[0].axes == ["x", "y", "z"]
+
+
+def test_what_towers_above_the_jumps_keeps_its_name_and_what_does_not_loses_it() -> None:
+    large, small = found(2, "white", SIZE, 1.5e-3), found(2, "white", SIZE, 1e-4)
+    assert {f.effect for f in large} == {"gyro_bias_temperature", "unknown"}
+    assert {f.where.driver for f in small} == {DRIVER}
+
+
+def test_the_earth_and_all_wander_are_no_jumps() -> None:
+    for family in nulls.FAMILIES:
+        for seed in range(3):
+            rng, day = short_rests(10 + seed)
+            for scene in scenes(nulls.bins_of(rng, day, family), nulls.G):
+                assert jumps(scene, [], reduce_scene(scene, [nothing(scene)])) is None, (family, seed)
