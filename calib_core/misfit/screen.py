@@ -120,7 +120,8 @@ class _Whitened:
         y, part, _ = projected(whitened, self.view.baseline.shape[2], int(seen.sum()))
         x = np.zeros((y.size, seen.size))
         x[:, seen] = part
-        return y @ x, x, float(y @ y) / max(y.size - self.view.parameters, 1)
+        left = float(y @ y) / max(y.size - self.view.parameters, 1)
+        return y @ x, x, left if left > 0.0 else 1.0  # values that never change leave nothing
 
 
 def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array:

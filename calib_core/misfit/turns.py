@@ -36,18 +36,19 @@ def turn_scene(made: Aligned, bins: Bins, gravity: float) -> tuple[Scene, list[T
     for _ in range(2):
         if len(made.turns) < LEAST_TURNS:
             return None
-        size = np.abs(_left(turn_view(made))).reshape(-1, 2).max(axis=1)
+        size = np.abs(_left(turn_view(made, bins.rate_rounding))).reshape(-1, 2).max(axis=1)
         kept = [t for t, s in zip(made.turns, size, strict=True) if s < OUTLIER * np.median(size)]
         made = replace(made, turns=kept)
     if len(made.turns) < LEAST_TURNS:
         return None
-    return Scene("gyro", bins, (turn_view(made),), gravity, None), made.turns
+    return Scene("gyro", bins, (turn_view(made, bins.rate_rounding),), gravity, None), made.turns
 
 
-def turn_view(made: Aligned) -> View:
+def turn_view(made: Aligned, rounding: Array | None) -> View:
     """Two residuals a turn across gravity; the baseline is the nine numbers of scale and misalignment.
 
-    The accelerometer's parameters may be off by as much as the norm of gravity leaves them unknown.
+    The accelerometer's parameters may be off by as much as the norm of gravity leaves them unknown, and the
+    rate's bias by what coarse steps do to it at rest, `rounding` (3,) rad/s, where the turn dithers them.
     `duration` holds the angle turned through, with which errors may grow.
     """
     found = made.turns
@@ -55,7 +56,12 @@ def turn_view(made: Aligned) -> View:
     y = np.einsum("kbi,ki->kb", across, np.array([t.miss for t in found])).ravel()
     n = y.size
     scale = np.einsum("kbi,kip->kbp", across, np.array([t.scale_columns() for t in found])).reshape(n, 9)
-    accel = np.einsum("kbi,kip->kbp", across, np.array([t.unsure for t in found])).reshape(n, 9) @ made.unsure
+    absorbed = (
+        np.einsum("kbi,kip->kbp", across, np.array([t.unsure for t in found])).reshape(n, 9) @ made.unsure
+    )
+    if rounding is not None:
+        still = _columns(found, lambda t: np.broadcast_to(np.eye(3) * rounding, (*t.rate.shape, 3)))
+        absorbed = np.hstack([absorbed, np.einsum("kbi,kip->kbp", across, still).reshape(n, 3)])
     rough = View(
         "turn",
         y[None],
@@ -67,7 +73,7 @@ def turn_view(made: Aligned) -> View:
         np.repeat([t.end for t in found], 2),
         np.repeat([t.angle for t in found], 2),
         np.arange(n),
-        absorbed=accel,
+        absorbed=absorbed,
         known=KNOWN,
     )
     spread = max(1.4826 * float(np.median(np.abs(_left(rough)))), 1e-6)

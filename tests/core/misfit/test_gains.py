@@ -76,3 +76,12 @@ def test_turns_that_reach_a_limit_tell_nothing_of_linearity() -> None:
     whole, free = cuts(clipped, bins), cuts(clipped, bins, stop)
     reached = [c for c in whole if np.abs(c.rate).max() > stop - 0.01]
     assert len(reached) >= 1 and len(free) == len(whole) - len(reached)
+
+
+def test_what_coarse_steps_do_to_the_bias_at_rest_is_no_gain_by_sense() -> None:
+    """Steps of 1 deg/s: at rest they hide up to half of one, which shows when turns dither them."""
+    force, spin, _ = day()
+    step = float(np.deg2rad(1.0))
+    coarse = replace(spin, xyz=step * np.round((spin.xyz + 0.3 * step) / step))
+    bins = cut(force, coarse)
+    assert turn_findings(aligned(coarse, bins, G), bins, G) == []
