@@ -1,4 +1,7 @@
-"""Single samples that fall too far out: noise with heavy tails, and rare spikes."""
+"""Single samples that fall too far out: noise with heavy tails, and rare spikes.
+
+The quiet rests tell: what shakes the phone in others adds samples that follow each other, on several axes.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +37,16 @@ MOST_WIDE = 0.35
 SPIKE, RARE = 8.0, 2e-3
 """Far samples are spikes, no noise, above this ratio if fewer than this part (more at a larger ratio)."""
 LEAST_SPIKES = 5
+QUIETEST = 0.1
+"""Part of the pieces whose spread is the sensor's own, where others are shaken."""
+
+LOUDER = 1.1
+"""Times that spread up to which a piece is quiet, chance aside: a fifth of its variance may be shaking."""
+
+CHANCE = 4.0
+"""Standard errors of a spread by which a quiet piece may seem louder."""
+
+FEWEST_QUIET = 6
 EDGES = 400
 FARTHEST = 60.0
 MODEL = 0.01
@@ -54,17 +67,32 @@ def _spread(quick: Array) -> Array:
     return np.asarray(np.sqrt(np.pi / 2.0) * np.minimum(size, limit).mean(axis=0))
 
 
-def standardised(pieces: Sequence[Array]) -> tuple[list[Array], Array]:
-    """Return pieces free of their slow course in units of their robust spread, and the typical spread (3,).
+def _chance(pieces: Sequence[Array]) -> float:
+    """Return the relative standard error of a spread: mean absolute deviations of n have 0.76 / sqrt(n)."""
+    return float(0.76 / np.sqrt(np.median([len(p) for p in pieces])))
 
-    The unit is the spread of all pieces, where they are alike.
+
+def _quiet(quick: Sequence[Array], own: Array) -> NDArray[np.bool_]:
+    """Return which pieces are as quiet as the quietest on every axis; all where hardly any are.
+
+    own: (P, 3) their spreads.
     """
-    quick = [fast(p) for p in pieces]
-    own = np.array([_spread(q) for q in quick])
+    least = np.maximum(np.quantile(own, QUIETEST, axis=0), 1e-300)
+    calm = (own < least * (LOUDER + CHANCE * _chance(quick))).all(axis=1)
+    return np.asarray(calm if calm.sum() >= FEWEST_QUIET else np.ones_like(calm))
+
+
+def standardised(pieces: Sequence[Array]) -> tuple[list[Array], Array]:
+    """Return the quiet pieces free of their slow course in units of robust spread, and the typical one (3,).
+
+    The unit is the spread of all of them, where they are alike.
+    """
+    every = [fast(p) for p in pieces]
+    spreads = np.array([_spread(q) for q in every])
+    calm = _quiet(every, spreads)
+    quick, own = [q for q, use in zip(every, calm, strict=True) if use], spreads[calm]
     typical = np.maximum(np.median(own, axis=0), 1e-300)
-    # The mean absolute deviation of n normal values scatters by 0.76 / sqrt(n).
-    chance = 0.76 / np.sqrt(np.median([len(q) for q in quick]))
-    alike = 1.4826 * np.median(np.abs(own / typical - 1.0), axis=0) < 1.5 * chance + 0.03
+    alike = 1.4826 * np.median(np.abs(own / typical - 1.0), axis=0) < 1.5 * _chance(quick) + 0.03
     units = [np.where(alike, typical, np.maximum(s, 1e-300)) for s in own]
     return [q / unit for q, unit in zip(quick, units, strict=True)], typical
 

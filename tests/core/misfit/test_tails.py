@@ -39,3 +39,38 @@ def test_few_far_samples_are_spikes_and_no_heavy_tails() -> None:
     values[rng.random(50000) < 1e-3, 2] += 40.0
     found = said(values)
     assert found is not None and found.effect == "unknown" and found.axes == ["z"]
+
+
+def shaken(values: np.ndarray, rng: np.random.Generator, share: float) -> np.ndarray:
+    """Return samples (50000, 3) of which a share of the rests is shaken now and then."""
+    moving = np.convolve(rng.normal(size=50000), np.ones(4) / 2.0, mode="same")
+    moving *= np.clip(np.convolve(rng.normal(size=50000), np.ones(200) / 8.0, mode="same"), 0.0, None)
+    loud = np.repeat(rng.random(100) < share, 500)
+    return np.asarray(values + (4.0 * moving * loud)[:, None] * np.array([0.6, 1.0, 0.8]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("share", [0.15, 0.4])
+def test_quiet_rests_tell_tails_where_others_are_shaken(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    found = said(shaken(rng.standard_t(3.0, (50000, 3)), rng, share))
+    assert found is not None and found.effect == "noise_heavy_tailed"
+    assert found.axes == ["x", "y", "z"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("share", [0.15, 0.4, 0.85, 1.0])
+def test_rests_that_are_shaken_give_normal_noise_no_tails(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    assert said(shaken(rng.normal(size=(50000, 3)), rng, share)) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_knocks_in_quiet_rests_are_no_tails_where_others_are_shaken(seed: int) -> None:
+    """A knock once in 5 s, some samples long, on two axes."""
+    rng = np.random.default_rng(seed)
+    values = shaken(rng.normal(size=(50000, 3)), rng, 0.3)
+    ring = 8.0 * np.exp(-np.arange(12) / 4.0) * np.cos(2.0 * np.arange(12))
+    for start in rng.choice(49900, 400, replace=False):
+        values[start : start + 12] += ring[:, None] * np.array([0.2, 0.7, 1.0])
+    assert said(values) is None
