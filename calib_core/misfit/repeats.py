@@ -21,6 +21,12 @@ ALONE = 1.02
 COME_BACK = 0.5
 """Part of the changes that lead to a value never seen before, below which values come in few steps."""
 
+LEVELS = 5
+"""Levels next to a limit on each of which fewer samples lie than on it."""
+
+LEAST_VISITS = 3
+"""Runs on a value that make it a limit: values that are held for once end there by chance."""
+
 MANY = 0.05
 """Part of the samples held beyond which spectrum and tails are not judged."""
 
@@ -51,17 +57,41 @@ def doubled(samples: Samples, count: int) -> Finding | None:
     return unknown("timing", [], where, {"fraction": (share, "1")}, statement=say, seen=seen)
 
 
+def at_limits(xyz: Array) -> NDArray[np.bool_]:
+    """Return where values (n, 3) stay on their axis' highest or lowest one, and do so again and again.
+
+    (n - 1, 3): the sample and the one before.
+    """
+    ends = [_at_highest(xyz[:, a]) | _at_highest(-xyz[:, a]) for a in range(xyz.shape[1])]
+    return np.stack(ends, axis=1)
+
+
+def _at_highest(x: Array) -> NDArray[np.bool_]:
+    """Return where (n - 1,) values (n,) stay on a limit above: more lie on it than on any level below it."""
+    on = np.asarray(x == x.max(initial=-np.inf))
+    stays = on[1:] & on[:-1]
+    if (stays[1:] & ~stays[:-1]).sum() + stays[:1].sum() < LEAST_VISITS:
+        return np.zeros_like(stays)
+    below = np.unique(x, return_counts=True)[1][-1 - LEVELS : -1]
+    return stays if below.size == LEVELS and on.sum() > below.max() else np.zeros_like(stays)
+
+
 def held(samples: Samples, sensor: str) -> tuple[Finding | None, float]:
     """Find values held: all axes repeat at once far oftener than each does by itself. Also their share.
 
-    Coarse steps repeat on each axis, but not on all together more than chance has it.
+    Coarse steps repeat on each axis, but not on all together more than chance has it. What lies at a limit
+    repeats for that, and is left out.
     """
     n = max(int(BLOCK_S / max(float(np.median(np.diff(samples.t))), 1e-6)), 10)
     count = (len(samples) - 1) // n
     if count < 2:
         return None, 0.0
-    same = np.diff(samples.xyz, axis=0)[: count * n].reshape(count, n, 3) == 0.0
-    together, chance = same.all(axis=2).sum(axis=1), n * same.mean(axis=1).prod(axis=1)
+    free = ~np.asarray(at_limits(samples.xyz).any(axis=1))[: count * n].reshape(count, n)
+    same = np.asarray(np.diff(samples.xyz, axis=0)[: count * n].reshape(count, n, 3) == 0.0)
+    same &= free[:, :, None]
+    judged = np.maximum(free.sum(axis=1), 1)
+    together = same.all(axis=2).sum(axis=1)
+    chance = judged * (same.sum(axis=1) / judged[:, None]).prod(axis=1)
     expected = float(chance.sum())
     excess = float(together.sum()) - expected
     share = max(excess, 0.0) / (count * n)
@@ -110,6 +140,6 @@ def _bulk(excess: Array) -> tuple[int, int]:
     return int(first), int(min(last, excess.size - 1))
 
 
-def _longest(same: Array) -> int:
+def _longest(same: NDArray[np.bool_]) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))

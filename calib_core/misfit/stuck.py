@@ -1,7 +1,8 @@
 """An axis that gives one value for a while, exactly, when the others go on: it is stuck.
 
 Values of coarse steps repeat by chance, the oftener the coarser. A run is stuck that chance would not make
-once in a million recordings, from how often the axis repeats otherwise.
+once in a million recordings, from how often the axis repeats otherwise. An axis at the limit of its range,
+where motion brings it again and again, is not stuck.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from stillcal.calib_core.misfit.catalogue.entry import AXES
 from stillcal.calib_core.misfit.left_out import of_counts
 from stillcal.calib_core.misfit.quick import unknown
 from stillcal.calib_core.misfit.records import Finding, Where
+from stillcal.calib_core.misfit.repeats import at_limits
 from stillcal.calib_core.samples import Array, Samples
 
 BLOCK_S = 1.0
@@ -27,14 +29,15 @@ MOST_REPEATS = 0.5
 def stuck(samples: Samples, sensor: str) -> Finding | None:
     """Find the longest run in which one axis of a sensor is stuck."""
     same = np.diff(samples.xyz, axis=0) == 0.0
-    runs = [_longest(same[:, a]) for a in range(3)]
+    free = same & ~at_limits(samples.xyz)
+    runs = [_longest(free[:, a]) for a in range(3)]
     axis = int(np.argmax([last - first for first, last in runs]))
     first, last = runs[axis]
     length, t = last - first, samples.t
     if length < 2 or t[last] - t[first] < LEAST_S:
         return None
     others = np.delete(same[first:last], axis, axis=1)
-    elsewhere = np.delete(same[:, axis], np.s_[first:last])
+    elsewhere = np.delete(free[:, axis], np.s_[first:last])
     if elsewhere.size < length:
         return None
     # By blocks, so that stretches in which little happens do not hide in a mean; an axis may stick twice.
