@@ -104,11 +104,10 @@ def families(view: View) -> list[Family]:
 
 
 def _base(view: View) -> Array:
-    """White noise, what rounding does to whole rests, what is absorbed: part of every shape (n, n)."""
+    """White noise, errors that whole rests share, what is absorbed: part of every shape (n, n)."""
     base = np.diag(view.variance)
-    if view.rounding is not None:
-        shared = view.rest[:, None] == view.rest[None, :]
-        base = base + shared * np.outer(view.rounding, view.rounding)
+    for group, size in view.shared:
+        base = base + (group[:, None] == group[None, :]) * np.outer(size, size)
     if view.absorbed is not None:
         base = base + view.absorbed @ view.absorbed.T
     return np.asarray(base + FAINTEST * float(base.diagonal().max()) * np.eye(len(base)))

@@ -34,9 +34,9 @@ class View:
     y: (b, n) residual; baseline: (b, n, p) columns projected out of each block; variance: (n,) white;
     coupling: (n, n) how the bias of two bins is shared; project: (b, n, 3) what an error vector of the
     sensor in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,);
-    rounding: (n,) sd of an error that all bins of a rest share, None for none; absorbed: (n, q) what
-    parameters of the baseline do at one standard deviation of what is known of them, None for none; known:
-    degrees of freedom with which `variance` is known.
+    shared: errors that groups of bins share, each the group (n,) of the bins and its sd (n,); absorbed:
+    (n, q) what parameters of the baseline do at one standard deviation of what is known of them, None for
+    none; known: degrees of freedom with which `variance` is known.
     """
 
     name: str
@@ -49,7 +49,7 @@ class View:
     t: Array
     duration: Array
     rest: Index
-    rounding: Array | None = None
+    shared: tuple[tuple[Index, Array], ...] = ()
     absorbed: Array | None = None
     known: float = WITHIN_BINS
 
@@ -62,6 +62,15 @@ class View:
         """Return all that the baseline phone may do in a block, (n, p + q)."""
         own = self.baseline[block]
         return own if self.absorbed is None else np.hstack([own, self.absorbed])
+
+
+def attitudes(up: Array, angle: float = 0.2) -> Index:
+    """Return which attitude each of `up` (n, 3) is nearest to, of those met that are `angle` (rad) apart."""
+    met: list[Array] = []
+    for u in up:
+        if all(u @ m < np.cos(angle) for m in met):
+            met.append(u)
+    return np.asarray(np.argmax(up @ np.array(met).reshape(-1, 3).T, axis=1) if met else [], dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,6 +222,7 @@ def norm_view(bins: Bins, baseline: Baseline, gravity: float) -> View:
     The residual is that of a faultless phone, linear about the fitted one.
     """
     variance = np.einsum("na,na->n", baseline.up**2, bins.force_variance)
+    coarse = bins.force_rounding
     return View(
         name="norm",
         y=(baseline.norm - gravity - baseline.jacobian @ baseline.parameters)[None],
@@ -225,7 +235,7 @@ def norm_view(bins: Bins, baseline: Baseline, gravity: float) -> View:
         t=bins.t,
         duration=bins.duration,
         rest=bins.rest,
-        rounding=None if bins.force_rounding is None else np.sqrt(baseline.up**2 @ bins.force_rounding**2),
+        shared=() if coarse is None else ((bins.rest, np.sqrt(baseline.up**2 @ coarse**2)),),
     )
 
 

@@ -2,9 +2,9 @@
 
 d'^2 = delta' C^-1 delta. C is the covariance of the bins' means, plus broad normal priors on all that a
 calibration may absorb, which is projecting it out: the gyroscope's constant bias and the Earth's rate,
-latitude unknown and so in every rest the heading; the accelerometer's bias and nine scale terms, and for
-every rest the unknown attitude with a steady creep of it. Nothing that an observer of rests could know is
-left out, so no observer of rests can do better than this d'.
+latitude unknown and so in every rest, or every attitude, the heading; the accelerometer's bias and nine
+scale terms, and for every rest the unknown attitude with a steady creep of it. Nothing that an observer of
+rests could know is left out, so no observer of rests can do better than this d'.
 Effects seen only in motion are weighed turn by turn in `motion`.
 """
 
@@ -23,6 +23,10 @@ BIAS, SCALE, POSE, CREEP = 1.0, 0.5, 1.0, 0.01
 
 GYRO_BIAS = 0.2
 """The same for the gyroscope's bias, rad/s."""
+
+
+LINEAR, ALIKE = 0.25, 0.2
+"""Part of the Earth's rate that may be linear in up; how far apart attitudes are, rad."""
 
 
 def accelerometer_precision(bins: Bins, colour: Colour) -> Array:
@@ -66,12 +70,20 @@ def gyroscope_precision(bins: Bins, colour: Colour) -> Array:
 
 
 def _turning(bins: Bins) -> Array:
-    """Return the Earth's rate at 45 degrees about up, and about the unknown north of every rest, (3m, k)."""
+    """Return what the Earth's rate may do to the bins, columns (3m, k) scaled by their priors.
+
+    About up as at 45 degrees; about the unknown north of every rest, and of every attitude, for a phone may
+    lie again as it lay; and where heading is a matter of attitude, some of it linear in up.
+    """
     up = bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True)
     columns = [EARTH / math.sqrt(2.0) * up.T]
-    for rest in np.unique(bins.rest):
-        inside = bins.rest == rest
-        columns += [0.5 * EARTH * tangent[:, None] * inside for tangent in _tangents(up[inside][0])]
+    eye = np.eye(3)
+    columns += [LINEAR * EARTH * eye[a][:, None] * up[:, b] for a in range(3) for b in range(3) if a != b]
+    _, place = np.unique(np.round(up / ALIKE), axis=0, return_inverse=True)
+    for group in (bins.rest, place.ravel()):
+        for one in np.unique(group):
+            inside = group == one
+            columns += [0.5 * EARTH * tangent[:, None] * inside for tangent in _tangents(up[inside][0])]
     return np.stack([c.ravel() for c in columns], axis=1)
 
 

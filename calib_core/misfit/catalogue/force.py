@@ -6,6 +6,7 @@ import numpy as np
 
 from stillcal.calib_core.misfit.catalogue import drivers
 from stillcal.calib_core.misfit.catalogue.entry import Entry, Hypothesis, Linear, Scene
+from stillcal.calib_core.misfit.views import attitudes
 from stillcal.calib_core.samples import Array
 
 ATTITUDES = 3
@@ -60,11 +61,7 @@ def _g_sensitivity(entry: Entry, scene: Scene) -> list[Hypothesis]:
 
 def distinct(up: Array, angle: float = 0.2) -> int:
     """Return the number of attitudes further than `angle` (rad) from each other."""
-    seen: list[Array] = []
-    for u in up:
-        if all(u @ s < np.cos(angle) for s in seen):
-            seen.append(u)
-    return len(seen)
+    return int(attitudes(up, angle).max(initial=-1)) + 1
 
 
 def accelerometer_entries() -> list[Entry]:

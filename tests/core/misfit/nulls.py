@@ -117,9 +117,14 @@ def random_attitudes(rng: np.random.Generator, n: int) -> Array:
 
 
 def earth(rng: np.random.Generator, day: Day) -> Array:
-    """Return the Earth's rate in the body, second by second (n, 3): one latitude, a heading a rest."""
+    """Return the Earth's rate in the body, second by second (n, 3): one latitude, a heading a rest.
+
+    Half of the phones lie again as they lay: with one heading to every attitude.
+    """
     latitude = np.arcsin(rng.uniform(-1.0, 1.0))
-    horizontal = np.cross(day.up, rng.normal(size=(day.rest.max() + 2, 3))[day.rest])
+    aside = rng.normal(size=(day.rest.max() + 2, 3))
+    aside = aside[:1] if rng.random() < 0.5 else aside[day.rest]
+    horizontal = np.cross(day.up, aside)
     north = horizontal / np.maximum(np.linalg.norm(horizontal, axis=1, keepdims=True), 1e-12)
     return EARTH * (np.sin(latitude) * day.up + np.cos(latitude) * north)
 

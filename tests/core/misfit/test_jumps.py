@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import nulls
 import numpy as np
+import pytest
 
+from stillcal.calib_core.misfit import thresholds
+from stillcal.calib_core.misfit.catalogue import slow_entries
 from stillcal.calib_core.misfit.catalogue.entry import nothing
 from stillcal.calib_core.misfit.jumps import DRIVER, jumps
 from stillcal.calib_core.misfit.records import Finding
 from stillcal.calib_core.misfit.scenes import scenes
-from stillcal.calib_core.misfit.search import reduce_scene
+from stillcal.calib_core.misfit.search import ranking, reduce_scene
 from stillcal.calib_core.misfit.slow import slow_findings
 
 SIZE = np.array([6e-4, 6e-4, 6e-4])
@@ -55,3 +58,19 @@ def test_the_earth_and_all_wander_are_no_jumps() -> None:
             rng, day = short_rests(10 + seed)
             for scene in scenes(nulls.bins_of(rng, day, family), nulls.G):
                 assert jumps(scene, [], reduce_scene(scene, [nothing(scene)])) is None, (family, seed)
+
+
+def test_a_heading_that_is_a_matter_of_attitude_is_no_g_sensitivity(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the equator, as if the phone were turned about one line only: the Earth's rate is linear in up."""
+
+    def turned_about_one_line(rng: np.random.Generator, day: nulls.Day) -> np.ndarray:
+        aside = np.cross(day.up, rng.normal(size=3))
+        length = np.linalg.norm(aside, axis=1, keepdims=True)
+        return np.asarray(nulls.EARTH * aside / np.maximum(length, 1e-12))
+
+    monkeypatch.setattr(nulls, "earth", turned_about_one_line)
+    entries = [e for e in slow_entries("gyro") if e.effect == "gyro_g_sensitivity"]
+    for seed in range(6):
+        rng, day = short_rests(20 + seed)
+        ranked = ranking(scenes(nulls.bins_of(rng, day, "white"), nulls.G)[1], entries)
+        assert not ranked or ranked[0].score < thresholds.SCORE
