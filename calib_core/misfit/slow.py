@@ -80,9 +80,12 @@ def _jumps(scene: Scene, steps: Sequence[Step]) -> tuple[jumps.Jumps | None, lis
 
 
 def turn_findings(made: Aligned, bins: Bins, gravity: float, without: Collection[str] = ()) -> list[Finding]:
-    """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out."""
+    """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out.
+
+    Where rests are too few to judge the accelerometer, its errors would be taken for the gyroscope's.
+    """
     seen = turn_scene(made, bins, gravity)
-    if seen is None:
+    if seen is None or len(bins) < thresholds.LEAST_BINS:
         return []
     scene, found = seen
     entries = [nameless(e) if e.effect in without else e for e in turn_entries(found, scene)]
