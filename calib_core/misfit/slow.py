@@ -55,7 +55,8 @@ ALTERNATIVES = 3
 def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
     """Return what the still bins of one sensor show, in the order it was found.
 
-    without: effects that are left out of the catalogue.
+    without: effects that are left out of the catalogue. What jumps from rest to rest leaves is not called a
+    random walk besides.
     """
     if len(scene.bins) < thresholds.LEAST_BINS:
         return []
@@ -65,10 +66,10 @@ def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
     if found:
         steps = [step for step in adequate(steps) if jumps.stands(scene, step.winner, found)]
         found, left = _jumps(scene, steps)
+    beside = [jumps.finding(scene, found)] if found else random_walk(scene, left)
     return [
         *findings_of(scene, steps),
-        *([jumps.finding(scene, found)] if found else []),
-        *(replace(f, effect="unknown") if f.effect in without else f for f in random_walk(scene, left)),
+        *(replace(f, effect="unknown") if f.effect in without else f for f in beside),
     ]
 
 
