@@ -15,7 +15,7 @@ from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.catalogue.bias import NAME, UNIT
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene
 from stillcal.calib_core.misfit.evidence import Reduced, joint, log_terms
-from stillcal.calib_core.misfit.records import Evidence, Finding, Parameter, Where
+from stillcal.calib_core.misfit.records import SLOW_BAND, Evidence, Finding, Parameter, Where
 from stillcal.calib_core.misfit.search import Scored
 from stillcal.calib_core.misfit.views import View
 from stillcal.calib_core.samples import Array
@@ -59,8 +59,7 @@ def _scatter(view: View, explained: list[Array]) -> tuple[float, float]:
 
     Beside jumps that are sure, what noise and wander add to it is little.
     """
-    columns = np.hstack([view.nuisance(), *explained])
-    away = view.y[0] - columns @ np.linalg.lstsq(columns, view.y[0], rcond=None)[0]
+    away = view.left(*explained)
     means = np.array([away[view.rest == r].mean() for r in np.unique(view.rest)])
     freedom = max(means.size - view.nuisance().shape[1], 1)
     return float(np.sqrt((means**2).sum() / freedom)), float(freedom)
@@ -87,7 +86,7 @@ def finding(scene: Scene, found: Jumps) -> Finding:
         f"The {NAME[scene.sensor]}'s bias is another in every rest, by {size.max():.2g}"
         f" {UNIT[scene.sensor]} (one standard deviation), as strain that moves leave or a field about it do."
     )
-    where = Where(*scene.bins.span, (0.0, 0.05), DRIVER)
+    where = Where(*scene.bins.span, SLOW_BAND, DRIVER)
     evidence = Evidence(max(1.0 - float(sure.max()), 1e-12), 0.0, 0.0, 0.0, 0)
     parameters = {"size": Parameter(size.tolist(), ci.tolist(), UNIT[scene.sensor])}
     return Finding("unknown", scene.sensor, axes, where, parameters, evidence, [], say)

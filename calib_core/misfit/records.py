@@ -7,6 +7,9 @@ from typing import Any
 
 from stillcal.calib_core.gravity import STANDARD
 
+SLOW_BAND = (0.0, 0.05)
+"""Frequencies that means over bins of 10 s and more can show, Hz."""
+
 Number = float | list[float] | list[list[float]]
 
 

@@ -16,13 +16,10 @@ from stillcal.calib_core.misfit.catalogue.entry import AXES, Hypothesis, Scene, 
 from stillcal.calib_core.misfit.estimates import Estimate, estimate, parameters
 from stillcal.calib_core.misfit.evidence import Reduced, fit_hypothesis
 from stillcal.calib_core.misfit.heldout import FOLDS, HeldOut, best_covariance, held_out
-from stillcal.calib_core.misfit.records import Alternative, Evidence, Finding, Where
+from stillcal.calib_core.misfit.records import SLOW_BAND, Alternative, Evidence, Finding, Where
 from stillcal.calib_core.misfit.search import Scored, Step, adequate, forward, reduce_scene
 from stillcal.calib_core.misfit.turns import turn_entries, turn_scene
 from stillcal.calib_core.misfit.walk import random_walk
-
-SLOW_BAND = (0.0, 0.05)
-"""Frequencies that means over bins of 10 s and more can show, Hz."""
 
 ENTRIES = 20
 """How many entries compete, to make one p value of the best one's."""

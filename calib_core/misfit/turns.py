@@ -36,7 +36,7 @@ def turn_scene(made: Aligned, bins: Bins, gravity: float) -> tuple[Scene, list[T
     for _ in range(2):
         if len(made.turns) < LEAST_TURNS:
             return None
-        size = np.abs(_left(turn_view(made, bins.rate_rounding))).reshape(-1, 2).max(axis=1)
+        size = np.abs(turn_view(made, bins.rate_rounding).left()).reshape(-1, 2).max(axis=1)
         kept = [t for t, s in zip(made.turns, size, strict=True) if s < OUTLIER * np.median(size)]
         made = replace(made, turns=kept)
     if len(made.turns) < LEAST_TURNS:
@@ -76,13 +76,8 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
         absorbed=absorbed,
         known=KNOWN,
     )
-    spread = max(1.4826 * float(np.median(np.abs(_left(rough)))), 1e-6)
+    spread = max(1.4826 * float(np.median(np.abs(rough.left()))), 1e-6)
     return replace(rough, variance=np.full(n, spread**2))
-
-
-def _left(view: View) -> Array:
-    columns = view.nuisance()
-    return np.asarray(view.y[0] - columns @ np.linalg.lstsq(columns, view.y[0], rcond=None)[0])
 
 
 SCALE = Entry(

@@ -63,6 +63,11 @@ class View:
         own = self.baseline[block]
         return own if self.absorbed is None else np.hstack([own, self.absorbed])
 
+    def left(self, *explained: Array) -> Array:
+        """Return the first block's residual (n,), what `nuisance` and `explained` (n, k) may do taken off."""
+        columns = np.hstack([self.nuisance(), *explained])
+        return np.asarray(self.y[0] - columns @ np.linalg.lstsq(columns, self.y[0], rcond=None)[0])
+
 
 def attitudes(up: Array, angle: float = 0.2) -> Index:
     """Return which attitude each of `up` (n, 3) is nearest to, of those met that are `angle` (rad) apart."""

@@ -12,7 +12,7 @@ from stillcal.calib_core.misfit import thresholds
 from stillcal.calib_core.misfit.catalogue.bias import NAME, UNIT
 from stillcal.calib_core.misfit.catalogue.entry import AXES, Scene
 from stillcal.calib_core.misfit.evidence import Reduced, joint, log_terms
-from stillcal.calib_core.misfit.records import Evidence, Finding, Parameter, Where
+from stillcal.calib_core.misfit.records import SLOW_BAND, Evidence, Finding, Parameter, Where
 from stillcal.calib_core.samples import Array
 
 BOUNDED = 2.0
@@ -86,7 +86,7 @@ def random_walk(scene: Scene, reduced: Sequence[Reduced]) -> list[Finding]:
     density = Parameter([n[0] for n in numbers], [[n[1], n[2]] for n in numbers], unit)
     worst = max(n[0] for n in numbers)
     say = f"The {NAME[scene.sensor]}'s bias walks at random, {worst:.2g} {unit}: zero it often."
-    where = Where(*scene.bins.span, (0.0, 0.05), "nothing")
+    where = Where(*scene.bins.span, SLOW_BAND, "nothing")
     evidence = Evidence(max(1.0 - sure, 1e-12), 0.0, 0.0, 0.0, 0)
     return [
         Finding(

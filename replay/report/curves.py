@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.misfit.bins import Bins
 from stillcal.calib_core.misfit.heldout import FOLDS
-from stillcal.calib_core.misfit.records import Finding
-from stillcal.calib_core.misfit.slow import SLOW_BAND
+from stillcal.calib_core.misfit.records import SLOW_BAND, Finding
 from stillcal.calib_core.misfit.views import norm_view
 from stillcal.calib_core.samples import Array, Sensor
 from stillcal.replay.report.mapping import Mapped
