@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 .PHONY: run test check faults week evaluate bench clean
 
 run: $(READY)
-	$(BIN)/python -m stillcal.daemon.demo
+	$(BIN)/python -m stillcal.replay.trials.demo.tour
 
 test: $(READY)
 	$(BIN)/python -m pytest -q
@@ -20,10 +20,10 @@ check: $(READY)
 	$(BIN)/lint-imports
 
 faults: $(READY)
-	$(BIN)/python -m stillcal.daemon.faults
+	$(BIN)/python -m stillcal.replay.trials.faults
 
 week: $(READY)
-	$(BIN)/python -m stillcal.daemon.week
+	$(BIN)/python -m stillcal.replay.trials.week
 
 bench: $(READY)
 	$(BIN)/python -m pip install --quiet --editable '.[benchmarks]'

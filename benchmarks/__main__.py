@@ -81,8 +81,8 @@ def main(items: tuple[str, ...], out: Path, page_path: Path | None, quick: bool)
     from page import HEAD, page  # noqa: PLC0415
     from peers import versions  # noqa: PLC0415
 
-    from stillcal.daemon.atomic import write_atomically  # noqa: PLC0415
-    from stillcal.daemon.store_document import pretty  # noqa: PLC0415
+    from stillcal.daemon.store.atomic import write_atomically  # noqa: PLC0415
+    from stillcal.daemon.store.document import pretty  # noqa: PLC0415
 
     warnings.simplefilter("ignore", RuntimeWarning)
     names = items or tuple(ITEMS)

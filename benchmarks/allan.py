@@ -8,7 +8,7 @@ import numpy as np
 from peers import peer
 from timing import Row, ratio, rounds
 
-from stillcal.calib_core.noise import allan_deviations
+from stillcal.calib_core.noise.covariance import allan_deviations
 
 
 def run(quick: bool) -> Iterator[Row]:

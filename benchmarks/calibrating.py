@@ -11,14 +11,14 @@ from recordings import from_csv, growth, whole_process
 from subject import LOCAL_G, Day, day, error_mg
 from timing import Row, ratio, rounds
 
-from stillcal.calib_core import accelerometer
-from stillcal.calib_core.engine import Engine
-from stillcal.calib_core.engine_state import EngineSettings
-from stillcal.calib_core.events import End
+from stillcal.calib_core.accelerometer import fit as accelerometer
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.schedule import ScheduleSettings
+from stillcal.calib_core.engine.state import EngineSettings
 from stillcal.calib_core.model import SensorModel
-from stillcal.calib_core.rests import force_uncertainties, forces
-from stillcal.calib_core.schedule import ScheduleSettings
-from stillcal.calib_core.stationary import StationaryDetector
+from stillcal.calib_core.static.detector import StationaryDetector
+from stillcal.calib_core.static.rest import force_uncertainties, forces
+from stillcal.calib_core.streams.events import End
 
 BLOCK = 1 << 15
 TOLERANCES = (1e-10, 1e-14)

@@ -26,13 +26,13 @@ import numpy as np
 from subject import day, phone
 from timing import Row, middle
 
-from stillcal.calib_core.engine import Engine
-from stillcal.calib_core.engine_state import EngineSettings
-from stillcal.calib_core.events import End
-from stillcal.daemon.api_place import NAME
-from stillcal.daemon.cli_query import replies
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.streams.events import End
+from stillcal.daemon.cli.query import replies
+from stillcal.daemon.varlink.address import NAME
 from stillcal.replay.phone import Simulation, load_scenario, simulate
-from stillcal.replay.phone_link import LinkSettings, serve_phone
+from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
 
 CONFIG = """[store]
 path = "{0}/store.json"

@@ -8,7 +8,7 @@ import numpy as np
 from subject import day
 from timing import Row, rounds
 
-from stillcal.calib_core.misfit.diagnosis import diagnose
+from stillcal.calib_core.diagnosis.diagnose import diagnose
 
 MINUTES = (15, 30, 60, 120, 240)
 

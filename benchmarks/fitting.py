@@ -9,11 +9,12 @@ from peers import peer
 from subject import BIAS, FOLDER, phone
 from timing import Row, ratio, rounds
 
-from stillcal.calib_core import accelerometer, gyroscope
-from stillcal.calib_core.engine import Engine
-from stillcal.calib_core.engine_state import EngineSettings
-from stillcal.calib_core.events import End
-from stillcal.calib_core.schedule import ScheduleSettings
+from stillcal.calib_core.accelerometer import fit as accelerometer
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.schedule import ScheduleSettings
+from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.gyroscope import fit as gyroscope
+from stillcal.calib_core.streams.events import End
 from stillcal.replay.phone import draw_rests, load_scenario, simulate
 
 _SCENARIO = """description = "41 attitudes by hand"

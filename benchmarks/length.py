@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from subject import LOCAL_G, RATE_HZ, flat_file
 
-from stillcal.calib_core.engine import Engine
-from stillcal.calib_core.engine_state import EngineSettings
-from stillcal.calib_core.events import End
-from stillcal.calib_core.samples import Samples, Sensor
-from stillcal.calib_core.schedule import ScheduleSettings
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.schedule import ScheduleSettings
+from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.streams.events import End
+from stillcal.calib_core.streams.samples import Samples, Sensor
 
 _DAY_S = 86400.0
 _BLOCK = 1 << 15

@@ -16,11 +16,11 @@ from peers import peer
 from subject import FOLDER, RATE_HZ, day, flat_file
 from timing import Row, middle, ratio, rounds
 
-from stillcal.calib_core.engine import Engine
-from stillcal.calib_core.engine_state import EngineSettings
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.replay.formats.trace import open_trace
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.runner import replay
-from stillcal.replay.trace import open_trace
 
 LENGTHS_S = {"1 min": 60, "10 min": 600, "1 h": 3600, "6 h": 21600, "1 day": 86400, "7 days": 604800}
 LONGEST = {"30 days": 30 * 86400}

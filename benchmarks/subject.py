@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.model import SensorModel
-from stillcal.calib_core.samples import Samples, Sensor, frozen
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.phone import Phone, load_scenario, simulate
 from stillcal.replay.phone.settings import Noise, SensorSettings
 

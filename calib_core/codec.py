@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from stillcal.calib_core.samples import frozen
+from stillcal.calib_core.arrays import frozen
 
 T = TypeVar("T")
 

@@ -13,6 +13,8 @@ from typing import Literal
 
 import numpy as np
 
+from stillcal.calib_core.errors import UserError
+
 Formula = Literal["somigliana", "igf"]
 
 STANDARD = 9.80665
@@ -34,7 +36,7 @@ FREE_AIR = 3.086e-6
 """1/s^2, the free air gradient (Grammenos et al. 2018, Eq. 18)."""
 
 
-class LocationError(ValueError):
+class LocationError(UserError):
     """A latitude, longitude or altitude outside the earth's range."""
 
 

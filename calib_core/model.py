@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillcal.calib_core.samples import Array, Samples, frozen
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.streams.samples import Samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,13 +20,14 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from stillcal.calib_core.engine_state import EngineSettings
-from stillcal.daemon.store import StoreSettings
+from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.errors import UserError
+from stillcal.daemon.store.store import StoreSettings
 
 T = TypeVar("T")
 
 
-class SettingsError(ValueError):
+class SettingsError(UserError):
     """A settings file that cannot be used; the message names file, line, key and remedy."""
 
 

@@ -10,14 +10,15 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from stillcal.calib_core.engine import Engine
-from stillcal.calib_core.engine_state import EngineState, Refusal
-from stillcal.calib_core.events import Action, End, Event, Level, Log, Reject, Store
-from stillcal.calib_core.record import CalibrationRecord
-from stillcal.calib_core.rests import RestState
-from stillcal.calib_core.samples import Samples
-from stillcal.calib_core.stillness_settings import Ledger
-from stillcal.replay.trace import Chunk
+from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.calib_core.engine.actions import Action, Level, Log, Reject, Store
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.state import EngineState, Refusal
+from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.static.settings import Ledger
+from stillcal.calib_core.streams.events import End, Event
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.formats.trace import Chunk
 
 KEPT_LOG_LINES = 1000
 """How many log lines an outcome keeps; a replay of months must not grow without end."""

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core import fleet_prior
-from stillcal.calib_core.parameters import AXES
-from stillcal.calib_core.samples import Array
-from stillcal.replay.fleet.work import CALIBRATED
+from stillcal.calib_core.accelerometer import prior as fleet_prior
+from stillcal.calib_core.accelerometer.parameters import AXES
+from stillcal.calib_core.arrays import Array
+from stillcal.replay.fleet.worker import CALIBRATED
 
 CROSS = ("xy", "xz", "yz")
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 
 LEVEL = 0.01
 """Chance that a sound fleet has any device pointed out."""

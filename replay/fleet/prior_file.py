@@ -7,10 +7,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from stillcal.calib_core.fleet_prior import FleetPrior
+from stillcal.calib_core.accelerometer.parameters import basis, names
+from stillcal.calib_core.accelerometer.prior import FleetPrior
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.calib_core.parameters import basis, names
-from stillcal.calib_core.samples import Array, frozen
 from stillcal.replay.formats.errors import TraceError
 
 _SCHEMA = 1

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core import fleet_prior
-from stillcal.calib_core.fleet_prior import FleetPrior
-from stillcal.calib_core.refusals import NotSupported
-from stillcal.calib_core.samples import Array
-from stillcal.replay.evaluation.hetero_clusters import clusters
-from stillcal.replay.fleet import kept
+from stillcal.calib_core.accelerometer import prior as fleet_prior
+from stillcal.calib_core.accelerometer.prior import FleetPrior
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.errors import NotSupported
+from stillcal.replay.fleet import results_folder as kept
+from stillcal.replay.fleet.clusters import clusters
 from stillcal.replay.fleet.devices import Devices, devices
 from stillcal.replay.fleet.outliers import Distances, distances
 from stillcal.replay.fleet.spread import Effect, Spread, effects, spreads

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 from stillcal.replay.fleet.devices import Devices
 
 ALL = "all"

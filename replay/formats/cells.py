@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 
 _COMMA, _NEWLINE = ord(","), ord("\n")
 _numbers = msgspec.json.Decoder(list[float])

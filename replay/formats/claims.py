@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from stillcal.calib_core.events import Charging, Location
-from stillcal.calib_core.samples import Sensor
+from stillcal.calib_core.streams.events import Charging, Location
+from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.errors import TraceError
 
 PerAxis: TypeAlias = float | tuple[float, float, float]

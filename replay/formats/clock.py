@@ -13,7 +13,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap
 from stillcal.replay.formats.errors import TraceError
 

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from stillcal.calib_core.samples import Sensor
+from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.errors import TraceError
 
 STANDARD_GRAVITY = 9.80665

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stillcal.calib_core.errors import UserError
 
-class TraceError(ValueError):
+
+class TraceError(UserError):
     """A recording that cannot be used.
 
     file: the file at fault. row: its line, counted from 1 with the header, None where no line is at

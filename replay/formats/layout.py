@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from stillcal.calib_core.samples import Sensor
+from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.columns import Column, ColumnMap, find_columns
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.text import TextTable

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from stillcal.calib_core.samples import Samples, Sensor
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.stream import Run, SampleFile
 

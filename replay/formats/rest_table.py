@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.rests import RestState
-from stillcal.calib_core.samples import Array, frozen
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.static.rest import RestState
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap, find_columns
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.text import EMPTY, TextTable

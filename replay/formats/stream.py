@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.samples import Array, Samples, Sensor, frozen
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import Clock, Rows, seconds_per_unit
 from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, SensorMap

@@ -18,7 +18,8 @@ from typing import BinaryIO
 import msgspec
 import numpy as np
 
-from stillcal.calib_core.samples import Array, Samples
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.formats.claims import Claims, Event, beside, event_line
 from stillcal.replay.formats.errors import TraceError
 

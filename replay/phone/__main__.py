@@ -12,7 +12,7 @@ import time
 import click
 import numpy as np
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 from stillcal.replay.phone import Phone, Scenario, load_phone, load_scenario, simulate
 
 LEAST_REST_S = 10.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)

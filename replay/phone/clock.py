@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 from stillcal.replay.phone.noise import seeded
 from stillcal.replay.phone.settings import ClockSettings
 

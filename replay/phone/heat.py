@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 from stillcal.replay.phone.settings import HeatSettings
 from stillcal.replay.phone.timeline import Lag, Steps
 

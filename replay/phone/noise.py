@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 
 WANDER_STEP = 0.05
 """Spacing of the wander's time grid, s."""

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from stillcal.calib_core.samples import Array
-from stillcal.replay.phone.motion import (
+from stillcal.calib_core.arrays import Array
+from stillcal.replay.phone.trajectory import (
     Creep,
     Glide,
     Piece,

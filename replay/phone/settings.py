@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from stillcal.calib_core.samples import Array
+from stillcal.calib_core.arrays import Array
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]

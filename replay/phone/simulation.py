@@ -13,15 +13,16 @@ from functools import cached_property
 import msgspec
 import numpy as np
 
-from stillcal.calib_core.samples import Array, Samples, Sensor, frozen
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
-from stillcal.replay.phone.effect import Moment
+from stillcal.replay.phone.effect_base import Moment
 from stillcal.replay.phone.heat import Heat
 from stillcal.replay.phone.noise import seeded
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.plan import Event, Plan, play
 from stillcal.replay.phone.scenario import Scenario
-from stillcal.replay.phone.sensors import SensorChain
+from stillcal.replay.phone.sensor_chain import SensorChain
 from stillcal.replay.phone.settings import SensorSettings
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillcal.calib_core.samples import Array, frozen
+from stillcal.calib_core.arrays import Array, frozen
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stillcal.calib_core.allan_fit import allan_curve, fit_allan
+from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.calib_core.refusals import NotSupported
-from stillcal.calib_core.samples import Sensor
-from stillcal.replay.plots.material import LEAST_S, LEAST_SAMPLES, Material, Stretch
+from stillcal.calib_core.noise.allan import allan_curve, fit_allan
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.plots.inputs import LEAST_S, LEAST_SAMPLES, Material, Stretch
 from stillcal.replay.plots.style import AXES, within
 
 if TYPE_CHECKING:

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stillcal.calib_core.attitudes import most_helpful_attitude
+from stillcal.calib_core.accelerometer.observability import most_helpful_attitude
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.calib_core.rests import attitude_labels
-from stillcal.calib_core.samples import Array
-from stillcal.replay.plots.material import Material
+from stillcal.calib_core.static.rest import attitude_labels
+from stillcal.replay.plots.inputs import Material
 from stillcal.replay.plots.style import BLUE, GREY, GRID, ORANGE
 
 if TYPE_CHECKING:

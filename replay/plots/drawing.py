@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from stillcal.calib_core.refusals import NotSupported
+from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.plots import allan, attitudes, history, residuals, style
-from stillcal.replay.plots.material import Material
+from stillcal.replay.plots.inputs import Material
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase

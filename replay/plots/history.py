@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stillcal.calib_core.accelerometer.parameters import AXES as LETTERS
+from stillcal.calib_core.accelerometer.parameters import BIAS, DIAGONAL
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
+from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.calib_core.parameters import AXES as LETTERS
-from stillcal.calib_core.parameters import BIAS, DIAGONAL
-from stillcal.calib_core.record import CalibrationRecord, SensorRecord
-from stillcal.calib_core.refusals import NotSupported
-from stillcal.calib_core.samples import Array
-from stillcal.replay.plots.material import Material, Moment
+from stillcal.replay.plots.inputs import Material, Moment
 from stillcal.replay.plots.residuals import NORMAL_95
 from stillcal.replay.plots.style import AXES, within
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.calib_core.refusals import NotSupported
-from stillcal.replay.plots.material import Material
+from stillcal.replay.plots.inputs import Material
 from stillcal.replay.plots.style import BLUE, GREY, RED, within
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from stillcal.daemon.settings import (
     parse_settings,
     store_path,
 )
-from stillcal.daemon.store import StoreSettings
+from stillcal.daemon.store.store import StoreSettings
 
 DEFAULT = Path(stillcal.config.__file__).with_name("default.toml")
 UNSET = re.compile(r"^# (?=\w+ = \S+ +# \S+: )", re.MULTILINE)

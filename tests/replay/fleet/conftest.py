@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
-from stillcal.replay.fleet.make import fleet
+from stillcal.replay.fleet.simulate_fleet import fleet
 
 
 @pytest.fixture(scope="session")

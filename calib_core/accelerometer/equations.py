@@ -1,0 +1,150 @@
+"""Rests as equations on an accelerometer's parameters: each must have gravity's norm when calibrated.
+
+Grammenos et al. 2018, Eq. 4 and 5, in units of gravity so that bias and scale are of one size. Solves them
+for given rests; which rests and which parameters is decided in accelerometer.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths import random_effects as excess
+from stillcal.calib_core.maths.levenberg_marquardt import Damping, Residuals, minimise
+
+_IDENTITY = np.r_[np.zeros(3), np.eye(3).ravel()]
+_LEAST_SD = 1e-12  # of gravity: no rest is weighted as better known than this
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Norms:
+    """Rests in units of gravity.
+
+    raw, sd: (n, 3) forces and their standard uncertainties; target: (n,) norms wanted, about 1; labels:
+    (n,) attitudes numbered from 0; matrix: (12, p) basis of the parameters that are fitted.
+    """
+
+    raw: Array
+    sd: Array
+    target: Array
+    labels: NDArray[np.intp]
+    matrix: Array
+
+    def only(self, mask: NDArray[np.bool_]) -> Norms:
+        """Keep some rests, attitudes numbered anew."""
+        labels = np.unique(self.labels[mask], return_inverse=True)[1]
+        return replace(self, raw=self.raw[mask], sd=self.sd[mask], target=self.target[mask], labels=labels)
+
+    def directions(self) -> Array:
+        """Return the unit vectors of the attitudes, (m, 3), each the mean of its rests."""
+        sums = [np.bincount(self.labels, column) for column in attitudes.directions(self.raw).T]
+        return attitudes.directions(np.column_stack(sums))
+
+    def residuals(self, v: Array) -> tuple[Array, Array]:
+        """Return Eq. 4 over twice the norm wanted, (n,), and its Jacobian (n, p).
+
+        To first order the calibrated norm less the one wanted.
+        """
+        bias, scale = self._unpacked(v)
+        shifted = np.ascontiguousarray(self.raw.T) - bias[:, None]
+        calibrated = scale @ shifted
+        values = (np.add.reduce(calibrated * calibrated, axis=0) - self.target**2) / (2.0 * self.target)
+        unit = calibrated / self.target
+        slopes = np.empty((12, len(self.raw)))
+        np.negative(scale.T @ unit, out=slopes[:3])
+        np.multiply(unit[:, None], shifted, out=slopes[3:].reshape(3, 3, -1))
+        return values, (self.matrix.T @ slopes).T
+
+    def own_variances(self, v: Array) -> Array:
+        """Return each rest's own variance of its calibrated norm, (n,), through the model `v`."""
+        bias, scale = self._unpacked(v)
+        slopes = attitudes.directions((self.raw - bias) @ scale.T) @ scale
+        return np.asarray(np.maximum(((slopes * self.sd) ** 2).sum(axis=1), _LEAST_SD**2))
+
+    def start(self) -> Array:
+        """Return the parameters of a sensor without error, (p,)."""
+        return np.asarray(np.linalg.lstsq(self.matrix, _IDENTITY, rcond=None)[0], dtype=np.float64)
+
+    def _unpacked(self, v: Array) -> tuple[Array, Array]:
+        twelve = self.matrix @ v
+        return twelve[:3], twelve[3:].reshape(3, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Parameters (p,) with covariance, and the excess variances of rests (within) and attitudes (between)."""
+
+    v: Array
+    covariance: Array
+    within: float
+    between: float
+    iterations: int
+    converged: bool
+
+    def variances(self, norms: Norms) -> Array:
+        """Return each rest's variance about the model, (n,), its own and the excess."""
+        return norms.own_variances(self.v) + self.within + self.between
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weights:
+    """pooling: (m, n) means over each attitude's rests; variances: (m,) of these; the excess behind them."""
+
+    pooling: Array
+    variances: Array
+    within: float = 0.0
+    between: float = 0.0
+
+    @property
+    def whitening(self) -> Array:
+        return np.asarray(self.pooling / np.sqrt(self.variances)[:, None])
+
+
+def solve(norms: Norms, damping: Damping, rounds: int, start: Array | None = None) -> Solution:
+    """Minimise Eq. 5 and reweigh its terms in turn until the weights settle, `rounds` times at most.
+
+    Starts from a sensor without error unless told otherwise. Rests that share an attitude enter as their
+    weighted mean, so that an attitude held often does not outvote the others.
+    """
+    v = norms.start() if start is None else start
+    iterations, converged = 0, False
+    weights = _Weights(pooling(norms.labels, np.ones(len(norms.raw))), np.ones(norms.labels.max() + 1))
+    for _ in range(rounds):
+        minimum = minimise(_whitened(norms, weights.whitening), v, damping)
+        v, iterations, converged = minimum.v, iterations + minimum.iterations, minimum.converged
+        before, weights = weights, _weights(norms, v)
+        if np.allclose(weights.variances, before.variances, rtol=2e-3, atol=0.0):
+            break
+    white = weights.whitening @ norms.residuals(v)[1]
+    covariance = np.asarray(np.linalg.inv(white.T @ white), dtype=np.float64)
+    return Solution(v, covariance, weights.within, weights.between, iterations, converged)
+
+
+def _weights(norms: Norms, v: Array) -> _Weights:
+    """Weigh rests by their own variance and by what they scatter besides, within attitudes and between."""
+    residuals, jacobian = norms.residuals(v)
+    own = norms.own_variances(v)
+    within = excess.within_variance(residuals, norms.labels, own)
+    pooled = pooling(norms.labels, 1.0 / (own + within))
+    variances = 1.0 / np.bincount(norms.labels, 1.0 / (own + within))
+    between = excess.excess_variance(pooled @ residuals, pooled @ jacobian, variances)
+    return _Weights(pooled, variances + between, within, between)
+
+
+def pooling(labels: NDArray[np.intp], weights: Array) -> Array:
+    """Return the matrix (attitudes, n) that takes the weighted mean over each attitude's rests."""
+    matrix = np.zeros((labels.max() + 1, labels.size))
+    matrix[labels, np.arange(labels.size)] = weights / np.bincount(labels, weights)[labels]
+    return matrix
+
+
+def _whitened(norms: Norms, whitening: Array) -> Residuals:
+    def residuals(v: Array) -> tuple[Array, Array]:
+        values, jacobian = norms.residuals(v)
+        return whitening @ values, whitening @ jacobian
+
+    return residuals

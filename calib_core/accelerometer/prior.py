@@ -1,0 +1,275 @@
+"""What a fleet of calibrated accelerometers says of the next one, and a fit that starts from it.
+
+Empirical Bayes with two levels: a device's parameters scatter about its model's, models' about the fleet's.
+The prior enters the fit of Grammenos et al. 2018, Eq. 5, as further terms of the sum of squares, so that a
+first calibration needs no more rests than are there: what they do not show stays what the fleet makes likely.
+Parameters are those of parameters.py, bias in m/s^2 first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer.equations import Norms, pooling
+from stillcal.calib_core.accelerometer.parameters import basis, names
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.maths.levenberg_marquardt import Damping, minimise
+from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.static.rest import attitude_labels
+
+NOMINAL = np.r_[np.zeros(3), np.ones(3), np.zeros(3)]
+"""Bias, diagonal and cross-axis entries of a sensor without error."""
+
+_KINDS = np.repeat(np.arange(3), 3)  # bias, diagonal, cross-axis: alike among themselves
+_CROSS_AXIS = 0.005  # half of the 1 % of cross-axis sensitivity that phones' datasheets give
+_UNKNOWN = 1.0  # variance of what a device's fit did not estimate, far beyond any phone's
+_ROUNDS, _SETTLED = 500, 1e-6
+_REWEIGHED = 2
+_HARDLY_EVER = 1e-6
+ATTITUDE_ANGLE = 0.0872665  # 5 degrees, as in AccelerometerSettings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetPrior:
+    """What is expected of a sensor before its first rest. mean: (9,), covariance: (9, 9), in m/s^2 and 1.
+
+    scatter: m/s^2, by how much norms at rest scatter beyond what each rest knows of itself. devices: how
+    many it was learnt from. model: the device model that it is for, empty for any.
+    """
+
+    mean: Array
+    covariance: Array
+    scatter: float = 0.01
+    devices: int = 0
+    model: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters' names, in order."""
+        return names(9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Population:
+    """Two levels. within: (9, 9) of devices about their model; between: (9, 9) of models about `mean` (9,).
+
+    centres, doubts: (models, 9) and (models, 9, 9), each model's mean and what is not known of it. devices:
+    (models,) how many of each.
+    """
+
+    mean: Array
+    within: Array
+    between: Array
+    centres: Array
+    doubts: Array
+    devices: NDArray[np.intp]
+    scatter: float = 0.01
+
+    def prior(self, model: int | None = None, name: str = "") -> FleetPrior:
+        """Return what to expect of a new device of a model (its number), or of one never seen."""
+        total = int(self.devices.sum())
+        if model is None:
+            doubt = self.between / len(self.devices)
+            covariance = self.within + self.between + doubt
+            return FleetPrior(frozen(self.mean), frozen(covariance), self.scatter, total, name)
+        covariance = self.within + self.doubts[model]
+        return FleetPrior(frozen(self.centres[model]), frozen(covariance), self.scatter, total, name)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorFit:
+    """A calibration from rests and a prior. values: (9,), covariance: (9, 9), of the parameters.
+
+    residuals: (n,) m/s^2, calibrated norm less gravity. shown: (9,) from 0, all prior, to 1, all rests: by
+    how much the rests shrank each parameter's variance. iterations: Gauss-Newton steps tried. gravity: that
+    was fitted to, m/s^2.
+    """
+
+    model: SensorModel
+    values: Array
+    covariance: Array
+    residuals: Array
+    shown: Array
+    iterations: int
+    gravity: float
+
+    @property
+    def worst_norm_uncertainty(self) -> float:
+        """Standard uncertainty of the calibrated norm at rest along the worst direction, m/s^2."""
+        up = attitudes.sphere()
+        return float(np.sqrt(norm_variances(up, self.covariance, self.gravity).max()))
+
+
+def expanded(values: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
+    """Return a 6- or 9-parameter fit as nine; what was not estimated is 0 and not known."""
+    own, spread = np.asarray(values, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    if own.shape not in {(6,), (9,)} or spread.shape != (own.size, own.size):
+        raise ValueError(f"values {own.shape} and covariance {spread.shape}: expected 6 or 9 parameters")
+    full, wide = np.zeros(9), _UNKNOWN * np.eye(9)
+    full[: own.size] = own
+    wide[: own.size, : own.size] = spread
+    return full, wide
+
+
+def learn(values: ArrayLike, covariances: ArrayLike, models: ArrayLike, scatter: float = 0.01) -> Population:
+    """Learn a population from devices' parameters (n, 9), covariances (n, 9, 9) and models (n,) from 0 on.
+
+    Expectation-maximisation of the two-level normal model (Dempster, Laird and Rubin 1977), each covariance
+    shrunk as by nine further devices towards one variance for each kind of parameter, so that few devices do
+    not make parameters certain. Raises NotSupported with fewer than three devices.
+    """
+    y, own = np.asarray(values, dtype=np.float64), np.asarray(covariances, dtype=np.float64)
+    group = np.asarray(models, dtype=np.intp)
+    if len(y) < 3:
+        raise NotSupported(f"{len(y)} calibrated devices", ("at least three",))
+    member = (group[None, :] == np.arange(group.max() + 1)[:, None]).astype(np.float64)
+    mean, within = y.mean(axis=0), _first(y, own)
+    between = 0.5 * within
+    for _ in range(_ROUNDS):
+        centres, doubts = _centres(y, np.asarray(np.linalg.inv(within + own)), member, mean, between)
+        off = y - centres[group]
+        gain = within @ np.linalg.inv(within + own)
+        second = off[:, :, None] * off[:, None, :] + doubts[group]
+        left = gain @ second @ gain.transpose(0, 2, 1) + within - gain @ within
+        apart = centres - mean
+        moved = _shrunk(left.sum(axis=0), len(y))
+        mean = centres.mean(axis=0)
+        between = _shrunk((apart[:, :, None] * apart[:, None, :] + doubts).sum(axis=0), len(centres))
+        change = float(np.abs(np.diag(moved) / np.diag(within) - 1.0).max())
+        within = moved
+        if change < _SETTLED:
+            break
+    return Population(mean, within, between, centres, doubts, member.sum(axis=1).astype(np.intp), scatter)
+
+
+def _centres(y: Array, precise: Array, member: Array, mean: Array, between: Array) -> tuple[Array, Array]:
+    """Return each model's mean, (models, 9), and its covariance given the devices, (models, 9, 9).
+
+    precise: (n, 9, 9) how well each device shows its model's mean. member: (models, n) 1 where it is of it.
+    """
+    fixed = np.linalg.inv(between)
+    doubts = np.linalg.inv(fixed + np.einsum("gi,ijk->gjk", member, precise))
+    pulls = fixed @ mean + np.einsum("gi,ijk,ik->gj", member, precise, y)
+    return np.einsum("gjk,gk->gj", doubts, pulls), doubts
+
+
+def _first(y: Array, own: Array) -> Array:
+    """Return a covariance to start from; what no device's fit estimated is as datasheets have it."""
+    scatter = np.cov(y.T) * (len(y) - 1)
+    unknown = (np.diagonal(own, axis1=1, axis2=2) >= _UNKNOWN).all(axis=0)
+    return _shrunk(scatter + np.diag(np.where(unknown, _CROSS_AXIS**2 * len(y), 0.0)), len(y) - 1)
+
+
+def _shrunk(scatter: Array, count: int) -> Array:
+    """Return a covariance from a sum of squares (9, 9) over `count`, as by nine more of one kind each."""
+    diagonal = np.diag(scatter) / max(count, 1)
+    kinds = np.array([diagonal[k == _KINDS].mean() for k in range(3)])
+    return np.asarray((scatter + 9.0 * np.diag(np.maximum(kinds[_KINDS], 1e-14))) / (count + 9.0))
+
+
+def fit(
+    forces: ArrayLike,
+    uncertainties: ArrayLike,
+    gravity: float,
+    prior: FleetPrior,
+    damping: Damping | None = None,
+) -> PriorFit:
+    """Fit nine parameters to rests of unknown attitude, however few, from a fleet's prior.
+
+    forces, uncertainties: (n, 3) m/s^2, as for accelerometer.fit; n may be 0. gravity: m/s^2. Rests that
+    share an attitude count as one. Raises NotSupported where it does not converge.
+    """
+    raw = np.asarray(forces, dtype=np.float64).reshape(-1, 3)
+    sd = np.asarray(uncertainties, dtype=np.float64).reshape(raw.shape)
+    matrix = basis(9)
+    unit = np.r_[np.full(3, gravity), np.ones(6)]
+    mean, covariance = prior.mean / unit, prior.covariance / np.outer(unit, unit)
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    labels = attitude_labels(raw, ATTITUDE_ANGLE)
+    norms = Norms(raw / gravity, sd / gravity, np.ones(len(raw)), labels, matrix)
+    v, after, iterations = mean, covariance, 0
+    for _ in range(_REWEIGHED if len(raw) else 0):
+        whitening = _whitening(norms, v, prior.scatter / gravity)
+        minimum = minimise(_posterior(norms, whitening, mean, root), v, damping or Damping())
+        if not minimum.converged:
+            raise NotSupported("the fit did not converge", ("rests, in m/s^2, of a phone that lies still",))
+        v, iterations = minimum.v, iterations + minimum.iterations
+        after = np.linalg.inv(minimum.jacobian.T @ minimum.jacobian)
+    values = v * unit
+    twelve = matrix @ values
+    model = SensorModel.of(twelve[3:].reshape(3, 3), twelve[:3])
+    residuals = np.linalg.norm(model.apply(raw), axis=1) - gravity
+    shown = 1.0 - np.diag(after) / np.diag(covariance)
+    return PriorFit(
+        model,
+        frozen(values),
+        frozen(after * np.outer(unit, unit)),
+        frozen(residuals),
+        frozen(shown),
+        iterations,
+        gravity,
+    )
+
+
+def _whitening(norms: Norms, v: Array, scatter: float) -> Array:
+    """Return means over each attitude's rests over their standard deviations, (attitudes, n)."""
+    weights = 1.0 / norms.own_variances(v)
+    sd = np.sqrt(1.0 / np.bincount(norms.labels, weights) + scatter**2)
+    return np.asarray(pooling(norms.labels, weights) / sd[:, None])
+
+
+def _posterior(
+    norms: Norms, whitening: Array, mean: Array, root: Array
+) -> Callable[[Array], tuple[Array, Array]]:
+    def residuals(v: Array) -> tuple[Array, Array]:
+        values, jacobian = norms.residuals(v)
+        return (
+            np.concatenate((whitening @ values, root @ (v - mean))),
+            np.concatenate((whitening @ jacobian, root)),
+        )
+
+    return residuals
+
+
+@dataclass(frozen=True, slots=True)
+class Surprise:
+    """How far a fit came to lie from its prior. squared: Mahalanobis distance; limit: hardly ever beyond.
+
+    parameter: the one farthest from the prior's mean, by `sds` of the prior's standard deviations.
+    """
+
+    squared: float
+    limit: float
+    parameter: str
+    sds: float
+
+
+def surprise(found: PriorFit, prior: FleetPrior) -> Surprise:
+    """Return how far a fit lies from its prior, with a limit that one fit in a million would pass, or fewer.
+
+    The limit is Hotelling's (1931) for a covariance that was learnt: from the prior's devices and the nine
+    that `learn` shrinks it by. A fit is drawn towards its prior, so that fewer pass.
+    """
+    from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
+
+    off = found.values - prior.mean
+    freedom = max(prior.devices, 1) + 9 - 1
+    rest = freedom - 9 + 1
+    limit = 9.0 * freedom / rest * float(f.isf(_HARDLY_EVER, 9, rest))
+    sds = off / np.sqrt(np.diag(prior.covariance))
+    worst = int(np.abs(sds).argmax())
+    squared = float(off @ np.linalg.solve(prior.covariance, off))
+    return Surprise(squared, limit, prior.names[worst], float(sds[worst]))
+
+
+def norm_variances(up: Array, covariance: Array, gravity: float) -> Array:
+    """Return the variance (n,) of the calibrated norm of gravity along unit vectors (n, 3), (m/s^2)^2."""
+    products = gravity * up[:, :, None] * up[:, None, :]
+    rows = np.hstack((-up, products.reshape(-1, 9))) @ basis(9)
+    return np.asarray(np.einsum("ij,jk,ik->i", rows, covariance, rows))

@@ -1,0 +1,136 @@
+"""The result of an accelerometer fit, and what follows from it: intervals, uncertainty of what it corrects.
+
+Grammenos et al. 2018, 4.2. No estimation here; a fit is a value that can be stored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer.observability import Coverage
+from stillcal.calib_core.accelerometer.parameters import Form, basis
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.model import SensorModel
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """A rest left out of a fit: its row, and why."""
+
+    row: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AccelerometerFit:
+    """An accelerometer's model with its evidence. Forces in m/s^2, scale dimensionless.
+
+    parameters: 6, 9 or 12, called `names`. form: of a 9-parameter scale; 12 parameters from gravity alone are
+    the symmetric ones, the full matrix nearest the raw axes, since any rotation of it fits as well.
+    covariance: (p, p), of rests; what gravity's own uncertainty adds is in gravity_uncertainty and is
+    put in by the methods. degrees_of_freedom: of the scatter that the covariance rests on: attitudes beyond
+    parameters where these scatter more than their rests explain, else rests beyond attitudes where rests
+    repeat worse than declared, else infinite: the declared uncertainties are taken as they are. coverage:
+    what the attitudes support. residuals: (n,) calibrated norm less gravity, of all rests; rms_residual: over
+    all of them, dropped or not. dropped: rests left out, with reasons. n_states: distinct attitudes.
+    repeatability: sd of the norm between rests of one attitude, None where none was held twice.
+    excess_rest, excess_attitude: sd beyond declared uncertainty, between rests of one attitude and between
+    attitudes. gravity: mean local g that the norm was fitted to. iterations: Gauss-Newton steps tried.
+    """
+
+    model: SensorModel
+    parameters: int
+    form: Form
+    names: tuple[str, ...]
+    covariance: Array
+    degrees_of_freedom: float
+    coverage: Coverage
+    residuals: Array
+    rms_residual: float
+    dropped: tuple[Dropped, ...]
+    n_rests: int
+    n_states: int
+    repeatability: float | None
+    excess_rest: float
+    excess_attitude: float
+    gravity: float
+    gravity_uncertainty: float
+    iterations: int
+
+    @property
+    def values(self) -> Array:
+        """The parameters, (p,), in the order of `names`."""
+        return np.asarray(np.linalg.pinv(basis(self.parameters, self.form)) @ self._twelve())
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Which rests the fit stands on, (n,)."""
+        mask = np.ones(self.n_rests, dtype=bool)
+        mask[[d.row for d in self.dropped]] = False
+        return mask
+
+    @property
+    def common_scale_uncertainty(self) -> float:
+        """Relative standard uncertainty that gravity's own puts on the whole scale; no rest can show it."""
+        return self.gravity_uncertainty / self.gravity
+
+    @property
+    def total_covariance(self) -> Array:
+        """Covariance of the parameters, (p, p), with the common scale's part."""
+        back = np.linalg.pinv(basis(self.parameters, self.form))
+        return np.asarray(back @ self._full_covariance() @ back.T)
+
+    @property
+    def sensor_covariance(self) -> Array:
+        """Covariance of (scale row by row 9, bias 3), (12, 12), with the common scale's part."""
+        order = np.r_[3:12, 0:3]
+        return np.asarray(self._full_covariance()[np.ix_(order, order)])
+
+    @property
+    def worst_norm_uncertainty(self) -> float:
+        """Standard uncertainty of the calibrated norm at rest along the worst direction, m/s^2."""
+        rows = self._norm_rows(attitudes.sphere())
+        return float(np.sqrt(np.einsum("ij,jk,ik->i", rows, self._from_rests(), rows).max()))
+
+    def interval(self, level: float = 0.95) -> Array:
+        """Return the parameters' two-sided intervals at `level`, (p, 2), by Student's t where it applies."""
+        from scipy.special import ndtri, stdtrit  # noqa: PLC0415 - the daemon stays light
+
+        tail = 0.5 + level / 2.0
+        free = self.degrees_of_freedom
+        reach = stdtrit(free, tail) if np.isfinite(free) else ndtri(tail)
+        sd = np.sqrt(np.diag(self.total_covariance))
+        return np.column_stack((self.values - reach * sd, self.values + reach * sd))
+
+    def uncertainty(self, raw: Array) -> Array:
+        """Return the calibration's standard uncertainty of calibrated vectors, as `raw` (..., 3) in m/s^2.
+
+        Per axis; the noise of the reading itself is not in it, nor a rotation common to all axes.
+        """
+        shifted = np.asarray(raw, dtype=np.float64) - self.model.bias
+        by_bias = np.broadcast_to(-self.model.scale, (*shifted.shape, 3))
+        by_scale = np.eye(3)[:, :, None] * shifted[..., None, None, :]
+        rows = np.concatenate((by_bias, by_scale.reshape(*shifted.shape, 9)), axis=-1)
+        variances = np.einsum("...i,ij,...j->...", rows, self._full_covariance(), rows)
+        return np.asarray(np.sqrt(variances))
+
+    def _twelve(self) -> Array:
+        return np.asarray(np.r_[self.model.bias, self.model.scale.ravel()])
+
+    def _from_rests(self) -> Array:
+        matrix = basis(self.parameters, self.form)
+        return np.asarray(matrix @ self.covariance @ matrix.T)
+
+    def _full_covariance(self) -> Array:
+        common = np.r_[np.zeros(3), self.model.scale.ravel()] * self.common_scale_uncertainty
+        return np.asarray(self._from_rests() + np.outer(common, common))
+
+    def _norm_rows(self, up: Array) -> Array:
+        """Jacobian of the norm of a rest calibrated to gravity along unit vectors `up`, (n, 12)."""
+        shifted = self.gravity * up @ np.linalg.inv(self.model.scale).T
+        products = up[:, :, None] * shifted[:, None, :]
+        return np.asarray(np.hstack((-up @ self.model.scale, products.reshape(-1, 9))))

@@ -1,0 +1,277 @@
+"""What a calibration is once it is found: the record that is stored, published and applied.
+
+Plain values with their units, evidence and origin; how they were estimated lives elsewhere, and so do
+files. A record checks itself when it is made, so what was loaded is as sound as what was fitted.
+Times are s of the sensor's own stamp, forces m/s^2, rates rad/s, temperatures degC.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from stillcal.calib_core.accelerometer.parameters import BIAS
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.codec import digest, floats, jsonable
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.samples import Sensor
+
+How = Literal["calibration", "zeroing", "rollback", "migration"]
+Evidence = dict[str, float | int | str | bool | None]
+
+DETERMINANTS = (1 / 8, 8.0)
+"""Sane |det scale|: within a factor of two on every axis (15 % is the largest seen on a phone)."""
+
+
+class NotCalibratedError(ValueError):
+    """The record holds no calibration of the sensor asked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SensorRecord:
+    """One sensor's calibration: calibrated = scale @ (raw - bias).
+
+    scale: (3, 3), bias: (3,) in `unit`. parameters: how many were fitted. covariance: (p, p) of the
+    parameters called `names`, None where unknown; NaN marks what the rests do not bound. rms_residual:
+    over all rests used, in `residual_unit`. n_rests: rests used, n_states: distinct attitudes among them.
+    """
+
+    scale: Array
+    bias: Array
+    parameters: int
+    names: tuple[str, ...] = ()
+    covariance: Array | None = None
+    rms_residual: float | None = None
+    n_rests: int = 0
+    n_states: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("scale", "bias") if self.covariance is None else ("scale", "bias", "covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        model = SensorModel.of(self.scale, self.bias)
+        _require_within("|det scale|", abs(float(np.linalg.det(model.scale))), *DETERMINANTS)
+        _require_within("parameters", self.parameters, 3, 12)
+        _require_within("n_states", self.n_states, 0, self.n_rests)
+        if self.rms_residual is not None:
+            _require_within("rms_residual", self.rms_residual, 0.0, math.inf)
+        if self.covariance is not None:
+            _check_covariance(self.covariance, len(self.names))
+
+    @property
+    def model(self) -> SensorModel:
+        """The correction alone."""
+        return SensorModel.of(self.scale, self.bias)
+
+    @property
+    def bias_uncertainty(self) -> Array | None:
+        """Standard uncertainty of the bias, (3,) in `unit`; None where the covariance does not hold it."""
+        if self.covariance is None or not set(BIAS) <= set(self.names):
+            return None
+        rows = [self.names.index(name) for name in BIAS]
+        return frozen(np.sqrt(np.diag(self.covariance)[rows]))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AccelerometerRecord(SensorRecord):
+    """The accelerometer's calibration. gravity: m/s^2, the norm that its rests were fitted to.
+
+    repeatability: m/s^2, sd of the norm between rests of one attitude, None where none was held twice.
+    observability: (p,) how well the attitudes show each parameter, 1 as evenly spread ones would, 0 not at
+    all. unobservable: what no rest can show. most_helpful_attitude: which to add, in words. n_dropped:
+    rests left out for not agreeing with the others. iterations: of the fit.
+    """
+
+    gravity: float
+    repeatability: float | None = None
+    observability: Array | None = None
+    unobservable: tuple[str, ...] = ()
+    most_helpful_attitude: str | None = None
+    n_dropped: int = 0
+    iterations: int | None = None
+    unit: Literal["m/s^2"] = "m/s^2"
+    residual_unit: Literal["m/s^2"] = "m/s^2"
+
+    def __post_init__(self) -> None:
+        SensorRecord.__post_init__(self)  # super() does not reach through slots=True
+        _require_within("gravity", self.gravity, 9.7, 9.9)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GyroscopeRecord(SensorRecord):
+    """The gyroscope's calibration. rms_residual: rad between gravity as turned and as measured.
+
+    rms_nominal: rad, the same with the nominal scale, the rests' bias taken off in both. n_turns: turns
+    from rest to rest that it stands on. rotation_admitted: (3,) rad/s, error of the bias that slow rotation
+    in the rests may have put there unseen, NaN where nothing bounds it. missing: which turns a larger
+    model needs. zeroed_at: s, when the bias was last measured at rest; None where it came from the fit.
+    """
+
+    rms_nominal: float | None = None
+    n_turns: int = 0
+    rotation_admitted: Array | None = None
+    missing: tuple[str, ...] = ()
+    zeroed_at: float | None = None
+    unit: Literal["rad/s"] = "rad/s"
+    residual_unit: Literal["rad"] = "rad"
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StateRecord:
+    """A rest that a calibration stands on.
+
+    specific_force, force_uncertainty, rate, rate_uncertainty: (3,), raw, as in RestState. residual:
+    m/s^2, norm of the calibrated force less gravity. attitude: number of its group of like attitudes.
+    """
+
+    t_start: float
+    t_end: float
+    n: int
+    specific_force: Array
+    force_uncertainty: Array
+    rate: Array | None = None
+    rate_uncertainty: Array | None = None
+    temperature: float | None = None
+    residual: float | None = None
+    attitude: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("specific_force", "force_uncertainty", "rate", "rate_uncertainty"):
+            vector = getattr(self, name)
+            if vector is not None and vector.shape != (3,):
+                raise ValueError(f"{name} has shape {vector.shape}: expected (3,)")
+
+    @classmethod
+    def of(cls, rest: RestState, residual: float | None = None, attitude: int | None = None) -> StateRecord:
+        """Summarise a rest."""
+        return cls(
+            t_start=rest.t_start,
+            t_end=rest.t_end,
+            n=rest.n,
+            specific_force=rest.specific_force,
+            force_uncertainty=rest.force_uncertainty,
+            rate=rest.rate,
+            rate_uncertainty=rest.rate_uncertainty,
+            temperature=rest.temperature,
+            residual=residual,
+            attitude=attitude,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Validity:
+    """Where the calibration was measured; outside it is extrapolation. Temperatures: degC or None."""
+
+    temperature_min: float | None = None
+    temperature_max: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Acceptance:
+    """How the calibration came to be current. evidence: the figures that the decision was taken on."""
+
+    how: How = "calibration"
+    reason: str = ""
+    evidence: Evidence = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Provenance:
+    """Where the calibration comes from. t_start, t_end: s, the span of samples that it was found in."""
+
+    software: str = ""
+    source: str = ""
+    device: str = ""
+    t_start: float | None = None
+    t_end: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TermParameter:
+    """One parameter of a term. value: any shape, in `unit`. ci95: value's shape + (2,), None if unknown."""
+
+    value: Array
+    unit: str
+    ci95: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Term:
+    """Physics beyond the affine model, such as bias against temperature, by the name of its effect.
+
+    reference: what the parameters count from, such as {"temperature": 25.0} in degC.
+    """
+
+    effect: str
+    sensor: Sensor
+    parameters: dict[str, TermParameter]
+    reference: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CalibrationRecord:
+    """A calibration of a phone: either sensor or both, and all that is needed to judge and use it.
+
+    fitted_at: s, sample time of the fit, None where unknown. Raises ValueError where it says nothing
+    of either sensor or a gravity that no place on earth has.
+    """
+
+    accelerometer: AccelerometerRecord | None = None
+    gyroscope: GyroscopeRecord | None = None
+    gravity: Gravity | None = None
+    fitted_at: float | None = None
+    validity: Validity = field(default_factory=Validity)
+    acceptance: Acceptance = field(default_factory=Acceptance)
+    provenance: Provenance = field(default_factory=Provenance)
+    terms: tuple[Term, ...] = ()
+    states: tuple[StateRecord, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.accelerometer is None and self.gyroscope is None:
+            raise ValueError("a calibration needs an accelerometer part, a gyroscope part, or both")
+        if self.gravity is not None:
+            _require_within("gravity.value", self.gravity.value, 9.7, 9.9)
+            _require_within("gravity.uncertainty", self.gravity.uncertainty, 0.0, 0.1)
+
+    @property
+    def id(self) -> str:
+        """Twelve hex digits of what was found: the same calibration has the same id wherever it came from.
+
+        Acceptance and provenance do not enter: a recording replayed and lived gives one id.
+        """
+        found = {
+            "accelerometer": self.accelerometer,
+            "gyroscope": self.gyroscope,
+            "gravity": self.gravity,
+            "fitted_at": self.fitted_at,
+            "terms": self.terms,
+        }
+        return digest(floats(jsonable(found)))[:12]
+
+    def model(self, sensor: Sensor) -> SensorModel:
+        """Return the correction of one sensor. Raises NotCalibratedError where there is none."""
+        part = self.accelerometer if sensor == Sensor.ACCELEROMETER else self.gyroscope
+        if part is None:
+            raise NotCalibratedError(f"calibration {self.id} holds no {sensor}: record one with it at rest")
+        return part.model
+
+    def apply(self, raw: Array, sensor: Sensor) -> Array:
+        """Correct raw readings (..., 3) of one sensor by its affine model; terms.py has the terms."""
+        return self.model(sensor).apply(raw)
+
+
+def _require_within(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise ValueError(f"{name} is {value:g}: expected within {low:g} .. {high:g}")
+
+
+def _check_covariance(covariance: Array, n_names: int) -> None:
+    p = covariance.shape[0] if covariance.ndim else 0
+    if covariance.shape != (p, p) or (n_names and n_names != p):
+        raise ValueError(f"covariance has shape {covariance.shape}: expected square, one row per name")
+    if (np.diag(covariance) < 0).any():
+        raise ValueError("covariance has a negative variance")

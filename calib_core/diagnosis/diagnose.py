@@ -1,0 +1,304 @@
+"""The whole diagnosis of one recording: arrays in, findings out."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct import low_pass as spectrum
+from stillcal.calib_core.diagnosis.direct import noise_level as noise
+from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
+from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, outside
+from stillcal.calib_core.diagnosis.direct.clock import timing_findings
+from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
+from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, Spectra, bandwidth, quiet
+from stillcal.calib_core.diagnosis.direct.missing_codes import beside, dead_bits, dead_zone
+from stillcal.calib_core.diagnosis.direct.noise_changes import changing
+from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, saturation, steps
+from stillcal.calib_core.diagnosis.direct.spectral_line import tone
+from stillcal.calib_core.diagnosis.direct.stuck import stuck
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, Where, verdict_of
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
+from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
+from stillcal.calib_core.diagnosis.slow.findings import slow_findings, turn_findings
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.samples import Samples
+
+__all__ = ["Claims", "Diagnosis", "diagnose", "limits"]
+
+LEAST_SAMPLES = 200
+LEAST_SECONDS = 10.0
+CLEAR = 4.0
+"""Standard deviations of the noise that a mean must be below a limit."""
+
+COARSEST = 1.6
+"""Steps, in standard deviations of the noise, up to which single samples show its tails: the fourth moment of
+normal noise is then off by 0.001 (the first harmonic, exp(-2 pi^2 / 1.6^2))."""
+
+
+def diagnose(
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    events: Sequence[Charging] = (),
+    claims: Claims | None = None,
+    recording: str = "",
+    *,
+    without: Collection[str] = (),
+) -> Diagnosis:
+    """Say where a recording and its simulated twin differ, and what physics was left out.
+
+    without: effects of which the catalogue knows nothing, to try what their cases are then called.
+    Raises NotSupported where not even the stamps can be judged (fewer than 200 samples, less than 10 s).
+    """
+    if len(accelerometer) < LEAST_SAMPLES:
+        raise NotSupported(
+            f"{len(accelerometer)} samples of the accelerometer", (f"at least {LEAST_SAMPLES}",)
+        )
+    span = float(accelerometer.t[-1] - accelerometer.t[0])
+    if span < LEAST_SECONDS:
+        raise NotSupported(f"{span:.1f} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))
+    claims = claims or Claims()
+    accelerometer, twice = repeats.without_doubles(accelerometer)
+    gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
+    bins = still_bins(accelerometer, gyroscope, events)
+    sensors = [(s, x) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
+    lost = [f for s, x in sensors if (f := stuck(x, s))]
+    spoiled = (
+        None if gyroscope is None else garbled(accelerometer, gyroscope, _outside(bins, lost), claims.gravity)
+    )
+    gone = [*lost, spoiled] if spoiled else lost
+    clear = _outside(bins, gone)
+    both = [_Stream.of(s, x, clear, claims) for s, x in sensors]
+    found = [*gone, repeats.doubled(accelerometer, twice), *direct_findings(both, claims)]
+    slow = _roughened(_unlimited(clear, [f for f in found if f], both[0]), {s.sensor: s.steps for s in both})
+    made = scenes(slow, claims.gravity) if len(slow) else []
+    found += [f for scene in made if not _is_of(spoiled, scene.sensor) for f in slow_findings(scene, without)]
+    if gyroscope is not None:
+        most = min(_limits_of("gyro_saturation", found), default=np.inf)
+        affine = aligned(gyroscope, slow, claims.gravity, most) if len(slow) else None
+        found += motion_findings(accelerometer, gyroscope, affine, claims.gravity, [f.where for f in gone])
+        if affine is not None and spoiled is None:
+            found += turn_findings(affine, slow, claims.gravity, without)
+    stated = [_named(f, without) for f in without_group_delay([f for f in found if f], claims.gravity)]
+    said = [*limits(bins, gyroscope is not None), *_hidden(both, claims), *_unjudged(spoiled)]
+    return Diagnosis(1, recording, verdict_of(stated), stated, said)
+
+
+def still_bins(accelerometer: Samples, gyroscope: Samples | None, events: Sequence[Charging] = ()) -> Bins:
+    """Return the bins in which the phone lay still, a vehicle's turns left out."""
+    return steady(cut(accelerometer, gyroscope, events))
+
+
+def _outside(bins: Bins, found: Sequence[Finding]) -> Bins:
+    """Return the bins that do not touch the time of any of the findings."""
+    for f in found:
+        bins = outside(bins, f.where.t_start, f.where.t_end)
+    return bins
+
+
+def _is_of(spoiled: Finding | None, sensor: str) -> bool:
+    """Whether axes of a sensor were found exchanged: when exactly is known too roughly for more of it."""
+    return spoiled is not None and spoiled.sensor == sensor
+
+
+def _unjudged(spoiled: Finding | None) -> list[str]:
+    if spoiled is None:
+        return []
+    return [f"the {spoiled.sensor} sensor's axes were exchanged: its slow effects, and turns, are not judged"]
+
+
+def _named(found: Finding, without: Collection[str]) -> Finding:
+    """Take the name off a finding that the catalogue does not have."""
+    if found.effect not in without:
+        return found
+    say = f"Something outside the catalogue shows in the {found.sensor}: it follows {found.where.driver}."
+    return replace(found, effect="unknown", alternatives=[], statement=say)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stream:
+    """One sensor's samples with what its rests show: steps, spectra and levels (None: too few rests)."""
+
+    sensor: str
+    samples: Samples
+    bins: Bins
+    still: Quiet
+    steps: Steps
+    spectra: Spectra | None
+    levels: noise.Levels | None
+
+    @classmethod
+    def of(cls, sensor: str, samples: Samples, bins: Bins, claims: Claims) -> _Stream:
+        """Measure a sensor's rests; coarse steps hide its noise."""
+        still = quiet(samples, bins)
+        sd = (
+            np.sqrt(np.median([p.var(axis=0) for p in still.pieces], axis=0)) if still.pieces else np.zeros(3)
+        )
+        seen = steps(samples, sd)
+        floor = seen.largest**2 / (6.0 * still.rate)
+        made = None if seen.hides_noise() else spectrum.judged(still, floor)
+        return cls(
+            sensor, samples, bins, still, seen, made, None if made is None else noise.levels(made, floor)
+        )
+
+
+def direct_findings(streams: Sequence[_Stream], claims: Claims) -> list[Finding]:
+    """Return what stamps, values and spectra at rest show."""
+    found = timing_findings(streams[0].samples, claims)
+    levels = {s.sensor: s.levels for s in streams if s.levels is not None}
+    factor = noise.convention(levels, claims)
+    for stream in streams:
+        if len(stream.samples) >= LEAST_SAMPLES:
+            found += _of_stream(stream, claims, factor)
+    return _one_tone(found)
+
+
+def _of_stream(stream: _Stream, claims: Claims, factor: float) -> list[Finding]:
+    """Return what one sensor's samples show; factor: between the claims' densities and one-sided ones."""
+    sensor, samples = stream.sensor, stream.samples
+    lsb, declared = (
+        (claims.accel_lsb, claims.accel_range) if sensor == "accel" else (claims.gyro_lsb, claims.gyro_range)
+    )
+    held, share = repeats.held(samples, sensor)
+    comb = quantisation(samples, sensor, stream.steps, lsb) if len(stream.still.pieces) >= 3 else None
+    found = [held, comb, saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)]
+    if not stream.steps.hides_noise():
+        found.append(tone(samples, sensor))
+        if share < repeats.MANY:
+            found += _at_rest(stream, claims, factor)
+    lost = [dead_bits(samples, sensor), dead_zone(samples, sensor)]
+    return beside([f for f in found if f is not None], lost)
+
+
+def _at_rest(stream: _Stream, claims: Claims, factor: float) -> list[Finding | None]:
+    """Return what the noise at rest shows."""
+    if stream.spectra is None or stream.levels is None:
+        return []
+    samples, sensor = stream.samples, stream.sensor
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, stream.still.rate / 2.0), "noise at rest")
+    fine = not stream.steps.blurs_level()
+    other = changing(stream.spectra, stream.levels, sensor, stream.bins) if fine else None
+    least = float(stream.steps.sd.min())
+    dithered = least > 0.0 and stream.steps.largest < COARSEST * least
+    wide = tails(stream.still, sensor, where, stream.steps.largest) if dithered else None
+    claim = noise.claimed(sensor, claims)
+    claim = None if claim is None else factor * claim
+    found: list[Finding | None] = [other, wide]
+    if noise.suppressed(stream.levels, claim):
+        found.append(bandwidth(stream.spectra, sensor, where))
+    if wide is None and other is None and fine:
+        found += noise.noise_findings(sensor, stream.levels, claim, where)
+    return found
+
+
+def _one_tone(found: list[Finding]) -> list[Finding]:
+    """Keep one of two lines at one frequency.
+
+    A vibration of the phone that both sensors feel is the force's.
+    """
+    tones = [f for f in found if f.effect == "vibration_tone"]
+    if len(tones) != 2:
+        return found
+    a, b = (float(np.mean(f.where.band_hz)) for f in tones)
+    return [f for f in found if f is not tones[1]] if abs(a - b) < 0.05 else found
+
+
+def _limits_of(effect: str, found: Sequence[Finding | None]) -> list[float]:
+    said = [f for f in found if f is not None and f.effect == effect]
+    return [float(np.min(f.parameters["limit"].value)) for f in said]
+
+
+def _unlimited(bins: Bins, found: Sequence[Finding], force: _Stream) -> Bins:
+    """Return the bins whose force is clear of a limit that was found: what is cut off shifts the mean."""
+    limits = _limits_of("accel_saturation", found)
+    if not limits or not len(bins):
+        return bins
+    clear = limits[0] - CLEAR * force.steps.sd
+    return bins.chosen(np.asarray((np.abs(bins.force) < clear).all(axis=1)))
+
+
+def _roughened(bins: Bins, seen: dict[str, Steps]) -> Bins:
+    """Return bins whose means are no surer than steps that hide the noise allow, however many lie as one."""
+    for sensor, values, variances in (
+        ("accel", "force", "force_variance"),
+        ("gyro", "rate", "rate_variance"),
+    ):
+        mean = getattr(bins, values)
+        if len(bins) and mean is not None and sensor in seen and seen[sensor].blurs_level():
+            wide = _shared_error(mean, bins, seen[sensor])
+            bins = replace(bins, **{variances: getattr(bins, variances) + wide})
+    return bins
+
+
+def _shared_error(mean: Array, bins: Bins, seen: Steps) -> Array:
+    """Return variances (n, 3): the steps' error, which all bins share whose means round alike."""
+    cells = np.rint(mean / max(seen.largest, 1e-300))
+    _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(seen.mean_error() ** 2 * count[which.ravel()][:, None], dtype=np.float64)
+
+
+def without_group_delay(found: list[Finding], gravity: float) -> list[Finding]:
+    """Drop what a low-pass found on one sensor does to motion: delays, and what looks like a lever arm.
+
+    A second-order filter delays slow motion by sqrt(2) / (2 pi fc), a first-order one by 1 / (2 pi fc). To
+    second order it takes gravity's own curvature for as much of an arm as gravity / (2 pi fc)^2.
+    """
+    cutoffs = [f for f in found if f.effect == "bandwidth"]
+    if len(cutoffs) != 1:
+        return found
+    late = 1.0 / (2.0 * np.pi * np.asarray(cutoffs[0].parameters["cutoff"].value))
+    sign = -1.0 if cutoffs[0].sensor == "accel" else 1.0
+
+    def explained(one: Finding) -> bool:
+        if one.effect == "lever_arm":
+            return bool(np.linalg.norm(one.parameters["position"].value) < gravity * late**2)
+        # Fast motion, which a low-pass keeps out, is delayed less.
+        delayed = one.effect == "accel_gyro_time_offset"
+        return delayed and bool(0.0 < sign * np.asarray(one.parameters["delay"].value) / late < 3.0)
+
+    return [f for f in found if not explained(f)]
+
+
+def limits(bins: Bins, gyroscope: bool) -> list[str]:
+    """Say what this recording, with or without a gyroscope, cannot show."""
+    said = []
+    if len(bins) == 0:
+        said.append("the phone never lies still: only stamps, values and motion are judged")
+    elif len(bins) < thresholds.LEAST_BINS:
+        need = thresholds.LEAST_BINS
+        said.append(f"{len(bins)} still bins of 10 s: slow effects need {need}; let the phone lie")
+    if not gyroscope:
+        said.append("no gyroscope: nothing is said of it, nor of the time between the sensors")
+    elif bins.rate is None and len(bins):
+        said.append("shaken all along, as in a car: no rate at rest tells the gyroscope's bias")
+    if bins.temperature is None:
+        said.append("no temperature: thermal effects are only seen through charging and use")
+    if len(np.unique(bins.rest)) < 6:
+        said.append("fewer than six rests: scale, nonlinearity and g-sensitivity are not separable from bias")
+    return said
+
+
+def _hidden(streams: Sequence[_Stream], claims: Claims) -> list[str]:
+    """Say what hides the noise, or what it cannot be held against."""
+    said = []
+    for stream in streams:
+        name = "accelerometer" if stream.sensor == "accel" else "gyroscope"
+        if stream.steps.blurs_level():
+            said.append(f"the {name}'s steps are coarser than its noise, which hides its density and tails")
+        elif stream.spectra is None and stream.still.pieces:
+            said.append(
+                f"too little rest for the {name}'s noise: density, tails and bandwidth are not judged"
+            )
+        elif noise.claimed(stream.sensor, claims) is None:
+            said.append(f"no claimed noise density of the {name}: its level is not judged")
+    if streams[0].samples.t_arrival is None and not claims.nominal_rate_hz:
+        said.append("neither times of arrival nor a nominal rate: the clock's rate is not judged")
+    return said

@@ -1,0 +1,1 @@
+"""Effects that samples, values and time stamps show directly, one file each."""

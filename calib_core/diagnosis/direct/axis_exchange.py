@@ -1,0 +1,156 @@
+"""Axes that are exchanged or have the wrong sign for a while.
+
+Gravity then does not go where the gyroscope takes it.
+
+Only turns between rests are looked at. A stretch is garbled where most of its turns miss by far, the others
+do not, and one exchange of axes or signs of one sensor, the same for the whole stretch, makes them fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.measurement import Seen, unknown
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
+from stillcal.calib_core.diagnosis.model.rotation_alignment import cuts
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.maths.rotation import attitudes, matrix
+from stillcal.calib_core.streams.samples import Samples
+
+LEAST_TURNS = 8
+LEAST_BAD = 3
+FAR = 0.25
+TIMES = 8.0
+MOST_BAD = 0.6
+DENSE = 0.6
+MENDED = 0.75
+AXES = "xyz"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One turn between rests. start, end: s; t (n,), rate (n, 3): of its samples; up: (2, 3) around it."""
+
+    start: float
+    end: float
+    t: Array
+    rate: Array
+    up: Array
+
+    def miss(self, accel: Array, gyro: Array, inside: tuple[bool, bool, bool]) -> float:
+        """Return how far gravity is from where the rates take it, rad.
+
+        accel, gyro: (3, 3), what mends each; inside: whether rest, rates and rest are to be mended.
+        """
+        rate = self.rate @ gyro.T if inside[1] else self.rate
+        before = accel @ self.up[0] if inside[0] else self.up[0]
+        after = accel @ self.up[1] if inside[2] else self.up[1]
+        predicted = matrix(attitudes(self.t, rate))[-1].T @ before
+        return float(np.linalg.norm(after - predicted))
+
+
+def garbled(accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float) -> Finding | None:
+    """Find the stretch of time in which one sensor's axes are not what they were."""
+    if bins.rate is None or len(bins) < LEAST_TURNS:
+        return None
+    baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
+    found = [
+        Step(float(c.t[0]), float(c.t[-1]), c.t, c.rate, baseline.up[c.first : c.first + 2])
+        for c in cuts(gyroscope, bins)
+    ]
+    if len(found) < LEAST_TURNS:
+        return None
+    same = np.eye(3)
+    size = np.array([s.miss(same, same, (False, False, False)) for s in found])
+    bad = size > max(FAR, TIMES * float(np.quantile(size, 0.3)))
+    span = _stretch(bad)
+    return None if span is None else _explained(found, size, bad, span)
+
+
+def _stretch(bad: NDArray[np.bool_]) -> tuple[int, int] | None:
+    """Return first and last turn of the stretch that holds the bad ones.
+
+    None where there is no one stretch.
+    """
+    gain = np.concatenate([[0.0], np.cumsum(np.where(bad, 1.0, -1.0))])
+    lowest = np.minimum.accumulate(gain)
+    last = int(np.argmax(gain - lowest))
+    first = int(np.argmin(gain[: last + 1]))
+    inside = bad[first:last]
+    if inside.sum() < LEAST_BAD or inside.mean() < DENSE or bad.mean() > MOST_BAD:
+        return None
+    if bad.sum() - inside.sum() > 0.1 * bad.size:
+        return None
+    return first, last - 1
+
+
+def _exchanges() -> list[Array]:
+    """Return all exchanges of axes and signs but the one that changes nothing, the simplest first."""
+    made = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        made.append(np.diag(signs) @ np.eye(3)[list(order)])
+    made.sort(key=lambda m: float(np.abs(m - np.eye(3)).sum()))
+    return made[1:]
+
+
+def _explained(
+    found: list[Step], size: Array, bad: NDArray[np.bool_], span: tuple[int, int]
+) -> Finding | None:
+    """Return the finding of the simplest exchange that mends the stretch."""
+    limit = max(FAR, TIMES * float(np.quantile(size, 0.3)))
+    rows = range(span[0], span[1] + 1)
+    same = np.eye(3)
+    best = (0.0, "", same)
+    for change, sensor in product(_exchanges(), ("accel", "gyro")):
+        accel, gyro = (change, same) if sensor == "accel" else (same, change)
+        mended = [min(found[i].miss(accel, gyro, e) for e in _edges(i, span)) < limit for i in rows if bad[i]]
+        share = float(np.mean(mended)) - 1e-3 * float(np.abs(change - same).sum())
+        if share > best[0] + 1e-9:
+            best = share, sensor, change
+    share, sensor, change = best
+    if share < MENDED:
+        return None
+    return _stated(found, size, span, sensor, change)
+
+
+def _edges(i: int, span: tuple[int, int]) -> list[tuple[bool, bool, bool]]:
+    """Return which of rest, rates, rest may be garbled in a turn: all within, some at the stretch's edges."""
+    if span[0] < i < span[1]:
+        return [(True, True, True)]
+    return [
+        (False, False, True),
+        (False, True, True),
+        (True, True, True),
+        (True, True, False),
+        (True, False, False),
+    ]
+
+
+def _stated(found: list[Step], size: Array, span: tuple[int, int], sensor: str, change: Array) -> Finding:
+    first, last = span
+    start, end = found[first].start, found[last].end
+    inside = np.zeros(size.size, dtype=bool)
+    inside[first : last + 1] = True
+    axes = [a for a in range(3) if change[a, a] != 1.0]
+    told = ", ".join(
+        f"{AXES[a]} is {'-' if change[a].sum() < 0 else ''}{AXES[int(np.argmax(np.abs(change[a])))]}"
+        for a in axes
+    )
+    say = f"From {start:.0f} to {end:.0f} s the {sensor} sensor's axes are not what they were: {told}."
+    before = float(np.sqrt(np.mean(size[inside] ** 2)))
+    usual = float(np.sqrt(np.mean(size[~inside] ** 2))) if (~inside).any() else 0.0
+    gain = float(inside.sum() * 2.0 * np.log(max(before / max(usual, 1e-3), 1.0)))
+    where = Where(start, end, (0.0, 10.0), "rate of turn")
+    sizes = {"miss": (before, "rad"), "exchange": (change.tolist(), "1")}
+    return unknown(sensor, axes, where, sizes, statement=say, seen=Seen(30.0, gain, before, usual))
+
+
+def outside(bins: Bins, t_start: float, t_end: float) -> Bins:
+    """Return the bins that do not touch a stretch of time."""
+    return bins.chosen((bins.t + bins.duration / 2 < t_start) | (bins.t - bins.duration / 2 > t_end))

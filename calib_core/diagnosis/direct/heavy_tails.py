@@ -1,0 +1,273 @@
+"""Single samples that fall too far out: noise with heavy tails, and rare spikes.
+
+The quiet rests tell: what shakes the phone in others adds samples that follow each other, on several axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.model.measurement import (
+    SIGNIFICANT,
+    Measured,
+    Seen,
+    direct_finding,
+    unknown,
+)
+from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
+
+AXES = [0, 1, 2]
+FAR = 4.0
+BOUND = 6.0
+"""Spreads at which samples are held for their fourth moment: no normal one is beyond.
+
+Below eight degrees of freedom Student's has no variance: its error would grow with the moment itself."""
+
+TOGETHER = 0.2
+CLUSTERED = 0.05
+MOST_WIDE = 0.35
+SPIKE, RARE = 8.0, 2e-3
+"""Far samples are spikes, no noise, above this ratio if fewer than this part (more at a larger ratio)."""
+LEAST_SPIKES = 5
+QUIETEST = 0.1
+"""Part of the pieces whose spread is the sensor's own, where others are shaken."""
+
+LOUDER = 1.1
+"""Times that spread up to which a piece is quiet, chance aside: a fifth of its variance may be shaking."""
+
+CHANCE = 4.0
+"""Standard errors of a spread by which a quiet piece may seem louder."""
+
+FEWEST_QUIET = 6
+EDGES = 400
+FARTHEST = 60.0
+MODEL = 0.01
+"""Relative error of a ratio for steps, and spreads that differ by axis and rest."""
+
+
+def fast(piece: Array) -> Array:
+    """Return a piece (n, 3) free of its slow course, a cubic in time."""
+    x = np.linspace(-1.0, 1.0, len(piece))
+    course = np.polynomial.legendre.legvander(x, 3)
+    return np.asarray(piece - course @ np.linalg.lstsq(course, piece, rcond=None)[0])
+
+
+def _spread(quick: Array) -> Array:
+    """Return the spread (3,) by the mean absolute deviation, far samples cut; steps do not make it jump."""
+    size = np.abs(quick)
+    limit = 3.0 * np.maximum(1.4826 * np.median(size, axis=0), size.mean(axis=0))
+    return np.asarray(np.sqrt(np.pi / 2.0) * np.minimum(size, limit).mean(axis=0))
+
+
+def _chance(pieces: Sequence[Array]) -> float:
+    """Return the relative standard error of a spread: mean absolute deviations of n have 0.76 / sqrt(n)."""
+    return float(0.76 / np.sqrt(np.median([len(p) for p in pieces])))
+
+
+def _quiet(quick: Sequence[Array], own: Array) -> NDArray[np.bool_]:
+    """Return which pieces are as quiet as the quietest on every axis; all where hardly any are.
+
+    own: (P, 3) their spreads.
+    """
+    least = np.maximum(np.quantile(own, QUIETEST, axis=0), 1e-300)
+    calm = (own < least * (LOUDER + CHANCE * _chance(quick))).all(axis=1)
+    return np.asarray(calm if calm.sum() >= FEWEST_QUIET else np.ones_like(calm))
+
+
+def standardised(pieces: Sequence[Array]) -> tuple[list[Array], Array]:
+    """Return the quiet pieces free of their slow course in units of robust spread, and the typical one (3,).
+
+    The unit is the spread of all of them, where they are alike.
+    """
+    every = [fast(p) for p in pieces]
+    spreads = np.array([_spread(q) for q in every])
+    calm = _quiet(every, spreads)
+    quick, own = [q for q, use in zip(every, calm, strict=True) if use], spreads[calm]
+    typical = np.maximum(np.median(own, axis=0), 1e-300)
+    alike = 1.4826 * np.median(np.abs(own / typical - 1.0), axis=0) < 1.5 * _chance(quick) + 0.03
+    units = [np.where(alike, typical, np.maximum(s, 1e-300)) for s in own]
+    return [q / unit for q, unit in zip(quick, units, strict=True)], typical
+
+
+def tails(still: Quiet, sensor: str, where: Where, step: float) -> Finding | None:
+    """Find far samples that come alone: not with others in time, nor on the other axes.
+
+    step: of the values; its share of the variance is taken off.
+    """
+    scaled, spread = standardised(still.pieces)
+    kurtosis = [_kurtosis(scaled, [a]) for a in range(3)]
+    bounded = [np.clip(z, -BOUND, BOUND) for z in scaled]
+    held = [_kurtosis(bounded, [a]) for a in range(3)]
+    every = (*kurtosis, *held, _kurtosis(scaled, AXES), _kurtosis(bounded, AXES))
+    sigmas = max(k.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE) for k in every)
+    axes = [a for a in AXES if sigmas >= SIGNIFICANT and (_heavy(kurtosis[a]) or _heavy(held[a]))]
+    everything = np.concatenate(scaled)
+    if not axes or _clustered(everything[:, axes]) or _together(everything):
+        return None
+    values = np.abs(everything[:, axes]).ravel()
+    fit = contaminated(values, (step / float(spread[axes].mean())) ** 2 / 12.0)
+    if fit.fraction.value > MOST_WIDE:
+        return None
+    share = fit.fraction.value
+    say = f"{share:.1%} of the {sensor} sensor's samples scatter {fit.ratio.value:.1f} times wider."
+    parameters = {
+        "ratio": fit.ratio.parameter("1"),
+        "fraction": fit.fraction.parameter("1"),
+        "excess_kurtosis": Parameter(
+            [k.value for k in kurtosis],
+            [[k.value - 1.96 * k.error, k.value + 1.96 * k.error] for k in kurtosis],
+            "1",
+        ),
+    }
+    seen = _left_out([z[:, axes] for z in scaled], sigmas)
+    if fit.ratio.value > SPIKE and share < RARE * fit.ratio.value / SPIKE:
+        return _spikes(sensor, axes, everything, where, seen)
+    return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
+
+
+def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) -> Finding | None:
+    far = np.abs(z[:, axes]) > FAR + 1.0
+    if far.sum() < LEAST_SPIKES:
+        return None
+    size = float(np.median(np.abs(z[:, axes])[far]))
+    n = int(far.sum())
+    say = f"{n} single samples of the {sensor} sensor at rest are off by some {size:.0f} times its noise."
+    sizes = {"count": (float(far.sum()), "1"), "size": (size, "of the noise")}
+    return unknown(sensor, axes, where, sizes, statement=say, seen=seen)
+
+
+def _heavy(kurtosis: Measured) -> bool:
+    """Whether an axis, once far samples are sure on one or all together, is among those that have them."""
+    return kurtosis.value > max(thresholds.KURTOSIS_TOLERANCE, thresholds.AXIS_SIGMA * kurtosis.error)
+
+
+def _kurtosis(scaled: list[Array], axes: list[int]) -> Measured:
+    """Return the excess kurtosis of some axes together over all pieces.
+
+    Its error from the pieces left out in tenths.
+    """
+    fourth = np.array([(z[:, axes] ** 4).mean(axis=1).sum() for z in scaled])
+    second = np.array([(z[:, axes] ** 2).mean(axis=1).sum() for z in scaled])
+    count = np.array([len(z) for z in scaled])
+    part = np.arange(len(scaled)) % min(20, len(scaled))
+
+    def of(rows: NDArray[np.bool_]) -> float:
+        n = float(count[rows].sum())
+        return float(fourth[rows].sum() / n / (second[rows].sum() / n) ** 2 - 3.0)
+
+    whole = of(np.ones(part.size, dtype=bool))
+    left = np.array([of(part != k) for k in np.unique(part)])
+    spread = float(np.sqrt((left.size - 1) / left.size * ((left - left.mean()) ** 2).sum()))
+    return Measured(whole, max(spread, float(np.sqrt(24.0 / (len(axes) * count.sum())))))
+
+
+def _together(z: Array) -> bool:
+    """Whether far samples come with far samples on other axes: a knock, not noise of the sensor."""
+    far = np.abs(z) > FAR
+    several = float((far.sum(axis=1) > 1).sum()) / max(float(far.any(axis=1).sum()), 1.0)
+    return several > TOGETHER
+
+
+def _clustered(z: Array) -> bool:
+    """Whether large samples follow large ones: something shook the phone, or its noise changes."""
+    size = np.minimum(np.abs(z), 3.0)
+    size = size - size.mean(axis=0)
+    power = float((size**2).mean())
+    near = [float((size[k:] * size[:-k]).mean()) / power for k in (1, 2, 3, 5)]
+    return max(near) > CLUSTERED
+
+
+@dataclass(frozen=True, slots=True)
+class Contaminated:
+    """(1 - fraction) N(0, spread^2) + fraction N(0, (ratio spread)^2)."""
+
+    ratio: Measured
+    fraction: Measured
+    spread: float
+
+
+def contaminated(size: Array, steps: float = 0.0) -> Contaminated:
+    """Fit a mixture of two normals of mean 0 to absolute values (n,) by maximum likelihood.
+
+    Errors by its curvature.
+
+    steps: variance of the steps in the same unit, which both components have.
+    """
+    from scipy.optimize import minimize  # noqa: PLC0415 - the daemon stays light
+
+    counts, middles = _histogram(size)
+
+    def cost(x: Array) -> float:
+        return -float(counts @ np.log(_density(middles, x) + 1e-300))
+
+    start = np.array([np.log(0.8), np.log(3.0), np.log(0.03)])
+    fitted = minimize(
+        cost, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-3, "maxiter": 2000}
+    )
+    x = np.asarray(fitted.x)
+    error = np.sqrt(np.maximum(np.linalg.pinv(_curvature(cost, x)).diagonal(), 0.0))
+    narrow = np.exp(2.0 * x[0])
+    wide = narrow * np.exp(2.0 * x[1])
+    ratio = float(np.sqrt(max(wide - steps, 1e-12) / max(narrow - steps, 1e-12)))
+    share = float(1.0 / (1.0 + np.exp(-x[2])))
+    return Contaminated(
+        Measured(ratio, ratio * float(np.hypot(error[1], MODEL))),
+        Measured(share, share * (1.0 - share) * float(error[2])),
+        float(np.sqrt(narrow)),
+    )
+
+
+def _histogram(size: Array) -> tuple[Array, Array]:
+    edges = np.concatenate([np.linspace(0.0, 6.0, EDGES), np.geomspace(6.02, FARTHEST, EDGES // 4)])
+    counts, _ = np.histogram(np.minimum(size, FARTHEST * 0.999), edges)
+    return counts.astype(np.float64), 0.5 * (edges[1:] + edges[:-1])
+
+
+def _density(z: Array, x: Array) -> Array:
+    """Return the mixture's density at z; x: log spread, log ratio, logit of the fraction."""
+    spread, wide, share = np.exp(x[0]), np.exp(x[0] + x[1]), 1.0 / (1.0 + np.exp(-x[2]))
+    narrow = np.exp(-0.5 * (z / spread) ** 2) / spread
+    return np.asarray((1.0 - share) * narrow + share * np.exp(-0.5 * (z / wide) ** 2) / wide)
+
+
+def _curvature(cost: object, x: Array, h: float = 0.02) -> Array:
+    """Return the matrix of second derivatives by central differences."""
+    assert callable(cost)
+    n, steps = x.size, h * np.eye(x.size)
+    out = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            a, b = steps[i], steps[j]
+            out[i, j] = (cost(x + a + b) - cost(x + a - b) - cost(x - a + b) + cost(x - a - b)) / (
+                4.0 * h * h
+            )
+    return out
+
+
+def _left_out(scaled: list[Array], sigmas: float) -> Seen:
+    """Predict the samples of rests left out by the mixture fitted to the others, and by one normal."""
+    fold = blocks(len(scaled))
+    gain, before, after = 0.0, [], []
+    for k in np.unique(fold):
+        train = np.abs(np.concatenate([z for z, f in zip(scaled, fold, strict=True) if f != k])).ravel()
+        test = np.abs(np.concatenate([z for z, f in zip(scaled, fold, strict=True) if f == k])).ravel()
+        fit = contaminated(train)
+        share = min(max(fit.fraction.value, 1e-6), 1.0 - 1e-6)
+        x = np.array([np.log(fit.spread), np.log(fit.ratio.value), np.log(share / (1.0 - share))])
+        s = rms(train)
+        gain += float(np.log(_density(test, x) + 1e-300).sum() + (0.5 * (test / s) ** 2 + np.log(s)).sum())
+        seen, model = (
+            float(np.mean(test**4)),
+            3.0 * fit.spread**4 * (1.0 + share * (fit.ratio.value**4 - 1.0)),
+        )
+        before.append(seen / 3.0 - 1.0)
+        after.append((seen - model) / 3.0)
+    return Seen(sigmas, gain, rms(np.array(before)), rms(np.array(after)))

@@ -1,0 +1,208 @@
+"""What the spectrum at rest says: the quiet samples themselves, their densities, and a low-pass.
+
+Densities are one-sided, by Welch's method (IEEE Trans. Audio Electroacoust. 15, 1967), piece by piece.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.streams.samples import Samples
+
+SEGMENT = 256
+SHORTEST = 64
+LOWEST = 0.02
+CUTOFFS = 240
+ORDERS = (1, 2, 4)
+USED_RANGE = 3.5
+LEAST_PIECES = 3
+CLEAN = 0.02
+MODEL = 0.02
+"""Relative error of a cutoff for not knowing how the filter was made."""
+SHARED = 1.9
+"""Numbers of a spectrum under overlapping Hann windows for each independent one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quiet:
+    """Samples inside rests: pieces (n_i, 3) free of their means; rate: Hz; t_start of each piece, s."""
+
+    pieces: tuple[Array, ...]
+    t_start: tuple[float, ...]
+    rate: float
+
+
+def quiet(samples: Samples, bins: Bins) -> Quiet:
+    """Cut the bins' samples out of a stream."""
+    first = np.searchsorted(samples.t, bins.t - bins.duration / 2)
+    last = np.searchsorted(samples.t, bins.t + bins.duration / 2)
+    period = float(np.median(np.diff(samples.t)))
+    keep = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST]
+    pieces = tuple(samples.xyz[a:b] - samples.xyz[a:b].mean(axis=0) for a, b in keep)
+    return Quiet(pieces, tuple(float(samples.t[a]) for a, _ in keep), 1.0 / max(period, 1e-9))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LowPass:
+    """A low-pass: cutoff Hz, its shape (F,) of power at the spectra's frequencies, how far flat is worse."""
+
+    cutoff: Measured
+    shape: Array
+    gain: float
+    order: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectra:
+    """f: (F,) Hz; power: (pieces, F, 3) unit^2/Hz; averages: (pieces,) independent ones; band: (F,) judged.
+
+    t: (pieces + 1,) s, when each began and the last ended. low_pass: what shapes it, None where it is flat.
+    """
+
+    t: Array
+    f: Array
+    power: Array
+    averages: Array
+    band: NDArray[np.bool_]
+    rate: float
+    low_pass: LowPass | None
+
+    def shape(self) -> Array:
+        """Return the power (F,) that white noise would have, 1 at low frequency."""
+        return np.ones(self.f.size) if self.low_pass is None else self.low_pass.shape
+
+
+def _segment(still: Quiet) -> int:
+    """Return how many samples a Welch segment has: most pieces hold one, the few shorter are left out."""
+    sizes = [len(p) for p in still.pieces]
+    return int(np.clip(np.quantile(sizes, 0.1), SHORTEST, SEGMENT))
+
+
+def spectra(still: Quiet) -> tuple[Array, Array]:
+    """Return frequencies (F,) Hz and one-sided densities (pieces, F, 3) of the pieces long enough.
+
+    One at least.
+    """
+    from scipy.signal import welch  # noqa: PLC0415 - the daemon stays light
+
+    length = _segment(still)
+    used = [p for p in still.pieces if len(p) >= length]
+    power = np.array([welch(p, fs=still.rate, nperseg=length, axis=0)[1] for p in used])
+    return np.asarray(np.fft.rfftfreq(length, 1.0 / still.rate), dtype=np.float64), power
+
+
+def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
+    """Return the spectra with what is needed to judge them; None where there are too few pieces.
+
+    floor: density^2 of the steps' noise.
+    """
+    if len(still.pieces) < LEAST_PIECES:
+        return None
+    f, power = spectra(still)
+    length = _segment(still)
+    sizes = np.array([len(p) for p in still.pieces if len(p) >= length])
+    t = [t for t, p in zip(still.t_start, still.pieces, strict=True) if len(p) >= length]
+    times = np.array([*t, t[-1] + sizes[-1] / still.rate])
+    lowest = min(max(LOWEST * still.rate, 1.0), 0.1 * still.rate)
+    band = (f > lowest) & (f < 0.48 * still.rate)
+    # Hann windows that overlap by half leave 0.95 independent averages a segment (Welch 1967).
+    averages = 0.95 * np.maximum(2 * sizes // length - 1, 1)
+    low_pass = _low_pass(f, np.median(power, axis=0), band, (still.rate, floor), float(averages.sum()))
+    return Spectra(times, f, power, averages, band, still.rate, low_pass)
+
+
+def _shapes(f: Array, cutoffs: Array, rate: float) -> list[tuple[int, Array]]:
+    """Return (order, shapes (C, F)) of analogue filters and bilinear ones of cutoffs (C,) Hz."""
+    nyquist = np.pi * np.minimum(f, 0.4999 * rate) / rate
+    axes = (f, cutoffs), (np.tan(nyquist), np.tan(np.pi * cutoffs / rate))
+    return [
+        (order, 1.0 / (1.0 + (at[None, :] / cutoff[:, None]) ** (2 * order)))
+        for (at, cutoff), order in product(axes, ORDERS)
+    ]
+
+
+def _low_pass(
+    f: Array, typical: Array, band: NDArray[np.bool_], noise: tuple[float, float], averages: float
+) -> LowPass | None:
+    """Fit A / (1 + (f / fc)^2n) + floor to the typical log spectrum (F, 3); None where flat does as well.
+
+    noise: rate Hz, floor of the steps. Only what is above -15 dB counts. A spectrum that no filter fits
+    cleanly is of something else.
+    """
+    rate, floor = noise
+    power = typical.mean(axis=1)
+    if np.median(power[band]) <= 0.0:
+        return None
+    logs = np.log(np.maximum(power, np.finfo(np.float64).tiny))
+    used = band & (logs > np.quantile(logs[band], 0.9) - USED_RANGE)
+    seen = logs[used]
+    cutoffs = np.geomspace(0.02 * rate, 0.49 * rate, CUTOFFS)
+    best: tuple[float, int, int, Array, Array] | None = None
+    for order, shapes in _shapes(f, cutoffs, rate):
+        level = np.median(np.maximum(power[used] - floor, 0.2 * power[used]) / shapes[:, used], axis=1)
+        models = (level[:, None] * shapes + floor) / (level[:, None] + floor)
+        misfit = (seen - np.log(models[:, used])).var(axis=1)
+        k = int(np.argmin(misfit))
+        if best is None or misfit[k] < best[0]:
+            best = float(misfit[k]), k, order, misfit, models[k]
+    assert best is not None
+    least, k, order, misfit, shape = best
+    gain = seen.size * (float(seen.var()) - least) / max(least, 1e-12)
+    # A median of spectra on three axes scatters by pi/2 over their number.
+    clean = least < CLEAN + 2.0 * np.pi / 2.0 / (3.0 * averages)
+    if cutoffs[k] > thresholds.BANDWIDTH_LIMIT * rate or gain < thresholds.BANDWIDTH_GAIN or not clean:
+        return None
+    near = cutoffs[seen.size * (misfit - least) / least < 4.0]
+    spread = max(float(np.sqrt(SHARED)) * float(near[-1] - near[0]) / 4.0, MODEL * float(cutoffs[k]))
+    return LowPass(Measured(_between(cutoffs, misfit, k), spread), shape, gain, order)
+
+
+def _between(cutoffs: Array, misfit: Array, k: int) -> float:
+    """Return the least of a curve between the places of a logarithmic grid, by a parabola."""
+    k = int(np.clip(k, 1, cutoffs.size - 2))
+    left, middle, right = misfit[k - 1 : k + 2]
+    bend = left - 2.0 * middle + right
+    shift = 0.0 if bend <= 0.0 else float(np.clip(0.5 * (left - right) / bend, -1.0, 1.0))
+    return float(cutoffs[k] * (cutoffs[k + 1] / cutoffs[k]) ** shift)
+
+
+def bandwidth(spectrum: Spectra, sensor: str, where: Where) -> Finding | None:
+    """State a low-pass, with the spectra of rests left out."""
+    found = spectrum.low_pass
+    if found is None:
+        return None
+    say = f"The {sensor} sensor's output is low-passed at {found.cutoff.value:.2g} Hz."
+    seen = _left_out(spectrum, found)
+    parameters = {"cutoff": found.cutoff.parameter("Hz")}
+    return direct_finding("bandwidth", sensor, [0, 1, 2], where, parameters, statement=say, seen=seen)
+
+
+def _left_out(spectrum: Spectra, found: LowPass) -> Seen:
+    """Predict spectra of rests by the filter and by flat noise.
+
+    Each of the others' level (Whittle's likelihood).
+    """
+    power = spectrum.power[:, spectrum.band]
+    shape = found.shape[spectrum.band][None, :, None]
+    fold, gain = blocks(len(power)), 0.0
+    before, after = [], []
+    for k in np.unique(fold):
+        train, test = power[fold != k], power[fold == k]
+        weight = spectrum.averages[fold == k][:, None, None] / SHARED
+        flat = np.broadcast_to(train.mean(axis=(0, 1), keepdims=True), (1, *power.shape[1:]))
+        bent = (train / shape).mean(axis=(0, 1), keepdims=True) * shape
+        gain += float((weight * (np.log(flat / bent) + test / flat - test / bent)).sum())
+        mean = np.log(test.mean(axis=0))
+        before.append(rms(mean - np.log(flat[0])))
+        after.append(rms(mean - np.log(bent[0])))
+    return Seen(float(np.sqrt(found.gain)), gain, rms(np.array(before)), rms(np.array(after)))

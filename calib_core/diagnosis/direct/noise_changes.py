@@ -1,0 +1,216 @@
+"""Noise that is not always of one level: one sensor's own, white at every level or low-passed at one.
+
+Its level by piece of rest is held against a stretch of time, temperature and charging. What moves or shakes
+the phone differs from rest to rest and has a spectrum of its own, so a change counts only where the pieces
+are as even about it as noise makes them, and where all bands change alike or as a low-pass changes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Spectra
+from stillcal.calib_core.diagnosis.direct.noise_level import Levels
+from stillcal.calib_core.diagnosis.model.left_out import rms
+from stillcal.calib_core.diagnosis.model.measurement import FOLDS, Index, Seen, unknown
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+
+LEAST_PIECES = 5
+LEAST_CHANGE = 0.22
+LEAST_SIGMAS = 8.0
+EVEN = 2.0
+NINE_IN_TEN = 1.645
+WHITE = 0.25
+BANDS = 6
+KNOTS = 4
+"""Places, evenly spaced in rank, between which the level's course with temperature is straight."""
+
+LEAST_RANGE = 1.0
+"""Kelvin that a temperature must go through for noise to follow it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """What the level may follow. driver: its name; design: (n, k); span: s, its change; tries: paid."""
+
+    driver: str
+    design: Array
+    span: tuple[float, float]
+    tries: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    course: Course
+    fitted: Array
+    high: NDArray[np.bool_]
+    change: float
+    sigmas: float
+    seen: Seen
+
+
+def changing(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Finding | None:
+    """Find what the level of the noise follows, the best of what is even and of a sensor's own spectrum."""
+    level = np.log(measured.pieces).mean(axis=1)
+    if level.size < 3 * LEAST_PIECES:
+        return None
+    own = np.searchsorted(bins.t - bins.duration / 2, spectrum.t[:-1] + 1e-6, side="right") - 1
+    fits = [
+        fit
+        for course in _courses(level, spectrum.t, bins, np.maximum(own, 0))
+        if (fit := _fitted(level, course, spectrum, bins.rest[np.maximum(own, 0)])) is not None
+        and _of_sensor(spectrum, fit.high)
+    ]
+    if not fits:
+        return None
+    best = max(fits, key=lambda fit: fit.seen.gain - float(np.log(fit.course.tries)))
+    return _stated(best, measured, sensor, spectrum.rate)
+
+
+def _courses(level: Array, t: Array, bins: Bins, own: Index) -> list[Course]:
+    n, whole = level.size, (float(t[0]), float(t[-1]))
+    first, last = _run(level)
+    inside = np.zeros(n, dtype=bool)
+    inside[first:last] = True
+    span = (float(t[first]), float(t[last]))
+    made = [Course("time", np.stack([np.ones(n), inside], axis=1), span, 0.5 * n * n)]
+    if bins.temperature is not None and np.ptp(bins.temperature[own]) > LEAST_RANGE:
+        made.append(Course("temperature", _hats(bins.temperature[own]), whole, 3.0))
+    if bins.charging is not None:
+        made.append(Course("charging", np.stack([np.ones(n), bins.charging[own]], axis=1), whole, 3.0))
+    return made
+
+
+def _hats(x: Array) -> Array:
+    """Return the design (n, k) of a curve that is straight between knots at even ranks of x (n,)."""
+    knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, KNOTS)))
+    return np.stack([np.interp(x, knots, row) for row in np.eye(knots.size)], axis=1)
+
+
+def _fitted(level: Array, course: Course, spectrum: Spectra, rest: Index) -> _Fit | None:
+    """Fit a course to the level (n,); None where the change is small, by chance, or uneven."""
+    fitted = course.design @ _least_squares(course.design, level)
+    high = fitted > 0.5 * (fitted.max() + fitted.min())
+    if min(high.sum(), (~high).sum()) < LEAST_PIECES:
+        return None
+    change = float(np.median(level[high]) - np.median(level[~high]))
+    left, groups = level - fitted, (high, ~high)
+    spreads = [(_scatter(left[rows]), _chance(spectrum, rows)) for rows in groups]
+    if change < LEAST_CHANGE or any(seen > EVEN * chance + 0.03 for seen, chance in spreads):
+        return None
+    spread = max(max(pair) for pair in spreads)
+    gained = 0.5 * float(((level - level.mean()) ** 2).sum() - (left**2).sum()) / spread**2
+    sigmas = float(np.sqrt(max(2.0 * (gained - np.log(course.tries)), 0.0)))
+    seen = _left_out(level, course, rest, sigmas)
+    if sigmas < LEAST_SIGMAS or seen.gain < np.log(course.tries):
+        return None
+    return _Fit(course, fitted, high, change, sigmas, seen)
+
+
+def _chance(spectrum: Spectra, rows: NDArray[np.bool_]) -> float:
+    """Return the standard deviation that the level (a logarithm) of some pieces has by chance.
+
+    A density averaged over powers p has as many independent ones as (sum p)^2 / sum p^2.
+    """
+    flat = np.median(spectrum.power[rows], axis=0) / spectrum.shape()[:, None]
+    power = flat[spectrum.band]
+    count = float((power.sum(axis=0) ** 2 / np.maximum((power**2).sum(axis=0), 1e-300)).sum())
+    return 0.5 * float(np.sqrt(SHARED / (np.median(spectrum.averages[rows]) * max(count, 1.0))))
+
+
+def _least_squares(design: Array, level: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(design, level, rcond=None)[0])
+
+
+def _run(course: Array) -> tuple[int, int]:
+    """Return first and one past last of the run that differs most from the rest.
+
+    In sum of squares explained.
+    """
+    n = course.size
+    total = np.concatenate([[0.0], np.cumsum(course - course.mean())])
+    size = np.arange(1, n)
+    best = (0.0, 0, n)
+    for length in size[LEAST_PIECES - 1 : n - LEAST_PIECES]:
+        gap = total[length:] - total[:-length]
+        k = int(np.argmax(np.abs(gap)))
+        score = float(gap[k] ** 2 * n / (length * (n - length)))
+        if score > best[0]:
+            best = score, k, k + int(length)
+    return best[1], best[2]
+
+
+def _scatter(values: Array) -> float:
+    """Return the standard deviation by what nine in ten keep to: a knocked rest may be off, not a third."""
+    return float(np.quantile(np.abs(values - np.median(values)), 0.9)) / NINE_IN_TEN
+
+
+def _of_sensor(spectrum: Spectra, high: NDArray[np.bool_]) -> bool:
+    """Whether white noise was multiplied or added, or a low-pass took noise away.
+
+    Neither roads nor steps in the house nor a charger that hums do so: what shakes has a spectrum of its own.
+    """
+    loud, faint = (_by_band(spectrum, rows) for rows in (high, ~high))
+    ratio = np.log(faint / loud)
+    if _alike(ratio) or ((loud > faint).all() and _alike(np.log(loud - faint))):
+        return True
+    return _rise(np.log(loud)) < WHITE and _rise(ratio) < WHITE and ratio[0] > 0.5 * ratio.min()
+
+
+def _by_band(spectrum: Spectra, rows: NDArray[np.bool_]) -> Array:
+    """Return the median power of some pieces in each of six bands, (6,), all axes together."""
+    power = np.maximum(np.median(spectrum.power[rows], axis=0)[spectrum.band], 1e-300)
+    return np.array([np.exp(np.log(part).mean()) for part in np.array_split(power, BANDS)])
+
+
+def _alike(course: Array) -> bool:
+    """Whether a logarithm of power is the same in all bands."""
+    return float(np.ptp(course)) < WHITE
+
+
+def _rise(course: Array) -> float:
+    """Return the most by which a band is above one at lower frequency."""
+    return float((course - np.minimum.accumulate(course)).max())
+
+
+def _stated(fit: _Fit, measured: Levels, sensor: str, rate: float) -> Finding:
+    ratio, (start, end) = float(np.exp(fit.change)), fit.course.span
+    by_axis = np.log(measured.pieces)
+    changes = np.median(by_axis[fit.high], axis=0) - np.median(by_axis[~fit.high], axis=0)
+    axes = [a for a in range(3) if abs(changes[a]) > 0.5 * fit.change]
+    if fit.course.driver == "time":
+        inside = fit.course.design[:, 1] > 0.5
+        ratio = ratio if (inside == fit.high).all() else 1.0 / ratio
+        say = f"From {start:.0f} to {end:.0f} s the {sensor} sensor's noise is {ratio:.2f} times its usual."
+    else:
+        change = f"{ratio:.2f} times between low and high"
+        say = f"The {sensor} sensor's noise follows {fit.course.driver}: {change}."
+    where = Where(start, end, (0.0, rate / 2.0), fit.course.driver)
+    return unknown(sensor, axes, where, {"ratio": (ratio, "1")}, statement=say, seen=fit.seen)
+
+
+def _left_out(level: Array, course: Course, rest: Index, sigmas: float) -> Seen:
+    """Predict the level of pieces left out by the course fitted to the others, and by their mean.
+
+    Rests are left out whole, but of a stretch of time every fifth piece: a rest may hold all of it.
+    """
+    fold = (np.arange(level.size) if course.driver == "time" else rest) % FOLDS
+    gain, before, after = 0.0, np.zeros(level.size), np.zeros(level.size)
+    for k in np.unique(fold):
+        train, test = fold != k, fold == k
+        if not train.any():
+            return Seen(sigmas, 0.0, rms(level - level.mean()), 0.0)
+        before[test] = level[test] - level[train].mean()
+        parameters = _least_squares(course.design[train], level[train])
+        after[test] = level[test] - course.design[test] @ parameters
+        s0 = rms(level[train] - level[train].mean())
+        s1 = max(rms(level[train] - course.design[train] @ parameters), 1e-12)
+        gain += float(
+            (np.log(s0 / s1) + 0.5 * (before[test] / s0) ** 2 - 0.5 * (after[test] / s1) ** 2).sum()
+        )
+    return Seen(sigmas, gain, rms(before), rms(after))

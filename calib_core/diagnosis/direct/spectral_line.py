@@ -1,0 +1,254 @@
+"""Lines in the spectrum of steady stretches, all along the recording or for a while.
+
+A line stands in the same place in several stretches and above its own neighbourhood, which a hand's tremor,
+typing or a road do not. Its frequency and amplitude come from the stamps themselves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.steady_segments import INDEPENDENT, NEIGHBOURS, Stretches, stretches
+from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.model.measurement import SIGNIFICANT, Index, Seen, direct_finding, vector
+from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.streams.samples import Samples
+
+BRIEF, SHORT, LONG = 8.0, 20.0, 60.0
+"""s of a stretch: short ones tell when a line comes and goes, long ones, or as long as a rest and no shorter
+than short ones, show faint lines, brief ones are for rests that hold no others."""
+
+PLAIN = 1e-20
+"""Probability of a line by chance below which short stretches show it well enough."""
+
+LEAST_LINE_HZ = 4.0
+BODY_HZ, SURE = 6.0, 1e-30
+"""Below this frequency a line must be as sure: overtones of hearts and hands reach so far."""
+
+LINE_P = 1e-5
+LEAST_STRETCHES = 4.5
+"""Stretches' lengths that a line must last: nine that overlap by half make five."""
+LEAST_STACK = 10
+USUAL = 0.98
+"""Quantile of all lines that tells how much larger than a flat spectrum's they come out here."""
+LOUDEST = 10.0
+LEAST_HALF, QUIET = 3.3, 2.83
+"""QUIET: mean of the largest of nine powers with no line (1 + 1/2 + ... + 1/9)."""
+
+FLANK, FLANK_SIGMAS = 0.15, 2.0
+FINE = 0.05
+MOST_REFINED = 60
+CLOCK = 2e-5
+STUDENT = 1.42
+"""Of a standard error from five parts: 97.5 % quantile with four degrees of freedom, over 1.96."""
+NAMED = 0.3
+PACES = (0.6, 3.0)
+"""Hz of hearts and steps."""
+CONTRAST = 5.0
+
+
+def tone(samples: Samples, sensor: str) -> Finding | None:
+    """Find the strongest line of one sensor above `LEAST_LINE_HZ`, or None."""
+    found = _of_any_length(samples, sensor)
+    if found is None or found.where.band_hz[0] > BODY_HZ or found.evidence.p_value < SURE:
+        return found
+    return None
+
+
+def _of_any_length(samples: Samples, sensor: str) -> Finding | None:
+    short = stretches(samples, sensor, SHORT)
+    found = _tone(samples, sensor, short)
+    if found is not None and found.evidence.p_value < PLAIN:
+        return found
+    found = _tone(samples, sensor, stretches(samples, sensor, LONG, SHORT)) or found
+    if found is None and (short is None or float(short.share.sum()) < LEAST_STACK):
+        return _tone(samples, sensor, stretches(samples, sensor, BRIEF))
+    return found
+
+
+def _tone(samples: Samples, sensor: str, seen: Stretches | None) -> Finding | None:
+    if seen is None:
+        return None
+    rate = 2.0 * float(seen.f[-1])
+    high = np.flatnonzero((seen.f > LEAST_LINE_HZ) & (seen.f < 0.49 * rate))
+    if high.size == 0:
+        return None
+    k = _line(seen.ratio[:, high], seen.share)
+    if k is None:
+        return None
+    middle = int(high[k])
+    near = seen.ratio[:, middle - 1 : middle + 2].max(axis=(1, 2))
+    lasting = _lasting(near)
+    profile = _profile(seen, lasting, middle)
+    brief = float(seen.share[lasting].sum()) < LEAST_STRETCHES
+    if brief or not _narrow(profile, 3 * lasting.size) or _of_a_body(seen, lasting, middle):
+        return None
+    return _stated(samples, sensor, seen, lasting, middle)
+
+
+def _line(ratio: Array, share: Array) -> int | None:
+    """Return the frequency that stands out in `LEAST_STRETCHES` stretches, or in the mean of all."""
+    best = ratio.max(axis=2)
+    threshold = float(np.log(best.size * 3 / LINE_P))
+    near = np.maximum(best, np.maximum(np.roll(best, 1, axis=1), np.roll(best, -1, axis=1)))
+    hits = share @ (near > threshold)
+    if hits.max() >= LEAST_STRETCHES:
+        clear = hits > hits.max() - 1.5
+        return int(np.argmax(np.where(clear, best.sum(axis=0), 0.0)))
+    return _stacked(ratio)
+
+
+def _stacked(ratio: Array) -> int | None:
+    """Return where all, half or a quarter of the stretches together stand out, or None.
+
+    On one axis, or on the three together. Without a line a ratio to the mean of n independent neighbours has
+    F(2, 2n): minus twice its log-probability is chi-squared with two degrees of freedom (Fisher's method).
+    """
+    from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
+
+    told = 2.0 * INDEPENDENT * np.log1p(np.minimum(ratio, LOUDEST) / INDEPENDENT)
+    total = np.concatenate([np.zeros((1, *ratio.shape[1:])), np.cumsum(told, axis=0)])
+    best: tuple[float, int] | None = None
+    for part in (1, 2, 4):
+        count = len(ratio) // part
+        if count < LEAST_STACK:
+            break
+        first = np.arange(0, len(ratio) - count + 1, max(count // 2, 1))
+        stack = total[first + count] - total[first]
+        for values, freedom in ((stack.max(axis=2), 2 * count), (stack.sum(axis=2), 6 * count)):
+            usual = float(np.quantile(values, USUAL)) / float(chi2.ppf(USUAL, freedom))
+            limit = float(chi2.isf(LINE_P / stack.size, freedom)) * max(usual, 1.0)
+            top = float(values.max()) / limit
+            if top > 1.0 and (best is None or top > best[0]):
+                best = top, int(np.argmax(values.max(axis=0)))
+    return None if best is None else best[1]
+
+
+def _lasting(near: Array) -> Index:
+    """Return the run of stretches that gains most over half way from no line to the mean; near: (S,)."""
+    half = max(0.5 * (QUIET + float(near.mean())), LEAST_HALF)
+    gain = np.concatenate([[0.0], np.cumsum(np.minimum(near, 4.0 * half) - half)])
+    lowest = np.minimum.accumulate(gain)
+    last = int(np.argmax(gain - lowest))
+    first = int(np.argmin(gain[: last + 1]))
+    return np.arange(first, last, dtype=np.int64)
+
+
+def _profile(seen: Stretches, rows: Index, middle: int) -> Array:
+    """Return the power (41,) about a line, summed over stretches, in steps of what each one tells apart."""
+    steps = np.arange(-20, 21)
+    at = middle + np.round(np.outer(seen.wider[rows], steps)).astype(np.int64)
+    within = np.clip(at, 0, seen.f.size - 1)
+    return np.asarray(seen.power[rows[:, None], within].sum(axis=(0, 2)))
+
+
+def _narrow(profile: Array, count: int) -> bool:
+    """Whether the power (41,), a sum of `count` powers, falls off within three bins, as a taper's."""
+    middle = profile.size // 2
+    away = np.abs(np.arange(profile.size) - middle)
+    floor = float(np.median(profile[away > 12]))
+    flank = profile[(away >= 4) & (away <= 6)]
+    chance = FLANK_SIGMAS * floor * float(np.sqrt(NEIGHBOURS / INDEPENDENT / count / flank.size))
+    return float(flank.mean()) - floor - chance < FLANK * (float(profile[away <= 1].mean()) - floor)
+
+
+def _of_a_body(seen: Stretches, rows: Index, middle: int) -> bool:
+    """Whether a line is an overtone of a heart or a step.
+
+    Its lower neighbours stand at multiples of one pace.
+    """
+    power = seen.power[rows].sum(axis=(0, 2))
+    floor = np.array([np.median(power[max(k - 20, 1) : k + 21]) for k in range(middle + 3)])
+    step, line = float(seen.f[1]), float(power[middle - 1 : middle + 2].max())
+    for n in range(2, int(middle * step / PACES[0]) + 1):
+        pace = middle / n
+        if not PACES[0] <= pace * step <= PACES[1]:
+            continue
+        lower = [round(pace * (n - k)) for k in (1, 2) if n > k]
+        tops = [float(power[max(j - 2, 0) : j + 3].max()) for j in lower]
+        if all(p > CONTRAST * floor[j] and p > 0.5 * line for p, j in zip(tops, lower, strict=True)):
+            return True
+    return False
+
+
+def _amplitudes(seen: Stretches, rows: Index, f: Array) -> Array:
+    """Return complex amplitudes (rows, f, 3) of sines by the stamps, tapered."""
+    out = np.empty((rows.size, f.size, 3), dtype=np.complex128)
+    for i, row in enumerate(rows):
+        out[i] = np.exp(-2j * np.pi * np.outer(f, seen.t[row])) @ seen.tapered[row]
+    return np.asarray(out * seen.to_amplitude[rows, None, None])
+
+
+def _frequency(seen: Stretches, rows: Index, middle: int) -> tuple[float, float]:
+    """Return frequency and standard error from the power about a bin, the error from fifths left out."""
+    few = rows[np.linspace(0, rows.size - 1, min(rows.size, MOST_REFINED)).astype(int)]
+    step = float(seen.f[1])
+    grid = seen.f[middle] + np.arange(-1.5, 1.5 + FINE, FINE) * step
+    power = (np.abs(_amplitudes(seen, few, grid)) ** 2).sum(axis=2)
+    fold = blocks(len(power))
+    best = _peak(grid, power.sum(axis=0))
+    parts = np.array([_peak(grid, power[fold != k].sum(axis=0)) for k in np.unique(fold)])
+    n = parts.size
+    error = STUDENT * float(np.sqrt((n - 1) / n * ((parts - parts.mean()) ** 2).sum()))
+    return best, float(np.hypot(error, max(CLOCK * best, 2e-3 * step)))
+
+
+def _peak(grid: Array, power: Array) -> float:
+    k = int(np.clip(np.argmax(power), 1, grid.size - 2))
+    a, b, c = power[k - 1 : k + 2]
+    bend = a - 2.0 * b + c
+    return float(
+        grid[k] + (0.0 if bend >= 0.0 else np.clip(0.5 * (a - c) / bend, -1, 1)) * (grid[1] - grid[0])
+    )
+
+
+def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | None:
+    frequency, error = _frequency(seen, rows, middle)
+    line = np.abs(_amplitudes(seen, rows, np.array([frequency]))[:, 0]) ** 2
+    scale = seen.to_amplitude[rows] ** 2
+    noise = scale[:, None] * seen.power[rows, middle] / np.maximum(seen.ratio[rows, middle], 1e-300)
+    power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)
+    amplitude = np.sqrt(np.maximum(power, 0.0))
+    scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude
+    axes = [
+        a for a in range(3) if amplitude[a] > NAMED * amplitude.max() and power[a] > 3.0 * spread[a] - 1e-30
+    ]
+    axes = axes or [int(np.argmax(amplitude))]
+    evidence = _left_out(line, noise)
+    if evidence.sigmas < SIGNIFICANT:
+        return None
+    first, last = int(seen.first[rows[0]]), int(seen.first[rows[-1]] + seen.length[rows[-1]]) - 1
+    half = 1.96 * error
+    parameters = {
+        "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),
+        "amplitude": vector(amplitude, scatter, UNIT[sensor]),
+    }
+    where = Where(
+        float(samples.t[first]), float(samples.t[last]), (frequency - half, frequency + half), "time"
+    )
+    rate = 2.0 * float(seen.f[-1])
+    say = (
+        f"The {sensor} sensor's data hold a vibration at {frequency:.2f} Hz,"
+        f" {amplitude.max():.3g} {UNIT[sensor]}"
+        f" (or at {rate - frequency:.1f} or {rate + frequency:.1f} Hz, sampled too slowly)."
+    )
+    return direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, seen=evidence)
+
+
+def _left_out(line: Array, noise: Array) -> Seen:
+    """Predict powers (S, 3) of stretches left out: exponential about noise, with and without a line."""
+    floor = np.maximum(noise.mean(axis=0), 1e-300)
+    ratio = line / floor
+    fold, gain = blocks(len(ratio)), 0.0
+    before, after = [], []
+    for k in np.unique(fold):
+        test, more = ratio[fold == k], np.maximum(ratio[fold != k].mean(axis=0), 1.0)
+        gain += float((test - test / more - np.log(more)).sum())
+        seen = np.sqrt(line[fold == k])
+        before.append(rms(seen))
+        after.append(rms(seen - np.sqrt(line[fold != k].mean(axis=0))))
+    more = np.maximum(ratio.mean(axis=0), 1.0)
+    whole = float(len(ratio) * (more - 1.0 - np.log(more)).sum())
+    return Seen(float(np.sqrt(2.0 * whole)), gain, rms(np.array(before)), rms(np.array(after)))

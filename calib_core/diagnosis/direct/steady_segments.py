@@ -1,0 +1,148 @@
+"""Steady stretches of a recording, and their spectra above those of their neighbourhood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.measurement import Index
+from stillcal.calib_core.streams.samples import Samples
+
+STEADY = {"accel": 0.1, "gyro": 0.03}
+NEIGHBOURS, OWN = 34, 7
+INDEPENDENT = NEIGHBOURS / 1.5
+"""Of the neighbours: powers under half a sine are correlated by 1/4 one line apart, by nothing further."""
+
+SHORTER = 0.92
+"""Each length that is tried where a longer one finds no room is so much of that before."""
+
+LEAST_SAMPLES = 100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretches:
+    """Steady stretches, overlapping by half; a rest too short for the longest is one as long as it holds.
+
+    t: (S, n) s, from each one's middle; tapered: (S, n, 3), no means, under half a sine of its own length,
+    zeros after it; length: (S,) samples; first: (S,) rows; share: (S,), what of each the next does not hold;
+    f: (F,) Hz; power, ratio to its neighbours': (S, F, 3).
+    """
+
+    t: Array
+    tapered: Array
+    length: Index
+    first: Index
+    share: Array
+    f: Array
+    power: Array
+    ratio: Array
+
+    @property
+    def wider(self) -> Array:
+        """How many of the frequencies `f` lie between two that a stretch of its length tells apart, (S,)."""
+        return np.asarray(self.tapered.shape[1] / self.length, dtype=np.float64)
+
+    @property
+    def to_amplitude(self) -> Array:
+        """What makes amplitudes of sums of tapered values, (S,)."""
+        return np.array([2.0 / _taper(n).sum() for n in self.length])
+
+
+def stretches(samples: Samples, sensor: str, seconds: float, least: float | None = None) -> Stretches | None:
+    """Return the steady stretches of one sensor, or None where there are fewer than three.
+
+    They are `seconds` long, and down to `least` (s) where there is no room for longer ones.
+    """
+    rate = 1.0 / float(np.median(np.diff(samples.t)))
+    longest, shortest = int(seconds * rate), int((least or seconds) * rate)
+    if shortest < LEAST_SAMPLES or len(samples) < 3 * shortest:
+        return None
+    first, length = _steady(samples.xyz, max(round(rate), 1), longest, shortest, STEADY[sensor])
+    whole = samples.t[first + length - 1] - samples.t[first] < 1.2 * length / rate
+    first, length = first[whole], length[whole]
+    if first.size < 3:
+        return None
+    t, tapered = _tapered(samples, first, length, longest)
+    power = np.asarray(np.abs(np.fft.rfft(tapered, axis=1)) ** 2)
+    f = np.asarray(np.fft.rfftfreq(longest, 1.0 / rate), dtype=np.float64)
+    share = np.minimum(np.append(np.diff(first), longest) / length, 1.0)
+    return Stretches(t, tapered, length, first, share, f, power, _ratios(power, longest / length))
+
+
+def _steady(xyz: Array, second: int, longest: int, shortest: int, most: float) -> tuple[Index, Index]:
+    """Return first rows and lengths of stretches whose means over a second stay where they are.
+
+    They are rests, shaken or not; each begins half way through the one before, where a taper has given
+    half of its weight, or as the phone comes to rest.
+    """
+    count = len(xyz) // second
+    means = xyz[: count * second].reshape(count, second, 3).mean(axis=1)
+    taken, placed = np.zeros(len(xyz), dtype=np.bool_), []
+    for length in _lengths(longest, shortest):
+        starts = _starts(means, second, length, most, taken)
+        for start in starts:
+            taken[start : start + length] = True
+        placed += [(start, length) for start in starts]
+    ordered = np.array(sorted(placed), dtype=np.int64).reshape(-1, 2)
+    return ordered[:, 0], ordered[:, 1]
+
+
+def _lengths(longest: int, shortest: int) -> list[int]:
+    """Return the lengths to try, longest first."""
+    lengths = [longest]
+    while lengths[-1] > shortest:
+        lengths.append(max(int(SHORTER * lengths[-1]), shortest))
+    return lengths
+
+
+def _starts(means: Array, second: int, length: int, most: float, taken: NDArray[np.bool_]) -> list[int]:
+    """Return where stretches of one length begin; taken: (N,), which rows longer ones hold."""
+    span = max(length // second, 1)
+    if span > len(means):
+        return []
+    around = np.lib.stride_tricks.sliding_window_view(means, span, axis=0)
+    still = np.ptp(around, axis=2).max(axis=1) < most
+    still = still[: max((taken.size - length) // second + 1, 0)]
+    before = np.concatenate([[0], np.cumsum(taken)])
+    begins = np.flatnonzero(still) * second
+    begins = begins[before[begins + length] == before[begins]]
+    starts, next_one = [], 0
+    for begin in begins:
+        if begin >= next_one:
+            starts.append(int(begin))
+            next_one = starts[-1] + length // 2
+    return starts
+
+
+def _taper(n: int) -> Array:
+    """Return half a sine (n,), a window that wastes little of a short rest."""
+    return np.asarray(np.sin(np.pi * (np.arange(n) + 0.5) / n))
+
+
+def _tapered(samples: Samples, first: Index, length: Index, longest: int) -> tuple[Array, Array]:
+    """Return times about each one's middle (S, n) and tapered values (S, n, 3), zeros after them."""
+    t, values = np.zeros((first.size, longest)), np.zeros((first.size, longest, 3))
+    for i, (a, n) in enumerate(zip(first, length, strict=True)):
+        own = samples.xyz[a : a + n]
+        t[i, :n] = samples.t[a : a + n] - samples.t[a : a + n].mean()
+        values[i, :n] = (own - own.mean(axis=0)) * _taper(n)[:, None]
+    return t, values
+
+
+def _ratios(power: Array, wider: Array) -> Array:
+    """Return ratios (S, F, 3) of powers to the mean of `NEIGHBOURS` lines, a line's own apart."""
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
+
+    ratio = np.empty_like(power)
+    for width in np.unique(wider):
+        rows = wider == width
+        all_of, own = (2 * round(width * (n // 2)) + 1 for n in (NEIGHBOURS + OWN, OWN))
+        mine = power[rows]
+        around = all_of * uniform_filter1d(mine, all_of, axis=1) - own * uniform_filter1d(mine, own, axis=1)
+        floor = 1e-6 * mine.mean(axis=1, keepdims=True)
+        background = np.maximum(around / (all_of - own), floor)
+        ratio[rows] = mine / np.maximum(background, 1e-300)
+    return ratio

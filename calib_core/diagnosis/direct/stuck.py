@@ -1,0 +1,73 @@
+"""An axis that gives one value for a while, exactly, when the others go on: it is stuck.
+
+Values of coarse steps repeat by chance, the oftener the coarser. A run is stuck that chance would not make
+once in a million recordings, from how often the axis repeats otherwise. An axis at the limit of its range,
+where motion brings it again and again, is not stuck.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.repeated_values import at_limits
+from stillcal.calib_core.diagnosis.model.left_out import of_counts
+from stillcal.calib_core.diagnosis.model.measurement import unknown
+from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Where
+from stillcal.calib_core.streams.samples import Samples
+
+BLOCK_S = 1.0
+LEAST_S = 3.0
+BY_CHANCE = 1e-6
+MOVES = 0.5
+"""Part of the samples of a run in which another axis must change; else the sample is held as a whole."""
+
+MOST_REPEATS = 0.5
+"""Part of the samples elsewhere that repeat, above which steps are too coarse to tell."""
+
+
+def stuck(samples: Samples, sensor: str) -> Finding | None:
+    """Find the longest run in which one axis of a sensor is stuck."""
+    same = np.diff(samples.xyz, axis=0) == 0.0
+    free = same & ~at_limits(samples.xyz)
+    runs = [_longest(free[:, a]) for a in range(3)]
+    axis = int(np.argmax([last - first for first, last in runs]))
+    first, last = runs[axis]
+    length, t = last - first, samples.t
+    if length < 2 or t[last] - t[first] < LEAST_S:
+        return None
+    others = np.delete(same[first:last], axis, axis=1)
+    elsewhere = np.delete(free[:, axis], np.s_[first:last])
+    if elsewhere.size < length:
+        return None
+    # By blocks, so that stretches in which little happens do not hide in a mean; an axis may stick twice.
+    block = max(round(BLOCK_S * length / (t[last] - t[first])), 1)
+    chance = max(float(np.quantile(_shares(elsewhere, block), 0.9)), 1e-9)
+    if chance > MOST_REPEATS or others.mean(axis=0).min() > 1.0 - MOVES:
+        return None
+    if length * np.log(chance) > np.log(BY_CHANCE / t.size):
+        return None
+    where = Where(float(t[first]), float(t[last]), (0.0, 0.0), "values")
+    value = float(samples.xyz[first, axis])
+    span = f"From {t[first]:.0f} to {t[last]:.0f} s"
+    say = f"{span} the {sensor} sensor's axis {AXES[axis]} is stuck at {value:.4g}."
+    of = np.full(10, length / 10.0)
+    seen = of_counts(of, of, chance, 30.0)
+    sizes = {"value": (value, "m/s^2" if sensor == "accel" else "rad/s"), "samples": (float(length + 1), "1")}
+    return unknown(sensor, [axis], where, sizes, statement=say, seen=seen)
+
+
+def _longest(same: Array) -> tuple[int, int]:
+    """Return the longest run [first, last) of True in (n,) bool."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    if not edges.size:
+        return 0, 0
+    starts, ends = edges[::2], edges[1::2]
+    k = int(np.argmax(ends - starts))
+    return int(starts[k]), int(ends[k])
+
+
+def _shares(same: Array, size: int) -> Array:
+    """Return the parts of True (m,) in blocks of `size`."""
+    whole = same[: same.size // size * size]
+    return np.asarray(whole.reshape(-1, size).mean(axis=1))

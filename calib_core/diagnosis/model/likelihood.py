@@ -1,0 +1,301 @@
+"""Likelihood of an effect with the noise refitted under it: averaged over covariance shapes.
+
+Parameters are in units of their physical size and have a standard normal prior. A view is reduced once to
+the few sums that every hypothesis needs; a hypothesis is then judged in milliseconds. docs/misfit.md, 3,
+has the formulas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.noise_models import families
+from stillcal.calib_core.diagnosis.model.residuals import View
+
+ITERATIONS = 25
+ALIKE = 0.95
+"""Prior probability that the wander of a sensor's axes is of one kind and nearly one strength."""
+
+NEARLY = (0.5, 0.35, 0.2, 0.1, 0.05)
+"""Weights of an axis' strength 0, 1, ... quarter decades of variance off the strength that the axes share."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """A view under G shapes with M candidate columns.
+
+    prior: (G,) log; constant: (G,) prior and determinants; yy: (G,); xy: (G, M); blocks: one (G, k, k) a
+    hypothesis; columns: its column indices; dof: nu0 + n - p; walk: (G,) variance rate, 1/s, of random walks;
+    jump: (G,) variance of what is another in every rest; near: (G, G) how an axis' shape scatters about the
+    one that the axes share; known: nu0.
+    """
+
+    prior: Array
+    constant: Array
+    yy: Array
+    xy: Array
+    blocks: list[Array]
+    columns: list[Array]
+    dof: float
+    family: tuple[str, ...]
+    walk: Array
+    jump: Array
+    near: Array
+    known: float
+
+
+def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | None = None) -> Reduced:
+    """Whiten, project the baseline out, keep the sums. design: (b, n, M); columns[h]: (k,) of hypothesis h.
+
+    extra: (b, n, q) columns of effects already found, projected out with the baseline over all blocks.
+    """
+    made = families(view)
+    prior, constant, yy, xy, grams = [], [], [], [], []
+    blocks, groups = len(view.y), _grouped(columns)
+    seen = np.abs(design).max(axis=(0, 1)) > 0.0
+    everything = stacked(view, design[:, :, seen], extra)
+    x = np.zeros((view.y.size, seen.size))
+    volume = blocks * float(np.log(view.variance).sum())
+    for family in made:
+        rotated = family.rotation @ everything
+        for diagonal, weight in zip(family.diagonals, family.weight, strict=True):
+            y, x[:, seen], determinant = projected(
+                rotated / np.sqrt(diagonal)[:, None], view.baseline.shape[2], int(seen.sum())
+            )
+            log_det = blocks * float(np.log(diagonal).sum()) + volume
+            prior.append(np.log(weight))
+            constant.append(np.log(weight) - 0.5 * (log_det + determinant))
+            yy.append(y @ y)
+            xy.append(y @ x)
+            grams.append(_grams(x, groups))
+    baseline = view.parameters + (0 if extra is None else extra.shape[2])
+    names = tuple(f.name for f in made for _ in f.strengths)
+    return Reduced(
+        np.array(prior),
+        np.array(constant),
+        np.array(yy),
+        np.array(xy).reshape(len(yy), -1),
+        _apart(groups, grams),
+        columns,
+        view.known + view.y.size - baseline,
+        names,
+        np.concatenate([f.walk for f in made]),
+        np.concatenate([f.jump for f in made]),
+        _nearness(names),
+        view.known,
+    )
+
+
+def _nearness(names: tuple[str, ...]) -> Array:
+    """Return the probability (G, G) of shape j given the shared shape i: one family, nearly one strength."""
+    kind = np.array(names)
+    apart = np.abs(np.subtract.outer(np.arange(len(names)), np.arange(len(names))))
+    weight = np.append(NEARLY, 0.0)[np.minimum(apart, len(NEARLY))] * (kind[:, None] == kind[None, :])
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+
+
+def _grouped(columns: list[Array]) -> list[tuple[list[int], Array]]:
+    """Put hypotheses with as many columns together: which they are, and their columns (r, k)."""
+    widths: dict[int, list[int]] = {}
+    for i, c in enumerate(columns):
+        widths.setdefault(c.size, []).append(i)
+    return [(rows, np.array([columns[i] for i in rows])) for rows in widths.values()]
+
+
+def _grams(x: Array, groups: list[tuple[list[int], Array]]) -> list[Array]:
+    """Return the inner products (r, k, k) of each group's hypotheses' columns."""
+    parts = [x[:, columns].transpose(1, 2, 0) for _, columns in groups]
+    return [part @ part.transpose(0, 2, 1) for part in parts]
+
+
+def _apart(groups: list[tuple[list[int], Array]], grams: list[list[Array]]) -> list[Array]:
+    """Return the inner products (G, k, k) of each hypothesis under every shape."""
+    out: list[Array] = [np.empty(0)] * sum(len(rows) for rows, _ in groups)
+    for (rows, _), made in zip(groups, map(np.array, zip(*grams, strict=True)), strict=True):
+        for j, i in enumerate(rows):
+            out[i] = made[:, j]
+    return out
+
+
+def stacked(view: View, design: Array, extra: Array | None) -> Array:
+    """Return (b, n, p + 1 + M + q): baseline, data, candidates, effects found already."""
+    found = np.zeros((*view.y.shape, 0)) if extra is None else extra
+    return np.concatenate([view.baseline, view.y[:, :, None], design, found], axis=2)
+
+
+def projected(whitened: Array, width: int, candidates: int) -> tuple[Array, Array, float]:
+    """Return y (b n,) and design (b n, M) free of the baseline and what was found, and log|B' C^-1 B|.
+
+    whitened: (b, n, width + 1 + M + q), in the order of `stacked`.
+    """
+    q, r = np.linalg.qr(whitened[:, :, :width])
+    others = whitened[:, :, width:]
+    others = others - q @ (q.transpose(0, 2, 1) @ others)
+    determinant = 2.0 * float(np.log(np.abs(np.einsum("bii->bi", r)) + 1e-300).sum())
+    flat = others.reshape(-1, others.shape[2])
+    if flat.shape[1] > 1 + candidates:
+        q, _ = np.linalg.qr(flat[:, 1 + candidates :])
+        flat = flat[:, : 1 + candidates]
+        flat = flat - q @ (q.T @ flat)
+    return flat[:, 0], flat[:, 1:], determinant
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A hypothesis at its maximum. beta: (k,); covariance: (k, k); log_likelihood over all views."""
+
+    beta: Array
+    covariance: Array
+    log_likelihood: float
+
+
+def null_log_likelihood(views: Sequence[Reduced]) -> float:
+    """Return the log likelihood of the views with no effect."""
+    return joint(views, [log_terms(v, v.yy) for v in views])[0]
+
+
+def joint(views: Sequence[Reduced], terms: list[Array]) -> tuple[float, list[Array]]:
+    """Return the log likelihood of all views and each view's shape probabilities (G,), from their log terms.
+
+    The axes of a sensor are made alike: with probability `ALIKE` they share a kind of wander and scatter
+    about one strength, else each has its own. Views that do not have the same shapes are independent.
+    """
+    own = [log_sum(t) for t in terms]
+    apart, weights = float(sum(own)), [np.exp(t - s) for t, s in zip(terms, own, strict=True)]
+    if len(views) < 2 or any(v.family != views[0].family for v in views):
+        return apart, weights
+    tops = [float(t.max()) for t in terms]
+    bare = [
+        np.exp(np.maximum(t - v.prior - top, -600.0)) for t, v, top in zip(terms, views, tops, strict=True)
+    ]
+    blurred = [v.near @ p for v, p in zip(views, bare, strict=True)]
+    shared = views[0].prior + sum(np.log(p) for p in blurred)
+    together = log_sum(np.asarray(shared)) + sum(tops)
+    value = float(np.logaddexp(together + np.log(ALIKE), apart + np.log(1.0 - ALIKE)))
+    alike = float(np.exp(together + np.log(ALIKE) - value))
+    common = np.exp(shared + sum(tops) - together)
+    near = [p * (v.near.T @ (common / b)) for v, p, b in zip(views, bare, blurred, strict=True)]
+    return value, [alike * n + (1.0 - alike) * w for n, w in zip(near, weights, strict=True)]
+
+
+def log_terms(view: Reduced, residual: Array) -> Array:
+    """Return log prior plus log likelihood (G,) of every shape at sums of squares `residual` (G,)."""
+    return np.asarray(view.constant - 0.5 * view.dof * np.log(view.known + residual))
+
+
+def log_sum(terms: Array) -> float:
+    """Return the logarithm of the sum of exponentials."""
+    top = float(terms.max())
+    return top + float(np.log(np.exp(terms - top).sum()))
+
+
+def posterior_weights(view: Reduced) -> Array:
+    """Return the posterior probability (G,) of each shape with no further effect."""
+    terms = log_terms(view, view.yy)
+    return np.asarray(np.exp(terms - log_sum(terms)))
+
+
+def gain_bound(views: Sequence[Reduced], h: int) -> float:
+    """Return an upper bound of the log likelihood of hypothesis `h`: every shape at its own best."""
+    return joint(views, [log_terms(v, _least(v, h)) for v in views])[0]
+
+
+def _least(view: Reduced, h: int) -> Array:
+    gram, xy = view.blocks[h], view.xy[:, view.columns[h]]
+    ridge = gram + 1e-9 * (np.einsum("gii->g", gram)[:, None, None] + 1e-300) * np.eye(gram.shape[1])
+    solved = np.linalg.solve(ridge, xy[:, :, None])[:, :, 0]
+    return np.asarray(np.maximum(view.yy - np.einsum("gi,gi->g", xy, solved), 0.0))
+
+
+def fit_hypothesis(views: Sequence[Reduced], h: int) -> Fit:
+    """Fit hypothesis `h` to all views at once, and tell how sure its parameters are."""
+    beta, value, weights = _highest(views, h)
+    return Fit(beta, _covariance(views, h, beta, weights), value)
+
+
+def highest(views: Sequence[Reduced], h: int) -> float:
+    """Return the log likelihood of hypothesis `h` at its maximum."""
+    return _highest(views, h)[1]
+
+
+def _highest(views: Sequence[Reduced], h: int) -> tuple[Array, float, list[Array]]:
+    """Return the better of two climbs, begun from the likely shapes and from white noise."""
+    _, likely = joint(views, [log_terms(v, v.yy) for v in views])
+    informed = [w * v.dof / (v.known + v.yy) for v, w in zip(views, likely, strict=True)]
+    plain = [np.eye(len(v.yy))[0] for v in views]
+    return max((_climb(views, h, start) for start in (informed, plain)), key=lambda c: c[1])
+
+
+def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> tuple[Array, float, list[Array]]:
+    """Climb by expectation maximisation over shapes and scales: every step is a weighted least squares.
+
+    Return the parameters (k,), the log likelihood, and the probabilities of the shapes in every view.
+    """
+    beta = _solve(views, h, weights)
+    for _ in range(ITERATIONS):
+        left = [residuals(v, h, beta) for v in views]
+        _, likely = joint(views, [log_terms(v, r) for v, r in zip(views, left, strict=True)])
+        weights = [w * v.dof / (v.known + r) for v, w, r in zip(views, likely, left, strict=True)]
+        previous, beta = beta, _solve(views, h, weights)
+        if np.allclose(previous, beta, rtol=1e-5, atol=1e-9):
+            break
+    terms = [log_terms(v, residuals(v, h, beta)) for v in views]
+    value, likely = joint(views, terms)
+    return beta, value - 0.5 * float(beta @ beta), likely
+
+
+def residuals(view: Reduced, h: int, beta: Array) -> Array:
+    """Return the whitened sum of squares (G,) under every shape with hypothesis `h` at `beta`."""
+    linear = view.xy[:, view.columns[h]] @ beta
+    quadratic = np.einsum("i,gij,j->g", beta, view.blocks[h], beta)
+    return np.asarray(np.maximum(view.yy - 2.0 * linear + quadratic, 0.0))
+
+
+def _solve(views: Sequence[Reduced], h: int, weights: list[Array]) -> Array:
+    information = sum(np.einsum("g,gij->ij", w, v.blocks[h]) for v, w in zip(views, weights, strict=True))
+    target = sum(w @ v.xy[:, v.columns[h]] for v, w in zip(views, weights, strict=True))
+    linear = np.asarray(target)
+    return np.asarray(
+        np.linalg.solve(np.asarray(information) + np.eye(linear.size), linear), dtype=np.float64
+    )
+
+
+def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Array]) -> Array:
+    """Return the covariance (k, k) of a fit, its mean and spread under every shape taken together.
+
+    A shape weighs by its likelihood with the parameters integrated out (Laplace), the other views held at
+    their expected information: one that leaves a parameter uncertain has more room for it than the curvature
+    at the maximum knows of.
+    """
+    rates = [v.dof / (v.known + residuals(v, h, beta)) for v in views]
+    pulls = [
+        r[:, None] * (v.xy[:, v.columns[h]] - v.blocks[h] @ beta) for v, r in zip(views, rates, strict=True)
+    ]
+    expected = [_expected(v, h, r * w) for v, r, w in zip(views, rates, likely, strict=True)]
+    pulled = sum(w @ p for w, p in zip(likely, pulls, strict=True)) - beta
+    whole = sum(expected) + np.eye(beta.size)
+    inverses, steps, terms = [], [], []
+    for v, rate, pull, own, weight in zip(views, rates, pulls, expected, likely, strict=True):
+        precision = whole - own + rate[:, None, None] * v.blocks[h]
+        force = pulled - weight @ pull + pull
+        inverse = np.linalg.inv(precision)
+        step = np.einsum("gij,gj->gi", inverse, force)
+        room = 0.5 * (np.einsum("gi,gi->g", force, step) - np.linalg.slogdet(precision)[1])
+        inverses.append(inverse)
+        steps.append(step)
+        terms.append(log_terms(v, residuals(v, h, beta)) + room)
+    _, weights = joint(views, terms)
+    new = [_expected(v, h, r * w) for v, r, w in zip(views, rates, weights, strict=True)]
+    total = np.linalg.inv(sum(new) + np.eye(beta.size))
+    for own, now, inverse, step, weight in zip(expected, new, inverses, steps, weights, strict=True):
+        mixed = np.einsum("g,gij->ij", weight, inverse) + np.einsum("g,gi,gj->ij", weight, step, step)
+        total = total + mixed - np.linalg.inv(whole - own + now)
+    return np.asarray(total, dtype=np.float64)
+
+
+def _expected(view: Reduced, h: int, weight: Array) -> Array:
+    return np.asarray(np.einsum("g,gij->ij", weight, view.blocks[h]))

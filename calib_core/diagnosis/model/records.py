@@ -1,0 +1,103 @@
+"""What a diagnosis is told and what it answers: plain records that encode to the documented JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from stillcal.calib_core.gravity import STANDARD
+
+AXES = ("x", "y", "z")
+
+SLOW_BAND = (0.0, 0.05)
+"""Frequencies that means over bins of 10 s and more can show, Hz."""
+
+Number = float | list[float] | list[list[float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Claims:
+    """What the maker says of the phone; None where it is silent. SI units, densities per sqrt(Hz)."""
+
+    nominal_rate_hz: float | None = None
+    gravity: float = STANDARD
+    accel_range: float | None = None
+    gyro_range: float | None = None
+    accel_lsb: float | None = None
+    gyro_lsb: float | None = None
+    accel_noise_density: float | None = None
+    gyro_noise_density: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A fitted parameter: value and 95 % interval of the same nesting, in `unit`."""
+
+    value: Number
+    ci95: Any
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Where an effect shows itself: s of the recording's stamps, Hz, and what it follows."""
+
+    t_start: float
+    t_end: float
+    band_hz: tuple[float, float]
+    driver: str
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """How sure. p_value has the size of the search in it; log scores in nats, rmse in the sensor's unit."""
+
+    p_value: float
+    heldout_rmse_before: float
+    heldout_rmse_after: float
+    heldout_log_score_gain: float
+    folds: int
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """Another effect that was considered for the same structure."""
+
+    effect: str
+    heldout_log_score_gain: float
+    indistinguishable: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing the twin leaves out."""
+
+    effect: str
+    sensor: str
+    axes: list[str]
+    where: Where
+    parameters: dict[str, Parameter]
+    evidence: Evidence
+    alternatives: list[Alternative]
+    statement: str
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The answer. verdict: adequate, explained, partly_explained or unexplained."""
+
+    schema: int
+    recording: str
+    verdict: str
+    findings: list[Finding]
+    limits: list[str] = field(default_factory=list)
+
+
+def verdict_of(findings: list[Finding]) -> str:
+    """Return the verdict that a list of findings stands for."""
+    if not findings:
+        return "adequate"
+    known = [f for f in findings if f.effect != "unknown"]
+    if len(known) == len(findings):
+        return "explained"
+    return "partly_explained" if known else "unexplained"

@@ -1,0 +1,231 @@
+"""Gravity carried from rest to rest by the gyroscope, and both sensors' affine parameters fitted to it.
+
+The error of the gyroscope is first order: an error d(t) of the rate moves gravity, as predicted at the end of
+a turn, by (R_end' sum R(t) d(t) dt) x up_end, with R(t) from the body at t to the body at the start.
+
+Few attitudes leave the accelerometer's parameters unknown, but turns between them tell some of what the norm
+of gravity does not. Norm and turns are fitted together (Gauss-Newton, robust weights), and the parameters
+that the norm leaves unknown go with the turns, as errors that their covariance holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.residuals import (
+    Baseline,
+    Norms,
+    fit_baseline,
+    linearised,
+    norms_of,
+    rest_means,
+    tilted,
+)
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.maths.robust import means
+from stillcal.calib_core.maths.rotation import attitudes, matrix
+from stillcal.calib_core.streams.samples import Samples
+
+LEAST_TURNS = 9
+LONGEST_TURN = 60.0
+SHORT_OF = 0.98
+"""Part of a limit that a rate, less its bias, may reach."""
+
+LEAST_ANGLE = 0.2
+SHARPEST = 0.5
+"""rad from sample to sample, beyond which what happens between samples is not known from them."""
+
+MARGIN = 0.5
+ROUNDS = 8
+SETTLED = 1e-6
+GYRO_SCALE_SIZE = 0.2
+"""Prior standard deviation of the gyroscope's scale and misalignment in this fit."""
+
+TRUSTED = 3.0
+"""Scatters beyond which a turn's weight falls."""
+
+WINDOWS = (1, 2, 4, 8, 16, 32, 64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cut:
+    """A turn as recorded, from bin `first` to the next. t: (n,) s; rate: (n, 3) rad/s, bias off."""
+
+    first: int
+    t: Array
+    rate: Array
+    temperature: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """One turn. rate: (n, 3) rad/s, corrected; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,).
+
+    end, duration: s; angle: rad turned through; unsure: (3, 9) what the accelerometer's parameters do to
+    `miss`.
+    """
+
+    end: float
+    duration: float
+    rate: Array
+    carried: Array
+    up: Array
+    miss: Array
+    unsure: Array
+    angle: float
+    temperature: float
+
+    def column(self, term: Array) -> Array:
+        """Return what an error of the rate `term` (n, 3) does to gravity's direction at the end, (3,) rad."""
+        return np.cross(np.einsum("nij,nj->i", self.carried, term), self.up)
+
+    def scale_columns(self) -> Array:
+        """Return what the nine numbers of scale and misalignment, row by row, do to it, (3, 9)."""
+        turned = np.einsum("nij,nk->ijk", self.carried, self.rate).reshape(3, 9)
+        return np.cross(turned.T, self.up).T
+
+    def across(self) -> Array:
+        """Return two unit vectors (2, 3) across gravity at the end."""
+        first = np.cross(self.up, np.eye(3)[np.argmin(np.abs(self.up))])
+        first /= np.linalg.norm(first)
+        return np.stack([first, np.cross(self.up, first)])
+
+
+def cuts(gyroscope: Samples, bins: Bins, limit: float = np.inf) -> list[Cut]:
+    """Cut the turns between successive rests, each less the bias that its neighbourhood tells best.
+
+    Turns in which a rate comes near `limit` (rad/s), where the sensor stops, are left out.
+    """
+    if bins.rate is None:
+        return []
+    bias = _local_bias(bins.rate)
+    last = np.flatnonzero(np.diff(bins.rest) > 0)
+    found = [_cut(gyroscope, bins, bias, int(i)) for i in last]
+    return [c for c in found if c is not None and np.abs(c.rate).max() < SHORT_OF * limit]
+
+
+def _local_bias(rate: Array) -> Array:
+    """Return the bias (N - 1, 3) between successive bins of rate (N, 3): a mean over bins on either side.
+
+    The width of the mean, axis by axis, is that which foretells a bin best from its neighbours.
+    """
+    n = len(rate)
+    out = (rate[1:] + rate[:-1]) / 2.0
+    least = np.full(3, np.inf)
+    at = np.arange(n)
+    for width in WINDOWS:
+        if width > 1 and width >= n:
+            break
+        low, high = np.maximum(at - width, 0), np.minimum(at + width + 1, n)
+        # A bin's distance from the mean of the others about it.
+        away = (rate - means(rate, low, high)) * ((high - low) / np.maximum(high - low - 1, 1))[:, None]
+        error = np.median(np.abs(away), axis=0)
+        local = means(rate, np.maximum(at[1:] - width, 0), np.minimum(at[1:] + width, n))
+        out = np.where(error < least, local, out)
+        least = np.minimum(error, least)
+    return np.asarray(out)
+
+
+def _cut(gyroscope: Samples, bins: Bins, bias: Array, i: int) -> Cut | None:
+    """Cut the turn from bin i to bin i + 1, of different rests."""
+    start = float(bins.t[i] + bins.duration[i] / 2) - MARGIN
+    end = float(bins.t[i + 1] - bins.duration[i + 1] / 2) + MARGIN
+    part = gyroscope.between(start, end)
+    if end - start > LONGEST_TURN or len(part) < 10 or np.diff(part.t).max() > 0.5:
+        return None
+    if np.linalg.norm(part.xyz, axis=1).max() * np.median(np.diff(part.t)) > SHARPEST:
+        return None
+    rate = part.xyz - bias[i]
+    if _angle(part.t, rate) < LEAST_ANGLE:
+        return None
+    warm = 0.0 if bins.temperature is None else float(bins.temperature[i] + bins.temperature[i + 1]) / 2.0
+    return Cut(i, part.t, rate, warm)
+
+
+def _angle(t: Array, rate: Array) -> float:
+    """Return the angle turned through, rad, of rates (n, 3) at t (n,)."""
+    return float(np.linalg.norm(np.gradient(t)[:, None] * rate, axis=1).sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aligned:
+    """Both sensors' affine parameters, and the turns under them.
+
+    baseline: of the accelerometer, as norm and turns fit it together; bias: (3,) of the rate, at rest;
+    mapping: (3, 3), takes the rate as read to the true one; unsure: (9, 9), a column a standard deviation of
+    the accelerometer's parameters, as the norm alone leaves them.
+    """
+
+    turns: list[Turn]
+    baseline: Baseline
+    bias: Array
+    mapping: Array
+    unsure: Array
+
+
+def aligned(gyroscope: Samples, bins: Bins, gravity: float, limit: float = np.inf) -> Aligned:
+    """Fit the affine parameters of both sensors to norm and turns; with few turns the norm's stand alone.
+
+    limit: rad/s, the rate that no turn may reach.
+    """
+    found = cuts(gyroscope, bins, limit)
+    norms = norms_of(bins.force, bins.force_variance, bins.rest, gravity)
+    steady = rest_means(bins.force, bins.rest)
+    baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
+    x, mapping = baseline.parameters, np.eye(3)
+    if len(found) >= LEAST_TURNS:
+        for _ in range(ROUNDS):
+            step, error = _step(_carried(found, steady, x, mapping), norms, x)
+            x, mapping = x + step, mapping - error @ mapping
+            if max(np.abs(step).max(), np.abs(error).max()) < SETTLED:
+                break
+        baseline = linearised(steady, x)
+    design, _ = norms.rows(x)
+    unsure = np.linalg.inv(np.linalg.qr(design, mode="r"))
+    bias = np.zeros(3) if bins.rate is None else np.median(bins.rate, axis=0)
+    return Aligned(_carried(found, steady, x, mapping), baseline, bias, mapping, unsure)
+
+
+def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[Turn]:
+    up, slope = tilted(steady, x)
+    out = []
+    for cut in found:
+        i, rate, dt = cut.first, cut.rate @ mapping.T, np.gradient(cut.t)
+        R = matrix(attitudes(cut.t, rate))
+        carried = np.einsum("ki,nkj->nij", R[-1], R) * dt[:, None, None]
+        out.append(
+            Turn(
+                float(cut.t[-1]),
+                float(cut.t[-1] - cut.t[0]),
+                rate,
+                carried,
+                up[i + 1],
+                up[i + 1] - R[-1].T @ up[i],
+                slope[i + 1] - R[-1].T @ slope[i],
+                _angle(cut.t, rate),
+                cut.temperature,
+            )
+        )
+    return out
+
+
+def _step(turns: list[Turn], norms: Norms, x: Array) -> tuple[Array, Array]:
+    """Return how the accelerometer's parameters (9,) change, and the error (3, 3) left in the rates."""
+    y = np.concatenate([t.across() @ t.miss for t in turns])
+    accel = np.concatenate([t.across() @ t.unsure for t in turns])
+    gyro = np.concatenate([t.across() @ t.scale_columns() for t in turns])
+    spread = max(1.4826 * float(np.median(np.abs(y))), 1e-5)
+    weight = (np.minimum(1.0, TRUSTED * spread / np.maximum(np.abs(y), 1e-12)) ** 0.5 / spread)[:, None]
+    rows, target = norms.rows(x)
+    design = np.vstack(
+        [
+            np.hstack([rows, np.zeros((len(rows), 9))]),
+            np.hstack([-accel, gyro]) * weight,
+            np.hstack([np.zeros((9, 9)), np.eye(9) / GYRO_SCALE_SIZE]),
+        ]
+    )
+    solved = np.linalg.lstsq(design, np.concatenate([target, y * weight[:, 0], np.zeros(9)]), rcond=None)[0]
+    return solved[:9], solved[9:].reshape(3, 3)

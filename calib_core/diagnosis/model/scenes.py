@@ -1,0 +1,19 @@
+"""From still bins to the two sensors' scenes: baseline fitted, views built."""
+
+from __future__ import annotations
+
+from stillcal.calib_core.diagnosis.model import rates
+from stillcal.calib_core.diagnosis.model import residuals as views
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+
+
+def scenes(bins: Bins, gravity: float) -> list[Scene]:
+    """Return the accelerometer's scene and, where there is a gyroscope, its own."""
+    baseline = views.fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
+    norm = views.norm_view(bins, baseline, gravity)
+    tangent = views.tangent_view(bins, baseline)
+    force_views = (norm,) if tangent is None else (norm, tangent)
+    found = [Scene("accel", bins, force_views, gravity, baseline.up)]
+    turning = tuple(rates.rate_views(bins, baseline.up))
+    return [*found, Scene("gyro", bins, turning, gravity, baseline.up)] if turning else found

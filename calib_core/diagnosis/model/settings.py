@@ -1,0 +1,97 @@
+"""Every threshold of the diagnosis, with what set it: nothing else here decides what is alarming."""
+
+from __future__ import annotations
+
+SCORE = 4.0
+"""Least score S of a slow finding, from tests/support/diagnosis/threshold.py (docs/misfit.md, 5)."""
+
+WORTH_FITTING = 1.0
+"""Hypotheses whose best case scores less than this are not fitted at all."""
+
+MARGIN = 1.3
+"""Hypotheses within this score of the winner's are indistinguishable (a likelihood ratio of about 20)."""
+
+AXIS_SIGMA = 2.6
+"""An axis is named where its parameter is this many standard errors from nothing (two-sided 1 %)."""
+
+AXIS_SHARE = 0.05
+"""An axis is named where its parameter is at least this part of the largest axis'."""
+
+MAX_FINDINGS = 3
+"""Forward steps a sensor."""
+
+LEAST_BINS = 12
+"""Fewer still bins than this carry no slow diagnosis."""
+
+UNKNOWN_HANDICAP = 0.3
+"""Score that structure without a name must give away."""
+
+UNKNOWN_MARGIN = 0.7
+"""A named effect wins over structure without a name that scores better by less than this."""
+
+TOWERING = 3.0
+"""Gain in log likelihood of a named effect over that of nameless structure in the same views, for its name to
+stand."""
+
+MODELLED = 0.05
+"""Part of a named effect's gain below which what it leaves is its model's fault and no finding."""
+
+PAIRS = 5
+"""Named effects that are tried two together before structure is called unknown."""
+
+WANDER_MIDDLE, WANDER_DECADES, WANDER_TAIL = 0.8, 1.5, 0.03
+"""Prior of how much a bias' bins scatter by wander over white noise (log10 of variances): flicker floors of
+0.03 to 3 times the white noise of a second are what phones have; the tail is for those that do not."""
+
+CLOCK_TOLERANCE = 2e-4
+"""Relative error of a crystal that is no finding: 200 ppm, twice what cheap ones are sold with."""
+
+RATE_TOLERANCE = 2e-3
+"""The same against a nominal rate only, which is a round number."""
+
+JITTER_TOLERANCE = 0.03
+"""Part of the period that stamps may scatter by (Android compatibility definition, 7.3)."""
+
+LEAST_GAPS = 10
+DROP_TOLERANCE = 5e-4
+"""Gaps, and part of the samples missing, below which drops are no finding."""
+
+BURST_TOLERANCE = 0.01
+"""Part of the samples that may arrive on the heels of another."""
+
+LEAST_PILE = 8
+"""Samples that must lie on a limit."""
+
+LEVEL_TOLERANCE = 0.12
+"""Relative difference of noise densities, from the claim or between axes, that is no finding."""
+
+KURTOSIS_TOLERANCE = 0.3
+"""Excess kurtosis of single samples that is no finding."""
+
+RANDOM_WALK = {"accel": 30e-6 * 9.80665, "gyro": 1.745e-5}
+"""Bias random walk that Android allows (7.3): 30 ug sqrt(Hz), 0.001 deg/s sqrt(Hz); per sqrt(s)."""
+
+JUMP = {"accel": 5e-4, "gyro": 7.3e-5}
+"""Standard deviation of a bias that is another in every rest, m/s^2 and rad/s, that is no finding: 50 ug, and
+the Earth's own rate, of whose latitude and heading nothing is known."""
+
+CERTAIN_JUMP = 0.999
+"""Posterior probability of jumps beyond that which makes them a finding."""
+
+DELAY_TOLERANCE = 2.5e-3
+"""s between the sensors that Android allows for high fidelity (7.3)."""
+
+BANDWIDTH_LIMIT = 0.38
+"""Part of the sample rate below which a low-pass is a finding: parts come with 0.40 to 0.44 (BMI270)."""
+
+CERTAIN = 0.99
+"""Posterior probability of a random walk beyond the limit that makes it a finding."""
+
+BANDWIDTH_GAIN = 60.0
+"""Least reduction of chi-squared by a cutoff over a flat spectrum."""
+
+LEVER_GAIN = 0.008
+"""Part of the motion's power, whitened, in windows left out of the fit, that a lever arm must explain."""
+
+OUTSIDE = 2.0
+"""Standard errors that a delay must be outside its tolerance, once it is surely not nothing."""

@@ -1,0 +1,1 @@
+"""Effects that only motion shows: time offset between the sensors and lever arm."""

@@ -1,0 +1,107 @@
+"""What the accelerometer shows beyond gravity as the gyroscope carries it, piece by piece of the motion.
+
+A linear model of it is fitted to all pieces together; errors come from leaving pieces out, and so does what
+speaks for the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.model.measurement import Seen
+
+PARTS = 40
+"""Groups of pieces that are left out in turn."""
+
+TAPERED = 1.5
+"""Rows of a spectrum by a Hann window that share one independent value (its noise bandwidth)."""
+
+
+def of_arm(t: Array, rate: Array) -> Array:
+    """Return what an arm r (3,) m does at times t (n,), (n, 3, 3): rate x (rate x r) + d rate/dt x r."""
+    spin = _cross_matrix(rate)
+    return np.asarray(spin @ spin + _cross_matrix(np.gradient(rate, t, axis=0)))
+
+
+def _cross_matrix(v: Array) -> Array:
+    """Return the matrices (n, 3, 3) of v x."""
+    zero = np.zeros(len(v))
+    x, y, z = v.T
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regression:
+    """Normal equations of K pieces: information (K, k, k), target (K, k), power (K,), count (K,) samples."""
+
+    information: Array
+    target: Array
+    power: Array
+    count: Array
+
+    @classmethod
+    def of(cls, designs: list[Array], lefts: list[Array]) -> Regression:
+        """Add up designs (n, 3, k) and what they are to explain (n, 3), a piece each."""
+        return cls(
+            np.array([np.einsum("nij,nik->jk", d, d) for d in designs]),
+            np.array([np.einsum("nij,ni->j", d, y) for d, y in zip(designs, lefts, strict=True)]),
+            np.array([float((y**2).sum()) for y in lefts]),
+            np.array([len(y) for y in lefts], dtype=np.float64),
+        )
+
+    def fitted(self, pieces: Array | None = None) -> Array:
+        """Return the parameters (k,) that fit the pieces chosen by (K,) bool, all by default."""
+        use = np.ones(len(self.power), dtype=bool) if pieces is None else pieces
+        return np.asarray(
+            np.linalg.solve(self.information[use].sum(axis=0), self.target[use].sum(axis=0)), dtype=np.float64
+        )
+
+    def only(self, columns: Array) -> Regression:
+        """Return the same without the columns that (k,) bool does not choose."""
+        rows = np.flatnonzero(columns)
+        information = self.information[:, rows[:, None], rows]
+        return Regression(information, self.target[:, rows], self.power, self.count)
+
+    def left(self, x: Array) -> Array:
+        """Return the sum of squares (K,) that parameters `x` leave in each piece."""
+        return np.asarray(
+            self.power - 2.0 * self.target @ x + np.einsum("a,nab,b->n", x, self.information, x)
+        )
+
+    def jackknifed(self, parts: int) -> tuple[Array, Array, float]:
+        """Return parameters, their covariance and the part of the power of left-out pieces explained."""
+        part = np.arange(len(self.power)) % parts
+        chosen = np.unique(part)
+        others = np.array([self.fitted(part != p) for p in chosen])
+        explained = sum(
+            float((self.power - self.left(x))[part == p].sum()) for p, x in zip(chosen, others, strict=True)
+        )
+        away = others - others.mean(axis=0)
+        n = chosen.size
+        covariance = (n - 1) / n * away.T @ away + 1e-12 * np.eye(others.shape[1])
+        return self.fitted(), covariance, explained / float(self.power.sum())
+
+    def seen(self, sigmas: float, free: Array | None = None) -> Seen:
+        """Predict pieces left out with the others' parameters, and with those of `free` (k,) bool alone."""
+        fold, gain = blocks(len(self.power)), 0.0
+        kept = np.zeros(self.target.shape[1], dtype=bool) if free is None else free
+        before, after = np.empty(len(self.power)), np.empty(len(self.power))
+        for k in np.unique(fold):
+            train, test = fold != k, fold == k
+            own, null = self._spread(train, ~np.zeros_like(kept)), self._spread(train, kept)
+            independent = self.count[test].sum() / TAPERED
+            after[test], before[test] = own[1][test], null[1][test]
+            ratios = before[test].sum() / null[0] - after[test].sum() / own[0]
+            gain += float(1.5 * independent * (np.log(null[0] / own[0]) + ratios / self.count[test].sum()))
+        level = [np.sqrt(np.maximum(x, 0.0) / self.count) for x in (before, after)]
+        return Seen(sigmas, gain, rms(level[0]), rms(level[1]))
+
+    def _spread(self, train: Array, use: Array) -> tuple[float, Array]:
+        """Return what parameters `use` leave: power a sample in `train`, and the sums (K,) of all."""
+        chosen = self.only(use)
+        left = chosen.left(chosen.fitted(train))
+        return float(left[train].sum() / self.count[train].sum()), left

@@ -1,0 +1,190 @@
+"""What motion says of the time between the sensors, and of where the accelerometer sits.
+
+Over some seconds of motion the gyroscope carries gravity: turned back by it, specific force stays where it
+was, but for a hand's acceleration. A gyroscope that is late carries gravity late. Windows are compared in
+frequency, each frequency as sure as what hands do there is small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.measurement import Measured, direct_finding
+from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Where
+from stillcal.calib_core.diagnosis.model.residuals import Baseline
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
+from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression, of_arm
+from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
+from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
+from stillcal.calib_core.maths.rotation import attitudes, matrix
+from stillcal.calib_core.streams.samples import Samples
+
+WINDOW = 8.0
+"""s over which gravity is carried; what the gyroscope's scale does meanwhile is nearly steady in time."""
+
+LEAST_RATE, LIVELY_RATE = 0.2, 0.5
+"""rad/s, rms, in a window that is looked at: the lively ones, where they are few the liveliest `WANTED`."""
+
+WANTED = 20
+LEAST_WINDOWS = 12
+LONGEST = 0.2
+LINEARISED = 4
+"""Times that the model is taken about the delay found before."""
+
+REWEIGHTED = 3
+SMOOTHED = 1.25
+"""Factor of frequency over which the power of what is left is averaged to weigh by."""
+
+SURE = 4.0
+"""Standard errors from nothing: 6e-5 two-sided, one number a recording."""
+
+LEAST_ERROR = 2e-4
+ARM = np.array([True, True, True, False])
+"""The columns of an arm; the fourth is the delay's."""
+
+
+def motion_findings(
+    accelerometer: Samples,
+    gyroscope: Samples,
+    affine: Aligned | None,
+    gravity: float,
+    spoiled: Sequence[Where] = (),
+) -> list[Finding]:
+    """Return what motion shows; nothing where there is too little.
+
+    affine: what rests and turns say of the sensors, None without rests; spoiled: when not to look.
+    """
+    if len(gyroscope) < 200:
+        return []
+    baseline = None if affine is None else affine.baseline
+    cut = [p for p in _windows(gyroscope, affine) if all(_apart(p[0], s) for s in spoiled)]
+    parts = cut if affine is None else [(t, rate @ affine.mapping.T) for t, rate in cut]
+    if len(parts) < LEAST_WINDOWS:
+        return []
+    interval = float(np.median(np.diff(gyroscope.t)))
+    total, sums = 0.0, []
+    for _ in range(LINEARISED):
+        made = [_equations(_force(accelerometer, baseline, t - total), t, w, gravity) for t, w in parts]
+        one, apart, arm_apart = _weighed([x for x, _ in made], [y for _, y in made])
+        sums.append(one)
+        total = float(np.clip(total + sums[-1].fitted()[3], -LONGEST, LONGEST))
+    where = Where(float(parts[0][0][0]), float(parts[-1][0][-1]), (0.1, 0.5 / interval), "rate of turn")
+    error = float(np.hypot(np.sqrt(sums[-1].jackknifed(PARTS)[1][3, 3]), apart))
+    # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
+    delay = Measured(total, max(error * (1.0 + 6.0 / len(parts)), LEAST_ERROR))
+    found = [_delayed(delay, sums[0], where, interval), lever_arm(sums[-1].only(ARM), arm_apart, where)]
+    return [f for f in found if f]
+
+
+def _windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
+    """Return stamps (n,) and rate (n, 3) of unbroken windows in which the phone turns, the lively ones.
+
+    Slow turns of a hand tell little, and its own acceleration is the louder beside them.
+    """
+    bias = np.zeros(3) if affine is None else affine.bias
+    n = round(WINDOW / float(np.median(np.diff(gyroscope.t))))
+    found, size = [], []
+    for first in range(0, len(gyroscope) - n, n):
+        t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
+        rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
+        if t[-1] - t[0] < 1.5 * WINDOW and rms > LEAST_RATE:
+            found.append((t, rate))
+            size.append(rms)
+    least = min(LIVELY_RATE, sorted(size)[-min(WANTED, len(size))]) if size else 0.0
+    return [w for w, x in zip(found, size, strict=True) if x >= least]
+
+
+def _apart(t: Array, spoiled: Where) -> bool:
+    return bool(t[-1] < spoiled.t_start or t[0] > spoiled.t_end)
+
+
+def _force(samples: Samples, baseline: Baseline | None, t: Array) -> Array:
+    """Return calibrated specific force (n, 3) at times t (n,)."""
+    raw = np.stack([np.interp(t, samples.t, samples.xyz[:, a]) for a in range(3)], axis=1)
+    return raw if baseline is None else np.asarray((raw - baseline.bias) @ baseline.scale.T)
+
+
+def _equations(force: Array, t: Array, rate: Array, gravity: float) -> tuple[Spectrum, Spectrum]:
+    """Return what an arm and a delay do (f, 3, 4) and what there is to explain (f, 3), as spectra.
+
+    Both are turned back to the window's start, and free of gravity and of what grows steadily.
+    """
+    back = matrix(attitudes(t, rate))
+    still = np.einsum("nij,nj->ni", back, force)
+    up = still.mean(axis=0) / np.linalg.norm(still.mean(axis=0))
+    late = -gravity * np.cross(rate, np.einsum("nji,j->ni", back, up))
+    effects = back @ np.concatenate([of_arm(t, rate), late[:, :, None]], axis=2)
+    slow = np.linalg.qr(np.linspace(-1.0, 1.0, t.size)[:, None] ** np.arange(2.0))[0]
+    taper = np.hanning(t.size + 2)[1:-1]
+
+    def spectrum(values: Array) -> Spectrum:
+        flat = values.reshape(t.size, -1)
+        free = (flat - slow @ (slow.T @ flat)) * taper[:, None]
+        return np.asarray(np.fft.rfft(free, axis=0).reshape(-1, *values.shape[1:]))
+
+    return spectrum(effects), spectrum(still)
+
+
+def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> tuple[Regression, float, float]:
+    """Return normal equations with each frequency weighed by the power of what is left there.
+
+    Maximum likelihood of a stationary noise of unknown spectrum (Whittle, 1953). With them go the errors that
+    parts that disagree make: of the delay, s, and of the arm, a part of it.
+    """
+    x = np.zeros(effects[0].shape[2])
+    for _ in range(REWEIGHTED):
+        left = np.array([y - e @ x for e, y in zip(effects, still, strict=True)])
+        weight = 1.0 / np.sqrt(_smooth((np.abs(left) ** 2).mean(axis=(0, 2))))
+        sums = Regression.of([_parts(e, weight) for e in effects], [_parts(y, weight) for y in still])
+        x = sums.fitted()
+    frequency = np.arange(weight.size) / WINDOW
+    left = np.array([(y - e @ x) * weight[:, None] for e, y in zip(effects, still, strict=True)], complex)
+    arm, late = np.append(x[:3], 0.0), np.array([0.0, 0.0, 0.0, 1.0])
+    terms = [np.array([e @ term * weight[:, None] for e in effects], complex) for term in (late, arm)]
+    return sums, disagreement(terms[0], left, frequency), disagreement(terms[1], left, frequency)
+
+
+def _smooth(power: Array) -> Array:
+    """Average a spectrum (f,) over `SMOOTHED` to either side."""
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    k = np.arange(power.size)
+    low = np.maximum((k / SMOOTHED).astype(int) - 1, 0)
+    high = np.minimum((k * SMOOTHED).astype(int) + 2, power.size)
+    return np.asarray((total[high] - total[low]) / (high - low) + 1e-300)
+
+
+def _parts(values: Spectrum, weight: Array) -> Array:
+    """Stack real and imaginary parts (2 f, ...), weighed (f,)."""
+    shaped = values * weight.reshape(-1, *[1] * (values.ndim - 1))
+    return np.concatenate([shaped.real, shaped.imag])
+
+
+def _delayed(delay: Measured, sums: Regression, where: Where, interval: float) -> Finding | None:
+    """State a delay that is surely not nothing and outside its tolerance; interval: of samples, s."""
+    sigmas, tolerance = delay.beyond(0.0, 0.0), thresholds.DELAY_TOLERANCE
+    if (
+        abs(delay.value) >= LONGEST
+        or sigmas < SURE
+        or delay.beyond(-tolerance, tolerance) <= thresholds.OUTSIDE
+    ):
+        return None
+    side = "behind" if delay.value > 0 else "ahead of"
+    say = f"The gyroscope is {abs(delay.value) * 1e3:.1f} ms {side} the accelerometer; shift its stamps."
+    seen = sums.seen(sigmas, ARM)
+    # A second-order low-pass of this cutoff delays as much; beyond the band no noise would show it.
+    cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))
+    hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / interval)
+    return direct_finding(
+        "accel_gyro_time_offset",
+        "timing",
+        [],
+        where,
+        {"delay": delay.parameter("s")},
+        statement=say,
+        seen=seen,
+        alternatives=[Alternative("bandwidth", seen.gain, indistinguishable=hidden)],
+    )

@@ -1,0 +1,261 @@
+"""Cutting a recording into still bins: all that is judged slowly is judged on their means.
+
+A bin belongs to one rest; between two rests the phone moved. Cuts are made on windows of one second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.segments import orientation as poses
+from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
+from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
+from stillcal.calib_core.diagnosis.segments.windows import KNOCK, WINDOW, Windows, windows, without_spikes
+from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.samples import Samples
+
+Index = NDArray[np.int64]
+
+SHORTEST_REST = 5
+BRIEFEST_REST = 2
+FEW = 12
+"""Where rests of `SHORTEST_REST` windows give fewer bins than this, rests of `BRIEFEST_REST` count too."""
+
+LOUDEST_FORCE, LOUDEST_RATE = 0.5, 0.1
+"""m/s^2 and rad/s, spread within a second on three axes beyond which nothing lies: a phone that is carried
+nearly all day is shaken by more, a phone in a car or on a washing machine by less."""
+
+STILL_FORCE = 0.08
+STILL_RATE = 0.03
+RARE = 0.1
+"""Part of a rest's windows that may be so; where it is more, coarse steps or a steady shake do it."""
+
+BINS = 200
+MOST_BINS = 300
+"""More bins, where rests are very many, are thinned: work grows with their cube."""
+
+SHORTEST_BIN = 10.0
+POOLED_WEIGHT = 30.0
+PER_BIN = (
+    "t",
+    "duration",
+    "rest",
+    "pose",
+    "force",
+    "force_variance",
+    "vibration",
+    "rate",
+    "rate_variance",
+    "temperature",
+    "charging",
+)
+"""The columns of `Bins` that have a row a bin."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bins:
+    """Still bins. t, duration: (n,) s; rest: (n,) index; force, rate: (n, 3) means.
+
+    force_variance, rate_variance: (n, 3) of the means, white noise only. temperature: (n,) degC or None;
+    charging: (n,) part of the bin on the charger, None without events; charging_switches: (m, 2) s and state.
+    activity: (w, 2) s and 1 where the phone moved, per window. vibration: (n,) (m/s^2)^2. span: (start, end)
+    s of the recording. Columns that were not recorded are None. force_rounding, rate_rounding: (3,) sd of the
+    error that a coarse step of the values leaves in the mean of a rest, the same in all its bins. pose: (n,)
+    index of what the gyroscope saw no turn in, None without one.
+    """
+
+    t: Array
+    duration: Array
+    rest: Index
+    force: Array
+    force_variance: Array
+    vibration: Array
+    activity: Array
+    span: tuple[float, float]
+    rate: Array | None = None
+    rate_variance: Array | None = None
+    temperature: Array | None = None
+    charging: Array | None = None
+    charging_switches: Array | None = None
+    force_rounding: Array | None = None
+    rate_rounding: Array | None = None
+    pose: Index | None = None
+
+    def __len__(self) -> int:
+        return int(self.t.size)
+
+    def chosen(self, keep: NDArray[np.bool_]) -> Bins:
+        """Return the bins where `keep` (n,) holds, their rests numbered anew."""
+        kept: dict[str, Any] = {
+            c: None if getattr(self, c) is None else getattr(self, c)[keep] for c in PER_BIN
+        }
+        kept["rest"] = np.unique(self.rest[keep], return_inverse=True)[1].astype(np.int64)
+        return replace(self, **kept)
+
+
+def still_windows(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
+    """Return which windows (n,) are still: quiet for this recording, and mean force and rate that stay."""
+    enough = force.count >= max(3.0, 0.5 * float(np.median(force.count)))
+    spread = np.sqrt(force.variance.sum(axis=1))
+    floor = min(float(np.quantile(spread[enough], 0.1)), LOUDEST_FORCE) if enough.any() else 0.0
+    still = enough & (spread < 3.0 * floor + STILL_FORCE)
+    jump = np.abs(np.diff(force.mean, axis=0)).max(axis=1)
+    steady = jump < 0.03 + 6.0 * np.sqrt(
+        np.minimum(spread[1:], spread[:-1]) ** 2 / np.maximum(force.count[1:], 1)
+    )
+    still[1:] &= steady
+    still[:-1] &= steady
+    if rate is not None and still.any():
+        still &= _not_turning(rate, still)
+    return np.asarray(still)
+
+
+def without_knocks(still: NDArray[np.bool_], force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
+    """Return the still windows (n,) that are not far louder than their rest is as a rule: it ends there."""
+    kept = still.copy()
+    for sensor in (force, rate):
+        spread = np.zeros(still.size) if sensor is None else np.sqrt(sensor.variance.sum(axis=1))
+        for first, last in rest_runs(still):
+            loud = spread[first:last] > KNOCK * float(np.median(spread[first:last]))
+            kept[first:last] &= ~loud | (loud.mean() > RARE)
+    return np.asarray(kept)
+
+
+def _not_turning(rate: Windows, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    turn = np.sqrt(rate.variance.sum(axis=1))
+    floor = min(float(np.quantile(turn[still], 0.1)), LOUDEST_RATE)
+    rest = np.median(rate.mean[still], axis=0)
+    noise = 4.0 * floor / np.sqrt(np.maximum(rate.count, 1.0))
+    slow = np.abs(rate.mean - rest).max(axis=1) < STILL_RATE + noise
+    return np.asarray(slow & (turn < 3.0 * floor + 2.0 * STILL_RATE) & (rate.count >= 3))
+
+
+def _rounding(samples: Samples, parts: Windows, still: NDArray[np.bool_]) -> Array:
+    """Return the sd (3,) of a rest's mean by rounding: a sine of amplitude step / pi, dithered by noise.
+
+    Widrow and Kollar, Quantization Noise (2008), ch. 7: exp(-2 pi^2 sd^2 / step^2); at most one value's.
+    """
+    if not still.any():
+        return np.zeros(3)
+    step = np.array([comb_step(column) or 0.0 for column in samples.xyz.T])
+    noise = np.maximum(np.median(parts.variance[still], axis=0) - step**2 / 12.0, 0.0)
+    dither = np.exp(-2.0 * np.pi**2 * noise / np.maximum(step, 1e-12) ** 2)
+    return np.asarray(np.minimum(step / np.sqrt(12.0), step / np.pi / np.sqrt(2.0) * dither))
+
+
+def rest_runs(still: NDArray[np.bool_], shortest: int = SHORTEST_REST) -> list[tuple[int, int]]:
+    """Return [first, last) windows of runs of stillness, one window trimmed at either end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    runs = [(int(a) + 1, int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(a, b) for a, b in runs if b - a >= shortest]
+
+
+def cut(
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    events: Sequence[Charging] = (),
+    bin_length: float | None = None,
+) -> Bins:
+    """Cut a recording into still bins of `bin_length` s (None: 10 s, or 1/200 of the recording)."""
+    span = (float(accelerometer.t[0]), float(accelerometer.t[-1]))
+    force = windows(accelerometer, *span)
+    rate = None if gyroscope is None or len(gyroscope) == 0 else windows(gyroscope, *span)
+    if rate is not None:
+        force, rate = without_spikes(force, rate), without_spikes(rate, force)
+    still = without_knocks(still_windows(force, rate), force, rate)
+    length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
+    runs = rest_runs(still)
+    first, last, rest = _bin_edges(runs, length)
+    if first.size < FEW:
+        runs = rest_runs(still, BRIEFEST_REST)
+        first, last, rest = _bin_edges(runs, length)
+    pose = None
+    if rate is not None:
+        one, turned = poses.poses(runs, force.mean, rate.mean, rate.count, WINDOW)
+        rest, pose = one[rest], poses.of_bins(turned, first, last)
+    kept = _longest(last - first)
+    first, last, rest = first[kept], last[kept], rest[kept]
+    duration = (last - first) * WINDOW
+    return Bins(
+        t=span[0] + (first + last) * 0.5 * WINDOW,
+        duration=duration,
+        rest=rest,
+        pose=None if pose is None else pose[kept],
+        force=_bin_means(force.mean, first, last),
+        force_variance=_white_variances(force.mean, first, last),
+        vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],
+        activity=np.stack([force.t, (~still).astype(np.float64)], axis=1),
+        span=span,
+        rate=None if rate is None else _bin_means(rate.mean, first, last),
+        rate_variance=None if rate is None else _white_variances(rate.mean, first, last),
+        temperature=_bin_temperatures(accelerometer, span[0], first, last),
+        force_rounding=_rounding(accelerometer, force, still),
+        rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, still),
+        **_charging(events, span, first, last),
+    )
+
+
+def _bin_edges(runs: list[tuple[int, int]], length: float) -> tuple[Array, Array, Index]:
+    parts = [np.linspace(a, b, max(1, round((b - a) * WINDOW / length)) + 1).round() for a, b in runs]
+    if not parts:
+        return np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)
+    rest = np.repeat(np.arange(len(parts), dtype=np.int64), [p.size - 1 for p in parts])
+    return np.concatenate([p[:-1] for p in parts]), np.concatenate([p[1:] for p in parts]), rest
+
+
+def _longest(length: Array) -> Index:
+    """Return which bins are kept: all, or the longest of each of `MOST_BINS` groups of neighbours."""
+    if length.size <= MOST_BINS:
+        return np.arange(length.size)
+    groups = np.array_split(np.arange(length.size), MOST_BINS)
+    return np.array([g[np.argmax(length[g])] for g in groups], dtype=np.int64)
+
+
+def _bin_means(values: Array, first: Array, last: Array) -> Array:
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return np.asarray((total[last.astype(int)] - total[first.astype(int)]) / (last - first)[:, None])
+
+
+def _white_variances(values: Array, first: Array, last: Array) -> Array:
+    """Variance (n, 3) of bin means, from differences of window means inside bins, shrunk to their mean."""
+    half = np.diff(values, axis=0) ** 2 / 2.0
+    own = _bin_means(half, first, last - 1.0)
+    count = (last - first - 1.0)[:, None]
+    pooled = (own * count).sum(axis=0) / count.sum() if count.size else np.zeros(3)
+    windows_variance = (own * count + pooled * POOLED_WEIGHT) / (count + POOLED_WEIGHT)
+    return np.asarray(np.maximum(windows_variance / (last - first)[:, None], 1e-18))
+
+
+def _bin_temperatures(samples: Samples, t_start: float, first: Array, last: Array) -> Array | None:
+    if samples.temperature is None:
+        return None
+    known = np.isfinite(samples.temperature)
+    if known.sum() < 2 or first.size == 0:
+        return None
+    grid = t_start + (np.arange(int(last.max())) + 0.5) * WINDOW
+    smooth = reconstructed(samples.t[known], samples.temperature[known])
+    at_windows = np.interp(grid, samples.t[known], smooth)
+    return _bin_means(at_windows[:, None], first, last)[:, 0]
+
+
+def _charging(
+    events: Sequence[Charging], span: tuple[float, float], first: Array, last: Array
+) -> dict[str, Array | None]:
+    """Return charging per bin and (m, 2) switching times; before the first event its opposite held."""
+    plugs = sorted((e for e in events if isinstance(e, Charging)), key=lambda e: e.t)
+    if not plugs:
+        return {"charging": None, "charging_switches": None}
+    times = np.array([span[0], *(e.t for e in plugs)])
+    states = np.array([float(plugs[0].t > span[0] and not plugs[0].on), *(float(e.on) for e in plugs)])
+    fine = span[0] + np.arange(int((span[1] - span[0]) / WINDOW) + 1) * WINDOW
+    at = states[np.maximum(np.searchsorted(times, fine, side="right") - 1, 0)]
+    return {
+        "charging": _bin_means(at[:, None], first, last)[:, 0],
+        "charging_switches": np.stack([times, states], axis=1),
+    }

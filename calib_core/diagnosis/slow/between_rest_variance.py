@@ -1,0 +1,92 @@
+"""A bias that is another in every rest: what strain after a move leaves, or a field about the phone.
+
+No wander is quiet within rests and jumps between them. There is no mean to it that a column could have: it
+shows in the covariance of what nothing else explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
+from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Evidence, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.diagnosis.slow.effects_bias import NAME, UNIT
+from stillcal.calib_core.diagnosis.slow.search import Scored
+
+DRIVER = "the rest it lies in"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Jumps:
+    """Jumps of the bias from rest to rest, view by view.
+
+    sure: (v,) probability that they are beyond what is allowed; size: (v,) standard deviation, m/s^2 or
+    rad/s; freedom: (v,) degrees of freedom with which it is known.
+    """
+
+    sure: Array
+    size: Array
+    freedom: Array
+
+
+def jumps(scene: Scene, explained: Sequence[Hypothesis], reduced: Sequence[Reduced]) -> Jumps | None:
+    """Return the jumps of a bias beside what is `explained`, where there surely are any.
+
+    reduced: the scene, what is explained taken out. The norm of gravity tells of the accelerometer's three
+    axes together.
+    """
+    _, weights = joint(reduced, [log_terms(v, v.yy) for v in reduced])
+    limit, told = thresholds.JUMP[scene.sensor], []
+    for i, (view, left, weight) in enumerate(zip(scene.views, reduced, weights, strict=True)):
+        if view.name == "tangent":
+            continue
+        allowed = limit**2 * (left.dof - 2.0) / (left.known + left.yy)
+        sure = float(weight[left.jump > allowed].sum())
+        told.append((sure, *_scatter(view, [h.columns[i][0] for h in explained])))
+    sure, size, freedom = np.array(told).T
+    return Jumps(sure, size, freedom) if sure.max() >= thresholds.CERTAIN_JUMP else None
+
+
+def _scatter(view: View, explained: list[Array]) -> tuple[float, float]:
+    """Return the standard deviation of the means of rests, and its degrees of freedom.
+
+    Beside jumps that are sure, what noise and wander add to it is little.
+    """
+    away = view.left(*explained)
+    means = np.array([away[view.rest == r].mean() for r in np.unique(view.rest)])
+    freedom = max(means.size - view.nuisance().shape[1], 1)
+    return float(np.sqrt((means**2).sum() / freedom)), float(freedom)
+
+
+def stands(scene: Scene, one: Scored, found: Jumps) -> bool:
+    """Whether a hypothesis has no name, or explains so much more than the jumps left that its name stands."""
+    own = one.hypothesis
+    if own.entry.effect == "unknown":
+        return True
+    beta = own.sizes * one.fit.beta
+    seen = [v for v in zip(scene.views, own.columns, strict=True) if v[0].name != "tangent"]
+    explained = sum(float((columns @ beta).var()) for _, columns in seen)
+    return explained >= thresholds.TOWERING * float((found.size**2).sum())
+
+
+def finding(scene: Scene, found: Jumps) -> Finding:
+    """State the jumps: they have no name, for many a cause may have them."""
+    sure, size, freedom = (np.broadcast_to(x, 3) for x in (found.sure, found.size, found.freedom))
+    axes = [a for a, p in zip(AXES, sure, strict=True) if p >= thresholds.CERTAIN_JUMP]
+    spread = 1.96 / np.sqrt(2.0 * freedom)
+    ci = np.stack([size * np.exp(-spread), size * np.exp(spread)], axis=1)
+    say = (
+        f"The {NAME[scene.sensor]}'s bias is another in every rest, by {size.max():.2g}"
+        f" {UNIT[scene.sensor]} (one standard deviation), as strain that moves leave or a field about it do."
+    )
+    where = Where(*scene.bins.span, SLOW_BAND, DRIVER)
+    evidence = Evidence(max(1.0 - float(sure.max()), 1e-12), 0.0, 0.0, 0.0, 0)
+    parameters = {"size": Parameter(size.tolist(), ci.tolist(), UNIT[scene.sensor])}
+    return Finding("unknown", scene.sensor, axes, where, parameters, evidence, [], say)

@@ -1,0 +1,116 @@
+"""Parameters of what was found, all findings of a sensor together, with intervals.
+
+Linear parameters and grid parameters (time constants, times of steps) are averaged over a fine grid with the
+shape-averaged likelihood as weight, so that an amplitude's interval knows how uncertain the time constant is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.likelihood import Fit, fit_hypothesis, null_log_likelihood
+from stillcal.calib_core.diagnosis.model.records import Parameter
+from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+
+GRID_PARAMETERS = ("tau_s", "period_s")
+WIDENED = 1.1
+"""Standard errors are widened by this: they know nothing of the search before them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """A hypothesis at its best grid point: mean (k,), covariance (k, k) in SI, grid quantiles, gain."""
+
+    hypothesis: Hypothesis
+    value: Array
+    covariance: Array
+    grid: dict[str, tuple[float, float, float]]
+    gain: float
+
+    @property
+    def sigma(self) -> Array:
+        """Standard errors (k,)."""
+        return np.asarray(np.sqrt(np.maximum(self.covariance.diagonal(), 0.0)))
+
+    def chance(self) -> float:
+        """Return the probability of values as far from nothing by chance (Wald's chi-squared)."""
+        from scipy.special import chdtrc  # noqa: PLC0415 - the daemon stays light
+
+        scaled = self.covariance / np.outer(self.sigma, self.sigma)
+        unit = self.value / self.sigma
+        return float(chdtrc(float(unit.size), float(unit @ np.linalg.solve(scaled, unit))))
+
+
+def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> Estimate:
+    """Fit one finding with the others' columns free beside it."""
+    refine = hypothesis.entry.refine
+    candidates = [hypothesis] if refine is None else refine(hypothesis.entry, scene, hypothesis.grid)
+    reduced = reduce_scene(scene, candidates, others)
+    fits = [fit_hypothesis(reduced, h) for h in range(len(candidates))]
+    gains = np.array([f.log_likelihood for f in fits])
+    weight = np.exp(gains - gains.max())
+    weight /= weight.sum()
+    mean, covariance = _averaged(fits, weight, hypothesis.sizes)
+    top = candidates[int(gains.argmax())]
+    grid = {
+        name: _quantiles(candidates, name, weight)
+        for name in hypothesis.grid
+        if name in hypothesis.entry.grid_units
+    }
+    return Estimate(top, mean, covariance, grid, float(gains.max() - null_log_likelihood(reduced)))
+
+
+def _averaged(fits: list[Fit], weight: Array, sizes: Array) -> tuple[Array, Array]:
+    """Mean and covariance of a mixture of fits, in SI."""
+    betas = np.array([f.beta for f in fits])
+    mean = weight @ betas
+    away = betas - mean
+    total = sum(w * (f.covariance + np.outer(a, a)) for w, f, a in zip(weight, fits, away, strict=True))
+    return np.asarray(mean * sizes), np.asarray(np.asarray(total) * np.outer(sizes, sizes) * WIDENED**2)
+
+
+def _quantiles(candidates: list[Hypothesis], name: str, weight: Array) -> tuple[float, float, float]:
+    """Median and 95 % interval of a grid parameter, by its weight; at least half a grid step wide."""
+    values = np.array([c.grid[name] for c in candidates])
+    order = np.argsort(values)
+    values, weight = values[order], weight[order]
+    if values.size == 1:
+        return float(values[0]), float(values[0]), float(values[0])
+    middle = np.cumsum(weight) - weight / 2.0
+    low, median, high = np.interp((0.025, 0.5, 0.975), middle, values)
+    k = int(np.argmax(weight))
+    floor, ceiling = values[max(k - 1, 0)], values[min(k + 1, values.size - 1)]
+    return (
+        float(median),
+        float(min(low, (floor + values[k]) / 2)),
+        float(max(high, (ceiling + values[k]) / 2)),
+    )
+
+
+def parameters(found: Estimate) -> dict[str, Parameter]:
+    """Return the parameters as the answer wants them."""
+    out, first, entry = {}, 0, found.hypothesis.entry
+    sigma = np.hypot(found.sigma, entry.rough * found.value)
+    for p in entry.parameters:
+        rows = slice(first, first + p.count)
+        out[p.name] = _linear(found.value[rows], sigma[rows], p.unit)
+        first += p.count
+    for name, (value, low, high) in found.grid.items():
+        if name in GRID_PARAMETERS:
+            # Half-widths of the logarithm, and of what the model is off by, add up as squares.
+            down, up = (np.hypot(np.log(x / value), 1.96 * entry.rough) for x in (low, high))
+            interval = [float(value * np.exp(-down)), float(value * np.exp(up))]
+            out[name] = Parameter(value, interval, entry.grid_units[name])
+    return out
+
+
+def _linear(value: Array, sigma: Array, unit: str) -> Parameter:
+    ci = np.stack([value - 1.96 * sigma, value + 1.96 * sigma], axis=-1)
+    if value.size == 9:
+        return Parameter(value.reshape(3, 3).tolist(), ci.reshape(3, 3, 2).tolist(), unit)
+    return Parameter(value.tolist(), ci.tolist(), unit)

@@ -1,0 +1,236 @@
+"""The slow diagnosis of one sensor: forward search, joint parameters, held-out evidence, findings."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from itertools import takewhile
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, HeldOut, best_covariance, held_out
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.likelihood import Reduced, fit_hypothesis
+from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
+from stillcal.calib_core.diagnosis.slow.effects import nameless, slow_entries
+from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
+from stillcal.calib_core.diagnosis.slow.random_walk import random_walk
+from stillcal.calib_core.diagnosis.slow.rotation_effects import turn_entries, turn_scene
+from stillcal.calib_core.diagnosis.slow.search import Scored, Step, adequate, forward, reduce_scene
+
+ENTRIES = 20
+"""How many entries compete, to make one p value of the best one's."""
+
+LEAST_GAIN = 3.0
+"""Gain in held-out log score, nats, of structure without a name and of what stands beside other findings
+(twenty to one); a name by itself must have any."""
+
+CHANCE = 1e-3
+"""Probability of parameters as large by chance, above which a finding beside others is none."""
+
+ACT = {
+    "temperature": "; correct it by the thermometer",
+    "temperature x own force": "; correct it by the thermometer",
+    "temperature x rate of turn": "; correct it by the thermometer",
+    "time since start": "; leave the first minutes out, or let the phone settle",
+    "charging and use": "; record temperature, and calibrate at the heat of use",
+    "charging": "; calibrate with and without the charger",
+    "time": "; calibrate again, and more often",
+    "attitude": "; correct it by the accelerometer",
+    "own force": "; correct it by its curve",
+    "rate of turn": "; correct it by its curve",
+}
+"""What a person can do about an effect, by what it follows."""
+
+ALTERNATIVES = 3
+"""How many other effects are reported beside a finding."""
+
+
+def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
+    """Return what the still bins of one sensor show, in the order it was found.
+
+    without: effects that are left out of the catalogue. What jumps from rest to rest leaves is not called a
+    random walk besides.
+    """
+    if len(scene.bins) < thresholds.LEAST_BINS:
+        return []
+    entries = slow_entries(scene.sensor, without)
+    steps = forward(scene, entries)
+    found, left = _jumps(scene, steps)
+    if found:
+        steps = [step for step in adequate(steps) if jumps.stands(scene, step.winner, found)]
+        found, left = _jumps(scene, steps)
+    beside = [jumps.finding(scene, found)] if found else random_walk(scene, left)
+    return [
+        *findings_of(scene, steps),
+        *(replace(f, effect="unknown") if f.effect in without else f for f in beside),
+    ]
+
+
+def _jumps(scene: Scene, steps: Sequence[Step]) -> tuple[jumps.Jumps | None, list[Reduced]]:
+    """Return a bias' jumps beside the steps, and the scene with these taken out."""
+    explained = [h for step in adequate(steps) for h in step.explained]
+    left = reduce_scene(scene, [nothing(scene)], explained)
+    return jumps.jumps(scene, explained, left), left
+
+
+def turn_findings(made: Aligned, bins: Bins, gravity: float, without: Collection[str] = ()) -> list[Finding]:
+    """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out.
+
+    Where rests are too few to judge the accelerometer, its errors would be taken for the gyroscope's.
+    """
+    seen = turn_scene(made, bins, gravity)
+    if seen is None or len(bins) < thresholds.LEAST_BINS:
+        return []
+    scene, found = seen
+    entries = [nameless(e) if e.effect in without else e for e in turn_entries(found, scene)]
+    return findings_of(scene, forward(scene, entries))
+
+
+def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
+    """Turn forward steps into findings, each estimated with the others beside it.
+
+    What is nothing once the others are free to move with it was their model's fault, and is left out. So is
+    what the parts that took no part in the fit do not speak for, a name that was worth it in a pair only;
+    names are then weighed anew. Where nothing is left, structure without a name that the first name was
+    preferred to is tried.
+    """
+    first = steps[0] if steps else None
+    while kept := adequate(steps):
+        if not _stands_alone(kept[-1].winner):
+            steps = _without(steps, kept[-1]) + _passed_over(kept[-1])
+            continue
+        found = [step.winner.hypothesis for step in kept]
+        others = [[f for f in found if f is not own] for own in found]
+        estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
+        chances = [e.chance() for e in estimates]
+        if len(kept) >= 2 and max(chances) >= CHANCE:
+            steps = _without(steps, kept[int(np.argmax(chances))])
+            continue
+        made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
+        least = [LEAST_GAIN * (f.effect == "unknown" or len(made) > 1) for f in made]
+        gains = [f.evidence.heldout_log_score_gain - x for f, x in zip(made, least, strict=True)]
+        if min(gains) > 0.0:
+            return made
+        steps = _without(steps, kept[int(np.argmin(gains))])
+    passed_over = first.others[0] if first and first.others else None
+    if first is None or passed_over is None or passed_over.score <= first.winner.score:
+        return []
+    return findings_of(scene, [Step(passed_over, ())])
+
+
+def _stands_alone(found: Scored) -> bool:
+    """Whether a finding scores at least what a name that is preferred to nameless structure may."""
+    allowed = thresholds.UNKNOWN_MARGIN + found.hypothesis.entry.handicap
+    return found.score >= thresholds.SCORE - allowed
+
+
+def _passed_over(step: Step) -> list[Step]:
+    """Return what a name was preferred to for the sake of a second one that did not last."""
+    return [Step(s, ()) for s in step.others[:1] if s.score >= thresholds.SCORE]
+
+
+def _without(steps: Sequence[Step], weak: Step) -> list[Step]:
+    """Return the steps before one and not those after it, which were taken beside it."""
+    return list(takewhile(lambda s: s.winner.fit is not weak.winner.fit, steps))
+
+
+def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:
+    before = _evidence(scene, None, others)
+    after = _evidence(scene, found.hypothesis, others)
+    alternatives = [_alternative(scene, s, step.winner, others, before) for s in _shown(step)]
+    axes = named_axes(found)
+    return Finding(
+        effect=found.hypothesis.entry.effect,
+        sensor=scene.sensor,
+        axes=axes,
+        where=_where(scene, found.hypothesis),
+        parameters=parameters(found),
+        evidence=Evidence(
+            p_value=min(1.0, ENTRIES * 10.0 ** -max(step.winner.score, 0.0)),
+            heldout_rmse_before=before.rmse,
+            heldout_rmse_after=after.rmse,
+            heldout_log_score_gain=after.log_score - before.log_score,
+            folds=FOLDS,
+        ),
+        alternatives=alternatives,
+        statement=_statement(found, axes, alternatives),
+    )
+
+
+def _shown(step: Step) -> list[Scored]:
+    """Return the best other effects that have a name, each once."""
+    shown: dict[str, Scored] = {}
+    for s in step.others:
+        effect = s.hypothesis.entry.effect
+        if effect not in ("unknown", step.winner.hypothesis.entry.effect):
+            shown.setdefault(effect, s)
+    return list(shown.values())[:ALTERNATIVES]
+
+
+def _evidence(scene: Scene, hypothesis: Hypothesis | None, others: Sequence[Hypothesis]) -> HeldOut:
+    """Return held-out scores with `others` and, if given, one more effect, the noise refitted for it."""
+    candidates = [hypothesis] if hypothesis is not None else list(others[:1])
+    rest = list(others) if hypothesis is not None else list(others[1:])
+    if not candidates:
+        reduced = reduce_scene(scene, [nothing(scene)])
+        pairs = zip(scene.views, reduced, strict=True)
+        return held_out(scene, [best_covariance(v, r, None, np.zeros(0)) for v, r in pairs], [])
+    reduced = reduce_scene(scene, candidates, rest)
+    beta = fit_hypothesis(reduced, 0).beta
+    covariances = [best_covariance(v, r, 0, beta) for v, r in zip(scene.views, reduced, strict=True)]
+    return held_out(scene, covariances, [*candidates, *rest])
+
+
+def _alternative(
+    scene: Scene, other: Scored, winner: Scored, found: list[Hypothesis], before: HeldOut
+) -> Alternative:
+    after = _evidence(scene, other.hypothesis, found)
+    return Alternative(
+        other.hypothesis.entry.effect,
+        after.log_score - before.log_score,
+        bool(winner.score - other.score < thresholds.MARGIN),
+    )
+
+
+def named_axes(found: Estimate) -> list[str]:
+    """Return the axes whose parameters stand out of their own errors, at least the one that does most."""
+    owner = found.hypothesis.axis_of
+    strength = np.abs(found.value) / np.maximum(found.sigma, 1e-300)
+    by_axis = [float(strength[owner == a].max(initial=0.0)) for a in range(3)]
+    least = min(thresholds.AXIS_SIGMA, max(by_axis))
+    size = np.abs(found.value) / found.hypothesis.sizes
+    share = np.array([size[owner == a].max(initial=0.0) for a in range(3)])
+    large = share >= thresholds.AXIS_SHARE * share.max()
+    named = [AXES[a] for a in range(3) if by_axis[a] >= least and large[a]]
+    return named or [AXES[int(np.argmax(by_axis))]]
+
+
+def _size(found: Estimate, axes: list[str]) -> str:
+    """Return the first parameter's largest component on the named axes, in words."""
+    first = found.hypothesis.entry.parameters[0]
+    named = np.isin(found.hypothesis.axis_of[: first.count], [AXES.index(a) for a in axes])
+    top = int(np.argmax(np.abs(found.value[: first.count]) * named))
+    unit = "" if first.unit == "1" else f" {first.unit}"
+    return f"{first.name} {found.value[top]:.3g}{unit}"
+
+
+def _where(scene: Scene, hypothesis: Hypothesis) -> Where:
+    start, end = scene.bins.span
+    t_start = hypothesis.grid.get("t_start", start)
+    return Where(t_start, hypothesis.grid.get("t_end", end), SLOW_BAND, hypothesis.entry.follows)
+
+
+def _statement(found: Estimate, axes: list[str], alternatives: list[Alternative]) -> str:
+    entry = found.hypothesis.entry
+    said = entry.sentence.format(axes=", ".join(axes))[:-1]
+    text = f"{said} ({_size(found, axes)}){ACT.get(entry.follows, '')}."
+    alike = [a.effect for a in alternatives if a.indistinguishable]
+    if not alike:
+        return text
+    decides = f" To decide: {entry.decides}." if entry.decides else ""
+    return f"{text} This recording cannot tell it from {' or '.join(alike)}.{decides}"

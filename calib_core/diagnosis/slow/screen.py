@@ -1,0 +1,168 @@
+"""Screening of banks: thousands of curves judged under a few covariances; the best of each are then fitted.
+
+A rank among curves of one bank needs no refitted noise; the score of those that go on does, and pays for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.hypothesis import TILTED, Bank, Entry, Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms, projected, stacked
+from stillcal.calib_core.diagnosis.model.noise_models import families
+from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.diagnosis.slow.two_level import Course, grown
+
+KEPT = 5
+"""Curves of a bank that go on, under each covariance."""
+
+SPREAD = 7
+"""Courses between two levels are grown from one in so many of the best stretches: neighbours are alike."""
+
+CHUNK = 400
+MODERATE = "flicker"
+"""A wander of middling strength that is tried beside white noise and the likeliest."""
+
+
+def screened(
+    scene: Scene, entries: Sequence[Entry], reduced: Sequence[Reduced], found: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """Return the hypotheses of entries with a bank that go on. reduced: the scene with `found` taken out."""
+    choices = _choices(scene, reduced)
+    whitened = [_Whitened(v, choice, _extra(found, i)) for i, (v, choice) in enumerate(choices)]
+    kept = []
+    for entry in entries:
+        bank = None if entry.bank is None else entry.bank(scene)
+        if bank is None:
+            continue
+        if bank.switching:
+            kept += _switching(entry, scene, whitened, bank)
+            continue
+        best: set[int] = set()
+        for c in range(len(whitened[0].diagonals)):
+            gains = _gains(whitened, bank, c, entry.parameters[0].size)
+            best |= set(np.argsort(-gains)[:KEPT].tolist())
+        kept += [hypothesis(entry, scene, bank, k) for k in sorted(best)]
+    return kept
+
+
+def hypothesis(entry: Entry, scene: Scene, bank: Bank, k: int) -> Hypothesis:
+    """Return curve number `k` of a bank as a hypothesis, its curves on each axis one after another."""
+    columns = tuple(_columns(v, bank.curve(k)[None]) for v in scene.views)
+    return Hypothesis(entry, bank.grids[k], columns, bank.trials)
+
+
+def _switching(entry: Entry, scene: Scene, whitened: Sequence[_Whitened], bank: Bank) -> list[Hypothesis]:
+    """Return the likeliest courses between two levels, grown from the best stretches of each covariance."""
+    assert bank.pairs is not None
+    courses: dict[bytes, Course] = {}
+    for c in range(len(whitened[0].diagonals)):
+        gram, target, power = _inner(whitened, bank, c, entry.parameters[0].size)
+        starts = np.argsort(-_gains_of_pairs(gram, target, bank.pairs))[: KEPT * SPREAD : SPREAD]
+        for first, last in bank.pairs[starts]:
+            course = grown(gram, target, power, int(first), int(last))
+            if course is not None:
+                courses[course.changes.tobytes()] = course
+    made = []
+    for course in courses.values():
+        curve = np.tensordot(course.changes.astype(float), bank.curves, 1)
+        columns = tuple(_columns(v, curve[None]) for v in scene.views)
+        made.append(Hypothesis(entry, {}, columns, float(np.exp(course.log_trials))))
+    return made
+
+
+def _columns(view: View, curves: Array) -> Array:
+    """Columns (b, n, K q 3) of a bias that follows curves (K, q, N) on each axis; none where phones tilt."""
+    if view.name in TILTED:
+        return np.zeros((*view.y.shape, 3 * curves.shape[0] * curves.shape[1]))
+    at = curves[:, :, view.bins].reshape(-1, view.bins.size).T
+    made = at[None, :, :, None] * view.project[:, :, None, :]
+    return np.asarray(made.reshape(*view.y.shape, -1))
+
+
+def _extra(found: Sequence[Hypothesis], i: int) -> Array | None:
+    if not found:
+        return None
+    extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2)
+    seen = np.abs(extra).max(axis=(0, 1)) > 0.0
+    return np.asarray(extra[:, :, seen]) if seen.any() else None
+
+
+def _choices(scene: Scene, reduced: Sequence[Reduced]) -> list[tuple[View, list[int]]]:
+    """Return for each view the numbers of the shapes to screen under: white, likeliest, a moderate one."""
+    _, weights = joint(reduced, [log_terms(r, r.yy) for r in reduced])
+    out = []
+    for view, r, weight in zip(scene.views, reduced, weights, strict=True):
+        moderate = [i for i, name in enumerate(r.family) if name == MODERATE]
+        middle = moderate[len(moderate) // 2 - 1] if moderate else 0
+        out.append((view, [0, int(np.argmax(weight)), middle]))
+    return out
+
+
+class _Whitened:
+    """A view under a few shapes: what whitens it, and its data so whitened."""
+
+    def __init__(self, view: View, choice: list[int], extra: Array | None) -> None:
+        shapes = [(f, g) for f in families(view) for g in range(f.strengths.size)]
+        self.view, self.extra = view, extra
+        self.rotations = [shapes[c][0].rotation for c in choice]
+        self.diagonals = [np.sqrt(shapes[c][0].diagonals[shapes[c][1]])[:, None] for c in choice]
+
+    def sums(self, columns: Array, c: int) -> tuple[Array, Array, float]:
+        """Return y' x (M,), whitened x (b n, M) and the white scale left, under shape number `c`."""
+        seen = np.abs(columns).max(axis=(0, 1)) > 0.0
+        everything = stacked(self.view, columns[:, :, seen], self.extra)
+        whitened = self.rotations[c] @ everything / self.diagonals[c]
+        y, part, _ = projected(whitened, self.view.baseline.shape[2], int(seen.sum()))
+        x = np.zeros((y.size, seen.size))
+        x[:, seen] = part
+        left = float(y @ y) / max(y.size - self.view.parameters, 1)
+        return y @ x, x, left if left > 0.0 else 1.0  # values that never change leave nothing
+
+
+def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array:
+    """Return about the gain of every hypothesis of a bank in log likelihood under shape number `c`."""
+    if bank.pairs is not None:
+        return _gains_of_pairs(*_inner(views, bank, c, size)[:2], bank.pairs)
+    out = []
+    width = 3 * bank.curves.shape[1]
+    for first in range(0, len(bank.curves), CHUNK):
+        curves = bank.curves[first : first + CHUNK]
+        gram, target = np.zeros((len(curves), width, width)), np.zeros((len(curves), width))
+        for view in views:
+            xy, x, scale = view.sums(_columns(view.view, curves) * size, c)
+            parts = x.reshape(len(x), len(curves), width)
+            gram += parts.transpose(1, 2, 0) @ parts.transpose(1, 0, 2) / scale
+            target += xy.reshape(len(curves), width) / scale
+        out.append(_least_squares(gram, target))
+    return np.concatenate(out)
+
+
+def _inner(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> tuple[Array, Array, float]:
+    """Return inner products of a bank's single curves (K, 3, K, 3), those with the data (K, 3), its power."""
+    count = len(bank.curves)
+    gram, target, power = np.zeros((count, 3, count, 3)), np.zeros((count, 3)), 0.0
+    for view in views:
+        xy, x, scale = view.sums(_columns(view.view, bank.curves) * size, c)
+        power += len(x)
+        gram += (x.T @ x).reshape(count, 3, count, 3) / scale
+        target += xy.reshape(count, 3) / scale
+    return gram, target, power
+
+
+def _gains_of_pairs(gram: Array, target: Array, pairs: NDArray[np.int64]) -> Array:
+    """Return the same for differences of single curves, from the curves' own inner products."""
+    a, b = pairs.T
+    crossed = gram[a, :, b, :]
+    both = gram[a, :, a, :] + gram[b, :, b, :] - crossed - crossed.transpose(0, 2, 1)
+    return _least_squares(both, target[a] - target[b])
+
+
+def _least_squares(gram: Array, target: Array) -> Array:
+    """Gain (K,) of K least-squares fits whose parameters have unit prior variance."""
+    solved = np.linalg.solve(gram + np.eye(gram.shape[1]), target[:, :, None])[:, :, 0]
+    return np.asarray(0.5 * np.einsum("ki,ki->k", target, solved))

@@ -1,0 +1,300 @@
+"""Competition of the catalogue on one sensor's slow views, with forward steps.
+
+Every hypothesis is scored on one scale (docs/misfit.md, 5); the best one above the threshold joins the
+baseline and the search is repeated.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.hypothesis import Entry, Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.likelihood import (
+    Fit,
+    Reduced,
+    fit_hypothesis,
+    gain_bound,
+    highest,
+    null_log_likelihood,
+    reduce_view,
+)
+from stillcal.calib_core.diagnosis.slow.effects import nameless
+from stillcal.calib_core.diagnosis.slow.screen import screened
+
+LN10 = float(np.log(10.0))
+ACROSS = 13.8
+"""Chi-squared of two components that chance exceeds once in 1000."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """A hypothesis with its fit, score S and gain; profile: (grid point, gain) over its entry's grid."""
+
+    hypothesis: Hypothesis
+    fit: Fit
+    score: float
+    gain: float
+    profile: tuple[tuple[dict[str, float], float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One forward step: the winner and the best of every other entry, best first.
+
+    shadows: the winner's neighbours on its fine grid, and its kin. They are projected out
+    with it later, so that what a time constant slightly off leaves is not taken for another effect.
+    """
+
+    winner: Scored
+    others: tuple[Scored, ...]
+    shadows: tuple[Hypothesis, ...] = ()
+
+    @property
+    def explained(self) -> tuple[Hypothesis, ...]:
+        """What later steps project out."""
+        return (self.winner.hypothesis, *self.shadows)
+
+
+def score(gain: float, parameters: int, dof: float, trials: float) -> float:
+    """Return S: minus log10 of the F tail of a gain in log likelihood, less log10 of the grid's size."""
+    tail = log_tail(2.0 * max(gain, 0.0) / dof, parameters, max(dof - parameters, 1.0))
+    return float(-tail / LN10 - np.log10(trials))
+
+
+def log_tail(fall: float, parameters: int, dof: float) -> float:
+    """Return the log probability that chance lowers the log of a sum of squares by `fall` and more.
+
+    The tail of F is I_x(dof/2, parameters/2), x = exp(-fall) (Abramowitz and Stegun, 26.6.2); where that is
+    less than a double holds, its series in x (26.5.4) is summed as if b were small beside a.
+    """
+    from scipy.special import betainc, betaln  # noqa: PLC0415 - the daemon stays light
+
+    a, b = dof / 2.0, parameters / 2.0
+    tail = float(betainc(a, b, np.exp(-fall)))
+    if tail > np.finfo(np.float64).tiny:
+        return float(np.log(tail))
+    return float(-a * fall + (b - 1.0) * np.log1p(-np.exp(-fall)) - np.log(a) - betaln(a, b))
+
+
+def proposals(scene: Scene, entries: Sequence[Entry]) -> list[Hypothesis]:
+    """Return all hypotheses that the entries propose in a scene."""
+    return [h for entry in entries for h in entry.propose(entry, scene)]
+
+
+def compete(
+    scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()
+) -> tuple[list[Scored], list[Reduced]]:
+    """Score every hypothesis with baseline and `found` projected out; best of each entry, best first."""
+    reduced = reduce_scene(scene, hypotheses, found, parts=True)
+    null = null_log_likelihood(reduced)
+    grids = Counter(id(h.entry) for h in hypotheses)
+    scored: dict[int, list[Scored]] = {}
+    for index, h in enumerate(hypotheses):
+        one = _judged(reduced, index, h, null, h.trials or grids[id(h.entry)])
+        if one is not None:
+            scored.setdefault(id(h.entry), []).append(one)
+    return sorted((_best(group) for group in scored.values()), key=lambda s: -s.score), reduced
+
+
+def _judged(
+    reduced: Sequence[Reduced], index: int, h: Hypothesis, null: float, trials: float
+) -> Scored | None:
+    """Score a hypothesis on all axes and on each alone, and keep the better; None where it is hopeless.
+
+    Set 4 `index` of the reduced scene is the whole hypothesis, the next three are its axes. All axes cost a
+    factor of two in trials, one axis one of six.
+    """
+    best, whole = -np.inf, 4 * index
+    for part, cost in ((whole, 2), (whole + 1, 6), (whole + 2, 6), (whole + 3, 6)):
+        rank, dof = visible(reduced, part), degrees(reduced, part)
+        if rank == 0:
+            continue
+        least = max(best, thresholds.WORTH_FITTING)
+        if score(gain_bound(reduced, part) - null, rank, dof, trials * cost) < least:
+            continue
+        gain = highest(reduced, part) - null
+        best = max(best, score(gain, rank, dof, trials * cost))
+    if not np.isfinite(best):
+        return None
+    fit = fit_hypothesis(reduced, whole)
+    return Scored(h, fit, best - h.entry.handicap, fit.log_likelihood - null)
+
+
+def degrees(reduced: Sequence[Reduced], h: int) -> float:
+    """Return the degrees of freedom of the views that see hypothesis `h`."""
+    return sum(v.dof for v in reduced if v.blocks[h][0].trace() > 0.0)
+
+
+def _best(group: list[Scored]) -> Scored:
+    top = max(group, key=lambda s: s.score)
+    profile = tuple((s.hypothesis.grid, s.gain) for s in group)
+    return Scored(top.hypothesis, top.fit, top.score, top.gain, profile)
+
+
+def reduce_scene(
+    scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = (), *, parts: bool = False
+) -> list[Reduced]:
+    """Reduce every view for a list of hypotheses; with `parts`, each is followed by its three axes."""
+    widths = [h.columns[0].shape[2] for h in hypotheses]
+    ends = np.cumsum([0, *widths])
+    index = [np.arange(a, b) for a, b in pairwise(ends)]
+    if parts:
+        owners = zip(index, [h.axis_of for h in hypotheses], strict=True)
+        index = [i for whole, of in owners for i in (whole, *(whole[of == a] for a in range(3)))]
+    reduced = []
+    for i, view in enumerate(scene.views):
+        design = np.concatenate([h.columns[i] * h.sizes for h in hypotheses], axis=2)
+        extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2) if found else None
+        reduced.append(reduce_view(view, design, index, _nonzero(extra)))
+    return reduced
+
+
+def _nonzero(extra: Array | None) -> Array | None:
+    """Drop columns that a view does not see."""
+    if extra is None:
+        return None
+    seen = np.abs(extra).max(axis=(0, 1)) > 0.0
+    return extra[:, :, seen] if seen.any() else None
+
+
+def visible(reduced: Sequence[Reduced], h: int) -> int:
+    """Return how many directions of hypothesis `h` would show above white noise at their physical size."""
+    information = sum(v.blocks[h][0] for v in reduced)
+    return int((np.linalg.eigvalsh(np.asarray(information)) > 1.0).sum())
+
+
+def forward(scene: Scene, entries: Sequence[Entry], threshold: float = thresholds.SCORE) -> list[Step]:
+    """Return the forward steps above the threshold, at most `thresholds.MAX_FINDINGS`; names unweighed."""
+    steps: list[Step] = []
+    while len(steps) < thresholds.MAX_FINDINGS:
+        before = [h for s in steps for h in s.explained]
+        ranked = ranking(scene, entries, before)
+        if not ranked or ranked[0].score < threshold:
+            break
+        step = prefer_pair(scene, prefer_named(Step(ranked[0], tuple(ranked[1:]))), before)
+        step = refined(scene, step, before)
+        steps.append(step)
+        entries = [e for e in entries if not _spent(e, step.winner.hypothesis.entry)]
+    return steps
+
+
+def adequate(steps: Sequence[Step]) -> list[Step]:
+    """Withhold names that leave too much: beside structure without a name a named effect must tower.
+
+    A neighbour's name explains part of what something outside the catalogue does and leaves the rest. What
+    the best of names leaves of a large effect, its model being a model, is not reported. A latent heat, whose
+    curve is known roughly at best, need only be the larger part.
+    """
+    steps = [_one_of_many(s, steps) for s in _one_heat(steps)]
+    strange = max((s.winner.gain for s in steps if _effect(s) == "unknown"), default=0.0)
+    named = max((s.winner.gain for s in steps if _effect(s) != "unknown"), default=0.0)
+    least = {"unknown": thresholds.MODELLED * named, "thermal_latent": strange}
+    return [s for s in steps if s.winner.gain >= least.get(_effect(s), thresholds.TOWERING * strange)]
+
+
+def _one_heat(steps: Sequence[Step]) -> list[Step]:
+    """Leave out what without a name moves the axes as heat does that was found: of its curve little is known.
+
+    Charging and use stand for heat that was not recorded; the room's share of it is on the same axes.
+    """
+    heat = next((s for s in steps if _effect(s) == "thermal_latent"), None)
+    if heat is None:
+        return list(steps)
+    sensitivity = heat.winner.fit.beta[:3]
+    return [s for s in steps if _effect(s) != "unknown" or not _along(s.winner, sensitivity)]
+
+
+def _along(one: Scored, direction: Array) -> bool:
+    """Whether every curve of a bias moves the axes as `direction` (3,) does, within its errors."""
+    entry, owner = one.hypothesis.entry, one.hypothesis.axis_of
+    if entry.by_row or entry.parameters[0].name != "amplitude":
+        return False
+    unit = direction / np.linalg.norm(direction)
+    across = np.linalg.svd(unit[None])[2][1:]
+    for of in np.stack([np.flatnonzero(owner == a) for a in range(3)], axis=1):
+        away = across @ one.fit.beta[of]
+        spread = across @ one.fit.covariance[np.ix_(of, of)] @ across.T
+        if away @ np.linalg.solve(spread, away) > ACROSS:
+            return False
+    return True
+
+
+def _effect(step: Step) -> str:
+    return step.winner.hypothesis.entry.effect
+
+
+def _one_of_many(step: Step, steps: Sequence[Step]) -> Step:
+    """Take the name off an effect that comes once but was found several times: to and fro is no step."""
+    if _effect(step) == "unknown" or sum(_effect(s) == _effect(step) for s in steps) < 2:
+        return step
+    hypothesis = step.winner.hypothesis
+    return replace(
+        step, winner=replace(step.winner, hypothesis=replace(hypothesis, entry=nameless(hypothesis.entry)))
+    )
+
+
+def ranking(scene: Scene, entries: Sequence[Entry], found: Sequence[Hypothesis] = ()) -> list[Scored]:
+    """Return the best hypothesis of every entry with `found` projected out, best first."""
+    empty = reduce_scene(scene, [nothing(scene)], found)
+    hypotheses = [*proposals(scene, entries), *screened(scene, entries, empty, found)]
+    return compete(scene, hypotheses, found)[0] if hypotheses else []
+
+
+def _spent(entry: Entry, winner: Entry) -> bool:
+    """Whether a winner rules an entry out of later steps: all that name one effect, unless it can recur."""
+    return not winner.recurs and entry.effect == winner.effect != "unknown"
+
+
+def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
+    """Let a named effect win over a nameless one where, with a second name, it explains as much.
+
+    Two effects together may look like neither; each of the best few names is tried with the best second.
+    """
+    if step.winner.hypothesis.entry.effect != "unknown":
+        return step
+    named = [s for s in step.others if s.hypothesis.entry.effect != "unknown"][: thresholds.PAIRS]
+    best, chosen = step.winner.score - thresholds.UNKNOWN_MARGIN, step
+    for first in named:
+        others = [s.hypothesis.entry for s in named if s is not first]
+        entries = [e for e in others if not _spent(e, first.hypothesis.entry)]
+        ranked = ranking(scene, entries, [*before, first.hypothesis])
+        if ranked and first.score + ranked[0].score > best:
+            best = first.score + ranked[0].score
+            chosen = Step(first, (step.winner, *(s for s in step.others if s is not first)))
+    return chosen
+
+
+def prefer_named(step: Step) -> Step:
+    """Let a catalogue effect win over a generic one that is better by less than the margin."""
+    if step.winner.hypothesis.entry.effect != "unknown":
+        return step
+    near = [
+        s
+        for s in step.others
+        if s.hypothesis.entry.effect != "unknown"
+        and step.winner.score - s.score - s.hypothesis.entry.handicap < thresholds.UNKNOWN_MARGIN
+    ]
+    if not near:
+        return step
+    return Step(near[0], (step.winner, *(s for s in step.others if s is not near[0])))
+
+
+def refined(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
+    """Move the winner to the best point of its entry's fine grid."""
+    winner = step.winner.hypothesis
+    kin = () if winner.entry.kin is None else tuple(winner.entry.kin(winner.entry, scene))
+    if winner.entry.refine is None:
+        return replace(step, shadows=kin)
+    candidates = winner.entry.refine(winner.entry, scene, winner.grid)
+    reduced = reduce_scene(scene, candidates, before)
+    gains = [highest(reduced, i) for i in range(len(candidates))]
+    best = int(np.argmax(gains))
+    near = [candidates[i] for i in (best - 1, best + 1) if 0 <= i < len(candidates)]
+    return replace(step, winner=replace(step.winner, hypothesis=candidates[best]), shadows=(*near, *kin))

@@ -1,0 +1,111 @@
+"""A turn: the gyroscope's samples between two rests, with all that later fits need of the rests.
+
+Forces and rates stay raw, so a turn serves any accelerometer model fitted later. Cutting and refusing
+turns lives here; estimating anything from them does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.samples import Samples
+
+
+class NoTurn(StrEnum):
+    """Why two rests and the samples between them make no turn."""
+
+    DISORDERED = "the second rest does not follow the first"
+    NO_RATES = "a rest has no gyroscope mean to take the bias from"
+    NOT_COVERED = "the gyroscope's samples do not reach from rest to rest"
+    GAP = "a gap in the gyroscope's samples"
+    TOO_LONG = "too long between the rests"
+    TOO_SMALL = "the phone hardly turned"
+
+
+@dataclass(frozen=True, slots=True)
+class TurnSettings:
+    """How turns are cut.
+
+    margin: s, how far into each rest the integration reaches (at most half the rest). max_duration: s,
+    longest turn; a longer one is more drift than turn. max_gap: s, longest step between two samples.
+    min_angle: rad, least excursion of the integrated rate.
+    """
+
+    margin: float = 0.1
+    max_duration: float = 60.0
+    max_gap: float = 0.1
+    min_angle: float = 0.35
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.margin <= 5.0:
+            raise ValueError(f"margin is {self.margin} s: allowed are 0 to 5")
+        for name in ("max_duration", "max_gap", "min_angle"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be above 0")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """The gyroscope between two rests. t: (n,) s; rates: (n, 3) raw rad/s, from rest into rest."""
+
+    before: RestState
+    after: RestState
+    t: Array
+    rates: Array
+
+    @property
+    def t_start(self) -> float:
+        """Stamp of the first sample, within the first rest, s."""
+        return float(self.t[0])
+
+    @property
+    def t_end(self) -> float:
+        """Stamp of the last sample, within the second rest, s."""
+        return float(self.t[-1])
+
+
+def make_turn(
+    before: RestState, after: RestState, gyro: Samples, settings: TurnSettings | None = None
+) -> Turn | NoTurn:
+    """Cut the turn between two successive rests out of `gyro`, or say why there is none.
+
+    gyro: raw samples that reach at least from the end of `before` to the start of `after`; more is
+    ignored. The turn begins within the first rest and ends within the second, so that gravity's
+    direction at either end is that of the rest.
+    """
+    settings = settings or TurnSettings()
+    if after.t_start < before.t_end:
+        return NoTurn.DISORDERED
+    if before.rate is None or after.rate is None:
+        return NoTurn.NO_RATES
+    t_start = before.t_end - min(settings.margin, 0.5 * before.duration)
+    t_end = after.t_start + min(settings.margin, 0.5 * after.duration)
+    if t_end - t_start > settings.max_duration:
+        return NoTurn.TOO_LONG
+    span = gyro.between(t_start, np.nextafter(t_end, np.inf))
+    fault = _fault(span, before, after, settings)
+    return fault or Turn(before, after, np.array(span.t), np.array(span.xyz))
+
+
+def excursion(t: Array, rates: Array) -> float:
+    """Largest angle, rad, that the summed-up rates (n, 3) reach away from where they began."""
+    angle = np.cumsum(np.diff(t)[:, None] * 0.5 * (rates[1:] + rates[:-1]), axis=0)
+    return float(np.sqrt((angle**2).sum(axis=1).max(initial=0.0)))
+
+
+def _fault(span: Samples, before: RestState, after: RestState, settings: TurnSettings) -> NoTurn | None:
+    if len(span) < 3 or span.t[0] > before.t_end + settings.max_gap:
+        return NoTurn.NOT_COVERED
+    if span.t[-1] < after.t_start - settings.max_gap:
+        return NoTurn.NOT_COVERED
+    if np.diff(span.t).max() > settings.max_gap:
+        return NoTurn.GAP
+    assert before.rate is not None and after.rate is not None
+    if excursion(span.t, span.xyz - 0.5 * (before.rate + after.rate)) < settings.min_angle:
+        return NoTurn.TOO_SMALL
+    return None

@@ -1,0 +1,1 @@
+"""Noise of a sensor at rest: Allan variance and noise covariance."""

@@ -1,0 +1,1 @@
+"""The stationary detector: windows, noise floor, classification and static intervals (rests)."""

@@ -1,0 +1,203 @@
+"""From a run of still windows to a rest with honest uncertainties, or to the reason why it is none.
+
+Works on the joint rows of stillness_windows (accelerometer columns, then gyroscope's); no state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.static.settings import DetectorSettings, Fate
+from stillcal.calib_core.static.windows import (
+    COLUMNS,
+    D2,
+    HIGH,
+    K_END,
+    LOW,
+    LSB,
+    M2,
+    MEAN,
+    NORM_M2,
+    T0,
+    T1,
+    TEMP,
+    K,
+    N,
+    correlation_inflation,
+)
+
+# Student's t for a two-sided probability of 68.27 %, by degrees of freedom from 1 (JCGM 100:2008, Table G.2).
+_STUDENT = np.array([1.84, 1.32, 1.20, 1.14, 1.11, 1.09, 1.08, 1.07, 1.06, 1.05])
+_MIN_BATCHES = 4
+_FEW_CODES = 2.5  # a range below this many steps: at most three neighbouring codes
+_HELD_SHARE = 0.9  # of windows that never changed, beyond which a rest is a stuck sensor's
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sums:
+    """One sensor's windows of a rest, and their sums, each taken once.
+
+    columns: (COLUMNS, windows), a statistic's values lying side by side; n: samples; total: n x mean, (3,
+    windows); mean, m2, d2: (3,), of all samples; m2: about the windows' own means.
+    """
+
+    columns: Array
+    n: float
+    total: Array
+    mean: Array
+    m2: Array
+    d2: Array
+
+    @classmethod
+    def of(cls, rows: Array) -> _Sums:
+        """Take them over rows (windows, COLUMNS)."""
+        columns = np.ascontiguousarray(rows.T)
+        n = float(np.add.reduce(columns[N]))
+        total = columns[N] * columns[MEAN]
+        squares = np.add.reduce(columns[M2.start : D2.stop], axis=1)
+        return cls(columns, n, total, np.add.reduce(total, axis=1) / n, squares[:3], squares[3:])
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom about the windows' own means, at least 1."""
+        return float(max(self.n - self.columns.shape[1], 1.0))
+
+    @property
+    def variance(self) -> Array:
+        """Variance of single samples about their windows' means, (3,)."""
+        return self.m2 / self.freedom
+
+
+def judged(rows: Array, drifted: bool, settings: DetectorSettings) -> RestState | Fate:
+    """Return the rest that these still windows make, or why they make none.
+
+    rows: joint rows, shape (windows, 2 COLUMNS). drifted: no motion parts them from a neighbour.
+    """
+    length = float(np.add.reduce(rows[:, K_END] - rows[:, K])) * settings.window_s
+    if length < settings.w_min_s * (1 - 1e-9):
+        return Fate.SHORT
+    if drifted and length < settings.settle_s:
+        return Fate.TILTING
+    accel = _Sums.of(rows[:, :COLUMNS])
+    if np.count_nonzero(~accel.columns[D2].any(axis=0)) > _HELD_SHARE * rows.shape[0]:
+        return Fate.FROZEN
+    bias = _quantisation(accel)
+    slope, uncertainty = _tilt(accel, bias)
+    if slope > max(settings.max_tilt_rate, 4.0 * uncertainty):
+        return Fate.TILTING
+    gyro = rows[rows[:, COLUMNS + N] > 0, COLUMNS:]
+    seen = _Sums.of(gyro) if 2 * gyro.shape[0] >= rows.shape[0] else None
+    return _rest(accel, bias, seen, slope + 2.0 * uncertainty)
+
+
+def _rest(accel: _Sums, bias: Array, gyro: _Sums | None, tilt_rate_limit: float) -> RestState:
+    """Put the rest together. bias: what rounding leaves in the force; gyro: where it was there."""
+    columns = accel.columns
+    temperature = float((columns[N] * columns[TEMP]).sum() / accel.n)
+    return RestState(
+        t_start=float(columns[T0, 0]),
+        t_end=float(columns[T1, -1]),
+        n=int(accel.n),
+        specific_force=frozen(accel.mean),
+        force_sd=frozen(np.sqrt(accel.variance)),
+        force_uncertainty=frozen(_mean_uncertainty(accel, bias)),
+        level=float(np.sqrt(columns[NORM_M2].sum() / accel.freedom)),
+        tilt_rate_limit=tilt_rate_limit,
+        temperature=temperature if np.isfinite(temperature) else None,
+        **(_rate_fields(gyro, accel.mean) if gyro is not None else {}),
+    )
+
+
+def _rate_fields(gyro: _Sums, force: Array) -> dict[str, Any]:
+    """Return what a rest says of the rate. All of the rate about the vertical may be rotation, not bias."""
+    rate, uncertainty = gyro.mean, _mean_uncertainty(gyro, _quantisation(gyro))
+    up = force / np.linalg.norm(force)
+    return {
+        "rate": frozen(rate),
+        "rate_sd": frozen(np.sqrt(gyro.variance)),
+        "rate_uncertainty": frozen(uncertainty),
+        "rate_level": float(np.sqrt(gyro.variance.mean())),
+        "spin_admitted": float(abs(rate @ up) + 2.0 * np.linalg.norm(uncertainty * up)),
+    }
+
+
+def _mean_uncertainty(sums: _Sums, bias: Array) -> Array:
+    """Return the standard uncertainty of the mean of all samples, shape (3,), honest for coloured noise.
+
+    The largest of: white noise inflated by the samples' lag-one correlation, and the scatter of batch means
+    at every batch length that leaves at least 4 batches (fewer, where the rest is that short), each widened
+    by Student's t for so few batches. What the noise remembers for longer than about 1/25 of the rest cannot
+    be seen from inside it and is not in here: the scatter between rests of one attitude tells. Then the
+    quantiser's own `bias` on top, where few codes were seen.
+    """
+    off, n = sums.columns[MEAN] - sums.mean[:, None], sums.n
+    squares = sums.m2 + np.add.reduce(sums.columns[N] * off * off, axis=1)
+    variance = squares / (n - 1) / n * correlation_inflation(squares, sums.d2, n)
+    variance = np.maximum(variance, _batch_variance(sums.columns[N], sums.columns[MEAN], sums.total))
+    return np.asarray(np.sqrt(variance + bias * bias))
+
+
+def _batch_variance(n: Array, means: Array, totals: Array) -> Array:
+    """Variance of the mean by the scatter of batch means, the largest over lengths of 1, 2, 4, ... windows.
+
+    n: (windows,); means, totals: (3, windows), totals = n x means.
+    """
+    largest = np.zeros(3)
+    while n.size >= 2:
+        off = means - np.add.reduce(means, axis=1, keepdims=True) / n.size
+        student = _STUDENT[min(n.size - 2, _STUDENT.size - 1)]
+        scatter = np.add.reduce(off * off, axis=1) * (student**2 / (n.size * (n.size - 1)))
+        largest = np.maximum(largest, scatter)
+        end = n.size // 2 * 2
+        if end < 2 * _MIN_BATCHES:
+            break
+        n = n[0:end:2] + n[1:end:2]
+        totals = totals[:, 0:end:2] + totals[:, 1:end:2]
+        means = totals / n
+    return largest
+
+
+def _quantisation(sums: _Sums) -> Array:
+    """Return the standard uncertainty that rounding leaves in the mean, however long it is averaged.
+
+    LSB / sqrt(12) on at most three codes. With more codes the noise dithers, and of the bias there remains
+    LSB / (pi sqrt 2) exp(-2 pi^2 sd^2 / LSB^2), the first term of its Fourier
+    series (Widrow and Kollar 2008).
+    """
+    columns = sums.columns
+    lsb = np.minimum.reduce(columns[LSB], axis=1)
+    known = np.isfinite(lsb)
+    if not known.any():
+        return np.zeros(3)
+    if not known.all():
+        lsb = np.where(known, lsb, lsb[known].max())  # an axis that never left its code: the others' step
+    ratio = np.minimum(np.sqrt(sums.variance) / lsb, 10.0)
+    dithered = lsb / (np.pi * np.sqrt(2.0)) * np.exp(-2.0 * np.pi**2 * ratio**2)
+    reach = np.maximum.reduce(columns[HIGH], axis=1) - np.minimum.reduce(columns[LOW], axis=1)
+    return np.asarray(np.where(reach < _FEW_CODES * lsb, lsb / np.sqrt(12.0), dithered))
+
+
+def _tilt(sums: _Sums, bias: Array) -> tuple[float, float]:
+    """Return how fast gravity's direction turned, rad/s, and its standard uncertainty, by least squares."""
+    n, windows = sums.columns[N], sums.columns.shape[1]
+    t = 0.5 * (sums.columns[T0] + sums.columns[T1])
+    t = t - (n * t).sum() / sums.n
+    weighted = n * t
+    lever = float((weighted * t).sum())
+    if lever == 0.0:
+        return 0.0, np.inf
+    off = sums.columns[MEAN] - sums.mean[:, None]
+    slope = np.add.reduce(weighted * off, axis=1) / lever
+    left = off - t * slope[:, None]
+    inflation = correlation_inflation(sums.m2, sums.d2, 10.0)
+    scatter = np.add.reduce(n * left * left, axis=1) / max(windows - 2, 1)
+    variance = np.maximum(sums.variance * inflation, scatter) + bias * bias * (sums.n / windows)
+    norm = max(float(np.linalg.norm(sums.mean)), 1e-12)
+    up = sums.mean / norm
+    across = slope - up * (up @ slope)
+    return float(np.linalg.norm(across)) / norm, float(np.sqrt(variance.sum() / lever)) / norm

@@ -1,0 +1,91 @@
+"""A rest of the phone, and rests that share one attitude.
+
+A `RestState` is what the stationary detector hands on: means over a stretch in which the phone lay
+still, with honest uncertainties. Grammenos et al. 2018, 4.4, store the averages only; the rest's own
+uncertainty is what weights it in every later fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestState:
+    """One stretch of stillness. Forces are raw m/s^2, rates raw rad/s, times s of the sensor's stamp.
+
+    specific_force, force_sd, force_uncertainty: (3,) mean, standard deviation of single samples, and
+    standard uncertainty of the mean (coloured noise and held samples allowed for). rate, rate_sd,
+    rate_uncertainty: the same for the gyroscope, None where there was none. tilt_rate_limit: rad/s, the
+    fastest turn about a horizontal axis that gravity's direction would not have shown. spin_admitted:
+    rad/s, rotation about the vertical that cannot be told from gyroscope bias in this rest alone.
+    None where nothing bounds it. level: sd of the force's norm (Algorithm 1, line 15), m/s^2.
+    rate_level: sd of the rate (line 16), rad/s, None without gyroscope. temperature: degC or None.
+    """
+
+    t_start: float
+    t_end: float
+    n: int
+    specific_force: Array
+    force_sd: Array
+    force_uncertainty: Array
+    level: float
+    rate: Array | None = None
+    rate_sd: Array | None = None
+    rate_uncertainty: Array | None = None
+    rate_level: float | None = None
+    tilt_rate_limit: float | None = None
+    spin_admitted: float | None = None
+    temperature: float | None = None
+
+    @property
+    def duration(self) -> float:
+        """Length of the rest in s; 0 for a row of a rest table that does not say."""
+        return self.t_end - self.t_start
+
+
+def forces(rests: Sequence[RestState]) -> Array:
+    """Stack the mean raw specific forces, shape (n, 3), m/s^2."""
+    return np.array([r.specific_force for r in rests], dtype=np.float64).reshape(-1, 3)
+
+
+def force_uncertainties(rests: Sequence[RestState]) -> Array:
+    """Stack the standard uncertainties of the means, shape (n, 3), m/s^2."""
+    return np.array([r.force_uncertainty for r in rests], dtype=np.float64).reshape(-1, 3)
+
+
+def attitude_labels(raw: Array, angle: float) -> NDArray[np.intp]:
+    """Return the numbers (n,) of the attitudes of raw forces (n, 3), from 0 in order of appearance.
+
+    Two share an attitude where their directions lie within `angle` (rad) of the first that had it.
+    """
+    unit = raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-12)
+    labels, free = np.full(len(unit), -1, dtype=np.intp), np.ones(len(unit), dtype=bool)
+    nearest, number = np.cos(angle), 0
+    while free.any():
+        first = int(free.argmax())
+        near = free & (unit @ unit[first] >= nearest)
+        near[first] = True
+        labels[near] = number
+        free &= ~near
+        number += 1
+    return labels
+
+
+def group_attitudes(rests: Sequence[RestState], angle: float) -> list[list[int]]:
+    """Group rests whose raw gravity directions lie within `angle` (rad) of the group's first rest.
+
+    "Nearby states are merged" (Grammenos et al. 2018, 4.4), so that one attitude held twice counts
+    once. Groups keep the order of their first rest; indices point into `rests`.
+    """
+    labels = attitude_labels(forces(rests), angle)
+    groups: list[list[int]] = [[] for _ in range(int(labels.max(initial=-1)) + 1)]
+    for row, label in enumerate(labels.tolist()):
+        groups[label].append(row)
+    return groups

@@ -1,0 +1,1 @@
+"""What flows into the engine: runs of samples and events."""

@@ -1,0 +1,298 @@
+"""`stillcal run`: the daemon put together, from its start to its clean end.
+
+One event loop holds the phone's line, the socket and the signals. The engine thinks in one thread and
+the disk is written in another (service_mind.py, service_storage.py), so that neither delays the loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import copy
+import os
+import signal
+from dataclasses import replace
+
+from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Reject
+from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.calib_core.engine.state import EngineState
+from stillcal.daemon.app_launch import Given, fixed, serial_settings
+from stillcal.daemon.service.engine_thread import Mind, Thought, View
+from stillcal.daemon.service.phone_session import Pump, host_time
+from stillcal.daemon.service.saved_state import SavedState
+from stillcal.daemon.service.storage import Storage, sourced
+from stillcal.daemon.service.subscribers import Item, News
+from stillcal.daemon.settings import Settings, SettingsError, store_path
+from stillcal.daemon.sources.base import Source
+from stillcal.daemon.sources.open import source_of
+from stillcal.daemon.store.document import StoreDocument
+from stillcal.daemon.store.store import Store
+from stillcal.daemon.system import log
+from stillcal.daemon.system.log import say
+from stillcal.daemon.system.systemd import Notifier
+from stillcal.daemon.varlink.server import serving
+
+SAVE_EVERY_S = 10.0
+"""At most so often is the state written for new rests, s; after a full calibration it is at once."""
+
+SAVE_AT_LEAST_S = 600.0
+"""So often it is written anyway, s."""
+
+PATIENCE_S = 0.5
+"""How long a clean stop waits for what is being thought, s; twice at most."""
+
+HEARTBEAT_S = 10.0
+"""How often the manager hears of the service where its watchdog does not ask for more, s."""
+
+REMEDY = "record a day of it, temperature included, and see what is left out: stillcal diagnose RECORDING"
+"""What a person can do where calibrating does not help."""
+
+STUCK = 0.5
+"""A thought that takes longer than this share of the watchdog's time counts as stuck."""
+
+
+class Service:
+    """The daemon. `open` first, then `run`."""
+
+    mind: Mind
+    pump: Pump
+
+    def __init__(self, settings: Settings, given: Given, notifier: Notifier) -> None:
+        self.settings, self._given, self._notifier = settings, given, notifier
+        store = Store(store_path(settings.store, os.environ), settings.store)
+        self.storage = Storage(store, lambda note: say("warning", "store", note))
+        self.saved = SavedState(EngineState())
+        self.news = News()
+        self._began = host_time()
+        self._stop = asyncio.Event()
+        self._unsaved = asyncio.Event()
+        self._fresh = False
+
+    def open(self) -> None:
+        """Lock the store and take up the state where it was left. Raises StoreError."""
+        loaded = self.storage.open()
+        if loaded.note:
+            say("warning", "state", loaded.note)
+        if loaded.state is not None:
+            self.saved = loaded.state
+            self.saved.clock.host = None
+            self.saved.energy.restarted()
+        engine = loaded.state.engine if loaded.state else None
+        self.mind = Mind(self.settings.engine, engine, self.storage.document.current)
+        rests = self.mind.view.rests_held
+        say("info", "opened", store=self.storage.path, rests=rests, calibration=self.current_id)
+
+    # What is known, for those who ask
+
+    @property
+    def view(self) -> View:
+        """What the engine thinks."""
+        return self.mind.view
+
+    @property
+    def document(self) -> StoreDocument:
+        """What the store holds."""
+        return self.storage.document
+
+    @property
+    def source(self) -> Source:
+        """The phone's line."""
+        return self.pump.source
+
+    @property
+    def trouble(self) -> str:
+        """Why the last write to the disk failed, empty where it did not."""
+        return self.storage.trouble
+
+    @property
+    def store_name(self) -> str:
+        """The store's path."""
+        return str(self.storage.path)
+
+    @property
+    def uptime_s(self) -> float:
+        """For how long the daemon has been running, s."""
+        return host_time() - self._began
+
+    @property
+    def now(self) -> float | None:
+        """The engine's time, s; None before the first sample since the start."""
+        return self.pump.now
+
+    @property
+    def current_id(self) -> str | None:
+        """Id of the calibration in the store."""
+        current = self.storage.document.current
+        return None if current is None else current.id
+
+    # Running
+
+    async def run(self) -> None:
+        """Serve until a signal says to stop, or something fails that must not; then it is raised."""
+        self._listen_to_signals()
+        self.pump = self._new_pump()
+        async with serving(self, self.settings.socket, self._given.passed):
+            jobs = [asyncio.create_task(job) for job in (self._pumping(), self._writing(), self._beating())]
+            self._notifier.ready(self.describe())
+            say("info", "ready", "waiting for the phone", port=self.settings.source.port)
+            stop = asyncio.create_task(self._stop.wait())
+            await asyncio.wait([stop, *jobs], return_when=asyncio.FIRST_COMPLETED)
+            failed = [job.exception() for job in jobs if job.done()]
+            self._notifier.stopping("saving")
+        await self._end(*jobs)
+        for error in failed:
+            raise error or RuntimeError("a part of the service has ended by itself")
+
+    def stop(self) -> None:
+        """Begin a clean end."""
+        self._stop.set()
+
+    # Jobs
+
+    async def _pumping(self) -> None:
+        """Serve the phone's line, and the next one where the settings come to name another."""
+        served: Pump | None = None
+        while served is not self.pump:
+            served = self.pump
+            async with served.source:
+                await served.run()
+        await self._stop.wait()
+
+    async def _writing(self) -> None:
+        """Write what changes: calibrations at once, the state now and then."""
+        saved_at, changed = host_time() - SAVE_EVERY_S, False
+        while True:
+            pause = SAVE_EVERY_S if changed or self.storage.trouble else SAVE_AT_LEAST_S
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(max(saved_at + pause - host_time(), 0.0)):
+                    await self._unsaved.wait()
+            changed = changed or self._unsaved.is_set()
+            self._unsaved.clear()
+            await self.storage.flush()
+            if self._fresh or host_time() - saved_at >= (SAVE_EVERY_S if changed else SAVE_AT_LEAST_S):
+                self._fresh = False
+                saved_at, changed = host_time(), not await self.save()
+
+    async def _beating(self) -> None:
+        """Tell the manager that the loop lives, as long as the engine's thread does too."""
+        watchdog = self._notifier.watchdog_s
+        while True:
+            self._notifier.status(self.describe())
+            if watchdog is None or self.mind.thinking_for() < STUCK * watchdog:
+                self._notifier.alive()
+            await asyncio.sleep(HEARTBEAT_S if watchdog is None else min(watchdog / 4, HEARTBEAT_S))
+
+    async def save(self) -> bool:
+        """Write the state; say whether it is on the disk."""
+        saved = replace(self.saved, clock=copy.deepcopy(self.saved.clock), energy=self.saved.energy.copy())
+        return await self.storage.save(await self.mind.encoded(saved))
+
+    async def _end(self, pumping: asyncio.Task[None], *others: asyncio.Task[None]) -> None:
+        """Take what has arrived, save, and let go of everything."""
+        self.pump.source.close()
+        await asyncio.wait([pumping], timeout=PATIENCE_S)
+        for job in (pumping, *others):
+            job.cancel()
+        await asyncio.gather(pumping, *others, return_exceptions=True)
+        if await self.mind.idle(PATIENCE_S):
+            await self.save()
+        else:
+            say("warning", "stopping", "a thought took too long: the state stays as it was last written")
+        self.mind.close()
+        self.storage.close()
+        say("info", "stopped", "state saved", calibration=self.current_id)
+
+    # What the engine wants done
+
+    def act(self, actions: list[Action]) -> None:
+        """Do what the engine wants done; nothing here waits."""
+        for action in actions:
+            if isinstance(action, Log):
+                say(str(action.level), action.what, action.why, t=action.t, **action.fields)
+                self._unsaved.set()
+            elif isinstance(action, Diagnose):
+                say("warning", "diagnose", f"{action.reason}: {REMEDY}", t=action.t)
+            elif isinstance(action, Keep | Reject | Forget):
+                self._keep(action)
+
+    def _keep(self, action: Keep | Reject | Forget) -> None:
+        self.storage.keep(sourced(action, self.settings.source.port, self.saved.device))
+        self._fresh = self._fresh or action.record.acceptance.how != "zeroing"
+        self._unsaved.set()
+        self.news.tell(action)
+
+    async def calibrate(self) -> CalibrationRecord:
+        """Try a full calibration now. Raises ValueError where nothing comes of it."""
+        return self._outcome(await self.mind.calibrate(), "there is nothing to calibrate from")
+
+    async def zero(self) -> CalibrationRecord:
+        """Measure the gyroscope's bias now. Raises ValueError where no rest shows it."""
+        return self._outcome(await self.mind.zero(), "no rest of late shows it, or nothing is calibrated yet")
+
+    def _outcome(self, thought: Thought, otherwise: str) -> CalibrationRecord:
+        """Do what follows and return the calibration that came of it. Raises ValueError with why none did."""
+        self.act(thought.actions)
+        for action in thought.actions:
+            if isinstance(action, Keep):
+                return action.record
+            if isinstance(action, Reject):
+                raise ValueError(action.reason)
+        raise ValueError(next((a.why for a in thought.actions if isinstance(a, Log)), otherwise))
+
+    async def rollback(self, target: int | str) -> CalibrationRecord | None:
+        """Make an earlier calibration current. Raises ValueError where there is none such."""
+        document = await self.storage.rollback(target)
+        await self.mind.hold(document.current)
+        self._unsaved.set()
+        if document.current is not None:
+            say("info", "rollback", "an earlier calibration is current again", calibration=self.current_id)
+            self.news.spread(
+                Item("rolled_back", self.now or 0.0, "as asked over the socket", document.current)
+            )
+        return document.current
+
+    # Signals
+
+    def _listen_to_signals(self) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self.stop)
+        loop.add_signal_handler(signal.SIGHUP, lambda: loop.create_task(self.reload()))
+
+    async def reload(self) -> str:
+        """Read the settings again. Bad ones are refused, the reason logged and returned, the old kept."""
+        self._notifier.reloading()
+        try:
+            await self._apply(self._given.settings())
+        except SettingsError as error:
+            say("error", "reload", f"refused, the old settings stay: {error}")
+            return str(error)
+        finally:
+            self._notifier.ready(self.describe())
+        say("info", "reload", "settings read again")
+        return ""
+
+    async def _apply(self, settings: Settings) -> None:
+        old, self.settings = self.settings, settings
+        for name in fixed(old, settings):
+            say("warning", "reload", f"{name} has changed: that takes a restart")
+        log.set_level(settings.log.level)
+        self.storage.configure(settings.store)
+        if settings.engine != old.engine:
+            await self.mind.change(settings.engine)
+        if settings.source != old.source:
+            self.pump, last = self._new_pump(), self.pump
+            last.source.close()
+
+    def _new_pump(self) -> Pump:
+        source = source_of(self.settings.source.kind, serial_settings(self.settings))
+        return Pump(source, self.mind, self.saved, self.settings.source.rate_hz, self.act)
+
+    def describe(self) -> str:
+        """Say in a sentence how things are."""
+        view, device = self.mind.view, self.pump.source.device
+        phone = f"phone on {device}" if device else "no phone"
+        held = f"calibration {self.current_id}" if self.current_id else "no calibration yet"
+        state = " that no longer fits" if view.degraded else ""
+        return f"{phone}; {held}{state}; {view.watch} watch; {view.rests_held} rests held"

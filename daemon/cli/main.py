@@ -1,0 +1,91 @@
+"""The command line: one command a verb, mounted here; every refusal is one line and an exit code.
+
+Exit codes: 0 done, 1 a bar not met, 2 bad input, 3 the recording cannot support a calibration, 4 no
+daemon answers, 130 interrupted. Nothing is computed here, and nothing is imported but click until a
+command is called: the daemon starts in a third of a second and never holds what only a replay needs.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+
+import click
+
+from stillcal.calib_core.errors import UserError
+from stillcal.daemon.cli.exits import BAD_INPUT, INTERRUPTED
+from stillcal.daemon.cli.lazy import LazyGroup, examples
+
+COMMANDS = {
+    "run": "stillcal.daemon.cli.run:run_command",
+    "query": "stillcal.daemon.cli.query:query_command",
+    "watch": "stillcal.daemon.cli.watch.command:watch_command",
+    "install-service": "stillcal.daemon.cli.install:install_command",
+}
+"""The daemon's own commands, found without looking at what is installed, so that `run` starts at once."""
+
+OWN_SECTION = "The daemon"
+
+SECTIONS = {
+    "Calibrate": "stillcal.calibrate",
+    "Diagnose": "stillcal.diagnose",
+    OWN_SECTION: None,
+    "Many phones": "stillcal.fleet",
+    "The project's own proofs": "stillcal.proofs",
+}
+"""Sections of the help and the entry point groups of their commands (pyproject.toml); None means COMMANDS."""
+
+
+@click.group(
+    cls=LazyGroup,
+    own=COMMANDS,
+    sections=SECTIONS,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog=examples(
+        "stillcal run --config stillcal.toml",
+        "stillcal query GetCalibration",
+        "stillcal watch",
+        "stillcal replay walk.csv --store store.json",
+        "stillcal apply walk.csv --store store.json --out walk-true.csv",
+        "stillcal store history store.json",
+        "stillcal diagnose walk.csv --report walk.html",
+    ),
+)
+@click.version_option(package_name="stillcal")
+def cli() -> None:
+    """Keep a phone's accelerometer and gyroscope true, with nobody helping."""
+
+
+def main() -> None:
+    """Run the command line; turn every expected error into one line on standard error."""
+    if sys.argv[1:2] == ["run"]:
+        _without_openssl()
+    try:
+        sys.exit(cli.main(standalone_mode=False))
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except click.ClickException as error:
+        click.echo(f"stillcal: {error.format_message()}", err=True)
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("stillcal: interrupted; nothing half-written", err=True)
+        sys.exit(INTERRUPTED)
+    except UserError as error:
+        click.echo(f"stillcal: {error}", err=True)
+        sys.exit(BAD_INPUT)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        click.echo(f"stillcal: {where}{error.strerror or error}", err=True)
+        sys.exit(BAD_INPUT)
+
+
+def _without_openssl() -> None:
+    """Keep OpenSSL, 4 MB for months, out of a process that speaks no TLS.
+
+    asyncio and hashlib load it where they can and do without where they cannot; hashes are then Python's own,
+    unless it was built without them.
+    """
+    if find_spec("_sha256") or find_spec("_sha2"):
+        for name in ("ssl", "_hashlib"):
+            sys.modules[name] = None  # type: ignore[assignment]  # importing it now fails

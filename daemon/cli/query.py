@@ -1,0 +1,158 @@
+"""`stillcal query`: ask a running daemon over its socket, as any varlink client may.
+
+The protocol is plain enough to speak here (JSON, each message ended by a zero byte), which keeps asking
+quick.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+
+from stillcal.daemon.cli.exits import BAD_INPUT, NO_DAEMON, REFUSED, TOO_LITTLE
+from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.varlink.address import NAME, answering_path
+
+TIMEOUT_S = 10.0
+STREAMS = ("Monitor",)
+
+
+class NoDaemonError(OSError):
+    """Nobody answers."""
+
+
+@click.command(
+    "query",
+    epilog=examples(
+        "stillcal query",
+        "stillcal query GetStatus",
+        "stillcal query GetHistory '{\"limit\": 5}' --json",
+        "stillcal query Monitor",
+        "stillcal query org.varlink.service.GetInfo",
+    ),
+)
+@click.argument("method", default="GetCalibration")
+@click.argument("parameters", default="{}")
+@click.option("--socket", "path", default="", help="The daemon's socket; without it, where daemons answer.")
+@click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON, one object a line.")
+def query_command(method: str, parameters: str, path: str, as_json: bool) -> None:
+    """Ask a running daemon.
+
+    METHOD is GetCalibration (the default), GetStatus, GetStillness, GetHistory, GetEnergy,
+    Correct, Monitor (until interrupted), Calibrate, ZeroNow, Rollback or Reload; or any method by
+    its full name. PARAMETERS is a JSON object. Exit codes: 1 refused by the daemon, 2 bad input,
+    3 no calibration yet, 4 no daemon.
+    """
+    where = answering_path(path)
+    try:
+        for reply in replies(where, _question(method, parameters)):
+            if "error" in reply:
+                _refuse(str(reply["error"]), reply.get("parameters") or {})
+            _print(reply.get("parameters") or {}, as_json)
+    except NoDaemonError as error:
+        click.echo(
+            f"stillcal: no daemon answers on {where} ({error}): start one with `stillcal run`", err=True
+        )
+        sys.exit(NO_DAEMON)
+
+
+def replies(path: Path, question: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Ask over the socket at `path` and yield the replies. Raises NoDaemonError where there are none."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+        line.settimeout(TIMEOUT_S)
+        try:
+            line.connect(str(path))
+            line.sendall(msgspec.json.encode(question) + b"\0")
+            line.settimeout(None if question.get("more") else TIMEOUT_S)
+            yield from _messages(line)
+        except OSError as error:
+            raise NoDaemonError(error.strerror or str(error)) from error
+
+
+def _messages(line: socket.socket) -> Iterator[dict[str, Any]]:
+    """Yield replies up to the last one."""
+    buffer = bytearray()
+    while True:
+        while (end := buffer.find(0)) >= 0:
+            reply: dict[str, Any] = msgspec.json.decode(bytes(buffer[:end]))
+            del buffer[: end + 1]
+            yield reply
+            if not reply.get("continues"):
+                return
+        data = line.recv(65_536)
+        if not data:
+            raise ConnectionResetError("it hung up")
+        buffer += data
+
+
+def _question(method: str, parameters: str) -> dict[str, Any]:
+    try:
+        given = msgspec.json.decode(parameters)
+    except msgspec.MsgspecError as error:
+        raise click.UsageError(f"PARAMETERS is not JSON: {error}") from error
+    if not isinstance(given, dict):
+        raise click.UsageError(
+            f"PARAMETERS is {parameters}: must be a JSON object, such as '{{\"limit\": 5}}'"
+        )
+    name = method if "." in method else f"{NAME}.{method}"
+    more = {"more": True} if method.rpartition(".")[2] in STREAMS else {}
+    return {"method": name, "parameters": given, **more}
+
+
+def _refuse(error: str, parameters: dict[str, Any]) -> None:
+    """Say in one line why there is no answer, and exit."""
+    name = error.rpartition(".")[2]
+    missing = ", ".join(parameters.get("missing") or [])
+    facts = [str(parameters.get("reason") or ""), f"needed: {missing}" if missing else ""]
+    other = [f"{key} {value}" for key, value in parameters.items() if key not in ("reason", "missing")]
+    detail = "; ".join(fact for fact in (*facts, *other) if fact)
+    click.echo(f"stillcal: {name}{f': {detail}' if detail else ''}", err=True)
+    codes = {"NotCalibrated": TOO_LITTLE, "InvalidParameter": BAD_INPUT, "MethodNotFound": BAD_INPUT}
+    sys.exit(codes.get(name, REFUSED))
+
+
+def _print(answer: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(answer))
+        return
+    inner = next(iter(answer.values())) if len(answer) == 1 else answer
+    click.echo("\n".join(_lines(inner)))
+
+
+def _lines(value: Any, indent: str = "") -> Iterator[str]:
+    """Write a value as indented lines; a table of equal records gets one line each."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            if isinstance(item, dict) or (isinstance(item, list) and any(isinstance(i, list) for i in item)):
+                yield f"{indent}{key}"
+                yield from _lines(item, indent + "  ")
+            else:
+                yield f"{indent}{key:<20}{_text(item)}"
+    elif isinstance(value, list):
+        for item in value:
+            yield indent + _row(item)
+    else:
+        yield f"{indent}{value}"
+
+
+def _row(item: Any) -> str:
+    if not isinstance(item, dict):
+        return _text(item)
+    return "  ".join(f"{key} {_text(value)}" for key, value in item.items() if not isinstance(value, dict))
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "  ".join(_text(item) for item in value) or "-"
+    if value is None or value == "":
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

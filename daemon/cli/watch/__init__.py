@@ -1,0 +1,1 @@
+"""`stillcal watch`: a running daemon in the terminal."""

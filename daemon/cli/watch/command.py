@@ -1,0 +1,87 @@
+"""`stillcal watch`: a running daemon, live in a terminal."""
+
+from __future__ import annotations
+
+import io
+import re
+import signal
+import sys
+import time
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.live import Live
+
+from stillcal.daemon.cli.exits import NO_DAEMON
+from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.cli.watch.frame import frame
+from stillcal.daemon.cli.watch.snapshot import Snapshot, snapshot
+from stillcal.daemon.cli.watch.sphere import ASCII, Glyphs
+from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.varlink.address import answering_path
+
+PICTURE_WIDTH = 122
+
+
+@click.command(
+    "watch",
+    short_help="Watch a running daemon in the terminal.",
+    epilog=examples("stillcal watch", "stillcal watch --every 5", "stillcal watch --once > frame.txt"),
+)
+@click.option("--socket", "path", default="", help="The daemon's socket; without it, where daemons answer.")
+@click.option("--once", is_flag=True, help="Print one frame and stop; so it is where no terminal listens.")
+@click.option("--svg", type=click.Path(path_type=Path), help="Write one frame as a picture to this file.")
+@click.option(
+    "--every",
+    default=1.0,
+    show_default=True,
+    type=click.FloatRange(0.1, 3600),
+    help="Seconds between two frames.",
+)
+def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None:
+    """Watch a running daemon: stillness, rests on the sphere of attitudes, calibration, energy.
+
+    Shows what it waits for and which attitude would help most. A daemon that restarts is found again;
+    Ctrl-C ends it. In a terminal of less than 122 columns the sphere stands below the rest. With --once, exit
+    code 4 where no daemon answers.
+    """
+    console, where = Console(), answering_path(path)
+    glyphs = ASCII if console.options.ascii_only else Glyphs()
+    first = snapshot(where)
+    if once or svg is not None or not console.is_terminal:
+        if first.absent:
+            click.echo(
+                f"stillcal: no daemon answers on {where} ({first.absent}): start one with `stillcal run`",
+                err=True,
+            )
+            sys.exit(NO_DAEMON)
+        if svg is not None:
+            write_atomically(svg, picture(first).encode(), 0o644)
+        else:
+            console.print(frame(first, None, glyphs))
+        return
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # which gives the terminal back as Ctrl-C does
+    try:
+        _live(console, where, first, glyphs, every)
+    except KeyboardInterrupt:
+        return
+
+
+def picture(now: Snapshot) -> str:
+    """Return a frame as SVG; it names no font of another host's."""
+    console = Console(record=True, width=PICTURE_WIDTH, file=io.StringIO())
+    console.print(frame(now, None, Glyphs()))
+    svg = console.export_svg(title="stillcal watch", unique_id="watch")
+    svg = re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL)
+    return "\n".join(line.rstrip() for line in svg.splitlines()) + "\n"
+
+
+def _live(console: Console, where: Path, now: Snapshot, glyphs: Glyphs, every: float) -> None:
+    """Show frame after frame on the terminal's other screen until interrupted; it is given back as it was."""
+    with Live(frame(now, None, glyphs), console=console, screen=True, auto_refresh=False) as live:
+        live.refresh()
+        while True:
+            time.sleep(every)
+            now, before = snapshot(where), now
+            live.update(frame(now, before, glyphs), refresh=True)

@@ -1,0 +1,189 @@
+"""The engine in a thread of its own, so that no fit delays samples or answers.
+
+One thread, jobs in order; the engine is touched nowhere else. What other code may see of it comes as
+frozen views. The interpreter changes threads within SWITCH_S, and numpy lets go of it in long calls. A
+process of its own for the fit was tried and left out: the loop is no less late then (docs/faults.md).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.calib_core.calibration.rest_pool import Pool
+from stillcal.calib_core.engine.actions import Action
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.schedule import Watch
+from stillcal.calib_core.engine.state import Counters, EngineSettings, EngineState, Refusal, Trouble
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.static.settings import Ledger, Sense, Sleep
+from stillcal.calib_core.streams.events import End, Event
+from stillcal.calib_core.streams.samples import SampleError, Samples
+from stillcal.daemon.service.saved_state import SavedState, encode
+
+T = TypeVar("T")
+
+SWITCH_S = 0.001
+"""How long one thread may keep the interpreter from another that waits for it, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What the engine thinks at one moment. decides: when it decides anew, s, inf where it does not."""
+
+    want: Sense | Sleep
+    decides: float
+    watch: Watch
+    record: CalibrationRecord | None
+    refusal: Refusal | None
+    gravity: Gravity
+    counters: Counters
+    ledger: Ledger
+    charging: bool | None
+    degraded: bool
+    check_due: bool
+    checked: float | None
+    trouble: Trouble | None
+    diagnosis: str
+    next_check: float | None
+    rests_held: int
+    pool: Pool
+
+
+@dataclass(frozen=True, slots=True)
+class Thought:
+    """What came of feeding: what is to be done, what the engine thinks now, and samples it refused."""
+
+    actions: list[Action]
+    view: View
+    refused: tuple[str, ...] = ()
+
+
+class Mind:
+    """The engine behind a thread. Every coroutine here waits for the jobs before it."""
+
+    def __init__(
+        self, settings: EngineSettings, state: EngineState | None, record: CalibrationRecord | None
+    ) -> None:
+        self._engine = Engine(settings, state)
+        if _identity(record) != _identity(self._engine.present.record):
+            self._engine.hold(record)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="engine")
+        self.view = _view(self._engine)
+        self._jobs, self._since = 0, 0.0
+        sys.setswitchinterval(SWITCH_S)
+
+    async def feed(self, items: Sequence[Samples | Event]) -> Thought:
+        """Feed the engine in order; what it refuses is named and left out."""
+        return self._seen(await self._run(self._feed, items))
+
+    async def encoded(self, saved: SavedState) -> bytes:
+        """Return the state file's contents: the engine as it is now, the rest as given."""
+        return await self._run(lambda: encode(replace(saved, engine=self._engine.state)))
+
+    async def change(self, settings: EngineSettings) -> None:
+        """Go on with other settings."""
+        await self._ask(lambda engine: engine.change(settings))
+
+    async def hold(self, record: CalibrationRecord | None) -> None:
+        """Take `record` for the current calibration, as after a rollback."""
+        await self._ask(lambda engine: engine.hold(record))
+
+    async def calibrate(self) -> Thought:
+        """Try a full calibration now."""
+        return await self._ask(lambda engine: engine.calibrate())
+
+    async def zero(self) -> Thought:
+        """Measure the gyroscope's bias now."""
+        return await self._ask(lambda engine: engine.zero())
+
+    async def forget(self, reason: str) -> Thought:
+        """Begin anew with another phone."""
+        return await self._ask(lambda engine: engine.forget(reason))
+
+    def thinking_for(self) -> float:
+        """Return for how long (s) the job at hand has been going on; 0 where there is none."""
+        return time.monotonic() - self._since if self._jobs else 0.0
+
+    async def idle(self, patience_s: float) -> bool:
+        """Wait for the jobs at hand; say whether they were over within `patience_s`."""
+        done, _ = await asyncio.wait([asyncio.ensure_future(self._run(lambda: None))], timeout=patience_s)
+        return bool(done)
+
+    def close(self) -> None:
+        """Take no more jobs."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _feed(self, items: Sequence[Samples | Event]) -> Thought:
+        actions: list[Action] = []
+        refused: list[str] = []
+        for item in items:
+            try:
+                actions += self._engine.feed(item)
+            except SampleError as error:
+                refused.append(str(error))
+            if isinstance(item, End):
+                self._engine.go_on(item.t)
+        return Thought(actions, _view(self._engine), tuple(refused))
+
+    def _think(self, ask: Callable[[Engine], list[Action] | None]) -> Thought:
+        return Thought(ask(self._engine) or [], _view(self._engine))
+
+    async def _ask(self, ask: Callable[[Engine], list[Action] | None]) -> Thought:
+        return self._seen(await self._run(self._think, ask))
+
+    def _seen(self, thought: Thought) -> Thought:
+        self.view = thought.view
+        return thought
+
+    async def _run(self, job: Callable[..., T], *arguments: object) -> T:
+        """Do a job in the thread, after those before it."""
+        if not self._jobs:
+            self._since = time.monotonic()
+        self._jobs += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._thread, job, *arguments)
+        finally:
+            self._jobs -= 1
+            self._since = time.monotonic()
+
+
+def _identity(record: CalibrationRecord | None) -> str:
+    return "" if record is None else record.id
+
+
+def _view(engine: Engine) -> View:
+    s = engine.present
+    begun = s.began is not None
+    times = [t for t in (s.next_review, s.next_check, *(e.t for e in s.events)) if t is not None]
+    return View(
+        want=engine.wants(),
+        decides=min(times, default=math.inf),
+        watch=s.watch if begun else Watch.CONTINUOUS,
+        record=s.record,
+        refusal=s.refusal,
+        gravity=s.gravity,
+        counters=replace(s.counters),
+        ledger=engine.ledger,
+        charging=s.charging,
+        degraded=s.degraded,
+        check_due=s.check_due,
+        checked=s.checked,
+        trouble=s.trouble,
+        diagnosis=_diagnosis(s.trouble, engine.settings.schedule.diagnose_after_checks),
+        next_check=s.next_check,
+        rests_held=len(s.pool.held),
+        pool=s.pool,
+    )
+
+
+def _diagnosis(trouble: Trouble | None, after: int) -> str:
+    """Say why a diagnosis is wanted; nothing where it is not."""
+    return trouble.reason if trouble is not None and trouble.failed >= after else ""

@@ -1,0 +1,109 @@
+"""The phone's clock and the engine's: one number apart, until the phone starts its clock anew.
+
+The engine runs on sample time and demands that it never runs back. A phone that restarts counts from
+zero again, and a broken one may leap by years; either way its time is carried on from the engine's, by as
+much as the host's steady clock saw go by. The host's wall clock has no part in this. No clock is read
+here: `host` is CLOCK_BOOTTIME in s, which goes on while the host is suspended.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.streams.events import Charging, End, Location, Tick
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+LEAP_S = 86400.0
+"""A stamp that is ahead by more than this, and by more than the host saw go by, is no gap but a fault."""
+
+BACK_S = 1.0
+"""A stream that falls back by more than this was restarted; by less, its samples are out of order."""
+
+LEAST_GAP_S = 1.0
+"""A restart takes at least so long on the engine's time."""
+
+Timed = Samples | Charging | Location | Tick | End
+
+
+@dataclass(slots=True)
+class PhoneClock:
+    """engine time = phone time + offset.
+
+    session: the phone's own number of its run, if it says one. newest: engine time of the newest stamp, s;
+    host: when it came, s of the host's clock, None after a restart of the daemon. latest: engine time of
+    each stream's newest sample. restarts, leaps, disordered: what happened so far, the last in samples.
+    """
+
+    offset: float = 0.0
+    session: int | None = None
+    newest: float = -math.inf
+    host: float | None = None
+    latest: dict[Sensor, float] = field(default_factory=dict)
+    restarts: int = 0
+    leaps: int = 0
+    disordered: int = 0
+    _anew: bool = False
+
+    def meet(self, session: int) -> bool:
+        """Hear the phone's session; say whether it is another one than before, whose time is new."""
+        other = self.session is not None and session != self.session and math.isfinite(self.newest)
+        self.session = session
+        self._anew = self._anew or other
+        return other
+
+    def mapped(self, item: Timed, host: float) -> Timed | None:
+        """Return what came with engine times, or None where nothing of it can be used."""
+        first = float(item.t[0]) if isinstance(item, Samples) else item.t
+        self._settle(first, item, host)
+        if isinstance(item, Samples):
+            return self._samples(item, host)
+        t = item.t + self.offset
+        self._note(t, host)
+        return _at(item, t)
+
+    def now(self, host: float) -> float | None:
+        """Return the engine time at the host's time; None where no stamp has come since the start."""
+        return None if self.host is None else self.newest + (host - self.host)
+
+    def phone(self, t: float) -> float:
+        """Return the phone's time for an engine time."""
+        return t - self.offset
+
+    def _settle(self, first: float, item: Timed, host: float) -> None:
+        """Choose a new offset where the phone's time does not carry on."""
+        t = first + self.offset
+        gone = LEAST_GAP_S if self.host is None else max(host - self.host, LEAST_GAP_S)
+        known = math.isfinite(self.newest)
+        back = isinstance(item, Samples) and t < self.latest.get(item.sensor, -math.inf) - BACK_S
+        ahead = known and t > self.newest + LEAP_S + gone
+        if (self._anew and known) or back or ahead:
+            self.restarts += not ahead
+            self.leaps += ahead
+            self.offset = self.newest + gone - first
+        self._anew = False
+
+    def _samples(self, item: Samples, host: float) -> Samples | None:
+        t = item.t if self.offset == 0.0 else frozen(item.t + self.offset)
+        late = int(np.searchsorted(t, self.latest.get(item.sensor, -math.inf), side="left"))
+        self.disordered += late
+        if late == len(t):
+            return None
+        self.latest[item.sensor] = float(t[-1])
+        self._note(float(t[-1]), host)
+        return replace(item, t=t)[late:] if late or self.offset else item
+
+    def _note(self, t: float, host: float) -> None:
+        if t >= self.newest:
+            self.newest, self.host = t, host
+
+
+def _at(event: Charging | Location | Tick | End, t: float) -> Charging | Location | Tick | End:
+    if isinstance(event, Charging):
+        return Charging(t, event.on)
+    if isinstance(event, Location):
+        return Location(t, event.latitude, event.longitude, event.altitude)
+    return Tick(t) if isinstance(event, Tick) else End(t)

@@ -1,0 +1,98 @@
+"""The engine's state on disk, so that rests gathered before a crash still count.
+
+One file beside the store: a line that says what it is, a SHA-256 of the rest, and the rest in MessagePack.
+Losing it costs rests, never a calibration; so what cannot be read is set aside and the daemon goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from stillcal.calib_core.codec import unpacked
+from stillcal.calib_core.engine.state import EngineState
+from stillcal.daemon.service.energy_ledger import EnergyLedger
+from stillcal.daemon.service.phone_clock import PhoneClock
+from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.store.msgpack_arrays import encoded
+
+HEAD = b"stillcal state 1\n"
+MAX_BYTES = 64 * 2**20
+ASIDE = 10
+"""How many unreadable states are kept; a further one takes the place of the last."""
+
+
+class StateError(ValueError):
+    """A state file that cannot be used; the message says why."""
+
+
+@dataclass(slots=True)
+class SavedState:
+    """All that the daemon remembers besides the store. device: what the phone says it is."""
+
+    engine: EngineState
+    clock: PhoneClock = field(default_factory=PhoneClock)
+    energy: EnergyLedger = field(default_factory=EnergyLedger)
+    device: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """What was found. state: None where there is none; note: what was wrong, to be logged."""
+
+    state: SavedState | None = None
+    note: str = ""
+
+
+def state_path(store: Path) -> Path:
+    """Return where the state of the daemon with this store is kept."""
+    return store.with_suffix(".state")
+
+
+def encode(state: SavedState) -> bytes:
+    """Return the file's contents."""
+    body = encoded(state)
+    return HEAD + hashlib.sha256(body).digest() + body
+
+
+def decode(data: bytes) -> SavedState:
+    """Read a file's contents. Raises StateError where they are foreign, damaged or of another version."""
+    body = data[len(HEAD) + 32 :]
+    if not data.startswith(HEAD):
+        raise StateError("not a state of this version")
+    if hashlib.sha256(body).digest() != data[len(HEAD) : len(HEAD) + 32]:
+        raise StateError("the checksum does not match")
+    try:
+        return unpacked(body, SavedState)
+    except (msgspec.MsgspecError, ValueError, TypeError, KeyError) as error:
+        raise StateError(f"not what this version keeps: {error}") from error
+
+
+def load(path: Path) -> Loaded:
+    """Read the state; one that cannot be used is set aside. Never raises on what the file holds.
+
+    Raises OSError where the file is there and neither can be read nor moved away.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise StateError("larger than any state")
+        return Loaded(decode(path.read_bytes()))
+    except FileNotFoundError:
+        return Loaded()
+    except StateError as error:
+        aside = _free(path)
+        path.replace(aside)
+        return Loaded(note=f"{path}: {error}; set aside as {aside.name}, rests are gathered anew")
+
+
+def save(path: Path, data: bytes) -> None:
+    """Replace the state by encoded contents, whole or not at all. Raises OSError."""
+    write_atomically(path, data, 0o600)
+
+
+def _free(path: Path) -> Path:
+    names = [path.with_name(f"{path.name}.bad-{n}") for n in range(1, ASIDE + 1)]
+    return next((name for name in names if not name.exists()), names[-1])

@@ -1,0 +1,140 @@
+"""What the daemon writes: the store and the state, in a thread of their own, because fsync takes its time.
+
+Writes happen in the order they were asked for, so that the state never knows of a calibration that the
+store has not got. A write that fails is tried again later and holds up nothing else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+from stillcal.calib_core.engine.actions import Forget, Reject
+from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.daemon.service import saved_state
+from stillcal.daemon.store.document import StoreDocument
+from stillcal.daemon.store.store import Outcome, Store, StoreError, StoreSettings
+from stillcal.daemon.system import memory
+
+T = TypeVar("T")
+
+Change = Keep | Reject | Forget
+
+MAX_WAITING = 64
+"""Changes of the store that wait for a disk that refuses them; beyond this, the oldest rejected one goes."""
+
+
+class Storage:
+    """The store, locked for this process, and the state file. note: is told what is out of the ordinary."""
+
+    def __init__(self, store: Store, note: Callable[[str], None]) -> None:
+        self._store, self._note = store, note
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="disk")
+        self._waiting: deque[Change] = deque()
+        self._trouble = ""
+        self.document = StoreDocument()
+
+    @property
+    def path(self) -> Path:
+        """The store's path."""
+        return self._store.path
+
+    @property
+    def trouble(self) -> str:
+        """Why the last write failed; empty where it did not."""
+        return self._trouble
+
+    def open(self) -> saved_state.Loaded:
+        """Become the store's only writer, make it usable, and return the saved state.
+
+        Blocks; for use before the loop runs. Raises StoreError.
+        """
+        self._store.path.parent.mkdir(parents=True, exist_ok=True)
+        self._store.lock()
+        self._adopt(self._store.recover())
+        return saved_state.load(saved_state.state_path(self._store.path))
+
+    def keep(self, action: Change) -> None:
+        """Take a calibration that was accepted, rejected or given up; `flush` writes it."""
+        self._waiting.append(action)
+
+    async def flush(self) -> bool:
+        """Write what waits, in order; say whether all of it is on the disk. For one task only."""
+        while self._waiting:
+            action = self._waiting[0]
+            try:
+                self._adopt(await self._run(self._write, action))
+            except StoreError as error:
+                self._failed(str(error))
+                self._shorten()
+                return False
+            self._waiting.popleft()
+        return True
+
+    async def save(self, data: bytes) -> bool:
+        """Write the state file, unless the store waits for its turn; say whether it is on the disk."""
+        if not await self.flush():
+            return False
+        try:
+            await self._run(self._save, data)
+        except OSError as error:
+            self._failed(f"cannot write {error.filename or 'the state'}: {error.strerror}")
+            return False
+        self._trouble = ""
+        return True
+
+    def configure(self, settings: StoreSettings) -> None:
+        """Take other settings; the path stays."""
+        self._store.settings = settings
+
+    async def rollback(self, target: int | str) -> StoreDocument:
+        """Make an earlier calibration current. Raises ValueError where there is none such."""
+        self._adopt(await self._run(self._store.rollback, target))
+        return self.document
+
+    def close(self) -> None:
+        """Let other writers in, after what is being written."""
+        self._thread.shutdown(wait=True)
+        self._store.close()
+
+    def _write(self, action: Change) -> Outcome:
+        if isinstance(action, Reject):
+            return self._store.reject(action.record, action.reason, action.t)
+        if isinstance(action, Forget):
+            return self._store.retire(action.reason, action.t)
+        return self._store.publish(action.record, action.reason, action.t)
+
+    def _save(self, data: bytes) -> None:
+        saved_state.save(saved_state.state_path(self._store.path), data)
+        memory.give_back()
+
+    def _adopt(self, outcome: Outcome) -> None:
+        self.document = outcome.document
+        for note in outcome.notes:
+            self._note(note)
+
+    def _failed(self, trouble: str) -> None:
+        if trouble != self._trouble:
+            self._note(f"{trouble}; trying again")
+        self._trouble = trouble
+
+    def _shorten(self) -> None:
+        while len(self._waiting) > MAX_WAITING:
+            rejected = next((a for a in self._waiting if isinstance(a, Reject)), self._waiting[0])
+            self._waiting.remove(rejected)
+
+    async def _run(self, job: Callable[..., T], *arguments: object) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, job, *arguments)
+
+
+def sourced(action: Change, source: str, device: str) -> Change:
+    """Return the action with where its calibration comes from; one that is given up keeps its own."""
+    if isinstance(action, Forget):
+        return action
+    provenance = replace(action.record.provenance, source=source, device=device)
+    return replace(action, record=replace(action.record, provenance=provenance))

@@ -1,0 +1,217 @@
+"""What every source of a phone's samples is made of: settings, what is told of the link, patience.
+
+A source lives in callbacks of one asyncio loop. It looks for its phone, tells when that comes and goes, and
+keeps what it brought until somebody takes it. Which phone, and how it is read, is serial_source.py's and
+iio_source.py's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import zlib
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from stillcal.daemon.wire.decoder import Command, Message, WireCounters
+
+
+@dataclass(frozen=True, slots=True)
+class SerialSettings:
+    """Which line, and how patiently.
+
+    port: the device's path, or a pattern ("/dev/serial/by-id/usb-Arduino*") whose matches are tried in
+    order of their names at every attempt. baud: symbols per s on a real line. retry_s: wait after the
+    first failed attempt; each further one doubles it up to retry_max_s, and jitter spreads it by that
+    share either way. queue: messages that may wait to be taken before reading stops.
+    """
+
+    port: str
+    baud: int = 115200
+    retry_s: float = 0.1
+    retry_max_s: float = 5.0
+    jitter: float = 0.25
+    queue: int = 1024
+
+    def __post_init__(self) -> None:
+        if not self.port:
+            raise ValueError("port = '': must be the path of a serial device or a pattern of such paths")
+        if not 1200 <= self.baud <= 4_000_000:
+            raise ValueError(f"baud = {self.baud}: must be within 1200..4000000")
+        if not 0 < self.retry_s <= self.retry_max_s <= 3600:
+            raise ValueError(
+                f"retry_s = {self.retry_s}, retry_max_s = {self.retry_max_s}: "
+                "must be within 0 < retry_s <= retry_max_s <= 3600 s"
+            )
+        if not 0 <= self.jitter <= 1:
+            raise ValueError(f"jitter = {self.jitter}: must be within 0..1")
+        if not 1 <= self.queue <= 1_000_000:
+            raise ValueError(f"queue = {self.queue}: must be within 1..1000000 messages")
+
+    def wait(self, attempt: int) -> float:
+        """Return how long to wait, in s, after the attempt-th failure in a row (from 1).
+
+        The spread is a pure function of port and attempt, so that many daemons do not knock in step and
+        one run is like the next.
+        """
+        full = min(self.retry_s * 2.0 ** min(attempt - 1, 60), self.retry_max_s)
+        draw = zlib.crc32(f"{self.port}:{attempt}".encode()) / 0xFFFFFFFF
+        return full * (1.0 + self.jitter * (2.0 * draw - 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class LinkUp:
+    """The line was opened. device: the path; attempts: those before it that failed or brought nothing."""
+
+    device: str
+    attempts: int
+
+
+@dataclass(frozen=True, slots=True)
+class LinkDown:
+    """The line was lost, or (device "") could not be opened, for this new reason."""
+
+    device: str
+    reason: str
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """What the line went through. pauses: how often a full queue stopped reading."""
+
+    connections: int = 0
+    disconnections: int = 0
+    failed_attempts: int = 0
+    pauses: int = 0
+    commands_sent: int = 0
+    commands_dropped: int = 0
+
+
+Record = Message | LinkUp | LinkDown
+
+
+class Source(ABC):
+    """A phone that is looked for again whenever it is lost; records come out in the order of their happening.
+
+    Entered once, then taken from by one task until it is closed.
+    """
+
+    def __init__(self, settings: SerialSettings) -> None:
+        self.settings = settings
+        self.link = LinkCounters()
+        self._records: deque[Record] = deque()
+        self._news = asyncio.Event()
+        self._failures = 0
+        self._told: str | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._closed = False
+
+    async def __aenter__(self) -> Self:
+        self._connect()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    @abstractmethod
+    def connected(self) -> bool:
+        """Whether a phone is there now."""
+
+    @property
+    @abstractmethod
+    def device(self) -> str:
+        """Its path, "" where none is."""
+
+    @property
+    @abstractmethod
+    def wire(self) -> WireCounters:
+        """A copy of what was counted."""
+
+    @abstractmethod
+    def send(self, command: Command) -> bool:
+        """Tell the phone something; say whether it is on its way."""
+
+    @property
+    def pending(self) -> bool:
+        """Whether there is something to take."""
+        return bool(self._records)
+
+    async def take(self) -> list[Record]:
+        """Wait until there is something and return all of it; an empty list once the source is closed."""
+        await self._something()
+        records = list(self._records)
+        self._records.clear()
+        self._resume()
+        return records
+
+    async def rest(self, seconds: float) -> None:
+        """Let what comes gather for so long, s."""
+        await asyncio.sleep(seconds)
+
+    def close(self) -> None:
+        """Let go of the phone for good; what was read before can still be taken."""
+        if self._closed:
+            return
+        self._closed = True
+        self._cancel()
+        if self.connected:
+            self._lose("closed", for_good=True)
+        self._news.set()
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Look for the phone; where there is none, `_fail`."""
+
+    @abstractmethod
+    def _lose(self, reason: str, for_good: bool = False) -> None:
+        """Let go of the phone and tell it by `_lost`."""
+
+    def _resume(self) -> None:  # noqa: B027 - only a line can be held back
+        """Read on, where reading had stopped for want of somebody to take."""
+
+    async def _something(self) -> bool:
+        while not self._records and not self._closed:
+            self._news.clear()
+            await self._news.wait()
+        return bool(self._records)
+
+    def _emit(self, record: Record) -> None:
+        self._records.append(record)
+        self._news.set()
+
+    def _found(self, device: str) -> None:
+        self.link.connections += 1
+        self._emit(LinkUp(device, self._failures))
+        self._told = None
+
+    def _fail(self, reason: str) -> None:
+        """Tell, once for each reason, that there is no phone, and look again later."""
+        self.link.failed_attempts += 1
+        if reason != self._told:
+            self._told = reason
+            self._emit(LinkDown("", reason))
+        self._again()
+
+    def _lost(self, device: str, reason: str, for_good: bool) -> None:
+        self.link.disconnections += 1
+        self._emit(LinkDown(device, reason))
+        if not for_good:
+            self._again()
+
+    def _again(self) -> None:
+        self._failures += 1
+        self._later(self.settings.wait(self._failures), self._connect)
+
+    def _later(self, delay: float, job: Callable[[], None]) -> None:
+        self._timer = asyncio.get_running_loop().call_later(delay, job)
+
+    def _cancel(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None

@@ -1,0 +1,213 @@
+"""The sensors of the machine itself: a Linux phone's accelerometer and gyroscope, polled through sysfs.
+
+For the daemon it is a phone like any other: it says hello, sends samples with stamps, sleeps and wakes
+when told to. All in callbacks of one asyncio loop. What the files mean is iio_sysfs.py's. Stamps are
+CLOCK_BOOTTIME halfway through a reading, so time goes on while the machine is suspended; a reboot is a new
+session.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.static.settings import Sense, Sleep
+from stillcal.calib_core.streams.events import Tick
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.sources import sysfs as iio_sysfs
+from stillcal.daemon.sources.base import SerialSettings, Source
+from stillcal.daemon.sources.sysfs import SensorGoneError, Sensors
+from stillcal.daemon.wire.decoder import (
+    Claim,
+    Command,
+    Hello,
+    Identify,
+    Rate,
+    Status,
+    Temperature,
+    WireCounters,
+)
+
+MOST_HZ = 50.0
+"""Readings a second unless another rate is asked for: each takes a system call and a bus transfer an axis."""
+
+BATCH_S = 0.1
+STATUS_S = 10.0
+"""How often the thermometer is read and the status told, s."""
+
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+
+
+class IioSource(Source):
+    """The machine's own sensors, found again whenever they are lost. settings.port: the folder of devices."""
+
+    def __init__(self, settings: SerialSettings) -> None:
+        super().__init__(settings)
+        self._rate_hz = 0.0
+        self._counted = WireCounters()
+        self._sensors: Sensors | None = None
+        self._read: dict[Sensor, tuple[list[float], list[Array]]] = {}
+        self._sensing, self._on_time, self._wakeups = False, 0.0, 0
+        self._last = self._next_status = 0.0
+
+    # For the one who takes
+
+    @property
+    def connected(self) -> bool:
+        """Whether the sensors are there now."""
+        return self._sensors is not None
+
+    @property
+    def device(self) -> str:
+        """Path of the accelerometer's device, "" where none is."""
+        return "" if self._sensors is None else str(self._sensors.accelerometer.folder)
+
+    @property
+    def wire(self) -> WireCounters:
+        """A copy of what was counted; of a wire there is none, so only samples are."""
+        return replace(self._counted)
+
+    def send(self, command: Command) -> bool:
+        """Do what a phone does when told; False while there are no sensors."""
+        if self._sensors is None:
+            return False
+        self.link.commands_sent += 1
+        if isinstance(command, Sense):
+            self._wake()
+        elif isinstance(command, Sleep):
+            self._sleep(command.until)
+        elif isinstance(command, Rate):
+            self._rate_hz = command.hz
+            iio_sysfs.set_rate(self._sensors, command.hz)
+        elif isinstance(command, Identify):
+            self._greet(self._sensors)
+        return True
+
+    # Finding and losing the sensors
+
+    def _connect(self) -> None:
+        self._timer = None
+        try:
+            self._sensors = iio_sysfs.find(Path(self.settings.port))
+        except SensorGoneError as error:
+            self._fail(str(error))
+            return
+        self._found(self.device)
+        self._greet(self._sensors)
+        self._wake()
+
+    def _greet(self, sensors: Sensors) -> None:
+        claims: dict[str, Claim] = {
+            "device": sensors.accelerometer.name,
+            "nominal_rate_hz": self._hz(sensors),
+        }
+        claims["accel_lsb"] = float(sensors.accelerometer.scale[0])
+        if sensors.gyroscope is not None:
+            claims["gyro_lsb"] = float(sensors.gyroscope.scale[0])
+        self._emit(Hello(session=_session(), claims=claims))
+        self._emit(self._status(_now()))
+
+    def _lose(self, reason: str, for_good: bool = False) -> None:
+        self._flush()
+        device, self._sensors, self._sensing = self.device, None, False
+        self._lost(device, reason, for_good)
+
+    # Reading
+
+    def _hz(self, sensors: Sensors) -> float:
+        return self._rate_hz or min(sensors.rate_hz or MOST_HZ, MOST_HZ)
+
+    def _wake(self) -> None:
+        if self._sensing:
+            return
+        self._cancel()
+        now = _now()
+        self._sensing, self._last, self._next_status = True, now, now
+        self._wakeups += 1
+        self._poll()
+
+    def _sleep(self, until: float) -> None:
+        """Read nothing before `until`, s of the stamps: the driver then puts the chip to sleep by itself."""
+        self._cancel()
+        self._flush()
+        self._sensing = False
+        self._tell(_now())
+        if math.isfinite(until):
+            self._later(max(until - _now(), 0.0), self._wake)
+
+    def _poll(self) -> None:
+        """Read each sensor once, and plan the next reading on the same grid."""
+        self._timer = None
+        sensors = self._sensors
+        if sensors is None:
+            return
+        if len(self._records) >= self.settings.queue:
+            self.link.pauses += 1
+            self._later(BATCH_S, self._poll)
+            return
+        begin, loop = _now(), asyncio.get_running_loop()
+        try:
+            for channel in sensors.channels():
+                self._take_in(channel)
+            if begin >= self._next_status:
+                self._warm(sensors, begin)
+        except SensorGoneError as error:
+            self._lose(f"the sensor is gone: {error}")
+            return
+        self._failures = 0
+        self._on_time, self._last = self._on_time + begin - self._last, begin
+        if begin - self._oldest(begin) >= BATCH_S:
+            self._flush()
+        step = 1.0 / self._hz(sensors)
+        now = loop.time()
+        self._timer = loop.call_at((math.floor(now / step) + 1) * step, self._poll)
+
+    def _take_in(self, channel: iio_sysfs.Channel) -> None:
+        before = _now()
+        xyz = channel.read()
+        stamps, rows = self._read.setdefault(channel.sensor, ([], []))
+        stamps.append((before + _now()) / 2.0)
+        rows.append(xyz)
+
+    def _oldest(self, now: float) -> float:
+        return min((stamps[0] for stamps, _ in self._read.values() if stamps), default=now)
+
+    def _warm(self, sensors: Sensors, now: float) -> None:
+        self._next_status = now + STATUS_S
+        celsius = sensors.celsius()
+        if celsius is not None:
+            self._emit(Temperature(now, celsius))
+        self._emit(self._status(now))
+
+    def _flush(self) -> None:
+        """Hand on what was read, the gyroscope's first."""
+        read, self._read = self._read, {}
+        for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER):
+            stamps, rows = read.get(sensor, ([], []))
+            if stamps:
+                self._counted.samples += len(stamps)
+                self._emit(Samples.checked(sensor, stamps, rows))
+
+    def _status(self, now: float) -> Status:
+        return Status(now, self._on_time, self._sensing, self._wakeups)
+
+    def _tell(self, now: float) -> None:
+        self._emit(self._status(now))
+        self._emit(Tick(now))
+
+
+def _now() -> float:
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def _session() -> int:
+    """Return a number that is another after each boot, since CLOCK_BOOTTIME begins anew."""
+    try:
+        return zlib.crc32(BOOT_ID.read_bytes())
+    except OSError:
+        return 0

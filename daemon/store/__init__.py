@@ -1,0 +1,1 @@
+"""The calibration store: one JSON file that explains itself, written atomically."""

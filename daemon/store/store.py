@@ -1,0 +1,249 @@
+"""The store: one JSON file that holds the current calibration, and the care that nothing ever tears it.
+
+How it changes lives here; its files and locks are store_files.py's, what it says is store_document.py's.
+
+Every change writes two whole files, `NAME.last-good` first and then `NAME`, each by an atomic rename:
+a crash at any moment leaves both whole, and a `NAME` that something else damaged later is replaced by
+its twin without losing the newest calibration. An older generation would lose it, and earlier
+calibrations are in the history anyway. A missing `NAME` means a fresh start, even beside a twin: to
+remove the store is how one begins anew.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.daemon.store.atomic import NotDurableError, sync_folder, write_atomically
+from stillcal.daemon.store.document import SCHEMA, HistoryEntry, StoreDocument, render
+from stillcal.daemon.store.files import Reading, StoreError, StoreLockedError, explained, lock_taken, read
+
+__all__ = [
+    "Outcome",
+    "Reading",
+    "Store",
+    "StoreError",
+    "StoreLockedError",
+    "StoreSettings",
+    "Verification",
+]
+
+MODES = (0o600, 0o640)
+
+
+@dataclass(frozen=True, slots=True)
+class StoreSettings:
+    """Where the store is and what it keeps.
+
+    path: "" for store.json in the service's state folder. mode: permissions, 0600 or 0640. history:
+    how many earlier and rejected calibrations are kept.
+    """
+
+    path: str = ""
+    mode: int = 0o600
+    history: int = 32
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise ValueError(f"mode = 0o{self.mode:o}: must be 0o600 or 0o640")
+        if not 2 <= self.history <= 1000:
+            raise ValueError(f"history = {self.history}: must be within 2..1000")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a change left behind. notes: what was out of the ordinary, a line each, to be logged."""
+
+    document: StoreDocument
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """The state of a store and its twin; `whole` where the store itself is there and good."""
+
+    store: Reading
+    last_good: Reading
+
+    @property
+    def whole(self) -> bool:
+        """Whether the store can be used as it is."""
+        return self.store.document is not None
+
+
+class Store:
+    """A calibration store at `path`.
+
+    Reading needs no lock. A change locks the store while it lasts; who means to be its only writer for
+    longer, such as the daemon, uses `with` or `lock`.
+    """
+
+    def __init__(self, path: Path | str, settings: StoreSettings | None = None) -> None:
+        self.path = Path(path).resolve()
+        self.settings = settings or StoreSettings()
+        self._lock: int | None = None
+
+    @property
+    def last_good_path(self) -> Path:
+        """The twin that a damaged store is replaced by."""
+        return self.path.with_name(self.path.name + ".last-good")
+
+    def __enter__(self) -> Store:
+        self.lock()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def lock(self) -> None:
+        """Become the store's only writer until `close`. Raises StoreLockedError where somebody else is."""
+        if self._lock is None:
+            self._lock = lock_taken(self.path.with_name(self.path.name + ".lock"), self.path)
+
+    def close(self) -> None:
+        """Let other writers in."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def load(self) -> StoreDocument | None:
+        """Return the store's document, or its twin's where the store is damaged; None where there is none.
+
+        Changes nothing. Raises StoreError where the store is damaged and so is its twin.
+        """
+        found = self.verify()
+        if found.store.problem is None:
+            return found.store.document
+        if found.last_good.document is None:
+            raise StoreError(f"{self.path} is {found.store.problem}, and there is no good copy beside it")
+        return found.last_good.document
+
+    def verify(self) -> Verification:
+        """Read the store and its twin and say what is wrong with them. Changes nothing."""
+        return Verification(read(self.path), read(self.last_good_path))
+
+    def history(self) -> tuple[HistoryEntry, ...]:
+        """Return the earlier and the rejected calibrations, oldest first."""
+        document = self.load()
+        return document.history if document else ()
+
+    def recover(self) -> Outcome:
+        """Make the store usable: to be called before the first use, and called again before every change.
+
+        What is damaged or foreign is set aside under a new name, never overwritten; the twin takes its
+        place. A store of an earlier schema is migrated and its original kept. Raises StoreError.
+        """
+        with self._locked():
+            found = self.verify()
+            if found.store.problem is not None:
+                return self._replace_damaged(found)
+            if found.store.document is None:
+                return Outcome(StoreDocument())
+            return self._migrate(found.store.document, found.store.schema)
+
+    def save(self, document: StoreDocument) -> None:
+        """Replace the store's contents.
+
+        Raises StoreError with the old store intact; where only the folder's sync failed, it says so, and
+        the new store is in place until a power cut.
+        """
+        data = render(document)
+        try:
+            with self._locked():
+                for path in (self.last_good_path, self.path):
+                    write_atomically(path, data, self.settings.mode)
+        except OSError as error:
+            verb = "make durable" if isinstance(error, NotDurableError) else "write"
+            raise explained(error, self.path, verb) from error
+
+    def publish(self, calibration: CalibrationRecord, reason: str = "", at: float | None = None) -> Outcome:
+        """Make `calibration` the current one; the one before goes into the history, why and when (s)."""
+        return self._change(lambda d: d.after_publishing(calibration, self.settings.history, reason, at))
+
+    def reject(self, candidate: CalibrationRecord, reason: str, at: float | None = None) -> Outcome:
+        """Keep a candidate that was turned down in the history, and why and when (s)."""
+        return self._change(lambda d: d.after_rejecting(candidate, reason, self.settings.history, at))
+
+    def retire(self, reason: str, at: float | None = None) -> Outcome:
+        """Let no calibration be current, as when the phone is another one; why and when (s)."""
+        return self._change(lambda d: d.after_retiring(reason, self.settings.history, at))
+
+    def rollback(self, target: int | str = 1) -> Outcome:
+        """Make an earlier calibration current again: the target-th before, or the one of this id.
+
+        Raises ValueError where there is no such calibration.
+        """
+        return self._change(lambda d: d.after_rollback(target, self.settings.history))
+
+    def _change(self, change: Callable[[StoreDocument], StoreDocument]) -> Outcome:
+        with self._locked():
+            before = self.recover()
+            after = change(before.document)
+            self.save(after)
+        return Outcome(after, before.notes)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Hold the lock for the block, and on where it was held before."""
+        if self._lock is not None:
+            yield
+            return
+        with self:
+            yield
+
+    def _migrate(self, document: StoreDocument, schema: int | None) -> Outcome:
+        if schema == SCHEMA:
+            return Outcome(document)
+        kept = self._set_aside(self.path, f"schema-{schema}")
+        self.save(document)
+        note = f"{self.path}: migrated from schema {schema} to {SCHEMA}; original kept as {kept}"
+        return Outcome(document, (note,))
+
+    def _replace_damaged(self, found: Verification) -> Outcome:
+        kept = self._set_aside(self.path, "unreadable")
+        damage = f"{self.path} was {found.store.problem}; set aside as {kept}"
+        if found.last_good.document is not None:
+            self.save(found.last_good.document)
+            return Outcome(found.last_good.document, (f"{damage}; the last good copy took its place",))
+        notes = [f"{damage}; there was no good copy: starting without a calibration"]
+        if found.last_good.problem is not None:
+            kept = self._set_aside(self.last_good_path, "unreadable")
+            notes.append(f"{self.last_good_path} was {found.last_good.problem}; set aside as {kept}")
+        self._remove_damaged()
+        return Outcome(StoreDocument(), tuple(notes))
+
+    def _remove_damaged(self) -> None:
+        """Remove the damaged names, which `_set_aside` has kept under others."""
+        for path in (self.path, self.last_good_path):
+            path.unlink(missing_ok=True)
+        sync_folder(self.path.parent)
+
+    def _set_aside(self, path: Path, label: str) -> Path:
+        """Give the file a second name that nothing had, so that replacing the first loses nothing.
+
+        A hard link, which refuses an existing name and leaves no moment without a store; where the file
+        system has none (vfat), a rename under the writer's lock.
+        """
+        for n in range(1, 10_000):
+            aside = path.with_name(f"{self.path.name}.{label}-{n}.json")
+            try:
+                os.link(path, aside, follow_symlinks=False)
+            except FileExistsError:
+                continue
+            except OSError as error:
+                if error.errno not in (errno.EPERM, errno.ENOTSUP):
+                    raise explained(error, path, "set aside") from error
+                path.rename(aside)
+            sync_folder(path.parent)
+            return aside
+        raise StoreError(
+            f"{path.parent} is full of files set aside ({label}-…): look at them and remove them"
+        )

@@ -1,0 +1,1 @@
+"""The local socket at which the daemon answers (varlink)."""

@@ -1,0 +1,219 @@
+"""One client's connection: its bytes, its limits and its turn. Who may come in is api_server.py's.
+
+asyncvarlink knows the interface, the conversion and the order of replies; the bytes are read here, by
+asyncio's own transport, because asyncvarlink's reads from one client until it has no more to say and sets
+no limit to a message.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import struct
+import time
+from typing import Any, Protocol
+
+import msgspec
+from asyncvarlink import VarlinkInterfaceRegistry, VarlinkInterfaceServerProtocol
+
+from stillcal.daemon.settings import SocketSettings
+from stillcal.daemon.varlink.interface import CALLER
+
+UNSENT_BYTES = 262_144
+"""Of answers that a client has not taken, above which it is asked nothing more and may stall."""
+
+
+class House(Protocol):
+    """Where the client is. dropped: how many clients were hung up on."""
+
+    settings: SocketSettings
+    dropped: int
+
+    def enter(self, client: Connection) -> None:
+        """Take a client in."""
+
+    def leave(self, client: Connection) -> None:
+        """Forget a client."""
+
+    def queue(self, client: Connection, wait_s: float) -> None:
+        """Answer a client when it is its turn, not before `wait_s`."""
+
+
+class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
+    """One client. Its questions are answered one at a time, in turn with the other clients'."""
+
+    def __init__(self, registry: VarlinkInterfaceRegistry, server: House) -> None:
+        super().__init__(registry)
+        self._server = server
+        self._line: asyncio.Transport | None = None
+        self._buffer = bytearray()
+        self._searched = 0
+        self._full = self._ended = False
+        self._unsent: list[asyncio.Future[None]] = []
+        self._stall: asyncio.TimerHandle | None = None
+        self._listener: Any = None
+        self._allowance, self._counted = server.settings.calls_per_s, time.monotonic()
+        self.answering = False
+        self.may_change = False
+
+    def when_gone(self, listener: Any) -> None:
+        """Close `listener` when the client has gone."""
+        self._listener = listener
+
+    # The line's own calls
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take the client's place among the others."""
+        assert isinstance(transport, asyncio.Transport)
+        self._line = transport
+        transport.set_write_buffer_limits(UNSENT_BYTES)
+        self.may_change = _may_change(transport.get_extra_info("socket"))
+        self._server.enter(self)
+
+    def data_received(self, data: bytes) -> None:
+        """Keep what came until it is its turn."""
+        self._buffer += data
+        self._look()
+
+    def eof_received(self) -> bool:  # type: ignore[override]  # asyncio's, whose True keeps our side open
+        """Answer what was asked, then hang up; who listens for news has stopped."""
+        self._ended = True
+        self.quit_listening()
+        self._look()
+        return True
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the client."""
+        self._line = None
+        self._buffer.clear()
+        self._patient()
+        self.quit_listening()
+        self._sent()
+        self._server.leave(self)
+
+    def pause_writing(self) -> None:
+        """Wait for a client that does not take its answers, but not for long."""
+        self._full = True
+        self._impatient()
+
+    def resume_writing(self) -> None:
+        """Go on with a client that has taken its answers."""
+        self._full = False
+        self._patient()
+        self._sent()
+        self._look()
+
+    # Questions
+
+    def _look(self) -> None:
+        """See whether a whole question is there, and get into the queue with it."""
+        if self._line is None or self.answering:
+            return
+        end = self._buffer.find(0, self._searched)
+        self._searched = len(self._buffer) if end < 0 else end
+        if (len(self._buffer) if end < 0 else end) > self._server.settings.message_bytes:
+            self.drop()
+        elif end >= 0:
+            self._line.pause_reading()
+            self._server.queue(self, self._wait())
+        elif self._ended:
+            self._line.close()
+        else:
+            self._line.resume_reading()
+            self._impatient() if self._buffer else self._patient()
+
+    def answer(self) -> None:
+        """Answer the first question; called when it is this client's turn."""
+        end = self._buffer.find(0)
+        if self._line is None or self._full or self.answering or end < 0:
+            return
+        self._patient()
+        question = bytes(self._buffer[:end])
+        del self._buffer[: end + 1]
+        self._searched = 0
+        try:
+            asked = msgspec.json.decode(question)
+        except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
+            asked = None
+        if isinstance(asked, dict):
+            self._answer(asked)
+        else:
+            self.drop()
+
+    def _answer(self, asked: dict[str, Any]) -> None:
+        CALLER.set(self)
+        busy = self.request_received(asked, None)
+        if busy is None or busy.done():
+            self._look()
+            return
+        self.answering = True
+        busy.add_done_callback(self._answered)
+
+    def _answered(self, busy: asyncio.Future[None]) -> None:
+        self.answering = False
+        self._listener = None
+        self._look()
+
+    def _wait(self) -> float:
+        """Return how long (s) this client's next question has to wait, and count it."""
+        now, rate = time.monotonic(), self._server.settings.calls_per_s
+        self._allowance = min(self._allowance + rate * (now - self._counted), rate) - 1.0
+        self._counted = now
+        return max(-self._allowance / rate, 0.0)
+
+    # Answers
+
+    def send_message(
+        self, obj: Any, fds: list[int] | None = None, autoclose: bool = True
+    ) -> asyncio.Future[None]:
+        """Send a reply; the future is done once the client has room for the next, or has gone."""
+        sent: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        if self._line is not None and not self._line.is_closing():
+            self._line.write(msgspec.json.encode(obj) + b"\0")
+        if self._full and self._line is not None:
+            self._unsent.append(sent)
+        else:
+            sent.set_result(None)
+        return sent
+
+    def _sent(self) -> None:
+        for future in self._unsent:
+            if not future.done():
+                future.set_result(None)
+        self._unsent.clear()
+
+    # Patience
+
+    def _impatient(self) -> None:
+        if self._stall is None:
+            loop = asyncio.get_running_loop()
+            self._stall = loop.call_later(self._server.settings.stall_s, self.drop)
+
+    def _patient(self) -> None:
+        if self._stall is not None:
+            self._stall.cancel()
+            self._stall = None
+
+    def quit_listening(self) -> None:
+        """End what the client listens for."""
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+
+    def drop(self) -> None:
+        """Hang up without a word."""
+        self._server.dropped += 1
+        self.hang_up()
+
+    def hang_up(self) -> None:
+        """Close the line, what is unsent is forgotten."""
+        if self._line is not None:
+            self._line.abort()
+
+
+def _may_change(line: socket.socket) -> bool:
+    """Say whether the client is root or our own user, by the kernel's word (SO_PEERCRED, unix(7))."""
+    credentials = line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    _, uid, _ = struct.unpack("3i", credentials)
+    return uid in (0, os.geteuid())

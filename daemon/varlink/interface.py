@@ -1,0 +1,205 @@
+"""The varlink interface io.stillcal.Calibration: what may be asked over the socket.
+
+asyncvarlink makes the interface's description from these signatures and docstrings as they are evaluated:
+no `from __future__ import annotations` here. How bytes come and go is api_server.py's.
+"""
+
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextvars import ContextVar
+from typing import Protocol
+
+import numpy as np
+from asyncvarlink import LastResult, TypedVarlinkErrorReply, VarlinkInterface, varlinkmethod
+from asyncvarlink.serviceinterface import InvalidParameter, PermissionDenied
+
+from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.varlink import types as api
+from stillcal.daemon.varlink import views
+from stillcal.daemon.varlink.address import NAME as INTERFACE
+
+MAX_ROWS = 1000
+"""Samples that one call corrects; more take more calls."""
+
+MAX_ENTRIES = 400
+
+
+class Caller(Protocol):
+    """Who is asking."""
+
+    @property
+    def may_change(self) -> bool:
+        """Whether the caller may change the daemon's state."""
+
+    def when_gone(self, listener: object) -> None:
+        """Close `listener` when the caller has gone."""
+
+
+CALLER: ContextVar[Caller] = ContextVar("CALLER")
+"""Set by the server for the time of a call."""
+
+
+class NotCalibrated(TypedVarlinkErrorReply, interface=INTERFACE):
+    """There is no calibration yet. reason: why not; missing: what is needed, such as an attitude."""
+
+    class Parameters:
+        """What goes with it."""
+
+        reason: str
+        missing: list[str]
+
+
+class Refused(TypedVarlinkErrorReply, interface=INTERFACE):
+    """What was asked for cannot be done; reason says why."""
+
+    class Parameters:
+        """What goes with it."""
+
+        reason: str
+
+
+class TooSlow(TypedVarlinkErrorReply, interface=INTERFACE):
+    """The caller did not take the news in time and hears no more."""
+
+    class Parameters:
+        """Nothing goes with it."""
+
+
+class CalibrationInterface(VarlinkInterface, name=INTERFACE):
+    """Calibration of a phone's accelerometer and gyroscope, kept true by the stillcal daemon.
+
+    SI units: m/s^2, rad/s, s, degrees Celsius. Body axes as on Android. Times are the sensors' own.
+    """
+
+    errors = (NotCalibrated, Refused, TooSlow)
+
+    def __init__(self, daemon: views.Daemon) -> None:
+        self._daemon = daemon
+
+    @varlinkmethod(return_parameter="calibration")
+    def GetCalibration(self) -> api.Calibration:  # noqa: N802 - varlink's names
+        """Return the current calibration, its age, and how far it can be trusted."""
+        record = self._daemon.view.record
+        if record is None:
+            refusal = self._daemon.view.refusal
+            reason = refusal.reason if refusal else "too few rests so far"
+            raise NotCalibrated(reason=reason, missing=list(refusal.missing) if refusal else [])
+        return views.calibration(record, self._daemon)
+
+    @varlinkmethod(return_parameter="status")
+    def GetStatus(self) -> api.Status:  # noqa: N802
+        """Return how the daemon, the phone and its line are."""
+        return views.status(self._daemon)
+
+    @varlinkmethod(return_parameter="entries")
+    def GetHistory(self, *, limit: int = 32) -> list[api.Entry]:  # noqa: N802
+        """Return the current and at most `limit` earlier or rejected calibrations, newest first."""
+        return views.history(self._daemon.document, _within("limit", limit))
+
+    @varlinkmethod(return_parameter="stillness")
+    def GetStillness(self, *, limit: int = 96) -> api.Stillness:  # noqa: N802
+        """Return the newest `limit` rests held, newest first, and how many windows were still."""
+        return views.stillness(self._daemon, _within("limit", limit))
+
+    @varlinkmethod(return_parameter="days")
+    def GetEnergy(self, *, limit: int = 31) -> list[api.EnergyDay]:  # noqa: N802
+        """Return what the newest `limit` days cost, oldest first."""
+        return views.energy(self._daemon.saved.energy.days, _within("limit", limit))
+
+    @varlinkmethod(return_parameter="samples")
+    def Correct(  # noqa: N802
+        self,
+        *,
+        sensor: api.SensorName,
+        samples: list[list[float]],
+        temperature_c: float | None = None,
+        force: list[list[float]] | None = None,
+    ) -> list[list[float]]:
+        """Correct at most 1000 raw samples [x, y, z] of a sensor by the current calibration.
+
+        temperature_c: of the sensor; force: corrected [x, y, z] beside each sample of a gyroscope. Without
+        them, terms of the calibration that follow them are left out.
+        """
+        record = self._daemon.view.record
+        if len(samples) > MAX_ROWS or any(len(row) != 3 for row in samples):
+            raise InvalidParameter(parameter="samples")
+        if record is None:
+            raise NotCalibrated(reason="no calibration yet", missing=[])
+        raw = np.array(samples, dtype=np.float64).reshape(-1, 3)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # refused below
+                corrected = views.corrected(record, Sensor(sensor), raw, temperature_c, force)
+        except NotCalibratedError as error:
+            raise NotCalibrated(reason=str(error), missing=[sensor]) from None
+        except ValueError:
+            raise InvalidParameter(parameter="force") from None
+        if not np.isfinite(corrected).all():
+            raise InvalidParameter(parameter="samples")
+        rows: list[list[float]] = corrected.tolist()
+        return rows
+
+    @varlinkmethod(return_parameter="event", delay_generator=False)
+    async def Monitor(self) -> AsyncIterator[api.Event]:  # noqa: N802
+        """Tell how things stand, and then every change. To be called with `more`."""
+        listener, done = self._daemon.news.listen()
+        CALLER.get().when_gone(listener)
+        try:
+            yield views.standing(self._daemon)
+            while (item := await listener.queue.get()) is not None:
+                yield views.event(item, self._daemon)
+        finally:
+            done()
+        if listener.lost:
+            raise TooSlow()
+        raise LastResult(api.Event("ended", "the daemon is stopping"))
+
+    @varlinkmethod(return_parameter="calibration")
+    async def Rollback(self, *, to: str = "") -> api.Calibration:  # noqa: N802
+        """Make an earlier calibration current: the one before, or the one whose id begins with `to`.
+
+        Only for root and the daemon's own user.
+        """
+        return await self._changed(lambda: self._daemon.rollback(to or 1))
+
+    @varlinkmethod(return_parameter="calibration")
+    async def Calibrate(self) -> api.Calibration:  # noqa: N802
+        """Try a full calibration now, from the rests held. Only for root and the daemon's own user.
+
+        Refused with the reason where they do not support one, or where it is no better than the current one.
+        """
+        return await self._changed(self._daemon.calibrate)
+
+    @varlinkmethod(return_parameter="calibration")
+    async def ZeroNow(self) -> api.Calibration:  # noqa: N802
+        """Measure the gyroscope's bias now, on the last hour's rests. Only for root and the own user."""
+        return await self._changed(self._daemon.zero)
+
+    async def _changed(self, change: Callable[[], Awaitable[CalibrationRecord | None]]) -> api.Calibration:
+        """Make a change, if the caller may, and return the calibration that is then current."""
+        _require_right()
+        try:
+            record = await change()
+        except ValueError as error:
+            raise Refused(reason=str(error)) from None
+        if record is None:
+            raise NotCalibrated(reason="no calibration is current", missing=[])
+        return views.calibration(record, self._daemon)
+
+    @varlinkmethod
+    async def Reload(self) -> None:  # noqa: N802
+        """Read the settings again. Only for root and the daemon's own user."""
+        _require_right()
+        if reason := await self._daemon.reload():
+            raise Refused(reason=reason)
+
+
+def _require_right() -> None:
+    if not CALLER.get().may_change:
+        raise PermissionDenied()
+
+
+def _within(name: str, value: int | None) -> int:
+    number = 32 if value is None else value
+    if not 0 <= number <= MAX_ENTRIES:
+        raise InvalidParameter(parameter=name)
+    return number

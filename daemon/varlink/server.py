@@ -1,0 +1,161 @@
+"""The socket: who is let in, who goes, and whose turn it is. What is asked and answered is api.py's.
+
+Clients are let in one by one, each only once there is a place for it, and are answered in turn; after
+TURN_S the loop goes back to the phone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Sequence
+
+from asyncvarlink import VarlinkInterfaceRegistry
+from asyncvarlink.serviceinterface import VarlinkServiceInterface
+
+from stillcal.daemon.settings import SocketSettings
+from stillcal.daemon.system.log import say
+from stillcal.daemon.varlink.connection import Connection
+from stillcal.daemon.varlink.interface import CalibrationInterface
+from stillcal.daemon.varlink.socket import opened
+from stillcal.daemon.varlink.views import VERSION, Daemon
+
+TURN_S = 0.01
+"""How long clients are answered before the loop looks after everything else, s."""
+
+GOODBYE_S = 0.02
+"""How long those who listen have for the last news, s."""
+
+WAITING = 1024
+"""Clients that the kernel lets wait to be let in (listen(2))."""
+
+RETRY_S = 1.0
+"""How long nobody is let in where the process has no descriptors left, s."""
+
+
+class Server:
+    """All clients. dropped: how many were hung up on, for stalling, for nonsense, or for their place."""
+
+    def __init__(self, daemon: Daemon, settings: SocketSettings) -> None:
+        self.settings = settings
+        self.dropped = 0
+        self._registry = _registry(daemon)
+        self._clients: dict[Connection, None] = {}
+        self._queue: deque[Connection] = deque()
+        self._serving = False
+        self._left = asyncio.Event()
+
+    async def admit(self, door: socket.socket) -> None:
+        """Let clients in for ever; where there is no place, the one that has been idle longest goes first."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await _knock(door)
+            free = await self._place()
+            try:
+                line, _ = door.accept()
+            except BlockingIOError:
+                continue  # it has gone again
+            except OSError as error:
+                say("warning", "socket", f"nobody can be let in: {error.strerror}")
+                await asyncio.sleep(RETRY_S)
+                continue
+            if free:
+                await loop.connect_accepted_socket(lambda: Connection(self._registry, self), line)
+            else:
+                self.dropped += 1
+                line.close()
+
+    async def _place(self) -> bool:
+        """See that there is a place; say whether there is: nobody goes who is being answered."""
+        while len(self._clients) >= self.settings.connections:
+            idle = next((c for c in self._clients if not c.answering), None)
+            if idle is None:
+                return False
+            self._left.clear()
+            idle.drop()
+            await self._left.wait()
+        return True
+
+    def enter(self, client: Connection) -> None:
+        """Take a client in."""
+        self._clients[client] = None
+
+    def leave(self, client: Connection) -> None:
+        """Forget a client."""
+        self._clients.pop(client, None)
+        self._left.set()
+
+    def queue(self, client: Connection, wait_s: float) -> None:
+        """Answer a client when it is its turn, not before `wait_s`."""
+        if client in self._clients:
+            self._clients[client] = self._clients.pop(client)
+        if wait_s > 0:
+            asyncio.get_running_loop().call_later(wait_s, self._line_up, client)
+        else:
+            self._line_up(client)
+
+    async def close(self) -> None:
+        """Say goodbye to those who listen for news, and hang up on everybody."""
+        for client in list(self._clients):
+            client.quit_listening()
+        await asyncio.sleep(GOODBYE_S)
+        for client in list(self._clients):
+            client.hang_up()
+
+    def _line_up(self, client: Connection) -> None:
+        self._queue.append(client)
+        if not self._serving:
+            self._serving = True
+            asyncio.get_running_loop().call_soon(self._serve)
+
+    def _serve(self) -> None:
+        """Answer clients in turn for TURN_S, then let the loop go round."""
+        until = time.monotonic() + TURN_S
+        while self._queue and time.monotonic() < until:
+            self._queue.popleft().answer()
+        self._serving = bool(self._queue)
+        if self._serving:
+            asyncio.get_running_loop().call_soon(self._serve)
+
+
+@contextlib.asynccontextmanager
+async def serving(
+    daemon: Daemon, settings: SocketSettings, passed: Sequence[socket.socket] = ()
+) -> AsyncIterator[Server]:
+    """Answer on the sockets systemd opened, or else on one of our own, for as long as the block lasts."""
+    server = Server(daemon, settings)
+    with opened(settings, passed) as sockets:
+        for line in sockets:
+            line.setblocking(False)
+            line.listen(WAITING)
+        doors = [asyncio.create_task(server.admit(door)) for door in sockets]
+        try:
+            yield server
+        finally:
+            for door in doors:
+                door.cancel()
+            await asyncio.gather(*doors, return_exceptions=True)
+            await server.close()
+            for line in sockets:
+                line.close()
+
+
+async def _knock(door: socket.socket) -> None:
+    """Wait until somebody wants to be let in."""
+    loop, knocked = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(door, knocked.set)
+    try:
+        await knocked.wait()
+    finally:
+        loop.remove_reader(door)
+
+
+def _registry(daemon: Daemon) -> VarlinkInterfaceRegistry:
+    registry = VarlinkInterfaceRegistry()
+    registry.register_interface(CalibrationInterface(daemon))
+    about = VarlinkServiceInterface("stillcal", "stillcal", VERSION, "https://varlink.org", registry)
+    registry.register_interface(about)
+    return registry

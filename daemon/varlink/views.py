@@ -1,0 +1,262 @@
+"""From what the daemon knows to what the socket answers: pure conversion, bounded in size."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Any, Protocol
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
+from stillcal.calib_core.calibration.rest_pool import HeldRest
+from stillcal.calib_core.calibration.terms import bias_terms
+from stillcal.calib_core.static.settings import Fate, Sense
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.service.energy_ledger import Day
+from stillcal.daemon.service.engine_thread import View
+from stillcal.daemon.service.saved_state import SavedState
+from stillcal.daemon.service.subscribers import Item, News
+from stillcal.daemon.sources.base import Source
+from stillcal.daemon.store.document import HistoryEntry, StoreDocument
+from stillcal.daemon.varlink import types as api
+
+VERSION = "0.1.0"
+
+
+class Daemon(Protocol):
+    """What answers are taken from, and what may be asked of the daemon."""
+
+    saved: SavedState
+    news: News
+
+    @property
+    def view(self) -> View:
+        """What the engine thinks."""
+
+    @property
+    def document(self) -> StoreDocument:
+        """What the store holds."""
+
+    @property
+    def source(self) -> Source:
+        """The phone's line."""
+
+    @property
+    def trouble(self) -> str:
+        """Why the last write failed."""
+
+    @property
+    def store_name(self) -> str:
+        """The store's path."""
+
+    @property
+    def uptime_s(self) -> float:
+        """For how long the daemon has been running, s."""
+
+    @property
+    def now(self) -> float | None:
+        """The engine's time, s; None before the first sample."""
+
+    async def rollback(self, target: int | str) -> CalibrationRecord | None:
+        """Make an earlier calibration current. Raises ValueError."""
+
+    async def calibrate(self) -> CalibrationRecord:
+        """Try a full calibration now. Raises ValueError where nothing comes of it."""
+
+    async def zero(self) -> CalibrationRecord:
+        """Measure the gyroscope's bias now. Raises ValueError where no rest shows it."""
+
+    async def reload(self) -> str:
+        """Read the settings again; return why they were refused, or nothing."""
+
+
+@functools.lru_cache(maxsize=128)
+def identity(record: CalibrationRecord) -> str:
+    """Return a record's id; it takes a hash of the whole, so the newest are remembered."""
+    return record.id
+
+
+def calibration(record: CalibrationRecord, daemon: Daemon) -> api.Calibration:
+    """Return a calibration with its age and what is known of its soundness."""
+    view, now, gravity, validity = daemon.view, daemon.now, record.gravity, record.validity
+    current = daemon.document.current
+    return api.Calibration(
+        id=identity(record),
+        how=record.acceptance.how,
+        reason=record.acceptance.reason,
+        confidence=_confidence(record, view),
+        stored=current is not None and identity(current) == identity(record),
+        gravity=None if gravity is None else gravity.value,
+        gravity_uncertainty=None if gravity is None else gravity.uncertainty,
+        fitted_at_s=record.fitted_at,
+        age_s=_age(record.fitted_at, now),
+        checked_age_s=_age(view.checked, now),
+        temperature_min_c=validity.temperature_min,
+        temperature_max_c=validity.temperature_max,
+        accelerometer=_sensor(record.accelerometer, None),
+        gyroscope=_sensor(record.gyroscope, _age(getattr(record.gyroscope, "zeroed_at", None), now)),
+    )
+
+
+def corrected(
+    record: CalibrationRecord,
+    sensor: Sensor,
+    raw: Array,
+    temperature_c: float | None,
+    force: list[list[float]] | None,
+) -> Array:
+    """Correct raw readings (n, 3), with those terms for which there is what they follow.
+
+    Raises NotCalibratedError, and ValueError where `force` does not go with the readings.
+    """
+    felt = None if force is None else np.array(force, dtype=np.float64).reshape(-1, 3)
+    if felt is not None and felt.shape != raw.shape:
+        raise ValueError(f"force has {len(felt)} rows, the samples have {len(raw)}")
+    warmth = None if temperature_c is None else np.full(len(raw), temperature_c)
+    return record.apply(raw - bias_terms(record, sensor, warmth, felt), sensor)
+
+
+def status(daemon: Daemon) -> api.Status:
+    """Return how things are."""
+    view, clock, source, now = daemon.view, daemon.saved.clock, daemon.source, daemon.now
+    return api.Status(
+        version=VERSION,
+        uptime_s=daemon.uptime_s,
+        connected=source.connected,
+        device=source.device,
+        phone=daemon.saved.device,
+        watch=str(view.watch),
+        sensing=isinstance(view.want, Sense),
+        degraded=view.degraded,
+        rests_held=view.rests_held,
+        refusal=view.refusal.reason if view.refusal else "",
+        missing=list(view.refusal.missing) if view.refusal else [],
+        trouble=daemon.trouble,
+        failed_checks=view.trouble.failed if view.trouble else 0,
+        diagnosis=view.diagnosis,
+        store=daemon.store_name,
+        restarts=clock.restarts,
+        leaps=clock.leaps,
+        disordered_samples=clock.disordered,
+        counts=api.Counts(**_named(view.counters, api.Counts)),
+        wire=_wire(source),
+        calibration=None if view.record is None else identity(view.record),
+        charging=view.charging,
+        time_s=now,
+        decides_in_s=None if now is None or math.isinf(view.decides) else max(view.decides - now, 0.0),
+        gravity=view.gravity.value,
+    )
+
+
+def history(document: StoreDocument, limit: int) -> list[api.Entry]:
+    """Return the current calibration and at most `limit` others, newest first."""
+    current = document.current
+    entries = [_entry(e.calibration, e.what, e.reason, e.at) for e in _newest(document.history, limit)]
+    if current is None:
+        return entries
+    return [_entry(current, "current", current.acceptance.reason, current.fitted_at), *entries]
+
+
+def stillness(daemon: Daemon, limit: int) -> api.Stillness:
+    """Return the newest rests held, newest first."""
+    view, now = daemon.view, daemon.now
+    held = view.pool.held[::-1][:limit]
+    windows = view.ledger.windows
+    return api.Stillness(
+        windows=sum(windows.values()),
+        windows_still=windows.get(Fate.STILL, 0),
+        rests_held=view.rests_held,
+        rests=[_rest(h, view.record, now) for h in held],
+    )
+
+
+def energy(days: list[Day], limit: int) -> list[api.EnergyDay]:
+    """Return the accounts of the newest days, oldest first."""
+    return [api.EnergyDay(**dataclasses.asdict(day)) for day in days[-limit:]]
+
+
+def event(item: Item, daemon: Daemon) -> api.Event:
+    """Return news as it is told."""
+    return api.Event(item.what, item.reason, item.t, calibration(item.record, daemon))
+
+
+def standing(daemon: Daemon) -> api.Event:
+    """Return how things stand for one who begins to listen."""
+    record = daemon.view.record
+    held = None if record is None else calibration(record, daemon)
+    return api.Event("current", held.reason if held else "no calibration yet", daemon.now, held)
+
+
+def _rest(held: HeldRest, record: CalibrationRecord | None, now: float | None) -> api.Rest:
+    rest, part = held.rest, None if record is None else record.accelerometer
+    norm = None if part is None else float(np.linalg.norm(part.model.apply(rest.specific_force)))
+    return api.Rest(
+        t_start_s=rest.t_start,
+        t_end_s=rest.t_end,
+        force=rest.specific_force.tolist(),
+        age_s=_age(rest.t_end, now),
+        residual=None if norm is None else norm - held.gravity.value,
+        temperature_c=rest.temperature,
+    )
+
+
+def _confidence(record: CalibrationRecord, view: View) -> api.Confidence:
+    if view.degraded:
+        return "failing"
+    since_fit = view.checked is not None and view.checked > (record.fitted_at or -math.inf)
+    return "confirmed" if since_fit else "unchecked"
+
+
+def _sensor(part: SensorRecord | None, zeroed_age_s: float | None) -> api.SensorCalibration | None:
+    if part is None:
+        return None
+    return api.SensorCalibration(
+        scale=part.scale.tolist(),
+        bias=part.bias.tolist(),
+        unit=str(getattr(part, "unit", "")),
+        parameters=part.parameters,
+        n_rests=part.n_rests,
+        n_states=part.n_states,
+        bias_uncertainty=_finite(part.bias_uncertainty),
+        rms_residual=part.rms_residual,
+        zeroed_age_s=zeroed_age_s,
+        most_helpful_attitude=getattr(part, "most_helpful_attitude", None),
+    )
+
+
+def _finite(values: Array | None) -> list[float] | None:
+    known = values is not None and bool(np.isfinite(values).all())
+    return values.tolist() if known and values is not None else None
+
+
+def _age(t: float | None, now: float | None) -> float | None:
+    return None if t is None or now is None else max(now - t, 0.0)
+
+
+def _newest(entries: tuple[HistoryEntry, ...], limit: int) -> list[HistoryEntry]:
+    return list(reversed(entries[-limit:])) if limit > 0 else []
+
+
+def _entry(record: CalibrationRecord, what: str, reason: str, at: float | None) -> api.Entry:
+    part = record.accelerometer
+    return api.Entry(
+        id=identity(record),
+        what=what,
+        reason=reason,
+        at_s=at,
+        rms_residual=None if part is None else part.rms_residual,
+        n_states=None if part is None else part.n_states,
+    )
+
+
+def _wire(source: Source) -> api.Wire:
+    return api.Wire(**_named(source.wire, api.Wire) | _named(source.link, api.Wire))
+
+
+def _named(counters: Any, kind: type) -> dict[str, Any]:
+    """Return those of the counters that `kind` has a field for."""
+    wanted = {f.name for f in dataclasses.fields(kind)}
+    return {f.name: getattr(counters, f.name) for f in dataclasses.fields(counters) if f.name in wanted}

@@ -1,0 +1,86 @@
+"""What can be said on the wire, as plain records: the phone's telling and the daemon's commands.
+
+Samples, events, Sense and Sleep are the engine's own records; here are the others. No bytes here: how a
+record looks on the wire is wire_frames.py's (binary) and wire_text.py's (lines).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import msgspec
+
+from stillcal.calib_core.static.detector import Sense, Sleep
+from stillcal.calib_core.streams.events import Charging, End, Location, Tick
+from stillcal.calib_core.streams.samples import Samples
+
+VERSION = 1
+"""Of the wire; docs/wire.md says what it holds."""
+
+SEQUENCE_MASK = 0xFFFFFFFF
+"""Sequence numbers are 32 bits and wrap."""
+
+Claim = str | float | bool | None | list[float]
+
+
+class Hello(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Who speaks. version: of the wire. session: another number after each start of the device.
+
+    flow: "credit" for a phone that waits for grants (an accelerated one), "free" for one that time carries
+    on. claims: what the maker says of the device, under the names of a recording's NAME.json, SI units.
+    """
+
+    version: int = VERSION
+    session: Annotated[int, msgspec.Meta(ge=0, le=SEQUENCE_MASK)] = 0
+    flow: Literal["free", "credit"] = "free"
+    claims: dict[str, Claim] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Temperature:
+    """A thermometer's reading. t: s; celsius: degC."""
+
+    t: float
+    celsius: float
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What the phone has spent since it started. t: its time, s; on_time: s with the sensors on.
+
+    sensing: whether they are on now. wakeups: how often they were switched on.
+    """
+
+    t: float
+    on_time: float
+    sensing: bool
+    wakeups: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """Sample both sensors at `hz`, or as near as the device can."""
+
+    hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """Time may go on to t = `until` (s), not beyond: for phones whose flow is "credit"."""
+
+    until: float
+
+
+@dataclass(frozen=True, slots=True)
+class Identify:
+    """Say hello, and where time stands: sent by the daemon whenever it has opened the line."""
+
+
+Told = Samples | Charging | Location | Tick | End | Temperature | Status | Hello
+"""From the phone."""
+
+Command = Sense | Sleep | Rate | Grant | Identify
+"""From the daemon."""
+
+Message = Told | Command

@@ -1,0 +1,162 @@
+"""Answering a challenge: a process of its own that is given the recordings' folder and nothing else.
+
+`python -m stillcal.replay.blind_test.answer SOLVER OUT NAME...`, run inside the recordings' folder, writes
+OUT/NAME.json for each; NAME=EFFECT has it answered by a catalogue from which that entry was removed.
+Solvers are the diagnosis and the two baselines; this is the one place where the examiner's side calls the
+diagnosis, and it loads nothing that could make or open a key.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+
+from stillcal import calib_core, config, replay
+from stillcal.calib_core.errors import NotSupported
+from stillcal.replay.formats.trace import read_all
+
+SOLVERS = ("diagnosis", "affine_white_bic", "sparse_regression")
+"""Who can answer."""
+
+_MODULE = "stillcal.replay.blind_test.answer"
+
+
+class AnswerError(RuntimeError):
+    """An answering process that ended badly, with the last line it said."""
+
+
+def answer_one(
+    folder: Path, name: str, solver: str = "diagnosis", without: str | None = None
+) -> dict[str, Any]:
+    """Answer for the recording folder/NAME.csv; returns the documented answer layout.
+
+    without: an effect of which the diagnosis' catalogue must know nothing.
+
+    Where there is too little data the verdict is `too_little_data`; where the solver breaks, `failed`.
+    """
+    try:
+        recording = read_all(folder / f"{name}.csv")
+        if solver == "diagnosis":
+            from stillcal.replay.diagnosis.diagnose import diagnosed  # noqa: PLC0415 - baselines do without it
+
+            return diagnosed(recording, f"{name}.csv", without)
+        from stillcal.replay.blind_test import baselines  # noqa: PLC0415 - the diagnosis does without them
+
+        return baselines.SOLVERS[solver](recording, f"{name}.csv")
+    except NotSupported as error:
+        return _without_findings(name, "too_little_data", error)
+    except Exception as error:  # a solver that breaks has answered wrongly; its other answers still count
+        return _without_findings(name, "failed", error)
+
+
+def _without_findings(name: str, verdict: str, error: Exception) -> dict[str, Any]:
+    why = f"{type(error).__name__}: {error}"
+    return {"schema": 1, "recording": f"{name}.csv", "verdict": verdict, "findings": [], "why": why}
+
+
+def can_leave_out() -> bool:
+    """Return whether the diagnosis lets entries of its catalogue be removed (its keyword `without`)."""
+    from stillcal.calib_core.diagnosis import diagnose as diagnosis  # noqa: PLC0415 - asked once, before a proof
+
+    return "without" in inspect.signature(diagnosis.diagnose).parameters
+
+
+def _confine(folders: Sequence[Path]) -> None:
+    """Refuse from now on, in this process, to open any file outside `folders` and what Python is made of.
+
+    A fence against reading a key by mistake or by guile in Python; it is no sandbox against foreign code.
+    """
+    code = [*map(Path, sys.path), Path(sys.prefix), Path(sys.base_prefix)]
+    code += [Path(file).parent for file in (calib_core.__file__, replay.__file__, config.__file__)]
+    allowed = tuple(
+        f"{folder.resolve()}{os.sep}" for folder in (*folders, *code) if str(folder) not in ("", ".")
+    )
+
+    def fence(event: str, arguments: tuple[Any, ...]) -> None:
+        if event in ("open", "os.listdir", "os.scandir") and isinstance(arguments[0], str | bytes):
+            path = os.path.realpath(os.fsdecode(arguments[0]))
+            if not f"{path}{os.sep}".startswith((*allowed, "/dev/", "/proc/", "/sys/")):
+                raise PermissionError(f"{path}: an answering process may read its recordings only")
+
+    sys.addaudithook(fence)
+
+
+def run(solver: str, out: Path, names: Sequence[str]) -> None:
+    """Answer recordings of the working folder, one after another; each answer is written whole."""
+    _confine((Path.cwd(), out))
+    for item in names:
+        name, _, without = item.partition("=")
+        temporary = out / f".{name}.part"
+        temporary.write_bytes(msgspec.json.encode(answer_one(Path(), name, solver, without or None)))
+        temporary.replace(out / f"{name}.json")
+
+
+def answer_all(
+    recordings: Path,
+    out: Path,
+    names: Sequence[str],
+    solver: str = "diagnosis",
+    *,
+    jobs: int = 1,
+    tick: Callable[[int], None] = lambda done: None,
+) -> None:
+    """Answer in processes of their own, with the recordings' folder to work in and a bare environment.
+
+    `tick` is told how many answers there are. Raises AnswerError where a process ends badly.
+    """
+    out = out.resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    shares = [list(names[i::jobs]) for i in range(jobs) if names[i::jobs]]
+    with tempfile.TemporaryFile() as said:
+        running = [_started(recordings, out, share, solver, said) for share in shares]
+        _awaited(running, lambda: tick(len(list(out.glob("r*.json")))))
+        said.seek(0)
+        last = (said.read().decode(errors="replace").strip().splitlines() or ["no word"])[-1]
+    if any(process.returncode != 0 for process in running):
+        raise AnswerError(f"an answering process failed: {last}")
+    tick(len(names))
+
+
+def _awaited(running: list[subprocess.Popen[bytes]], tick: Callable[[], None]) -> None:
+    """Wait for all to end; whatever happens here, none is left running."""
+    try:
+        while any(process.poll() is None for process in running):
+            tick()
+            time.sleep(0.2)
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+
+
+def _started(
+    recordings: Path, out: Path, names: list[str], solver: str, said: IO[bytes]
+) -> subprocess.Popen[bytes]:
+    kept = {
+        k: v for k, v in os.environ.items() if k in ("PATH", "LANG", "VIRTUAL_ENV", "OPENBLAS_NUM_THREADS")
+    }
+    command = [sys.executable, "-P", "-m", _MODULE, solver, str(out), *names]
+    return subprocess.Popen(command, cwd=recordings, env=kept, stderr=said)
+
+
+def read_answers(folder: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Read answers NAME.json; a recording without one is left out."""
+    found = {}
+    for name in names:
+        path = folder / f"{name}.json"
+        if path.is_file():
+            found[name] = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    return found
+
+
+if __name__ == "__main__":
+    run(sys.argv[1], Path(sys.argv[2]), sys.argv[3:])

@@ -1,0 +1,82 @@
+"""The whole proof: make, commit, answer with every solver, reveal, score."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillcal.replay.blind_test.answer import SOLVERS, answer_all, can_leave_out
+from stillcal.replay.blind_test.keys import Key
+from stillcal.replay.blind_test.make import Manifest, make
+from stillcal.replay.blind_test.marking import Mark
+from stillcal.replay.blind_test.reveal import open_keys, read_marks, to_leave_out
+from stillcal.replay.blind_test.scores import Line, Score, compared, scored
+
+LEFT_OUT_SHARE = 0.05
+"""Part of the trials that are diagnosed once more with their catalogue entry removed."""
+
+Tick = Callable[[str, int, int], None]
+"""Told the stage of the work, how many are done and how many there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a proof came to. holds: whether every bar does; marks: the diagnosis', case by case."""
+
+    scores: list[Score]
+    comparison: list[Line]
+    holds: bool
+    marks: list[Mark]
+
+
+def prove(
+    folder: Path, trials: int, seed: int, jobs: int = 1, tick: Tick = lambda stage, done, of: None
+) -> Verdict:
+    """Run the proof in `folder` (new or empty); keys come there only once all has been answered.
+
+    Raises as `make`, `answer_all` and `open_keys` do.
+    """
+    recordings, sealed = folder / "recordings", folder / "keys"
+    done = [0]
+
+    def made() -> None:
+        done[0] += 1
+        tick("making", done[0], trials)
+
+    with tempfile.TemporaryDirectory() as withheld:
+        manifest = make(recordings, Path(withheld) / "keys", trials, seed, jobs=jobs, tick=made)
+        for solver in SOLVERS:
+            told = _told(tick, solver, trials)
+            answer_all(recordings, folder / solver, list(manifest.seals), solver, jobs=jobs, tick=told)
+        shutil.move(Path(withheld) / "keys", sealed)
+    keys = open_keys(manifest, sealed)
+    left_out = _left_out(folder, manifest, keys, jobs, tick) if can_leave_out() else []
+    return judged(keys, {solver: folder / solver for solver in SOLVERS}, left_out)
+
+
+def _told(tick: Tick, stage: str, of: int) -> Callable[[int], None]:
+    return lambda done: tick(stage, done, of)
+
+
+def _left_out(folder: Path, manifest: Manifest, keys: dict[str, Key], jobs: int, tick: Tick) -> list[Mark]:
+    """Diagnose some clear cases again, with a catalogue that lacks what is in them."""
+    chosen = to_leave_out(keys, max(round(LEFT_OUT_SHARE * len(manifest.seals)), 1))
+    items = [f"{name}={effect}" for name, effect in chosen.items()]
+    out = folder / "diagnosis_entry_removed"
+    answer_all(
+        folder / "recordings", out, items, jobs=jobs, tick=lambda n: tick("entry removed", n, len(items))
+    )
+    return read_marks({name: keys[name] for name in chosen}, out)
+
+
+def judged(keys: dict[str, Key], answers: dict[str, Path], left_out: list[Mark] | None = None) -> Verdict:
+    """Score folders of answers by solver; the first is the one whose bars count."""
+    marks = {solver: read_marks(keys, folder) for solver, folder in answers.items()}
+    first = next(iter(marks))
+    scores = [scored(s, m, left_out if s == first else None) for s, m in marks.items()]
+    comparison = compared(scores)
+    bars = [line.holds for line in (*scores[0].lines, *comparison) if line.holds is not None]
+    return Verdict(scores, comparison, all(bars), marks[first])

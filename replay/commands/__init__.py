@@ -1,0 +1,1 @@
+"""The commands that read or make recordings; they join `stillcal` by entry point."""

@@ -1,0 +1,242 @@
+"""`stillcal challenge …` and `stillcal prove`: recordings with concealed effects, answers, and their scores.
+
+Only click and rich live here; the challenge is replay.challenge's.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from stillcal.calib_core.codec import plain
+from stillcal.daemon.cli.exits import BAD_INPUT, NOT_MET
+from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.store.document import pretty
+from stillcal.replay.blind_test import answer as answering
+from stillcal.replay.blind_test import reveal as revealing
+from stillcal.replay.blind_test import run as proof
+from stillcal.replay.blind_test.keys import SealError
+from stillcal.replay.blind_test.make import ChallengeError, commit, make, read_manifest
+from stillcal.replay.blind_test.scores import Line, Score
+
+_folder = click.Path(path_type=Path)
+_trials = click.option("--trials", default=1000, show_default=True, type=click.IntRange(1), help="Cases.")
+_seed = click.option(
+    "--seed", default=1, show_default=True, type=click.IntRange(0), help="Decides every draw."
+)
+_jobs = click.option(
+    "--jobs", default=1, show_default=True, type=click.IntRange(1), help="Processes at a time."
+)
+_json = click.option(
+    "--json", "json_path", type=_folder, help="Write all scores there ('-': standard output)."
+)
+
+
+@click.group("challenge", short_help="Challenge the diagnosis with concealed recordings.")
+def challenge_group() -> None:
+    """Challenge the diagnosis: make concealed recordings, have them answered, reveal.
+
+    See docs/proof.md, also for how to challenge with recordings of your own.
+    """
+
+
+@challenge_group.command(
+    "make",
+    short_help="Write concealed recordings, seals and keys.",
+    epilog=examples("stillcal challenge make blind --keys sealed --trials 200"),
+)
+@click.argument("recordings", type=_folder)
+@click.option("--keys", type=_folder, required=True, help="Folder for the sealed keys; keep it to yourself.")
+@_trials
+@_seed
+@_jobs
+def make_command(recordings: Path, keys: Path, trials: int, seed: int, jobs: int) -> None:
+    """Write recordings and a manifest of seals into RECORDINGS, the keys elsewhere."""
+    with _refusals(), _progress() as tick:
+        done = [0]
+
+        def made() -> None:
+            done[0] += 1
+            tick("making", done[0], trials)
+
+        make(recordings, keys, trials, seed, jobs=jobs, tick=made)
+    click.echo(f"{recordings}: {trials} recordings and their manifest; keys in {keys}")
+
+
+@challenge_group.command(
+    "commit",
+    short_help="Seal keys of your own.",
+    epilog=examples("stillcal challenge commit mine --keys my-keys"),
+)
+@click.argument("recordings", type=_folder)
+@click.option("--keys", type=_folder, required=True, help="Folder of your keys, NAME.json each.")
+def commit_command(recordings: Path, keys: Path) -> None:
+    """Seal keys of your own and write the manifest that commits you to them."""
+    with _refusals():
+        manifest = commit(recordings, keys)
+    click.echo(f"{recordings}: manifest of {len(manifest.seals)} seals; sealed keys in {keys}")
+
+
+@challenge_group.command(
+    "answer",
+    short_help="Diagnose the recordings, without the keys.",
+    epilog=examples("stillcal challenge answer blind --out answers"),
+)
+@click.argument("recordings", type=_folder)
+@click.option("--out", type=_folder, required=True, help="Folder for the answers, NAME.json each.")
+@click.option("--solver", type=click.Choice(answering.SOLVERS), default="diagnosis", show_default=True)
+@_jobs
+def answer_command(recordings: Path, out: Path, solver: str, jobs: int) -> None:
+    """Diagnose all of RECORDINGS in processes that are given this folder alone."""
+    with _refusals(), _progress() as tick:
+        names = list(read_manifest(recordings).seals)
+        answering.answer_all(
+            recordings, out, names, solver, jobs=jobs, tick=lambda n: tick(solver, n, len(names))
+        )
+    click.echo(f"{out}: {len(names)} answers")
+
+
+@challenge_group.command(
+    "reveal",
+    short_help="Check seals, open keys, score answers.",
+    epilog=examples("stillcal challenge reveal blind --keys sealed --answers answers"),
+)
+@click.argument("recordings", type=_folder)
+@click.option("--keys", type=_folder, required=True, help="Folder of the keys.")
+@click.option("--answers", type=_folder, required=True, multiple=True, help="Answers; the first is judged.")
+@_json
+def reveal_command(recordings: Path, keys: Path, answers: tuple[Path, ...], json_path: Path | None) -> None:
+    """Check the seals, open the keys, score the answers. Exit code 1 where a bar is not met."""
+    with _refusals():
+        opened = revealing.open_keys(read_manifest(recordings), keys)
+        verdict = proof.judged(opened, {folder.name: folder for folder in answers})
+    _tell(verdict, json_path)
+
+
+@click.command(
+    "prove",
+    short_help="Prove the diagnosis blind, run whole.",
+    epilog=examples("stillcal prove --trials 200 --seed 7 --json proof.json --jobs 2"),
+)
+@_trials
+@_seed
+@_jobs
+@_json
+@click.option("--keep", type=_folder, help="Keep recordings, keys and answers in this new folder.")
+def prove_command(trials: int, seed: int, jobs: int, json_path: Path | None, keep: Path | None) -> None:
+    """Prove the diagnosis blind: conceal, commit, answer, reveal, score.
+
+    Exit code 0 where every stated bar holds, 1 else. Some 6 s a case and process, 3 MB of disk a case.
+    """
+    with _refusals(), _working_folder(keep) as folder, _progress() as tick:
+        verdict = proof.prove(folder, trials, seed, jobs, tick)
+    _tell(verdict, json_path)
+
+
+@contextmanager
+def _working_folder(keep: Path | None) -> Iterator[Path]:
+    if keep is not None:
+        yield keep
+        return
+    with tempfile.TemporaryDirectory(prefix="stillcal-proof-") as folder:
+        yield Path(folder)
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Turn expected errors into one line and an exit code."""
+    try:
+        yield
+    except (ChallengeError, SealError, answering.AnswerError, OSError) as error:
+        click.echo(f"stillcal: {error}", err=True)
+        sys.exit(BAD_INPUT)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show one bar a stage of the work on a terminal, nothing elsewhere."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:20}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+        tasks = {}
+
+        def tick(stage: str, done: int, of: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=of)
+            bars.update(tasks[stage], completed=done)
+
+        yield tick
+
+
+def _tell(verdict: proof.Verdict, json_path: Path | None) -> None:
+    """Print the table, write the JSON, and leave with the exit code."""
+    console = Console(stderr=json_path == Path("-"), width=None if sys.stdout.isatty() else 150)
+    console.print(_table(verdict.scores))
+    console.print(_comparison(verdict.comparison))
+    console.print(_confusion(verdict.scores[0]))
+    console.print("Every stated bar holds." if verdict.holds else "Not every stated bar holds.")
+    text = pretty({"schema": 1, **plain(verdict)}) + "\n"
+    if json_path == Path("-"):
+        click.echo(text, nl=False)
+    elif json_path is not None:
+        write_atomically(json_path, text.encode())
+    sys.exit(0 if verdict.holds else NOT_MET)
+
+
+def _table(scores: list[Score]) -> Table:
+    """Return all scores, one column a solver; bars are the first one's."""
+    table = Table(title="Scores with 95 % bounds")
+    table.add_column("score")
+    for score in scores:
+        table.add_column(score.solver, justify="right")
+    table.add_column("n", justify="right")
+    table.add_column("bar")
+    table.add_column("holds")
+    others = [{line.what: line for line in score.lines} for score in scores[1:]]
+    for line in scores[0].lines:
+        cells = [_cell(line), *(_cell(lines.get(line.what)) for lines in others)]
+        table.add_row(line.what, *cells, str(line.n), line.bar, _holds(line))
+    return table
+
+
+def _cell(line: Line | None) -> str:
+    if line is None or line.value is None or line.low is None or line.high is None:
+        return "-" if line is None or line.value is None else f"{line.value:.2f}"
+    if line.what.endswith(", s") or line.what.startswith("d'"):
+        return f"{line.value:.1f} ({line.low:.1f} to {line.high:.1f})"
+    return f"{line.value:.1%} ({line.low:.1%} to {line.high:.1%})"
+
+
+def _holds(line: Line) -> str:
+    if line.holds is None:
+        return ""
+    return "yes" if line.holds else ("NO" if line.value is not None else "NO (not tried)")
+
+
+def _comparison(lines: list[Line]) -> Table:
+    table = Table(title="Against the baselines")
+    for heading in ("score", "share", "n", "bar", "holds"):
+        table.add_column(heading)
+    for line in lines:
+        table.add_row(line.what, _cell(line), str(line.n), line.bar, _holds(line))
+    return table
+
+
+def _confusion(score: Score) -> Table:
+    table = Table(title="What was said of clear effects (d' >= 8)")
+    table.add_column("true effect")
+    table.add_column("said, and how often")
+    for effect, given in score.confusion.items():
+        table.add_row(
+            effect, ", ".join(f"{name} {n}" for name, n in sorted(given.items(), key=lambda i: -i[1]))
+        )
+    return table

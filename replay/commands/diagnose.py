@@ -1,0 +1,121 @@
+"""`stillcal diagnose`: where a recording and its simulated twin differ, and what physics was left out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from stillcal.calib_core.codec import jsonable
+from stillcal.calib_core.errors import NotSupported
+from stillcal.daemon.cli.exits import TOO_LITTLE
+from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.cli.options import format_option, gyro_option, quiet_option
+from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.store.document import pretty
+from stillcal.replay.commands.diagnose_work import Answered, Wanted, judged_recording, judged_rests
+from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
+from stillcal.replay.diagnosis.report.summary import summary
+
+_path = click.Path(path_type=Path)
+
+
+@click.command(
+    "diagnose",
+    short_help="Say what physics a recording shows beyond its twin.",
+    epilog=examples(
+        "stillcal diagnose walk.csv",
+        "stillcal diagnose walk.csv --report walk.html --json walk.diagnosis.json",
+        "stillcal diagnose walk.csv --phone-out better.toml",
+        "stillcal simulate day --phone better.toml --out day.csv",
+        "stillcal diagnose walk.csv --phone mpu6050        # what does this simulation leave out?",
+        "stillcal diagnose walk.csv --simulated day.csv    # two recordings side by side",
+        "stillcal diagnose Phones_accelerometer.csv --format hhar --json -",
+        "stillcal diagnose esgi.csv --format rest",
+    ),
+)
+@click.argument("trace", type=_path)
+@click.option("--phone", help="The simulation to be judged: a ready phone, or a phone.toml.")
+@click.option("--simulated", type=_path, help="A simulated recording to be compared with TRACE.")
+@click.option("--json", "json_path", type=_path, help="Write the findings ('-': print them).")
+@click.option("--report", type=_path, help="Write a page to be read in a browser (.html).")
+@click.option(
+    "--phone-out", type=_path, help="Write the better phone (.toml), for stillcal simulate --phone."
+)
+@format_option(rests=True)
+@gyro_option
+@quiet_option
+def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
+    trace: Path,
+    phone: str | None,
+    simulated: Path | None,
+    json_path: Path | None,
+    report: Path | None,
+    phone_out: Path | None,
+    format_: str,
+    gyro: Path | None,
+    quiet: bool,
+) -> None:
+    """Say where a recording differs from its simulated twin, and what physics was left out.
+
+    Silence is an answer: most recordings differ in nothing. What could not be checked is said. Exit code 3
+    where there is too little data.
+    """
+    wanted = Wanted(phone, simulated, report, phone_out)
+    _check(wanted, trace, gyro, json_path, format_)
+    try:
+        with _stages(quiet) as tell:
+            done = (
+                judged_rests(trace)
+                if format_ == "rest"
+                else judged_recording(trace, format_, gyro, wanted, tell)
+            )
+    except NotSupported as refusal:
+        click.echo(f"stillcal: {trace}: too little data: {refusal}", err=True)
+        sys.exit(TOO_LITTLE)
+    _write(done, wanted, json_path)
+    if not quiet and json_path != STANDARD_OUTPUT:
+        click.echo("\n".join(summary(done.answer)))
+
+
+def _check(wanted: Wanted, trace: Path, gyro: Path | None, json_path: Path | None, format_: str) -> None:
+    """Refuse early what would fail late. Raises UsageError."""
+    if wanted.report is not None and wanted.report.suffix not in (".html", ".htm"):
+        raise click.UsageError(f"{wanted.report} is no name of a page: let it end in .html")
+    if wanted.phone_out is not None and wanted.phone_out.suffix != ".toml":
+        raise click.UsageError(f"{wanted.phone_out} is no name of a phone file: let it end in .toml")
+    if format_ == "rest" and any(x is not None for x in wanted):
+        raise click.UsageError(
+            "a rest table holds no samples: --phone, --simulated, --report and --phone-out need them"
+        )
+    reads = [*recording_files(trace), *files(gyro)]
+    reads += [] if wanted.simulated is None else recording_files(wanted.simulated)
+    reads += [Path(wanted.phone)] if wanted.phone and wanted.phone.endswith(".toml") else []
+    refuse_collisions(files(wanted.report, wanted.phone_out, json_path), reads)
+
+
+@contextmanager
+def _stages(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Give a function that says on standard error what is being done."""
+    if quiet:
+        yield lambda stage: None
+        return
+    with Console(stderr=True).status("reading") as status:
+        yield status.update
+
+
+def _write(done: Answered, wanted: Wanted, json_path: Path | None) -> None:
+    """Write what was asked for, each file whole or not at all."""
+    if wanted.report is not None and done.page is not None:
+        write_atomically(wanted.report, done.page.encode())
+    if wanted.phone_out is not None and done.phone is not None:
+        write_atomically(wanted.phone_out, done.phone.encode())
+    text = pretty(jsonable(done.answer)) + "\n"
+    if json_path == STANDARD_OUTPUT:
+        click.echo(text, nl=False)
+    elif json_path is not None:
+        write_atomically(json_path, text.encode())

@@ -1,0 +1,235 @@
+"""`stillcal fleet` and `stillcal fleet-report`: thousands of recordings, and what only many can tell."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import AbstractContextManager
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.console import Console
+
+from stillcal.daemon.cli.exits import TOO_LITTLE
+from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.cli.options import format_option, quiet_option
+from stillcal.daemon.cli.progress import progress
+from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.store.document import pretty
+from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from stillcal.replay.fleet.worker import Task
+
+_BAD, _NAMED = ("error", "lost"), 3
+_LACKING = "this needs what the extra `fleet` brings: pip install 'stillcal[fleet]' ({})"
+
+
+@click.command(
+    "fleet",
+    short_help="Calibrate and diagnose many recordings side by side.",
+    epilog=examples(
+        "stillcal fleet recordings/ --out results",
+        "stillcal fleet 'logs/**/*_accelerometer.csv' --format hhar --out results",
+        "stillcal fleet recordings/ --out results --scheduler tcp://10.0.0.1:8786",
+        "stillcal fleet-report results",
+    ),
+)
+@click.argument("recordings")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of results."
+)
+@click.option("--scheduler", help="Address of a Dask scheduler; its workers read the same paths.")
+@click.option("--workers", type=click.IntRange(1), help="Local processes [default: one a core].")
+@format_option("RECORDINGS", rests=True)
+@click.option(
+    "--watch",
+    type=click.Choice(["auto", "continuous", "probing"]),
+    default="continuous",
+    show_default=True,
+    help="How the engine looks: a recording costs no energy.",
+)
+@click.option("--no-diagnosis", is_flag=True, help="Calibrate only.")
+@quiet_option
+def fleet_command(  # noqa: PLR0917 - click hands every option over by name
+    recordings: str,
+    out: Path,
+    scheduler: str | None,
+    workers: int | None,
+    format_: str,
+    watch: str,
+    no_diagnosis: bool,
+    quiet: bool,
+) -> None:
+    """Calibrate and diagnose all RECORDINGS, a folder or a pattern in quotes, side by side.
+
+    Leaves recordings.parquet (one row a recording: whose it is, parameters with standard deviations,
+    verdict) and findings.parquet in the folder of results. What is finished is kept: called again, it
+    goes on with what is new or has changed. A bad recording is a row that says what is wrong with it, and
+    the exit code is 0 even so.
+    """
+    try:
+        from stillcal.replay.fleet import discovery as listing  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet import results_folder as kept  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet.worker import Task  # noqa: PLC0415
+    except ImportError as error:
+        raise click.UsageError(_LACKING.format(error)) from error
+    try:
+        found = listing.find(recordings, format_)
+    except listing.NoRecordingsError as error:
+        raise click.UsageError(str(error)) from error
+    made_by = f"stillcal {version('stillcal')} {format_} {watch}{'' if no_diagnosis else ' diagnosed'}"
+    results = kept.Results(out, made_by)
+    tasks = [Task(recording, format_, watch, not no_diagnosis) for recording in found]
+    todo = results.todo(tasks)
+    if not quiet:
+        click.echo(f"{len(found)} recordings, {len(found) - len(todo)} of them finished before")
+    began = time.monotonic()
+    if todo:
+        _examine(todo, results, _client(scheduler, workers), quiet)
+    rows, findings = results.finish()
+    if not quiet:
+        counts = ", ".join(f"{n} {status}" for status, n in _counted(rows).items())
+        for line in _bad(rows):
+            click.echo(line)
+        click.echo(f"{out}: {counts}; {len(findings)} findings; {time.monotonic() - began:.1f} s")
+
+
+def _client(scheduler: str | None, workers: int | None) -> AbstractContextManager[Client]:
+    from stillcal.replay.fleet import dask_jobs as running  # noqa: PLC0415 - Dask takes its time
+
+    return running.local(workers) if scheduler is None else running.remote(scheduler)
+
+
+def _examine(todo: list[Task], results: object, opened: AbstractContextManager[Client], quiet: bool) -> None:
+    """Have what is to do done; however that ends, what was finished is on the disk."""
+    from stillcal.replay.fleet import dask_jobs as running  # noqa: PLC0415 - Dask takes its time
+    from stillcal.replay.fleet import results_folder as kept  # noqa: PLC0415 - Dask takes its time
+    from stillcal.replay.fleet.worker import Examined  # noqa: PLC0415
+
+    assert isinstance(results, kept.Results)
+    done = 0
+    try:
+        with opened as client, progress("recordings", len(todo), quiet) as step:
+
+            def keep(task: Task, outcome: Examined) -> None:
+                nonlocal done
+                results.keep(task, outcome)
+                done += 1
+                step(done)
+
+            running.run(client, todo, keep)
+    except running.SchedulerError as error:
+        raise click.UsageError(f"{error} ({done} of {len(todo)} finished and kept)") from error
+    except KeyboardInterrupt:
+        click.echo(f"stillcal: {done} of {len(todo)} finished and kept: the same command goes on", err=True)
+        raise
+    finally:
+        results.flush()
+
+
+def _bad(rows: list[dict[str, object]]) -> list[str]:
+    """Name the first recordings that could not be examined, each with what is wrong with it."""
+    found = [[str(row[k]) for k in ("status", "name", "reason")] for row in rows if row["status"] in _BAD]
+    bad = [f"{status}: {why if name in why else f'{name}: {why}'}" for status, name, why in found]
+    more = [f"and {len(bad) - _NAMED} more: `reason` in recordings.parquet"] if len(bad) > _NAMED else []
+    return bad[:_NAMED] + more
+
+
+def _counted(rows: list[dict[str, object]]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for row in rows:
+        counts[str(row["status"])] = counts.get(str(row["status"]), 0) + 1
+    return dict(sorted(counts.items()))
+
+
+@click.command(
+    "fleet-report",
+    short_help="Say what only many recordings tell.",
+    epilog=examples("stillcal fleet-report results", "stillcal fleet-report results --json report.json"),
+)
+@click.argument("results", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write all of it ('-': print it).")
+def report_command(results: Path, json_path: Path | None) -> None:
+    """Say what the RESULTS of stillcal fleet show: spread by model, outliers, clusters, priors.
+
+    The JSON holds the priors, mean and covariance of a new phone's parameters by model. Exit code 3 where no
+    device was calibrated.
+    """
+    try:
+        from stillcal.replay.commands.fleet_tables import tables  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet.report import report  # noqa: PLC0415
+    except ImportError as error:
+        raise click.UsageError(_LACKING.format(error)) from error
+    refuse_collisions(files(json_path), results.rglob("*.parquet"))
+    found = report(results)
+    text = pretty(found.document()) + "\n"
+    if json_path == STANDARD_OUTPUT:
+        click.echo(text, nl=False)
+    else:
+        if json_path is not None:
+            write_atomically(json_path, text.encode())
+        click.echo(", ".join(f"{n} {status}" for status, n in found.recordings.items()) or "no recordings")
+        for table in tables(found):
+            Console().print(table)
+        for limit in found.limits:
+            click.echo(f"not seen: {limit}")
+    if not found.spreads:
+        click.echo(f"stillcal: {results}: no device was calibrated", err=True)
+        sys.exit(TOO_LITTLE)
+
+
+@click.command(
+    "fleet-first",
+    short_help="Calibrate a new phone with what a fleet knows.",
+    epilog=examples(
+        "stillcal fleet-report results --json fleet.json",
+        "stillcal fleet-first new-phone.csv --prior fleet.json",
+        "stillcal fleet-first new-phone.csv --prior fleet.json --model 'LG Nexus 4' --json first.json",
+    ),
+)
+@click.argument("trace", type=click.Path(path_type=Path))
+@click.option(
+    "--prior", "report_path", type=click.Path(path_type=Path), required=True, help="A fleet's report."
+)
+@click.option("--model", help="The phone's model [default: what its maker claims].")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write it there ('-': print it).")
+@format_option(rests=False)
+def first_command(
+    trace: Path, report_path: Path, model: str | None, json_path: Path | None, format_: str
+) -> None:
+    """Calibrate a new phone's accelerometer from however few rests, with what a fleet says of its model.
+
+    What the rests do not show stays what the fleet makes likely; how far each parameter is the rests' own is
+    said beside it. Rests that contradict the prior are refused. Exit code 3 where no rest was found.
+    """
+    from stillcal.calib_core.errors import NotSupported  # noqa: PLC0415
+    from stillcal.replay.fleet.first_calibration import document, first_calibration  # noqa: PLC0415
+    from stillcal.replay.fleet.prior_file import read_prior  # noqa: PLC0415
+    from stillcal.replay.formats.trace import open_trace  # noqa: PLC0415
+
+    refuse_collisions(files(json_path), [*recording_files(trace), report_path])
+    opened = open_trace(trace, format_)
+    prior = read_prior(report_path, model, opened.claims.device)
+    try:
+        fit, rests = first_calibration(opened, prior)
+    except NotSupported as refusal:
+        click.echo(f"stillcal: {refusal}", err=True)
+        sys.exit(TOO_LITTLE)
+    found = document(fit, rests, prior)
+    text = pretty(found) + "\n"
+    if json_path == STANDARD_OUTPUT:
+        click.echo(text, nl=False)
+        return
+    if json_path is not None:
+        write_atomically(json_path, text.encode())
+    states = found["accelerometer"]["n_states"]
+    click.echo(f"{trace}: {len(rests)} rests in {states} attitudes, prior of {prior.model or 'any model'}")
+    sds = fit.covariance.diagonal() ** 0.5
+    for name, value, sd, shown in zip(prior.names, fit.values, sds, fit.shown, strict=True):
+        click.echo(f"  {name:5} {value:+9.4f} ± {sd:.4f}   {shown:4.0%} from the rests")
+    click.echo(f"  norm at rest known to {fit.worst_norm_uncertainty:.3f} m/s² along the worst direction")

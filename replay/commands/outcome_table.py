@@ -1,0 +1,118 @@
+"""What a replay found, as a person reads it in a terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
+from stillcal.calib_core.gravity import STANDARD, Gravity
+from stillcal.replay.runner import Outcome
+
+_DEG = 180 / np.pi
+
+
+def print_outcome(outcome: Outcome, trace: Path, store: Path | None, console: Console) -> None:
+    """Print what was read, what was found, and where it was kept."""
+    table = Table(
+        show_header=False, box=None, padding=(0, 2, 0, 0), title=str(trace.name), title_justify="left"
+    )
+    table.add_column(style="bold")
+    table.add_column(overflow="fold")
+    for name, value in _rows(outcome, store):
+        table.add_row(name, value)
+    console.print(table)
+
+
+def _rows(outcome: Outcome, store: Path | None) -> list[tuple[str, str]]:
+    rows = [("Recording", _length(outcome)), ("Rests", _rests(outcome))]
+    record = outcome.record
+    if record is None:
+        return rows
+    if record.gravity is not None:
+        rows.append(("Gravity", _gravity(record.gravity)))
+    if record.accelerometer is not None:
+        rows += _accelerometer(record, record.accelerometer)
+    if record.gyroscope is not None:
+        rows += _gyroscope(record.gyroscope)
+    return rows if store is None else [*rows, ("Kept in", f"{store} as {record.id}")]
+
+
+def _length(outcome: Outcome) -> str:
+    if outcome.ledger.accel_samples == 0:
+        return f"{outcome.state.counters.rests if outcome.state else 0} rows of a rest table"
+    return f"{_span(outcome.duration)}, {outcome.samples:,} samples"
+
+
+def _span(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min {rest} s"
+
+
+def _rests(outcome: Outcome) -> str:
+    state, ledger = outcome.state, outcome.ledger
+    if state is None or ledger.accel_samples == 0:
+        return "as the table gives them"
+    share = 100 * min(1.0, ledger.asked_s / outcome.duration) if outcome.duration else 100.0
+    found = f"{state.counters.rests} found, {state.counters.turns} turns between them"
+    return f"{found}, sensors on {share:.1f} % of the time"
+
+
+def _gravity(gravity: Gravity) -> str:
+    sources = {
+        "default": "standard value: the location is unknown",
+        "location": "from the location",
+        "given": "as given",
+    }
+    common = f"; leaves {100 * gravity.scale_uncertainty:.2g} % on all scales alike"
+    return f"{gravity.value:.5f} m/s² ({sources[gravity.source]}{common if gravity.uncertainty else ''})"
+
+
+def _accelerometer(record: CalibrationRecord, part: AccelerometerRecord) -> list[tuple[str, str]]:
+    rows = [
+        (f"Accelerometer, {part.parameters} parameters", f"{part.n_rests} rests, {part.n_states} attitudes"),
+        ("  bias", f"{_vector(part.bias, '.4f')} m/s²"),
+        ("  scale", _vector(np.diag(part.scale), ".5f")),
+    ]
+    if part.parameters > 6:
+        rows.append(("  cross-axis", f"{_vector(part.scale[np.triu_indices(3, 1)], '.5f')} (xy, xz, yz)"))
+    before = _raw_rms(record, part.gravity)
+    if part.rms_residual is not None:
+        rows.append(
+            ("  |force| - g at rest", f"{_milli_g(before)} before, {_milli_g(part.rms_residual)} after (rms)")
+        )
+    return rows
+
+
+def _raw_rms(record: CalibrationRecord, gravity: float) -> float:
+    norms = np.array([np.linalg.norm(s.specific_force) for s in record.states])
+    return float(np.sqrt(np.mean((norms - gravity) ** 2))) if norms.size else float("nan")
+
+
+def _gyroscope(part: GyroscopeRecord) -> list[tuple[str, str]]:
+    rows = [
+        (f"Gyroscope, {part.parameters} parameters", f"{part.n_rests} rests"),
+        ("  bias", f"{_vector(part.bias * _DEG, '.4f')} °/s"),
+    ]
+    if part.parameters > 3:
+        rows.append(("  scale", _vector(np.diag(part.scale), ".5f")))
+    if part.rms_nominal is not None and part.rms_residual is not None:
+        before, after = _DEG * part.rms_nominal, _DEG * part.rms_residual
+        rows.append(
+            ("  gravity over a turn", f"{before:.3g}° before, {after:.3g}° after (rms), {part.n_turns} turns")
+        )
+    if part.missing:
+        rows.append(("  to learn more", "; ".join(part.missing)))
+    return rows
+
+
+def _milli_g(value: float) -> str:
+    return f"{1000 * value / STANDARD:.3g} mg"
+
+
+def _vector(values: Array, form: str) -> str:
+    return "  ".join(f"{v:{form}}" for v in values)

@@ -1,0 +1,136 @@
+"""`stillcal plot`: figures of a recording or of a store."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.errors import NotSupported
+from stillcal.daemon.cli.exits import TOO_LITTLE
+from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.cli.options import config_option, format_option, gyro_option, quiet_option
+from stillcal.daemon.cli.progress import progress
+from stillcal.daemon.settings import load_settings
+from stillcal.daemon.store.document import FORMAT, StoreDocument
+from stillcal.daemon.store.store import Store, StoreError
+from stillcal.replay.commands.outputs import refuse_collisions
+from stillcal.replay.formats.trace import Trace, open_trace
+from stillcal.replay.plots import style
+from stillcal.replay.plots.drawing import ALL, FIGURES, drawn
+from stillcal.replay.plots.inputs import Material, Moment, of_record, of_trace
+
+ENDINGS = (".png", ".svg", ".pdf")
+NOISE = ("allan", ALL)
+"""What takes the samples of a long rest: the recording is then read three times, else once."""
+
+
+@click.command(
+    "plot",
+    short_help="Draw a recording or a store.",
+    epilog=examples(
+        "stillcal plot walk.csv --out walk.png",
+        "stillcal plot store.json --out history.svg --what history",
+        "stillcal plot still.csv --out noise.pdf --what allan",
+        "stillcal plot imu0.log --format mikoff --out imu0.png --what attitudes",
+    ),
+)
+@click.argument("source", metavar="TRACE|STORE", type=click.Path(path_type=Path))
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True, help="The figure's file: .png, .svg or .pdf."
+)
+@click.option(
+    "--what",
+    type=click.Choice([*FIGURES, ALL]),
+    default=ALL,
+    show_default=True,
+    help="Attitudes gathered, residuals before and after, history of parameters, Allan curves, or all.",
+)
+@format_option("a recording", rests=False)
+@gyro_option
+@config_option
+@quiet_option
+def plot_command(  # noqa: PLR0917 - click hands every option over by name
+    source: Path, out: Path, what: str, format_: str, gyro: Path | None, config: Path | None, quiet: bool
+) -> None:
+    """Draw a recording, run through the daemon's own engine, or a store.
+
+    A store holds no samples, so it has no Allan curves. Exit code 3 where there is nothing to draw it from.
+    """
+    if out.suffix not in ENDINGS:
+        raise click.UsageError(f"{out} is no name of a figure: let it end in {', '.join(ENDINGS)}")
+    if importlib.util.find_spec("matplotlib") is None:
+        raise click.UsageError("matplotlib is not installed: pip install 'stillcal[report]' has it")
+    refuse_collisions([out], [source])
+    try:
+        if _is_store(source):
+            material = _stored(source)
+        else:
+            settings = load_settings(config).engine
+            material = _replayed(open_trace(source, format_, gyro), settings, what in NOISE, quiet)
+        figure, left_out = drawn(what, material)
+    except NotSupported as refusal:
+        click.echo(f"stillcal: {source}: {refusal}", err=True)
+        sys.exit(TOO_LITTLE)
+    style.save(figure, out)
+    if not quiet:
+        for line in left_out:
+            click.echo(f"stillcal: {source}: {line}", err=True)
+        click.echo(f"{out}")
+
+
+def _is_store(path: Path) -> bool:
+    """Say whether a file is a store: JSON that says so itself."""
+    if path.suffix != ".json" or not path.is_file():
+        return False
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return False
+    return isinstance(found, dict) and found.get("format") == FORMAT
+
+
+def _stored(path: Path) -> Material:
+    document = Store(path).load()
+    if document is None:
+        raise StoreError(f"{path}: holds no calibration: run stillcal replay or the daemon first")
+    return of_record(document.current, path.name, tuple(_moments(document)))
+
+
+def _moments(document: StoreDocument) -> list[Moment]:
+    found = [Moment(e.what, _since(e.calibration), e.calibration) for e in document.history]
+    current = document.current
+    return found if current is None else [*found, Moment("current", _since(current), current)]
+
+
+def _since(record: CalibrationRecord) -> float | None:
+    """Return since when a calibration is as it is, s: its fit, or when its gyroscope was zeroed after it."""
+    zeroed = None if record.gyroscope is None else record.gyroscope.zeroed_at
+    times = [t for t in (record.fitted_at, zeroed) if t is not None]
+    return max(times, default=None)
+
+
+def _replayed(opened: Trace, settings: EngineSettings, noise: bool, quiet: bool) -> Material:
+    with progress(opened.path.name, (3 if noise else 1) * opened.size_bytes, quiet) as step:
+        passes, last = 0, 0
+
+        def told() -> None:
+            nonlocal passes, last
+            passes, last = passes + (opened.bytes_read < last), opened.bytes_read
+            step(passes * opened.size_bytes + last)
+
+        return of_trace(opened, Engine(_located(settings, opened)), told, noise)
+
+
+def _located(settings: EngineSettings, opened: Trace) -> EngineSettings:
+    """Return the settings with the gravity that the recording's maker claims, unless they name one."""
+    schedule = settings.schedule
+    gravity = opened.claimed_gravity() if schedule.gravity is None else schedule.gravity
+    return replace(settings, schedule=replace(schedule, gravity=gravity))

@@ -1,0 +1,242 @@
+"""`stillcal replay` and `stillcal apply`: a recording through the engine, and through what was found."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
+from stillcal.calib_core.calibration.terms import correct, interpolated
+from stillcal.calib_core.codec import plain
+from stillcal.calib_core.engine.actions import Reject, Store
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.gravity import given
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.daemon.cli.exits import TOO_LITTLE
+from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.cli.options import config_option, format_option, gyro_option, quiet_option
+from stillcal.daemon.cli.progress import progress
+from stillcal.daemon.settings import Settings, load_settings
+from stillcal.daemon.store import store as storage
+from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.store.document import calibration_json, pretty
+from stillcal.replay.commands.outcome_table import print_outcome
+from stillcal.replay.commands.outputs import (
+    STANDARD_OUTPUT,
+    files,
+    new_recording_files,
+    recording_files,
+    refuse_collisions,
+    store_files,
+)
+from stillcal.replay.formats.rest_table import read_rest_table
+from stillcal.replay.formats.trace import Chunk, Trace, open_trace
+from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.runner import Outcome, replay, replay_rests
+
+_existing = click.Path(path_type=Path)
+
+
+@click.command(
+    "replay",
+    short_help="Calibrate from a recording, with the daemon's engine.",
+    epilog=examples(
+        "stillcal replay walk.csv --store store.json",
+        "stillcal replay esgi.csv --format rest --gravity 9.81 --json -",
+        "stillcal replay Phones_accelerometer.csv --format hhar",
+    ),
+)
+@click.argument("trace", type=_existing)
+@click.option("--store", "store_path", type=_existing, help="Keep the calibration in this store.")
+@click.option(
+    "--json", "json_path", type=_existing, help="Write the calibration as JSON ('-': standard output)."
+)
+@format_option(rests=True)
+@gyro_option
+@config_option
+@click.option("--gravity", type=float, help="Local gravity in m/s^2, where it is known.")
+@click.option(
+    "--watch", type=click.Choice(["auto", "continuous", "probing"]), help="Override how the engine looks."
+)
+@quiet_option
+def replay_command(  # noqa: PLR0917 - click hands every option over by name
+    trace: Path,
+    store_path: Path | None,
+    json_path: Path | None,
+    format_: str,
+    gyro: Path | None,
+    config: Path | None,
+    gravity: float | None,
+    watch: str | None,
+    quiet: bool,
+) -> None:
+    """Run a recording through the daemon's own engine, as fast as it goes.
+
+    Leaves the store that a live run would leave. Exit code 3 where the recording cannot support a
+    calibration; why is said, and which attitude is missing.
+    """
+    refuse_collisions(_written(store_path, json_path), _read(trace, gyro))
+    settings = load_settings(config)
+    kept: list[Store | Reject] = []
+    if format_ == "rest":
+        outcome = replay_rests(read_rest_table(trace), Engine(_chosen(settings, gravity, watch)), kept.append)
+    else:
+        opened = open_trace(trace, format_, gyro)
+        engine = Engine(_chosen(settings, _known_gravity(gravity, settings, opened), watch))
+        outcome = _replayed(opened, engine, kept.append, quiet)
+    if store_path is not None and kept:
+        _keep(store_path, settings, kept, trace)
+    if json_path is not None:
+        _write_json(json_path, outcome)
+    if not quiet and json_path != STANDARD_OUTPUT:
+        print_outcome(outcome, trace, store_path if kept else None, Console())
+    if outcome.record is None or outcome.record.accelerometer is None:
+        click.echo(f"stillcal: {trace}: no calibration: {_why(outcome)}", err=True)
+        sys.exit(TOO_LITTLE)
+
+
+@click.command(
+    "apply",
+    short_help="Correct a recording by a calibration.",
+    epilog=examples("stillcal apply walk.csv --store store.json --out walk-true.csv"),
+)
+@click.argument("trace", type=_existing)
+@click.option("--store", "store_path", type=_existing, required=True, help="The store with the calibration.")
+@click.option(
+    "--out", type=_existing, required=True, help="Where the calibrated recording goes (.csv, .csv.gz)."
+)
+@format_option(rests=False)
+@gyro_option
+@quiet_option
+def apply_command(  # noqa: PLR0917 - click hands every option over by name
+    trace: Path, store_path: Path, out: Path, format_: str, gyro: Path | None, quiet: bool
+) -> None:
+    """Write the recording as it would have been from true sensors: scale @ (raw - bias)."""
+    document = storage.Store(store_path).load()
+    record = None if document is None else document.current
+    if record is None:
+        raise storage.StoreError(
+            f"{store_path}: holds no calibration: run stillcal replay or the daemon first"
+        )
+    refuse_collisions(new_recording_files(out), [*_read(trace, gyro), *store_files(store_path)])
+    opened = open_trace(trace, format_, gyro)
+    with progress(opened.path.name, opened.size_bytes, quiet) as step, _writer(opened, out, record) as write:
+        for chunk in opened.chunks():
+            write(chunk)
+            step(opened.bytes_read)
+    if not quiet:
+        Console().print(f"{out}: corrected by calibration {record.id}")
+
+
+@contextmanager
+def _writer(opened: Trace, out: Path, record: CalibrationRecord) -> Iterator[Callable[[Chunk], None]]:
+    """Give a writer of corrected chunks; nothing is left behind where it ends in an error.
+
+    The first chunk says which optional columns there are. The maker's claims of noise and range stay
+    true to first order; those about raw counts do not.
+    """
+    first = next(iter(opened.chunks(max_rows=64)))
+    with TraceWriter(
+        out,
+        gyroscope=opened.has_gyroscope,
+        temperature=first.accelerometer.temperature is not None,
+        arrival=first.accelerometer.t_arrival is not None,
+        claims=opened.claims.without_counts(),
+    ) as writer:
+
+        def write(chunk: Chunk) -> None:
+            accel = _corrected(chunk.accelerometer, record)
+            gyro = _corrected(chunk.gyroscope, record, accel) if opened.has_gyroscope else None
+            writer.write(accel, gyro, chunk.events)
+
+        yield write
+
+
+def _corrected(samples: Samples, record: CalibrationRecord, felt: Samples | None = None) -> Samples:
+    """Correct one sensor's samples; a sensor that the store knows nothing of stays as it is.
+
+    felt: the corrected accelerometer beside a gyroscope, whose samples may be at other times.
+    """
+    try:
+        return correct(record, samples, None if felt is None else interpolated(felt, samples.t))
+    except NotCalibratedError:
+        return samples
+
+
+def _read(trace: Path, gyro: Path | None) -> list[Path]:
+    return [*recording_files(trace), *files(gyro)]
+
+
+def _written(store: Path | None, json_path: Path | None) -> list[Path]:
+    return [*([] if store is None else store_files(store)), *files(json_path)]
+
+
+def _chosen(settings: Settings, gravity: float | None, watch: str | None) -> EngineSettings:
+    told: dict[str, Any] = {"gravity": None if gravity is None else given(gravity).value, "watch": watch}
+    schedule = replace(settings.engine.schedule, **{k: v for k, v in told.items() if v is not None})
+    return replace(settings.engine, schedule=schedule)
+
+
+def _known_gravity(gravity: float | None, settings: Settings, opened: Trace) -> float | None:
+    """Return local gravity as the user gives it, else as the settings do, else as the maker claims."""
+    if gravity is not None:
+        return gravity
+    chosen = settings.engine.schedule.gravity
+    return opened.claimed_gravity() if chosen is None else chosen
+
+
+def _replayed(opened: Trace, engine: Engine, keep: Callable[[Store | Reject], None], quiet: bool) -> Outcome:
+    with progress(opened.path.name, opened.size_bytes, quiet) as step:
+        outcome = replay(opened.chunks(), engine, keep, lambda: step(opened.bytes_read))
+    if not quiet:
+        for note in opened.notes:
+            click.echo(f"stillcal: {note}", err=True)
+    return outcome
+
+
+def _keep(path: Path, settings: Settings, kept: list[Store | Reject], source: Path) -> None:
+    with storage.Store(path, settings.store) as opened:
+        for action in kept:
+            record = replace(action.record, provenance=replace(action.record.provenance, source=source.name))
+            if isinstance(action, Store):
+                outcome = opened.publish(record, action.reason, action.t)
+            else:
+                outcome = opened.reject(record, action.reason, action.t)
+            for note in outcome.notes:
+                click.echo(f"stillcal: {note}", err=True)
+
+
+def _write_json(path: Path, outcome: Outcome) -> None:
+    text = pretty(calibration_json(outcome.record) | {"run": _run_figures(outcome)}) + "\n"
+    if path == STANDARD_OUTPUT:
+        click.echo(text, nl=False)
+    else:
+        write_atomically(path, text.encode(), 0o644)
+
+
+def _run_figures(outcome: Outcome) -> dict[str, Any]:
+    """Return what the engine did and what it cost: the sensors' on-time is the energy."""
+    counters = {} if outcome.state is None else plain(outcome.state.counters)
+    return {
+        "duration": outcome.duration,
+        "samples": outcome.samples,
+        "refusal": None if outcome.refusal is None else plain(outcome.refusal),
+        "counters": counters,
+        "ledger": plain(outcome.ledger),
+    }
+
+
+def _why(outcome: Outcome) -> str:
+    if outcome.refusal is not None:
+        needed = ", ".join(outcome.refusal.missing)
+        return f"{outcome.refusal.reason}{f'; needed: {needed}' if needed else ''}"
+    rests = outcome.state.counters.rests if outcome.state else 0
+    return "no rest was found" if rests == 0 else f"{rests} rests were found, but no occasion to calibrate"

@@ -1,0 +1,151 @@
+"""`stillcal simulate`: a recording of the simulated phone, as a real one would have been written.
+
+Or the phone itself, on a pseudo-terminal that a daemon opens as it would a USB device.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+
+from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.cli.options import quiet_option
+from stillcal.daemon.cli.progress import progress
+from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.store.document import pretty
+from stillcal.daemon.system.signals import run_until_signalled
+from stillcal.replay.commands.outputs import files, new_recording_files, refuse_collisions
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.phone import Simulation, load_phone, load_scenario, simulate
+from stillcal.replay.phone.simulation import Chunk, TrueModel
+from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
+
+
+@click.command(
+    "simulate",
+    short_help="Simulate a phone: a recording, or live on a line.",
+    epilog=examples(
+        "stillcal simulate lab --out lab.csv --seed 7",
+        "stillcal simulate day --phone mpu6050 --out day.csv.gz --truth day.truth.json",
+        "stillcal simulate my-week.toml --phone my-phone.toml --out week.csv.gz",
+        "stillcal simulate day --serial --port phone    # and elsewhere: stillcal run --port phone",
+    ),
+)
+@click.argument("scenario")
+@click.option("--out", type=click.Path(path_type=Path), help="The recording (.csv or .csv.gz).")
+@click.option(
+    "--serial", is_flag=True, help="Be the phone on a pseudo-terminal instead; its path is printed."
+)
+@click.option("--port", type=click.Path(path_type=Path), help="With --serial: a link to the terminal there.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(0, min_open=True),
+    help="With --serial: seconds of its time a second [default: as fast as it is read].",
+)
+@click.option(
+    "--seed",
+    default=0,
+    type=click.IntRange(0),
+    show_default=True,
+    help="The same seed gives the same recording.",
+)
+@click.option("--phone", default="typical", show_default=True, help="A ready phone, or a phone.toml.")
+@click.option("--truth", type=click.Path(path_type=Path), help="Write the true sensor errors there (JSON).")
+@quiet_option
+def simulate_command(  # noqa: PLR0917 - click hands every option over by name
+    scenario: str,
+    out: Path | None,
+    serial: bool,
+    port: Path | None,
+    speed: float | None,
+    seed: int,
+    phone: str,
+    truth: Path | None,
+    quiet: bool,
+) -> None:
+    """Write a recording of the simulated phone living through SCENARIO.
+
+    SCENARIO is a ready one (lab, tables, desk, day, night, drive, laundry, starved, week) or a TOML file.
+    Beside the recording stand its events (.events.jsonl) and what the maker claims (.json); what a real
+    phone would not tell goes into --truth only. With --serial it speaks to a daemon instead, until that
+    has heard all of it.
+    """
+    if serial == (out is not None):
+        raise click.UsageError("give either --out, for a recording, or --serial, for a phone on a line")
+    if not serial and (port is not None or speed is not None):
+        raise click.UsageError("--port and --speed are for --serial")
+    simulation = _simulation(scenario, phone, seed)
+    told = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
+    written = [*([] if out is None else new_recording_files(out)), *files(truth, port)]
+    refuse_collisions(written, told)
+    if out is not None:
+        _write(simulation, out, quiet)
+    else:
+        _serve(
+            simulation, LinkSettings(speed=speed or math.inf, credit=(speed or math.inf) > 1.0), port, quiet
+        )
+    if truth is not None:
+        write_atomically(truth, (pretty(truth_of(simulation)) + "\n").encode())
+    if not quiet:
+        where = "" if out is None else f"{out}: "
+        click.echo(f"{where}{simulation.duration:.0f} s of {scenario}, phone {phone}, seed {seed}")
+
+
+def _write(simulation: Simulation, out: Path, quiet: bool) -> None:
+    claims = msgspec.convert(simulation.phone.claimed(), Claims)
+    with (
+        progress("simulating", simulation.duration, quiet) as step,
+        _writer(simulation, out, claims) as writer,
+    ):
+        for chunk in simulation.chunks():
+            writer.write(chunk.accelerometer, chunk.gyroscope, chunk.events)
+            step(chunk.t_end)
+
+
+def _serve(simulation: Simulation, settings: LinkSettings, port: Path | None, quiet: bool) -> None:
+    """Be the phone on a pseudo-terminal until a daemon has heard its end, or a signal ends it."""
+    with progress("living", simulation.duration, quiet) as step:
+
+        def chunks() -> Iterator[Chunk]:
+            for chunk in simulation.chunks():
+                step(chunk.t_end)
+                yield chunk
+
+        try:
+            run_until_signalled(serve_phone(chunks(), simulation.phone.claimed(), settings, port, click.echo))
+        except OSError as error:
+            raise click.UsageError(str(error)) from error
+
+
+def truth_of(simulation: Simulation) -> dict[str, Any]:
+    """Return the true affine models as plain values; calibrated = scale @ (raw - bias)."""
+    known = simulation.truth
+    return {"accelerometer": _plain(known.accelerometer), "gyroscope": _plain(known.gyroscope)}
+
+
+def _plain(model: TrueModel | None) -> dict[str, Any] | None:
+    return None if model is None else {"scale": model.scale.tolist(), "bias": model.bias.tolist()}
+
+
+def _simulation(scenario: str, phone: str, seed: int) -> Simulation:
+    try:
+        return simulate(load_scenario(scenario), load_phone(phone), seed)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+
+
+def _writer(simulation: Simulation, out: Path, claims: Claims) -> TraceWriter:
+    first = next(iter(simulation.chunks())).accelerometer
+    return TraceWriter(
+        out,
+        gyroscope=simulation.phone.gyro is not None,
+        temperature=first.temperature is not None,
+        arrival=first.t_arrival is not None,
+        claims=claims,
+    )

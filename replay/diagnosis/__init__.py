@@ -1,0 +1,1 @@
+"""The diagnosis of a recording from its file to its report."""

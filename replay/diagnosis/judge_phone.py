@@ -1,0 +1,231 @@
+"""A phone file as the simulation to be judged: what it already has is no news, what differs from it is.
+
+The phone's terms that follow from what was observed are taken off the recording, and what is left is judged;
+stamps, noise and single values are judged on the recording itself, with the phone's own as claims.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, verdict_of
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.diagnosis.diagnose import bins_of, claims_of, diagnosis_of
+from stillcal.replay.diagnosis.twin import Lived, added, lived, observable
+from stillcal.replay.formats.trace import Recording
+from stillcal.replay.phone.effect_base import Effect, Moment
+from stillcal.replay.phone.phone import Phone
+from stillcal.replay.phone.settings import SensorSettings, per_axis
+
+SLOWEST = 0.05
+"""Rates below this are no motion that a lever arm would feel, rad/s."""
+
+ON_SAMPLES = (
+    "saturation", "quantisation", "noise_level", "noise_unequal_axes", "noise_heavy_tailed", "vibration_tone",
+    "clock_skew", "timestamp_jitter", "dropped_samples", "arrival_bursts", "bandwidth", "time_offset",
+)  # fmt: skip
+"""Findings that are taken from the recording as it is, by the end of their names."""
+
+SETTINGS = {
+    "timestamp_jitter": ("sigma", "jitter_s"),
+    "clock_skew": ("relative", "skew"),
+    "dropped_samples": ("fraction", "drop_fraction"),
+    "arrival_bursts": ("fraction", "burst_fraction"),
+    "accel_gyro_time_offset": ("delay", "gyro_delay_s"),
+}
+"""Findings about the clock: their parameter, and the clock's setting that is the same."""
+
+SAME_RATE = 0.05
+"""Relative difference of rates up to which a clock is to blame, and not another setting."""
+
+NEAR = 0.1
+"""Relative difference from the phone's own value that is none, where the interval is narrower still."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A diagnosis of what a phone leaves unexplained.
+
+    already: findings that the phone has; only: what the phone has and the recording does not show.
+    """
+
+    diagnosis: Diagnosis
+    already: list[dict[str, str]] = field(default_factory=list)
+    only: list[dict[str, str]] = field(default_factory=list)
+    phone: Phone | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """Return what there is beside the findings, as plain values; nothing where no phone was given."""
+        if self.phone is None:
+            return {}
+        return {"already_simulated": self.already, "only_simulated": self.only}
+
+    def known(self) -> tuple[Effect, ...]:
+        """Return the judged phone's effects that the recording bears out or observes the course of."""
+        if self.phone is None:
+            return ()
+        shown = {k["effect"] for k in self.already}
+        return tuple(e for e in self.phone.effects if observable(e) or e.name in shown)
+
+
+def judged(recording: Recording, name: str, phone: Phone) -> Judged:
+    """Judge a phone by a recording. Raises NotSupported on too little data."""
+    told = claims_of(recording)
+    rate_hz = 1.0 / float(np.median(np.diff(recording.accelerometer.t)))
+    alike = abs(phone.accel.rate_hz / rate_hz - 1.0) < SAME_RATE
+    claims = _claims(phone, told, phone.accel.rate_hz if alike else None)
+    raw = diagnosis_of(recording, name, claims)
+    known = [e for e in phone.effects if observable(e)]
+    bins = bins_of(recording)
+    if not known or not len(bins):
+        left = raw
+    else:
+        left = diagnosis_of(without(recording, bins, phone, known), name, claims)
+    found = [f for f in raw.findings if f.effect.endswith(ON_SAMPLES)]
+    found += [f for f in left.findings if not f.effect.endswith(ON_SAMPLES)]
+    news = [f for f in found if not _has(phone, f)]
+    gone = [f for f in raw.findings if not any(_same(f, g) for g in news)]
+    already = [{"effect": f.effect, "sensor": f.sensor, "why": f.statement} for f in gone]
+    diagnosis = replace(raw, findings=news, verdict=verdict_of(news))
+    only = _only(phone, raw, news)
+    if not alike:
+        why = f"the phone file samples at {phone.accel.rate_hz:g} Hz, the recording at {rate_hz:.4g} Hz"
+        only.append({"effect": "rate", "why": why})
+    return Judged(diagnosis, already, only, phone)
+
+
+def _same(one: Finding, other: Finding) -> bool:
+    return one.effect == other.effect and one.sensor == other.sensor
+
+
+def _claims(phone: Phone, told: Claims, rate_hz: float | None) -> Claims:
+    """Return the phone's own range, step and noise as claims, with a nominal rate and what else is told."""
+    own: dict[str, float | None] = {}
+    for name, sensor in (("accel", Sensor.ACCELEROMETER), ("gyro", Sensor.GYROSCOPE)):
+        settings = phone.sensor(sensor)
+        if settings is not None:
+            own[f"{name}_range"] = settings.range
+            own[f"{name}_lsb"] = settings.lsb or None
+            own[f"{name}_noise_density"] = float(np.median(per_axis(settings.noise.white))) or None
+    known = {k: v for k, v in own.items() if v is not None}
+    return replace(replace(told, nominal_rate_hz=rate_hz), **known)
+
+
+def without(recording: Recording, bins: Bins, phone: Phone, known: Sequence[Effect]) -> Recording:
+    """Return the recording with what the phone's observable effects add taken off."""
+    about = replace(lived(bins), reference_c=phone.heat.reference_c)
+    streams: list[Samples | None] = []
+    for samples, sensor in (
+        (recording.accelerometer, Sensor.ACCELEROMETER),
+        (recording.gyroscope, Sensor.GYROSCOPE),
+    ):
+        if samples is None or not any(e.concerns(sensor) for e in known):
+            streams.append(samples)
+            continue
+        moment = observed(recording, samples.t, phone, about)
+        rate_hz = 1.0 / float(np.median(np.diff(samples.t)))
+        streams.append(
+            replace(samples, xyz=frozen(samples.xyz - added(known, sensor, moment, about, rate_hz)))
+        )
+    accelerometer = streams[0]
+    assert accelerometer is not None
+    return replace(recording, accelerometer=accelerometer, gyroscope=streams[1])
+
+
+def observed(recording: Recording, t: Array, phone: Phone, about: Lived) -> Moment:
+    """Return what the phone felt at stamps (n,) s, by its own affine model of its readings."""
+    accel, gyro = recording.accelerometer, recording.gyroscope
+    force = _felt(t, accel, np.asarray(phone.accel.scale), np.asarray(phone.accel.bias))
+    rate = np.zeros_like(force)
+    if gyro is not None and phone.gyro is not None:
+        rate = _felt(t, gyro, np.asarray(phone.gyro.scale), np.asarray(phone.gyro.bias))
+        rate = np.where(np.linalg.norm(rate, axis=1, keepdims=True) > SLOWEST, rate, 0.0)
+    warmth = np.zeros(t.size)
+    if accel.temperature is not None and np.isfinite(accel.temperature).any():
+        ok = np.isfinite(accel.temperature)
+        warmth = np.interp(t, accel.t[ok], accel.temperature[ok]) - about.reference_c
+    since = t - about.t_start
+    dot = np.where(
+        rate != 0.0, np.gradient(rate, np.maximum.accumulate(t + 1e-9 * np.arange(t.size)), axis=0), 0.0
+    )
+    return Moment(since, force, rate, dot, warmth, about.surroundings.charging.at(since))
+
+
+def _felt(t: Array, samples: Samples, scale: Array, bias: Array) -> Array:
+    true = (samples.xyz - bias) @ np.linalg.inv(scale).T
+    return np.stack([np.interp(t, samples.t, true[:, a]) for a in range(3)], axis=1)
+
+
+def _has(phone: Phone, finding: Finding) -> bool:
+    """Whether the phone already has a finding about samples or stamps, with parameters like those found."""
+    if not finding.effect.endswith(ON_SAMPLES):
+        return False
+    own = _own_values(phone, finding)
+    shared = [name for name in own if name in finding.parameters]
+    return bool(shared) and all(_within(finding, name, own[name]) for name in shared)
+
+
+def _own_values(phone: Phone, finding: Finding) -> dict[str, Any]:
+    """Return the phone's own values of a finding's parameters, from its effects or settings."""
+    for effect in phone.effects:
+        if effect.name == finding.effect and getattr(effect, "sensor", finding.sensor) in (
+            finding.sensor,
+            "both",
+        ):
+            return {k: v for k, v in msgspec.structs.asdict(effect).items() if k != "sensor"}
+    if finding.effect in SETTINGS:
+        parameter, setting = SETTINGS[finding.effect]
+        value = getattr(phone.effective_clock(), setting)
+        return {parameter: value} if value else {}
+    settings = phone.gyro if finding.sensor == "gyro" else phone.accel
+    return {} if settings is None else _of_settings(settings).get(finding.effect, {})
+
+
+def _of_settings(settings: SensorSettings) -> dict[str, dict[str, Any]]:
+    """Return what a sensor's own settings say in the words of findings."""
+    noise, white = settings.noise, per_axis(settings.noise.white)
+    said: dict[str, dict[str, Any]] = {
+        "noise_unequal_axes": {"ratio": (white / max(float(np.median(white)), 1e-300)).tolist()}
+    }
+    if settings.cutoff_hz is not None:
+        said["bandwidth"] = {"cutoff": settings.cutoff_hz}
+    if noise.tail_fraction > 0.0:
+        said["noise_heavy_tailed"] = {"ratio": noise.tail_ratio, "fraction": noise.tail_fraction}
+    return said
+
+
+def _within(finding: Finding, name: str, own: Any) -> bool:
+    """Whether the phone's value lies in the finding's interval, or within `NEAR` of its value."""
+    parameter = finding.parameters[name]
+    value = np.atleast_1d(np.asarray(parameter.value, dtype=np.float64))
+    low, high = np.moveaxis(np.asarray(parameter.ci95, dtype=np.float64).reshape(*value.shape, 2), -1, 0)
+    mine = np.broadcast_to(np.asarray(own, dtype=np.float64), value.shape)
+    slack = NEAR * np.abs(value).max()
+    return bool(((mine >= np.minimum(low, value - slack)) & (mine <= np.maximum(high, value + slack))).all())
+
+
+def _only(phone: Phone, raw: Diagnosis, news: list[Finding]) -> list[dict[str, str]]:
+    """Return the phone's effects on samples and stamps that the recording does not show."""
+    seen = {f.effect for f in raw.findings} | {f.effect for f in news}
+    absent = [e for e in phone.effects if e.name.endswith(ON_SAMPLES) and e.name not in seen]
+    absent = [e for e in absent if not e.name.endswith(("saturation", "quantisation", "noise_level"))]
+    return [
+        {"effect": e.name, "why": f"the phone file has {_said(e)}, the recording shows none"} for e in absent
+    ]
+
+
+def _said(effect: Effect) -> str:
+    told = {
+        k: v
+        for k, v in msgspec.structs.asdict(effect).items()
+        if not (isinstance(v, float) and math.isinf(v))
+    }
+    return ", ".join(f"{k} = {v}" for k, v in told.items())

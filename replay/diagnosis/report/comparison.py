@@ -1,0 +1,241 @@
+"""A recording and a simulated one side by side: whether their residuals have the same statistics.
+
+Independent things are compared, never samples: still bins, stretches of stamps, rests, and what the bias
+follows with its coloured uncertainty. A difference counts from where it leaves a tolerance that phones of one
+model have among themselves; p-values are corrected for the number of comparisons (Holm, Scand. J. Statist. 6,
+1979).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.codec import plain
+from stillcal.calib_core.diagnosis.direct.low_pass import quiet, spectra
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of, tail
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.report.comparison_slow import Slow, slow_differences, slow_side
+from stillcal.replay.formats.trace import Recording
+
+LEVEL = 0.01
+"""Corrected p below which the simulation is not the recording's."""
+
+BANDS = 4
+"""Bands of equal width in the logarithm of frequency."""
+
+SPREAD_TOLERANCE = 0.1
+"""Relative difference of noise levels that is no difference."""
+
+BAND_TOLERANCE = 0.2
+"""The same for the power in a band, which is a square."""
+
+SHAPE_TOLERANCE = 0.15
+"""Difference of excess kurtosis that is no difference."""
+
+PIECES = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """One comparison. recorded, simulated: the statistic's mean in either, in `unit`."""
+
+    statistic: str
+    channel: str
+    recorded: float
+    simulated: float
+    unit: str
+    p_value: float
+    p_corrected: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """All comparisons, most different first. accepted: whether none is below the level."""
+
+    accepted: bool
+    level: float
+    tests: list[Compared]
+
+    def plain(self) -> dict[str, Any]:
+        """Return the comparison as plain values."""
+        told: dict[str, Any] = plain(self)
+        return told
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """One recording with its still bins and what is slow in them."""
+
+    recording: Recording
+    bins: Bins
+    gravity: float
+    slow: Slow
+
+
+def side_of(recording: Recording, bins: Bins, gravity: float) -> Side:
+    """Prepare a recording for comparisons."""
+    return Side(recording, bins, gravity, slow_side(bins, gravity))
+
+
+def compare(recorded: Side, simulated: Side) -> Comparison:
+    """Compare all statistics that both recordings have."""
+    found = [*_of_stamps(recorded.recording, simulated.recording)]
+    streams = (
+        ("accel", recorded.recording.accelerometer, simulated.recording.accelerometer),
+        ("gyro", recorded.recording.gyroscope, simulated.recording.gyroscope),
+    )
+    for sensor, one, other in streams:
+        if one is not None and other is not None:
+            found += _of_samples(sensor, (one, recorded.bins), (other, simulated.bins))
+    found += [Compared(*row) for row in slow_differences(recorded.slow, simulated.slow)]
+    return corrected(found)
+
+
+def corrected(found: Sequence[Compared], level: float = LEVEL) -> Comparison:
+    """Correct p-values by Holm's steps."""
+    ordered = sorted(found, key=lambda c: c.p_value)
+    steps = [min(1.0, c.p_value * (len(ordered) - i)) for i, c in enumerate(ordered)]
+    rising: list[float] = np.maximum.accumulate(steps).tolist() if steps else []
+    tests = [replace(c, p_corrected=p) for c, p in zip(ordered, rising, strict=True)]
+    return Comparison(all(c.p_corrected >= level for c in tests), level, tests)
+
+
+def difference(one: Measured, other: Measured, tolerance: float) -> float:
+    """Return p of two means being further apart than the tolerance, two-sided."""
+    apart = Measured(one.value - other.value, float(np.hypot(one.error, other.error)))
+    return tail(apart.beyond(-tolerance, tolerance))
+
+
+def _of_stamps(one: Recording, other: Recording) -> Iterator[Compared]:
+    period = float(np.median(np.diff(one.accelerometer.t)))
+    sides = [_intervals(r.accelerometer, period) for r in (one, other)]
+    tolerances = (
+        ("mean interval", "s", thresholds.RATE_TOLERANCE * period),
+        ("scatter of intervals", "s", 2.0 * thresholds.JITTER_TOLERANCE * period),
+        ("part of samples missing", "1", 10.0 * thresholds.DROP_TOLERANCE),
+    )
+    for i, (what, unit, tolerance) in enumerate(tolerances):
+        yield _pieces(what, "stamps", unit, (sides[0][i], sides[1][i]), tolerance)
+    arrivals = [_burst_parts(r.accelerometer, period) for r in (one, other)]
+    if arrivals[0] is not None and arrivals[1] is not None:
+        both = (arrivals[0], arrivals[1])
+        yield _pieces("part of samples in bursts", "arrival", "1", both, 2.0 * thresholds.BURST_TOLERANCE)
+
+
+def _pieces(what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float) -> Compared:
+    means = [_mean(side) for side in sides]
+    p = difference(means[0], means[1], tolerance)
+    return Compared(what, channel, means[0].value, means[1].value, unit, p)
+
+
+def _mean(pieces: Array) -> Measured:
+    """Mean of pieces with the standard error of their scatter; a zero scatter is allowed to be one."""
+    error = float(pieces.std(ddof=1)) / np.sqrt(pieces.size)
+    return Measured(float(pieces.mean()), max(error, 1e-12))
+
+
+def _intervals(samples: Samples, period: float) -> tuple[Array, Array, Array]:
+    """Mean, scatter and missing part of the intervals, (PIECES,) each."""
+    parts = np.array_split(np.diff(samples.t), PIECES)
+    even = [p[np.abs(p - period) < 0.75 * period] for p in parts]
+    mean = [float(np.median(p)) for p in parts]
+    scatter = [float(np.diff(e).std() / np.sqrt(6.0)) if e.size > 8 else 0.0 for e in even]
+    hops = [np.maximum(np.rint(p / period) - 1.0, 0.0) for p in parts]
+    missing = [float(h[h < 50].sum() / max(h.size, 1)) for h in hops]
+    return np.array(mean), np.array(scatter), np.array(missing)
+
+
+def stamps_measured(samples: Samples) -> tuple[float, float]:
+    """Return the standard deviation of a stamp about an even rate, s, and the part of samples missing."""
+    _, scatter, missing = _intervals(samples, float(np.median(np.diff(samples.t))))
+    lost = float(missing.mean())
+    return float(np.median(scatter)), lost / (1.0 + lost)
+
+
+def _burst_parts(samples: Samples, period: float) -> Array | None:
+    if samples.t_arrival is None:
+        return None
+    late = np.diff(samples.t_arrival) < 0.2 * period
+    return np.array(
+        [float(p.mean()) for p in np.array_split(late & (np.diff(samples.t) > 0.5 * period), PIECES)]
+    )
+
+
+def _of_samples(
+    sensor: str, recorded: tuple[Samples, Bins], simulated: tuple[Samples, Bins]
+) -> Iterator[Compared]:
+    """Compare what single samples do inside still bins, bin by bin."""
+    one, other = (quiet(samples, bins) for samples, bins in (recorded, simulated))
+    if min(len(one.pieces), len(other.pieces)) < 5:
+        return
+    rate = min(one.rate, other.rate)
+    shown = [_per_bin(still.pieces) for still in (one, other)]
+    power = [_band_power(spectra(still), rate) for still in (one, other)]
+    steps = [[comb_step(s.xyz[:, a]) or 0.0 for a in range(3)] for s, _ in (recorded, simulated)]
+    for a, axis in enumerate("xyz"):
+        name, unit = f"{sensor} {axis}", UNIT[sensor]
+        yield _steps(name, unit, (steps[0][a], steps[1][a]), shown)
+        if _coarse(steps[0][a], shown[0]) and _coarse(steps[1][a], shown[1]):
+            continue  # noise that hides in a step depends on where between two values a rest happens to lie
+        spreads, shapes = ((shown[0][what][:, a], shown[1][what][:, a]) for what in ("spread", "kurtosis"))
+        yield _ratio("spread of samples at rest", name, unit, spreads, SPREAD_TOLERANCE)
+        yield _robust("excess kurtosis of samples at rest", name, "1", shapes, SHAPE_TOLERANCE)
+        for b in range(BANDS):
+            low, high = _edges(rate)[b : b + 2]
+            what = f"power from {_hertz(low)} to {_hertz(high)} Hz"
+            bands = (power[0][:, b, a], power[1][:, b, a])
+            yield _ratio(what, name, f"({unit})^2/Hz", bands, BAND_TOLERANCE)
+
+
+def _hertz(f: float) -> str:
+    return f"{f:.1f}" if f < 10.0 else f"{f:.0f}"
+
+
+def _robust(what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float) -> Compared:
+    one, other = (mean_of(side, 1e-12) for side in sides)
+    return Compared(what, channel, one.value, other.value, unit, difference(one, other, tolerance))
+
+
+def _ratio(what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float) -> Compared:
+    """Compare logarithms; what is told are the geometric means, in `unit`."""
+    told = _robust(what, channel, unit, sides, tolerance)
+    return replace(told, recorded=float(np.exp(told.recorded)), simulated=float(np.exp(told.simulated)))
+
+
+def _per_bin(pieces: Sequence[Array]) -> dict[str, Array]:
+    """Logarithm of the spread and excess kurtosis of every bin, (n, 3) each."""
+    sd = np.array([p.std(axis=0) for p in pieces])
+    fourth = np.array([np.mean(p**4, axis=0) for p in pieces])
+    floor = np.maximum(sd, 1e-12)
+    return {"spread": np.log(floor), "kurtosis": fourth / floor**4 - 3.0}
+
+
+def _steps(channel: str, unit: str, step: tuple[float, float], shown: list[dict[str, Array]]) -> Compared:
+    """Compare the steps of values: they differ where one is coarse beside the noise and not the other's."""
+    coarse = any(_coarse(s, side) for s, side in zip(step, shown, strict=True))
+    alike = not coarse or abs(step[0] - step[1]) < 0.02 * max(step)
+    return Compared("step of values", channel, *step, unit, 1.0 if alike else 1e-12)
+
+
+def _coarse(step: float, shown: dict[str, Array]) -> bool:
+    return step > 0.5 * float(np.exp(np.median(shown["spread"])))
+
+
+def _edges(rate: float) -> Array:
+    return np.asarray(np.geomspace(0.02 * rate, 0.45 * rate, BANDS + 1))
+
+
+def _band_power(measured: tuple[Array, Array], rate: float) -> Array:
+    """Logarithm of the mean density of every bin in every band, (n, BANDS, 3)."""
+    f, power = measured
+    band = np.digitize(f, _edges(rate)) - 1
+    means = [power[:, band == b].mean(axis=1) for b in range(BANDS)]
+    return np.asarray(np.log(np.maximum(np.stack(means, axis=1), 1e-300)))

@@ -1,0 +1,153 @@
+"""Where a recording departs from its twin: time by channel, in units of noise and in the channel's own.
+
+Slow channels are residuals of the baseline phone before anything found is taken off; their noise is what is
+left after it is, from bin to bin. Quick channels are the spread of single samples beside what is declared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.records import Claims
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.windows import windows
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.report.curves import UNIT, left_over, residuals
+from stillcal.replay.diagnosis.twin import Affine
+from stillcal.replay.formats.trace import Recording
+
+CELLS = 96
+LEAST_NOISE = 0.05
+"""Logarithm of a spread that is noise at least: 5 %."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """One row of the map. value: (CELLS,) in `unit`; departure: (CELLS,) over `noise`; nan: not seen."""
+
+    name: str
+    unit: str
+    noise: float
+    value: Array
+    departure: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Map:
+    """edges: (CELLS + 1,) s of the recording's stamps."""
+
+    edges: Array
+    channels: tuple[Channel, ...]
+
+    def plain(self) -> dict[str, Any]:
+        """Return the map as plain values; None where nothing was seen."""
+        rows = [
+            {
+                "channel": c.name,
+                "unit": c.unit,
+                "noise": c.noise,
+                "value": _told(c.value),
+                "departure": _told(c.departure),
+            }
+            for c in self.channels
+        ]
+        return {"t": [round(float(t), 3) for t in self.edges], "channels": rows}
+
+
+def _told(values: Array) -> list[float | None]:
+    return [float(f"{v:.4g}") if np.isfinite(v) else None for v in values]
+
+
+def map_of(recording: Recording, bins: Bins, below: tuple[Affine, Affine], claims: Claims) -> Map:
+    """Draw the map. below: the affine phone with nothing found, and with all that was found."""
+    accel = recording.accelerometer
+    edges = np.linspace(float(accel.t[0]), float(accel.t[-1]), CELLS + 1)
+    rows = _slow("accel", bins, below, claims.gravity, edges) if len(bins) > 5 else []
+    if bins.rate is not None and len(bins) > 5:
+        rows += _slow("gyro", bins, below, claims.gravity, edges)
+    rows += _spreads("accel", accel, bins, claims, edges)
+    if recording.gyroscope is not None:
+        rows += _spreads("gyro", recording.gyroscope, bins, claims, edges)
+    return Map(edges, (*rows, _stamps(accel, edges)))
+
+
+def _cells(t: Array, values: Array, edges: Array) -> Array:
+    """Mean of values in every cell, nan where there are none."""
+    cell = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, CELLS - 1)
+    count = np.bincount(cell, minlength=CELLS)
+    total = np.bincount(cell, weights=values, minlength=CELLS)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _slow(
+    sensor: str, bins: Bins, below: tuple[Affine, Affine], gravity: float, edges: Array
+) -> list[Channel]:
+    plain, better = below
+    names = ["accel norm"] if sensor == "accel" else [f"gyro {a} at rest" for a in "xyz"]
+    known, explained = ((b.accel if sensor == "accel" else b.gyro) for b in below)
+    parts = zip(
+        names, residuals(sensor, bins, plain, gravity), residuals(sensor, bins, better, gravity), strict=True
+    )
+    variance = bins.force_variance if sensor == "accel" or bins.rate_variance is None else bins.rate_variance
+    rows = []
+    for name, before, after in parts:
+        departure, left = left_over(before, known), left_over(after, explained)
+        # Few bins beside many parameters leave hardly anything: less than the white noise it cannot be.
+        white = np.sqrt(np.median(np.sum(before.project**2 * variance, axis=1)))
+        noise = max(_bin_to_bin(left, bins), float(white))
+        value = _cells(bins.t, departure, edges)
+        rows.append(Channel(name, UNIT[sensor], noise, value, value / noise))
+    return rows
+
+
+def _bin_to_bin(left: Array, bins: Bins) -> float:
+    """Noise of a bin from differences of neighbours in one rest, or of all where rests are short."""
+    step = np.diff(left)
+    inside = step[np.diff(bins.rest) == 0]
+    used = inside if inside.size >= 10 else step
+    middle = float(np.median(np.abs(used)))
+    return max(1.4826 / 1.4142 * middle, 1e-12)
+
+
+def _spreads(sensor: str, samples: Samples, bins: Bins, claims: Claims, edges: Array) -> list[Channel]:
+    """Spread of single samples in still bins against the declared one, or their own middle."""
+    made = windows(samples, *bins.span)
+    inside = np.zeros(made.t.size, dtype=bool)
+    for t, d in zip(bins.t, bins.duration, strict=True):
+        inside[np.searchsorted(made.t, t - d / 2) : np.searchsorted(made.t, t + d / 2)] = True
+    inside &= made.count > 3
+    if inside.sum() < 5:
+        return []
+    rate = 1.0 / float(np.median(np.diff(samples.t)))
+    declared = _declared(sensor, claims, rate)
+    floor = ((claims.accel_lsb if sensor == "accel" else claims.gyro_lsb) or 0.0) / np.sqrt(12.0)
+    rows = []
+    for a, axis in enumerate("xyz"):
+        spread = np.sqrt(np.maximum(made.variance[inside, a], 1e-24))
+        middle = float(np.median(spread)) if declared is None else declared
+        # A step coarser than the noise hides it: less spread than the step's own tells nothing.
+        log = np.log(np.maximum(spread, floor) / middle)
+        noise = max(1.4826 * float(np.median(np.abs(log - np.median(log)))), LEAST_NOISE)
+        value, mean = _cells(made.t[inside], spread, edges), _cells(made.t[inside], log, edges)
+        rows.append(Channel(f"{sensor} {axis} noise", UNIT[sensor], noise * middle, value, mean / noise))
+    return rows
+
+
+def _declared(sensor: str, claims: Claims, rate: float) -> float | None:
+    density = claims.accel_noise_density if sensor == "accel" else claims.gyro_noise_density
+    lsb = (claims.accel_lsb if sensor == "accel" else claims.gyro_lsb) or 0.0
+    return None if density is None else float(np.hypot(density * np.sqrt(rate / 2.0), lsb / np.sqrt(12.0)))
+
+
+def _stamps(samples: Samples, edges: Array) -> Channel:
+    """Scatter of the intervals in units of what Android allows a stamp."""
+    steps = np.diff(samples.t)
+    period = float(np.median(steps))
+    off = np.minimum(np.abs(steps - period), 10.0 * period)
+    value, noise = _cells(samples.t[1:], off, edges), thresholds.JITTER_TOLERANCE * period
+    return Channel("stamps", "s", noise, value, value / noise)

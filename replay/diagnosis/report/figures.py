@@ -1,0 +1,247 @@
+"""The report's pictures, as SVG text: the map, curves, spectra, values, intervals.
+
+Small and alike, so that they read on a phone: one width, one set of colours, labels with units. Needs
+matplotlib (the extra `report`).
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.low_pass import quiet, spectra
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.report.curves import Curve, running_median
+from stillcal.replay.diagnosis.report.departure_map import Map
+from stillcal.replay.diagnosis.wording import readable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH, HEIGHT = 5.0, 3.1
+INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", "#c65a11", "#0b6e99"
+CLIP = 8.0
+"""Departures beyond this many units of noise have one colour."""
+
+PART = 0.9
+"""A finding in less than this part of the recording is shaded in time."""
+
+STYLE: Any = {
+    "font.size": 9.5,
+    "font.family": "sans-serif",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#888888",
+    "axes.labelcolor": INK,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "legend.columnspacing": 1.2,
+    "legend.handlelength": 1.4,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "stillcal",
+    "axes.formatter.useoffset": False,
+}
+
+
+class NoMatplotlibError(ValueError):
+    """The pictures cannot be drawn."""
+
+    def __init__(self) -> None:
+        super().__init__("the report's pictures need matplotlib: pip install 'stillcal[report]'")
+
+
+@contextmanager
+def drawing(height: float = HEIGHT) -> Iterator[tuple[Figure, Axes, list[str]]]:
+    """Give a figure with one pair of axes; the list holds its SVG when the block has ended.
+
+    What was labelled stands in a legend above the axes, where it can lie on no curve.
+    """
+    try:
+        import matplotlib as mpl  # noqa: PLC0415 - only where a report is asked for
+        from matplotlib.figure import Figure  # noqa: PLC0415
+    except ImportError as error:
+        raise NoMatplotlibError from error
+    out: list[str] = []
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        axes = figure.add_subplot()
+        yield figure, axes, out
+        labels = axes.get_legend_handles_labels()[1]
+        if labels:
+            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(labels), borderaxespad=0.0)
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    out.append(text.getvalue())
+
+
+def map_figure(drawn: Map) -> str:
+    """Draw where the recording departs from its twin."""
+    rows = drawn.channels
+    with drawing(0.9 + 0.27 * len(rows)) as (figure, axes, out):
+        minutes = (drawn.edges - drawn.edges[0]) / 60.0
+        values = np.ma.masked_invalid(np.array([r.departure for r in rows]))
+        colours = axes.pcolormesh(
+            minutes, np.arange(len(rows) + 1), values, cmap="PuOr_r", vmin=-CLIP, vmax=CLIP, rasterized=True
+        )
+        axes.set_facecolor("#e9e9e9")
+        axes.set_yticks(np.arange(len(rows)) + 0.5, [r.name for r in rows])
+        axes.tick_params(axis="y", length=0)
+        axes.invert_yaxis()
+        axes.set_xlabel("time, min")
+        bar = figure.colorbar(colours, ax=axes, location="top", shrink=0.8, aspect=40, extend="both")
+        bar.set_ticks([-CLIP, -CLIP / 2, 0.0, CLIP / 2, CLIP])
+        bar.set_label("departure, in units of each channel's noise")
+    return out[0]
+
+
+def curve_figures(curve: Curve) -> list[str]:
+    """Draw a finding on one axis: against what it follows, and in time with the held-out prediction."""
+    scale, unit = prefixed(curve.point, curve.unit)
+    pictures = [_in_time(curve, scale, unit)]
+    if not curve.x_name.startswith("time"):
+        pictures.insert(0, _against(curve, scale, unit))
+    return pictures
+
+
+def _against(curve: Curve, scale: float, unit: str) -> str:
+    with drawing() as (_, axes, out):
+        y = curve.alone * scale
+        axes.plot(curve.x, y, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
+        if curve.line is None:
+            x, middle = running_median(curve.x, y)
+            axes.plot(x, middle, color=BEFORE, lw=1.8, label="running median: no name")
+        else:
+            order = np.argsort(curve.x)
+            axes.plot(curve.x[order], curve.line[order] * scale, color=AFTER, lw=1.8, label="fitted")
+        axes.set_xlabel(readable(curve.x_name))
+        axes.set_ylabel(f"{curve.y_name} {curve.axis}, {readable(unit)}")
+    return out[0]
+
+
+def _in_time(curve: Curve, scale: float, unit: str) -> str:
+    with drawing() as (_, axes, out):
+        minutes = curve.t / 60.0
+        if curve.span[1] - curve.span[0] < PART * (curve.edges[-1] - curve.edges[0]):
+            axes.axvspan(curve.span[0] / 60.0, curve.span[1] / 60.0, color="#f1e3d6", label="where it is")
+        axes.plot(minutes, curve.point * scale, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
+        if curve.held is None:
+            x, y = running_median(minutes, curve.point, 30)
+            axes.plot(x, y * scale, color=BEFORE, lw=1.8, label="running median: no name")
+        else:
+            left = (curve.point - curve.held) * scale
+            axes.plot(minutes, left, ".", color=AFTER, ms=3, alpha=0.5, label="left after it")
+            axes.plot(
+                minutes, curve.held * scale, color=AFTER, lw=1.6, label="held out: from the other fifths"
+            )
+            for edge in curve.edges[1:-1] / 60.0:
+                axes.axvline(edge, color="#bbbbbb", lw=0.8, ls=":")
+        axes.set_xlabel(
+            "time, min (dotted: fifths held out in turn)" if curve.held is not None else "time, min"
+        )
+        axes.set_ylabel(f"bias {curve.axis}, {readable(unit)}")
+    return out[0]
+
+
+def prefixed(values: Array, unit: str) -> tuple[float, str]:
+    """Return the factor and unit in which values are easily read: milli or micro where they are small."""
+    size = float(np.quantile(np.abs(values), 0.95)) if values.size else 0.0
+    if size >= 0.2 or size == 0.0:
+        return 1.0, unit
+    return (1e3, f"10⁻³ {unit}") if size >= 2e-4 else (1e6, f"10⁻⁶ {unit}")
+
+
+Three = Sequence[tuple[str, str, Samples, Bins]]
+"""Label, colour, samples and still bins of the recording and of the twins before and after."""
+
+
+def spectrum_figure(three: Three, unit: str, mark: float | None) -> str:
+    """Draw noise densities at rest, root mean square over axes. mark: Hz."""
+    with drawing() as (_, axes, out):
+        for label, colour, samples, bins in three:
+            still = quiet(samples, bins)
+            if len(still.pieces) < 3:
+                continue
+            f, power = spectra(still)
+            density = np.sqrt(np.median(power, axis=0).max(axis=1))
+            dash = (
+                "--" if colour == AFTER else "-"
+            )  # what fits lies on what was recorded: both are to be seen
+            axes.loglog(f[1:], density[1:], dash, color=colour, lw=1.5, label=label)
+        if mark is not None:
+            axes.axvline(mark, color="#999999", lw=1.0, ls=":")
+        axes.set_xlabel("frequency, Hz" if mark is None else f"frequency, Hz (dotted: {mark:.4g} Hz)")
+        axes.set_ylabel(f"density, loudest axis,\n{readable(unit)}/√Hz")
+    return out[0]
+
+
+def values_figure(three: Three, unit: str, axis: int) -> str:
+    """Draw how single samples at rest scatter about their bin's mean."""
+    with drawing() as (_, axes, out):
+        parts = [(label, colour, _pooled(samples, bins, axis)) for label, colour, samples, bins in three]
+        spread = max(float(np.abs(p).max(initial=1e-9)) for _, _, p in parts)
+        wide = min(spread, 8.0 * max(float(p.std()) if p.size else 1e-9 for _, _, p in parts))
+        edges = np.linspace(-wide, wide, 122)
+        scale, name = prefixed(np.array([wide]), unit)
+        for label, colour, p in parts:
+            share = np.histogram(p, edges)[0] / max(p.size, 1)
+            axes.stairs(share, edges * scale, color=colour, lw=1.3, label=label)
+        axes.set_yscale("log")
+        axes.set_xlabel(f"sample less its bin's mean, {'xyz'[axis]}, {readable(name)}")
+        axes.set_ylabel("part of samples")
+    return out[0]
+
+
+def _pooled(samples: Samples, bins: Bins, axis: int) -> Array:
+    pieces = quiet(samples, bins).pieces
+    return np.concatenate([p[:, axis] for p in pieces]) if pieces else np.empty(0)
+
+
+def intervals_figure(three: Three, *, arrival: bool) -> str:
+    """Draw the intervals between stamps, or between arrivals."""
+    with drawing() as (_, axes, out):
+        period = float(np.median(np.diff(three[0][2].t)))
+        edges = np.linspace(0.0, 4.0 * period, 162) * 1e3
+        for label, colour, samples, _bins in three:
+            t = samples.t_arrival if arrival else samples.t
+            if t is None:
+                continue
+            steps = np.diff(t) * 1e3
+            axes.stairs(np.histogram(steps, edges)[0] / steps.size, edges, color=colour, lw=1.3, label=label)
+        axes.set_yscale("log")
+        axes.set_xlabel(f"interval between {'arrivals' if arrival else 'stamps'}, ms")
+        axes.set_ylabel("part of intervals")
+    return out[0]
+
+
+def extremes_figure(three: Three, unit: str, limit: float) -> str:
+    """Draw how often large values of any axis occur. limit: marked."""
+    with drawing() as (_, axes, out):
+        edges = np.linspace(0.0, 1.3 * limit, 131)
+        for label, colour, samples, _bins in three:
+            share = np.histogram(np.abs(samples.xyz).max(axis=1), edges)[0] / max(len(samples), 1)
+            axes.stairs(share, edges, color=colour, lw=1.3, label=label)
+        axes.axvline(limit, color="#999999", lw=1.0, ls=":")
+        axes.set_yscale("log")
+        axes.set_xlabel(f"largest value of a sample, {readable(unit)} (dotted: {limit:.4g})")
+        axes.set_ylabel("part of samples")
+    return out[0]
+
+
+def held_out_figure(before: float, after: float) -> str:
+    """Draw the held-out residual without and with what was found, for findings that have no other picture."""
+    with drawing(1.5) as (_, axes, out):
+        axes.barh([1.0, 0.0], [before, after], color=[BEFORE, AFTER], height=0.7)
+        axes.set_yticks([1.0, 0.0], ["without it", "with it"])
+        axes.tick_params(axis="y", length=0)
+        axes.set_xlim(0.0, 1.1 * max(before, after))
+        axes.set_xlabel("residual of what was held out, rms")
+    return out[0]

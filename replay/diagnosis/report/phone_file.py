@@ -1,0 +1,282 @@
+"""The better phone: the affine and noisy baseline measured on a recording, with the found effects in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.low_pass import quiet
+from stillcal.calib_core.diagnosis.direct.noise_level import density
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
+from stillcal.calib_core.noise.allan import FLOOR
+from stillcal.calib_core.noise.covariance import NoiseModel, fit_noise
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.report.comparison import stamps_measured
+from stillcal.replay.diagnosis.report.phone_effects import IN_WHITE, Mapped
+from stillcal.replay.diagnosis.twin import Affine, Lived, affine
+from stillcal.replay.formats.trace import Recording
+from stillcal.replay.phone.effect_base import Effect
+from stillcal.replay.phone.phone import Claims, Phone, dump_phone
+from stillcal.replay.phone.settings import (
+    ClockSettings,
+    HeatSettings,
+    Matrix,
+    Noise,
+    SensorSettings,
+    Vector,
+    Wandering,
+    per_axis,
+)
+
+LEAST_BINS = 8
+MOST_BINS = 48
+"""Slow noise is fitted to so many bins at most: neighbours in a rest are put together beyond."""
+
+MOST_MISSING = 0.5
+"""Where more of the samples than this are missing the intervals are uneven, not samples lost."""
+
+TAUS = (240.0,)
+"""Correlation times of the Gauss-Markov part that are tried, s."""
+
+
+def phone_of(
+    recording: Recording, bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float
+) -> Phone:
+    """Return the phone that would have made the recording, as far as it shows. bins: at least one."""
+    below = affine(bins, effects, about, gravity)
+    wander = _force_wander(bins, below, gravity)
+    return Phone(
+        description=f"{recording.claims.device or 'a phone'}, as a recording shows it",
+        accel=_sensor(
+            recording.accelerometer,
+            bins,
+            effects,
+            bias=below.baseline.bias,
+            scale=np.asarray(np.linalg.inv(below.baseline.scale), dtype=np.float64),
+            slow=[wander] * 3,
+            limit=recording.claims.accel_range,
+            claimed=recording.claims.accel_noise_density,
+        ),
+        gyro=_gyroscope(recording, bins, effects, below, gravity),
+        clock=_clock(recording, effects),
+        heat=_heat(recording.accelerometer, about),
+        claims=_claims(recording),
+        effects=tuple(effects),  # type: ignore[arg-type]  # every member of the registry
+    )
+
+
+def _clock(recording: Recording, effects: Sequence[Effect]) -> ClockSettings:
+    """Return the stamps' clock, with their scatter and what is missing unless effects have these."""
+    told = {e.name for e in effects}
+    scatter, missing = stamps_measured(recording.accelerometer)
+    return ClockSettings(
+        shared=_together(recording.accelerometer, recording.gyroscope),
+        jitter_s=0.0 if "timestamp_jitter" in told else float(f"{scatter:.4g}"),
+        drop_fraction=0.0 if "dropped_samples" in told or missing > MOST_MISSING else float(f"{missing:.3g}"),
+    )
+
+
+def plain_phone(
+    phone: Phone, found: Sequence[Mapped], known: Sequence[Effect], recording: Recording, below: Affine
+) -> Phone:
+    """Return the phone as it was before anything was found: affine, its wander the same, its clock even.
+
+    below: the affine phone fitted with no effects but those known before.
+    """
+    scale = _matrix(np.asarray(np.linalg.inv(below.baseline.scale), dtype=np.float64))
+    loud = {m.finding.sensor for m in found if m.finding.effect in IN_WHITE}
+    claims = recording.claims
+    accel = _as_claimed(phone.accel, claims.accel_noise_density if "accel" in loud else None, "accel" in loud)
+    gyro = phone.gyro
+    if gyro is not None:
+        quiet_gyro = _as_claimed(gyro, claims.gyro_noise_density if "gyro" in loud else None, "gyro" in loud)
+        gyro = msgspec.structs.replace(quiet_gyro, bias=_vector(below.rate_bias))
+    accel = msgspec.structs.replace(accel, bias=_vector(below.baseline.bias), scale=scale)
+    clock = ClockSettings(shared=phone.clock.shared)
+    return msgspec.structs.replace(phone, accel=accel, gyro=gyro, clock=clock, effects=tuple(known))
+
+
+def _as_claimed(settings: SensorSettings, density: float | None, loud: bool) -> SensorSettings:
+    """Return a sensor whose white noise is as claimed, or alike on its axes where nothing is claimed."""
+    if not loud:
+        return settings
+    white = density or float(np.median(per_axis(settings.noise.white)))
+    noise = msgspec.structs.replace(settings.noise, white=white)
+    return msgspec.structs.replace(settings, noise=noise)
+
+
+def _claims(recording: Recording) -> Claims:
+    """Return what the maker says of the phone; what it does not say is then taken from the settings."""
+    return msgspec.convert(msgspec.to_builtins(recording.claims.without_counts()), Claims)
+
+
+def _gyroscope(
+    recording: Recording, bins: Bins, effects: Sequence[Effect], below: Affine, gravity: float
+) -> SensorSettings | None:
+    samples = recording.gyroscope
+    if samples is None:
+        return None
+    slow: list[NoiseModel | None] = [None] * 3
+    if bins.rate is not None:
+        slow = [_wander(bins, bins.rate[:, a] - below.gyro[:, a]) for a in range(3)]
+    scale = np.asarray(np.linalg.inv(aligned(samples, bins, gravity).mapping))
+    return _sensor(
+        samples,
+        bins,
+        effects,
+        bias=below.rate_bias,
+        scale=scale,
+        slow=slow,
+        limit=recording.claims.gyro_range,
+        claimed=recording.claims.gyro_noise_density,
+    )
+
+
+def _sensor(
+    samples: Samples,
+    bins: Bins,
+    effects: Sequence[Effect],
+    *,
+    bias: Array,
+    scale: Array,
+    slow: Sequence[NoiseModel | None],
+    limit: float | None,
+    claimed: float | None,
+) -> SensorSettings:
+    rate = 1.0 / float(np.median(np.diff(samples.t)))
+    steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
+    coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
+    # Noise that hides in a coarse step has no level of its own: the maker's word is then all there is.
+    level = np.full(3, claimed) if coarse and claimed else _density(samples, bins)
+    rounding = 0.0 if coarse and claimed else max([0.0, *steps]) ** 2 / (6.0 * rate)
+    lsb = float(np.median(steps)) if steps and not coarse else 0.0
+    return SensorSettings(
+        rate_hz=round(rate, 6),
+        bias=_vector(bias),
+        scale=_matrix(scale),
+        noise=_noise(samples, effects, level, slow, rounding),
+        lsb=lsb,
+        range=limit,
+    )
+
+
+def _noise(
+    samples: Samples,
+    effects: Sequence[Effect],
+    level: Array,
+    slow: Sequence[NoiseModel | None],
+    rounding: float,
+) -> Noise:
+    """Return the noise that, with the effects on it and the step's rounding, has the measured density.
+
+    rounding: what the step of the values adds to the density's square.
+    """
+    white = level**2 - rounding
+    white = np.sqrt(np.maximum(white, 0.0)) / np.sqrt(_tail_power(samples, effects))
+    walks = any(e.name.endswith("bias_random_walk") and e.concerns(samples.sensor) for e in effects)
+    known = [m or NoiseModel(0.0) for m in slow]
+    sigma = [m.gauss_markov for m in known]
+    taus = [m.tau for m, s in zip(known, sigma, strict=True) if s > 0.0]
+    wandering = Wandering(sigma=_vector(np.array(sigma)), tau_s=float(np.median(taus))) if taus else None
+    return Noise(
+        white=_vector(white),
+        flicker=_vector(np.array([m.flicker for m in known]) / FLOOR),
+        gauss_markov=() if wandering is None else (wandering,),
+        random_walk=(0.0, 0.0, 0.0) if walks else _vector(np.array([m.walk for m in known])),
+    )
+
+
+def _density(samples: Samples, bins: Bins) -> Array:
+    """Return the density (3,) of single samples' noise inside rests, below any cutoff; 0 without rests."""
+    still = quiet(samples, bins)
+    if len(still.pieces) < 3:
+        return np.zeros(3)
+    return density(still)
+
+
+def _tail_power(samples: Samples, effects: Sequence[Effect]) -> float:
+    """Return by how much heavy tails raise the power of the noise."""
+    for effect in effects:
+        if effect.name == "noise_heavy_tailed" and effect.concerns(samples.sensor):
+            told = msgspec.to_builtins(effect)
+            return 1.0 + float(told.get("fraction", 0.02)) * (float(told["ratio"]) ** 2 - 1.0)
+    return 1.0
+
+
+def _force_wander(bins: Bins, below: Affine, gravity: float) -> NoiseModel | None:
+    """Return the slow noise that gravity's norm shows, taken to be alike on the axes."""
+    up, scale = below.baseline.up, below.baseline.scale
+    corrected = (bins.force - below.accel - below.baseline.bias) @ scale.T
+    return _wander(bins, np.einsum("na,na->n", up, corrected) - gravity)
+
+
+def _wander(bins: Bins, values: Array) -> NoiseModel | None:
+    """Fit coloured noise to residuals (n,) of the bins, a few neighbours together where there are many."""
+    if len(bins) < LEAST_BINS:
+        return None
+    together = max(1, round(len(bins) / MOST_BINS))
+    cuts = np.flatnonzero((np.arange(len(bins)) % together == 0) | (np.diff(bins.rest, prepend=-1) != 0))
+    weight = np.add.reduceat(bins.duration, cuts)
+    t, value = (np.add.reduceat(x * bins.duration, cuts) / weight for x in (bins.t, values))
+    if t.size < LEAST_BINS:
+        return None
+    return _bounded(fit_noise(t, weight, value, TAUS), bins, values)
+
+
+def _bounded(found: NoiseModel, bins: Bins, values: Array) -> NoiseModel:
+    """Keep wander within what neighbouring bins of one rest differ by.
+
+    Flicker moves as much between neighbours as over any time, so what follows an attitude or a curve without
+    a name, and moves more between rests than in them, is no flicker.
+    """
+    inside = np.diff(bins.rest) == 0
+    if inside.sum() < LEAST_BINS:
+        return found
+    step = float(np.sqrt(np.mean(np.diff(values)[inside] ** 2) / 2.0))
+    decay = 1.0 - np.exp(-float(np.median(bins.duration)) / found.tau)
+    return replace(
+        found,
+        flicker=min(found.flicker, step),
+        gauss_markov=min(found.gauss_markov, step / float(np.sqrt(decay))),
+        walk=min(found.walk, step / float(np.sqrt(np.median(bins.duration)))),
+    )
+
+
+def _together(one: Samples, other: Samples | None) -> bool:
+    return other is None or bool(np.array_equal(one.t, other.t))
+
+
+def _heat(samples: Samples, about: Lived) -> HeatSettings:
+    warm = samples.temperature
+    known = np.empty(0) if warm is None else warm[np.isfinite(warm)]
+    step = comb_step(known) if known.size else None
+    return HeatSettings(
+        reference_c=about.reference_c, thermometer=bool(known.size), thermometer_lsb_c=step or 0.0
+    )
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = (float(f"{v:.6g}") for v in values)
+    return (x, y, z)
+
+
+def _matrix(values: Array) -> Matrix:
+    x, y, z = (_vector(row) for row in values)
+    return (x, y, z)
+
+
+def phone_text(phone: Phone, found: Sequence[Mapped], name: str) -> str:
+    """Return the phone as TOML, with what no effect could be written for as comments."""
+    lines = [f"# The phone of {name}, as `stillcal diagnose` found it; see docs/report.md."]
+    for m in found:
+        if m.effect is None:
+            lines += [f"# Not an effect here: {m.finding.effect} ({m.finding.sensor}): {m.why}."]
+            lines += [f"#   {m.finding.statement}"]
+    plain = [" ".join(line.split()) for line in lines]
+    return "\n".join(plain) + "\n" + dump_phone(phone)

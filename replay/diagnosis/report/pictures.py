@@ -1,0 +1,141 @@
+"""Which pictures stand beside a finding, with what they show in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.report import figures
+from stillcal.replay.diagnosis.report.curves import Curve
+from stillcal.replay.diagnosis.report.inputs import Case, Trial
+from stillcal.replay.diagnosis.report.phone_effects import Mapped
+from stillcal.replay.diagnosis.wording import readable
+from stillcal.replay.formats.trace import Recording
+
+MOST_AXES = 3
+SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
+VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed", "unknown")
+LIMITED = ("accel_saturation", "gyro_saturation")
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture as SVG, what it shows for those who do not see it, and its caption."""
+
+    svg: str
+    alt: str
+    caption: str
+
+
+def pictures(case: Case, one: Mapped, both: tuple[Trial, Trial] | None) -> list[Picture]:
+    """Return the pictures of one finding."""
+    curves = case.curves(one)[:MOST_AXES]
+    if curves:
+        return [p for curve in curves for p in _of_curve(one.finding, curve)]
+    drawn = [] if both is None else _of_samples(case, one.finding, both)
+    return drawn or _of_held_out(one.finding)
+
+
+def _of_held_out(finding: Finding) -> list[Picture]:
+    before, after = finding.evidence.heldout_rmse_before, finding.evidence.heldout_rmse_after
+    if not before > 0.0:
+        return []
+    alt = f"Held-out residual without it {before:.3g} rms, with it {after:.3g}."
+    caption = "What predicts the parts of the recording that were left out, without and with it."
+    return [Picture(figures.held_out_figure(before, after), alt, caption)]
+
+
+def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
+    drawn = figures.curve_figures(curve)
+    effect = finding.effect.replace("_", " ")
+    low, high = float(curve.point.min()), float(curve.point.max())
+    size = f"from {low:.3g} to {high:.3g} {readable(curve.unit)}"
+    against = Picture(
+        drawn[0],
+        f"Bias of axis {curve.axis} against {curve.x_name}, {size}, with the curve of {effect}.",
+        f"Axis {curve.axis}: each point is a still bin, by what the finding follows.",
+    )
+    in_time = Picture(
+        drawn[-1],
+        f"Bias of axis {curve.axis} in time, {size}, with the held-out prediction of {effect}.",
+        f"Axis {curve.axis}: the line in each fifth was fitted to the other four; the dots about zero are"
+        " what it leaves."
+        if curve.held is not None
+        else f"Axis {curve.axis} in time: what no effect of the catalogue explains.",
+    )
+    return [in_time] if len(drawn) == 1 else [against, in_time]
+
+
+def _of_samples(case: Case, finding: Finding, both: tuple[Trial, Trial]) -> list[Picture]:
+    """Return the picture of what single samples or stamps do; none where no kind of picture shows it."""
+    three = _three(case, finding, both)
+    kind = _kind(finding)
+    if three is None or kind is None:
+        return []
+    draw, what, caption = kind
+    alt = f"{what}: recorded, simulated before and simulated after."
+    return [Picture(draw(three, UNIT.get(finding.sensor, "")), alt, caption)]
+
+
+Draw = Callable[[figures.Three, str], str]
+
+
+def _kind(finding: Finding) -> tuple[Draw, str, str] | None:
+    """Return how a finding is drawn, what the picture is of, and its caption."""
+    axis = "xyz".index(finding.axes[0]) if finding.axes else 0
+    if finding.effect in SPECTRAL:
+        mark = _number(finding, "frequency", "cutoff")
+        draw: Draw = lambda three, unit: figures.spectrum_figure(three, unit, mark)  # noqa: E731 - one of five
+        return (
+            draw,
+            "Noise density at rest",
+            "Noise inside rests, by frequency: with what was found the dashed line should lie on what was"
+            " recorded.",
+        )
+    if finding.effect in LIMITED:
+        limit = _number(finding, "limit") or 1.0
+        return (
+            lambda t, unit: figures.extremes_figure(t, unit, limit),
+            "Histogram of largest values",
+            "How often a sample's largest value is how large. Between rests the simulated phone moves roughly"
+            " as recorded, and may not reach the limit.",
+        )
+    if finding.sensor == "timing":
+        late = finding.effect == "arrival_bursts"
+        caption = "How often an interval is how long, on a logarithmic scale."
+        return lambda t, _: figures.intervals_figure(t, arrival=late), "Histogram of intervals", caption
+    if finding.effect in VALUED and finding.where.driver != "rate of turn":
+        caption = "How far single samples lie from the mean of their still bin, on a logarithmic scale."
+        return lambda t, unit: figures.values_figure(t, unit, axis), "Histogram of samples at rest", caption
+    return None
+
+
+def _number(finding: Finding, *names: str) -> float | None:
+    for name in names:
+        value = finding.parameters[name].value if name in finding.parameters else None
+        if isinstance(value, float):
+            return value
+    return None
+
+
+def _three(case: Case, finding: Finding, both: tuple[Trial, Trial]) -> figures.Three | None:
+    """Return the sensor's samples recorded, before and after; None where there are none."""
+    found = [
+        (case.recording, case.bins, "recorded", figures.RECORDED),
+        (both[0].made, both[0].bins, "simulated before", figures.BEFORE),
+        (both[1].made, both[1].bins, "simulated after", figures.AFTER),
+    ]
+    rows = []
+    for recording, bins, label, colour in found:
+        samples = _samples(recording, finding.sensor)
+        if samples is None:
+            return None
+        rows.append((label, colour, samples, bins))
+    return rows
+
+
+def _samples(recording: Recording, sensor: str) -> Samples | None:
+    return recording.gyroscope if sensor == "gyro" else recording.accelerometer

@@ -1,0 +1,118 @@
+"""The recording as a simulated phone would have lived it: what it felt, and what a phone file adds to that.
+
+The phone's own forward equations (`stillcal.replay.phone`) are evaluated on what the recording observed:
+temperature, charging, attitude, rate, time since the start. Nothing is fitted here but the affine baseline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.residuals import Baseline, fit_baseline
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.phone.effect_base import Circumstances, Effect, Moment
+from stillcal.replay.phone.effect_registry import EFFECTS
+from stillcal.replay.phone.heat import Surroundings
+from stillcal.replay.phone.noise import seeded
+from stillcal.replay.phone.timeline import Steps
+
+UNSEEN = frozenset({"spikes", "vibration_tone", "tilt_creep"})
+"""Effects whose course a recording does not tell: random, of unknown phase, or true motion."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lived:
+    """What a phone lived through. t_start: s, the stamp of its start; reference_c: degC, mean temperature.
+
+    surroundings: charging and use (where it moved) by s since the start.
+    """
+
+    t_start: float
+    reference_c: float
+    surroundings: Surroundings
+
+
+def lived(bins: Bins) -> Lived:
+    """Return what the still bins and their events tell of the surroundings."""
+    start = bins.span[0]
+    reference = 25.0 if bins.temperature is None or len(bins) == 0 else float(bins.temperature.mean())
+    active = np.flatnonzero(np.diff(bins.activity[:, 1], prepend=np.nan) != 0.0)
+    t = bins.activity[active, 0] - start
+    use, plug = Steps.of(t, bins.activity[active, 1]), _charger(bins)
+    both = np.union1d(use.t, plug.t)
+    steady = Steps.of(both, np.full(both.size, reference))
+    return Lived(start, reference, Surroundings(steady, Steps.of(both, use.at(both)), _on(both, plug)))
+
+
+def _on(t: Array, steps: Steps) -> Steps:
+    return Steps.of(t, steps.at(t))
+
+
+def _charger(bins: Bins) -> Steps:
+    if bins.charging_switches is None:
+        return Steps.of([0.0], [0.0])
+    return Steps.of(bins.charging_switches[:, 0] - bins.span[0], bins.charging_switches[:, 1])
+
+
+def at_bins(bins: Bins, about: Lived, up: Array, gravity: float = STANDARD) -> Moment:
+    """Return what the phone felt in the middle of every still bin. up: (n, 3) unit gravity."""
+    t, still = bins.t - about.t_start, np.zeros((len(bins), 3))
+    warmth = np.zeros(len(bins)) if bins.temperature is None else bins.temperature - about.reference_c
+    charging = about.surroundings.charging.at(t) if bins.charging is None else bins.charging
+    return Moment(t, gravity * up, still, still, warmth, charging)
+
+
+def observable(effect: Effect) -> bool:
+    """Whether what an effect adds to the output follows from what a recording observes."""
+    kind = EFFECTS[effect.name]
+    acts = kind.output_term is not Effect.output_term or kind.input_term is not Effect.input_term
+    return acts and effect.name not in UNSEEN
+
+
+def added(effects: Sequence[Effect], sensor: Sensor, moment: Moment, about: Lived, rate_hz: float) -> Array:
+    """Return what the observable effects add to a sensor's output, (n, 3), in its unit."""
+    total = np.zeros_like(moment.force)
+    for effect in effects:
+        if not (observable(effect) and effect.concerns(sensor)):
+            continue
+        circumstances = Circumstances(rate_hz, about.surroundings, seeded(0, effect.name))
+        terms = (effect.input_term(circumstances), effect.output_term(sensor, circumstances))
+        total = sum((term(moment) for term in terms if term is not None), start=total)
+    return total
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Affine:
+    """The affine phone beneath the effects. accel, gyro: what the effects add in every bin, (n, 3)."""
+
+    baseline: Baseline
+    rate_bias: Array
+    accel: Array
+    gyro: Array
+
+
+def affine(bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float, rounds: int = 2) -> Affine:
+    """Fit the affine phone to the still bins with the effects off; a faultless phone where there are none."""
+    accel = gyro = np.zeros_like(bins.force)
+    if len(bins) == 0:
+        faultless = Baseline(np.eye(3), np.zeros(3), np.empty((0, 3)), np.empty(0), np.empty((0, 9)))
+        return Affine(faultless, np.zeros(3), accel, gyro)
+    for _ in range(rounds):
+        baseline = fit_baseline(bins.force - accel, bins.force_variance, bins.rest, gravity)
+        moment = at_bins(bins, about, baseline.up, gravity)
+        accel = added(effects, Sensor.ACCELEROMETER, moment, about, 1.0 / 10.0)
+        gyro = added(effects, Sensor.GYROSCOPE, moment, about, 1.0 / 10.0)
+    baseline = fit_baseline(bins.force - accel, bins.force_variance, bins.rest, gravity)
+    return Affine(baseline, _mean_rate(bins, gyro), accel, gyro)
+
+
+def _mean_rate(bins: Bins, gyro: Array) -> Array:
+    if bins.rate is None:
+        return np.zeros(3)
+    return np.asarray(np.average(bins.rate - gyro, axis=0, weights=bins.duration))

@@ -1,0 +1,95 @@
+"""Finding recordings in a folder or by a pattern, and whose they are by where they lie."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillcal.replay.formats.claims import beside
+from stillcal.replay.formats.columns import load_map
+from stillcal.replay.formats.trace import other_file
+
+PLAIN = (".csv", ".csv.gz")
+"""How recordings end whose format does not say otherwise."""
+
+_WILD = frozenset("*?[")
+
+
+class NoRecordingsError(ValueError):
+    """Nothing was found where recordings were looked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A recording and where it lies. name: its path below the folder that was looked through.
+
+    device, model: by its folders; what the maker claims of the model comes before the folder's name. Below
+    the root MODEL/DEVICE/recording; with one folder only, MODEL/recording, each recording its own device,
+    or, where the maker claims the model, DEVICE/recording. files: it and what belongs to it.
+    """
+
+    path: Path
+    name: str
+    folders: tuple[str, ...]
+    files: tuple[Path, ...]
+
+    def owner(self, claimed: str | None) -> tuple[str, str]:
+        """Return (model, device), given the model that the maker claims."""
+        stem = beside(Path(self.path.name), "").name
+        if len(self.folders) >= 2:
+            return claimed or self.folders[-2], "/".join(self.folders)
+        if len(self.folders) == 1:
+            return claimed or self.folders[0], self.folders[0] if claimed else f"{self.folders[0]}/{stem}"
+        return claimed or "unknown", stem
+
+    @property
+    def stat(self) -> tuple[int, int]:
+        """Size in bytes of all its files, and when the last of them was changed, ns."""
+        stats = [file.stat() for file in self.files]
+        return sum(s.st_size for s in stats), max(s.st_mtime_ns for s in stats)
+
+
+def find(where: str, format: str = "csv") -> list[Found]:
+    """Return the recordings below the folder `where`, or those that the pattern `where` fits, by name.
+
+    A pattern may hold ** for any depth. A folder is searched for .csv and .csv.gz; formats of other names
+    need a pattern. Raises NoRecordingsError where there is none.
+    """
+    wild = bool(_WILD & set(where)) and not Path(where).exists()
+    root = _root(where) if wild else Path(where)
+    paths = root.glob(str(Path(where).relative_to(root))) if wild else _below(root)
+    rules = () if format == "rest" else _rules(format)
+    recordings = sorted(p for p in paths if p.is_file() and not p.name.startswith("."))
+    others = {other for p in recordings if (other := other_file(p, rules)) is not None}
+    found = [_found(p, root, rules) for p in recordings if p not in others]
+    if not found:
+        there = f"no {' or '.join(PLAIN)} below" if root.exists() else "no file or folder"
+        what = "no file fits" if wild else there
+        raise NoRecordingsError(f"{what} {where}: name a folder of recordings or a pattern in quotes")
+    return found
+
+
+def _rules(format: str) -> tuple[tuple[str, str], ...]:
+    gyroscope = load_map(format).gyroscope
+    return gyroscope.other_file if gyroscope else ()
+
+
+def _below(root: Path) -> Iterable[Path]:
+    if not root.is_dir():
+        return [root]
+    return (p for p in root.rglob("*") if p.name.endswith(PLAIN))
+
+
+def _root(pattern: str) -> Path:
+    """Return the folder before the first part of a pattern that has a wildcard."""
+    parts = Path(pattern).parts
+    first = next(i for i, part in enumerate(parts) if _WILD & set(part))
+    return Path(*parts[:first])
+
+
+def _found(path: Path, root: Path, rules: tuple[tuple[str, str], ...]) -> Found:
+    inside = path.relative_to(root) if path != root else Path(path.name)
+    other = other_file(path, rules)
+    around = (beside(path, ".json"), beside(path, ".events.jsonl"), *([other] if other else []))
+    return Found(path, str(inside), inside.parts[:-1], (path, *(p for p in around if p.is_file())))

@@ -1,0 +1,63 @@
+"""A new phone's first calibration: whatever rests its recording has, and what the fleet says of its model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.accelerometer import prior as fleet_prior
+from stillcal.calib_core.accelerometer.prior import FleetPrior, PriorFit
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.static.detector import StationaryDetector
+from stillcal.calib_core.static.rest import RestState, attitude_labels, force_uncertainties, forces
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import Trace
+
+_REST = "let the phone lie still for half a minute, in as many attitudes as may be"
+_STRANGE = "check --format's unit and --model, or calibrate from its rests alone: stillcal replay"
+
+
+def first_calibration(trace: Trace, prior: FleetPrior) -> tuple[PriorFit, list[RestState]]:
+    """Find a recording's rests and fit them from the prior, with the rests that it stands on.
+
+    Gravity is what the maker claims, else the standard value. Raises NotSupported where the recording has no
+    rest, and TraceError where its rests are not those of a phone that the prior speaks of.
+    """
+    detector, rests = StationaryDetector(), list[RestState]()
+    for chunk in trace.chunks():
+        rests += detector.feed(chunk.gyroscope, chunk.accelerometer)
+    rests += detector.finish()
+    if not rests:
+        raise NotSupported(f"{trace.path}: no rest was found", (_REST,))
+    gravity = trace.claimed_gravity() or STANDARD
+    try:
+        fit = fleet_prior.fit(forces(rests), force_uncertainties(rests), gravity, prior)
+    except NotSupported:
+        raise TraceError(trace.path, "the fit did not converge", _STRANGE) from None
+    off = fleet_prior.surprise(fit, prior)
+    if off.squared > off.limit:
+        whose = prior.model or "any model"
+        what = f"its rests contradict the prior of {whose}: {off.parameter} is {off.sds:.1f} sd from its mean"
+        raise TraceError(trace.path, what, _STRANGE)
+    return fit, rests
+
+
+def document(fit: PriorFit, rests: list[RestState], prior: FleetPrior) -> dict[str, Any]:
+    """Return the calibration in the layout of `stillcal replay --json`, with where it comes from."""
+    labels = attitude_labels(forces(rests), fleet_prior.ATTITUDE_ANGLE)
+    accelerometer = {
+        "scale": fit.model.scale.tolist(),
+        "bias": fit.model.bias.tolist(),
+        "gravity": fit.gravity,
+        "parameters": 9,
+        "names": list(prior.names),
+        "covariance": fit.covariance.tolist(),
+        "rms_residual": float(np.sqrt(np.mean(fit.residuals**2))) if rests else None,
+        "n_rests": len(rests),
+        "n_states": int(labels.max(initial=-1)) + 1,
+        "worst_norm_uncertainty": fit.worst_norm_uncertainty,
+    }
+    source = {"model": prior.model, "devices": prior.devices, "shown_by_rests": fit.shown.tolist()}
+    return {"schema": 1, "accelerometer": accelerometer, "prior": source}

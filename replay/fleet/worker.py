@@ -1,0 +1,201 @@
+"""What a worker does with one recording: calibrate, diagnose, and never raise because the recording is bad.
+
+A task goes out and its outcome comes back as plain values, so that either passes any wire.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.accelerometer.parameters import AXES, LOWER
+from stillcal.calib_core.calibration.record import SensorRecord
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.diagnose import diagnosed
+from stillcal.replay.fleet.discovery import Found
+from stillcal.replay.formats.rest_table import read_rest_table
+from stillcal.replay.formats.trace import Recording, Trace, open_trace
+from stillcal.replay.runner import Outcome, replay, replay_rests
+
+CALIBRATED, REFUSED, ERROR, LOST = "calibrated", "refused", "error", "lost"
+"""What can come of a recording. Refused: it supports no calibration. Lost: the workers that had it died."""
+
+_UNMIRRORED = {low: high for high, low in LOWER.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A recording to be examined. format: as for `stillcal replay`; watch: how the engine looks."""
+
+    found: Found
+    format: str = "csv"
+    watch: str = "continuous"
+    diagnose: bool = True
+
+
+@dataclass(slots=True)
+class Examined:
+    """What came of it: columns of its row (tables.py), and rows of findings."""
+
+    row: dict[str, Any]
+    findings: list[dict[str, Any]] = field(default_factory=list)
+
+
+def examined(task: Task) -> Examined:
+    """Calibrate and diagnose one recording; whatever is wrong with it becomes its row."""
+    outcome = Examined(identity(task))
+    try:
+        outcome.row["content"] = content(task.found)
+        with np.errstate(all="ignore"):  # of a bad recording; its row says what matters
+            _examine(task, outcome)
+    except Exception as error:  # one bad recording must not stop thousands of others
+        outcome.row |= {"status": ERROR, "reason": f"{type(error).__name__}: {error}"}
+    return outcome
+
+
+def identity(task: Task) -> dict[str, Any]:
+    """Return the columns known before a recording is opened."""
+    model, device = task.found.owner(None)
+    return {"name": task.found.name, "model": model, "device": device, "format": task.format}
+
+
+def content(found: Found) -> str:
+    """Return a digest of all files of a recording."""
+    digest = hashlib.blake2b(digest_size=16)
+    for file in found.files:
+        with file.open("rb") as opened:
+            while block := opened.read(1 << 20):
+                digest.update(block)
+        digest.update(b"\0")
+    return digest.hexdigest()
+
+
+def _examine(task: Task, outcome: Examined) -> None:
+    row, began = outcome.row, time.perf_counter()
+    if task.format == "rest":
+        row |= _calibration(replay_rests(read_rest_table(task.found.path), _engine(task, None), _ignore))
+        row["calibrate_s"] = time.perf_counter() - began
+        return
+    trace = open_trace(task.found.path, task.format)
+    row["model"], row["device"] = task.found.owner(trace.claims.device)
+    chunks = list(trace.chunks())
+    row |= _stamps(Samples.joined(c.accelerometer for c in chunks).t)
+    row |= _calibration(replay(chunks, _engine(task, trace), _ignore))
+    row["calibrate_s"] = time.perf_counter() - began
+    if task.diagnose:
+        began = time.perf_counter()
+        gyroscope = Samples.joined(c.gyroscope for c in chunks) if trace.has_gyroscope else None
+        accelerometer = Samples.joined(c.accelerometer for c in chunks)
+        recording = Recording(accelerometer, gyroscope, trace.events, trace.claims, trace.notes)
+        _diagnosis(recording, outcome)
+        row["diagnose_s"] = time.perf_counter() - began
+
+
+def _ignore(_: object) -> None:
+    return None
+
+
+def _engine(task: Task, trace: Trace | None) -> Engine:
+    settings = EngineSettings()
+    gravity = None if trace is None else trace.claimed_gravity()
+    schedule = replace(settings.schedule, watch=task.watch, gravity=gravity)  # type: ignore[arg-type]
+    return Engine(replace(settings, schedule=schedule))
+
+
+def _stamps(t: np.ndarray) -> dict[str, Any]:
+    """Return the sampling rate and how it scatters: sd of the steps over their median, gaps left out."""
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    kept = steps[(steps > 0) & (steps < 3 * usual)]
+    if usual <= 0 or kept.size == 0:
+        return {}
+    return {"rate_hz": 1.0 / usual, "rate_jitter": float(kept.std()) / usual}
+
+
+def _calibration(outcome: Outcome) -> dict[str, Any]:
+    """Return the columns that a replay gives."""
+    state, record = outcome.state, outcome.record
+    assert state is not None
+    rests = state.pool.rests
+    row: dict[str, Any] = {
+        "duration_s": outcome.duration,
+        "samples": outcome.samples,
+        "rests": state.counters.rests,
+        "turns": state.counters.turns,
+        "attitudes": state.attitudes,
+        "noise": float(np.median([np.mean(r.force_sd) for r in rests])) if rests else None,
+    }
+    if record is None or record.accelerometer is None:
+        refusal = state.refusal
+        missing = [] if refusal is None else list(refusal.missing)
+        reason = "no rest was found" if refusal is None else refusal.reason
+        return row | {"status": REFUSED, "reason": reason, "missing": missing}
+    accel = record.accelerometer
+    row |= {
+        "status": CALIBRATED,
+        "gravity": accel.gravity,
+        "temperature_min": record.validity.temperature_min,
+        "temperature_max": record.validity.temperature_max,
+        "most_helpful_attitude": accel.most_helpful_attitude,
+        **dict(_columns("accel", accel)),
+    }
+    return row | ({} if record.gyroscope is None else dict(_columns("gyro", record.gyroscope)))
+
+
+def _columns(sensor: str, part: SensorRecord) -> Iterator[tuple[str, Any]]:
+    """Return one sensor's parameters, each with its standard deviation where it was estimated."""
+    covariance = np.empty((0, 0)) if part.covariance is None else part.covariance
+    variances: dict[str, float] = dict(zip(part.names, np.diag(covariance).tolist(), strict=False))
+
+    def sd(name: str) -> float | None:
+        variance = variances.get(name, variances.get(_UNMIRRORED.get(name, "")))
+        return None if variance is None or not variance >= 0.0 else float(np.sqrt(variance))
+
+    yield f"{sensor}_parameters", part.parameters
+    yield f"{sensor}_rms_residual", part.rms_residual
+    for i, axis in enumerate(AXES):
+        yield f"{sensor}_bias_{axis}", float(part.bias[i])
+        yield f"{sensor}_bias_{axis}_sd", sd(f"b_{axis}")
+        for j, other in enumerate(AXES):
+            yield f"{sensor}_scale_{axis}{other}", float(part.scale[i, j])
+            yield f"{sensor}_scale_{axis}{other}_sd", sd(f"S_{axis}{other}")
+    if part.covariance is not None and np.isfinite(part.covariance).all():
+        yield f"{sensor}_names", list(part.names)
+        yield f"{sensor}_covariance", part.covariance.ravel().tolist()
+
+
+def _diagnosis(recording: Recording, outcome: Examined) -> None:
+    row = outcome.row
+    try:
+        answer = diagnosed(recording, row["name"])
+    except NotSupported as refusal:
+        row["verdict"] = f"too little data: {refusal}"
+        return
+    outcome.findings = [_finding(row, found) for found in answer["findings"]]
+    row |= {"verdict": answer["verdict"], "findings": len(outcome.findings), "limits": answer["limits"]}
+
+
+def _finding(row: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
+    """Return a finding's row: its first parameter in columns of its own."""
+    parameters: dict[str, dict[str, Any]] = found["parameters"]
+    name = next(iter(parameters), None)
+    first = {} if name is None else parameters[name]
+    where, evidence = found["where"], found["evidence"]
+    return {
+        **{k: row[k] for k in ("name", "model", "device")},
+        **{k: found[k] for k in ("effect", "sensor", "axes", "statement")},
+        **{k: where[k] for k in ("t_start", "t_end", "driver")},
+        **{k: evidence[k] for k in ("p_value", "heldout_log_score_gain")},
+        "parameter": name,
+        "value": None if name is None else np.ravel(first["value"]).astype(float).tolist(),
+        "unit": first.get("unit"),
+        "indistinguishable": [a["effect"] for a in found["alternatives"] if a["indistinguishable"]],
+    }

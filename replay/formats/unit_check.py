@@ -1,0 +1,125 @@
+"""Does a recording look as if it were in m/s^2 and rad/s? Mistaken units are recognised and said.
+
+Acceleration is judged by its norm: for the first samples together it must not be what g, mg or raw
+counts would give. Rates are judged by gravity: as the phone turns, gravity's direction turns against it,
+so the factor between the rates and the turning shows the unit.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.formats.axis_check import Turning, turnings
+from stillcal.replay.formats.errors import TraceError
+
+OPENING, ENOUGH = 200, 2000
+"""Samples after which the acceleration is judged: by its beginning, often a rest, and again with more."""
+
+FEWEST = 10
+"""Samples without which nothing is judged."""
+
+DEGREE = float(np.pi / 180)
+_VOTES = 3
+"""Stretches that must show a unit, and be the most of those that show anything, before it is believed."""
+
+_CLEARLY = 10.0
+"""One unit must leave this many times the squared misfit of another to be ruled out: more than the 4 that
+a gyroscope turned against the accelerometer's axes gives (residual twice the turning)."""
+
+_SEEN = 2e-3
+"""rad, rms over pairs of bins: smaller turning shows nothing."""
+
+_TILT = 0.2
+"""rad: how far biases and misalignment may tilt the force from gravity as the gyroscope's axes have it; a
+fast spin about the vertical then seems to turn gravity by this much of its angle."""
+
+_SLOWEST_STEP = 1.0
+"""s: a longer median step is another unit of time; a sensor's of less than 1 kHz is longer in ms."""
+
+_MAP = "in a column map given as --format (docs/formats.md)"
+
+
+@dataclass(slots=True)
+class UnitCheck:
+    """Looks at a recording as it goes by, and raises TraceError when its units cannot be right."""
+
+    path: Path
+    _norms: list[Array] = field(default_factory=list)
+    _seen: int = 0
+    _votes: Counter[str] = field(default_factory=Counter)
+    _settled: bool = False
+
+    def see(self, accelerometer: Samples, gyroscope: Samples) -> None:
+        """Take in the next stretch of the recording. Raises TraceError."""
+        before, self._seen = self._seen, self._seen + len(accelerometer)
+        if before == 0:
+            self._judge_time(accelerometer.t)
+        if before < ENOUGH:
+            self._norms.append(np.linalg.norm(accelerometer.xyz, axis=1))
+        if before < OPENING <= self._seen:
+            self._judge_size(np.concatenate(self._norms)[:OPENING])
+        if before < ENOUGH <= self._seen:
+            self.finish()
+        if not self._settled:
+            self._votes.update(map(shown_unit, turnings(accelerometer, gyroscope)))
+            self._judge_rates()
+
+    def finish(self) -> None:
+        """Judge the acceleration by what was seen; called again at the end it has nothing left to say."""
+        if self._norms and self._seen >= FEWEST:
+            norms = np.concatenate(self._norms)[:ENOUGH]
+            if not norms.any():
+                what = f"the accelerometer reads zero in all of the first {norms.size} samples"
+                raise TraceError(self.path, what, "check that it was on and that the columns are its own")
+            self._judge_size(norms)
+        self._norms = []
+
+    def _judge_time(self, t: Array) -> None:
+        """Refuse stamps that cannot be seconds: of a sensor that gives less than a sample a second."""
+        step = float(np.median(np.diff(t))) if t.size > FEWEST else 0.0
+        if step > _SLOWEST_STEP:
+            what = f"the time stamps step by {step:.6g}, where a sensor's step by {_SLOWEST_STEP:g} s at most"
+            raise TraceError(self.path, what, f'give s, or set unit = "ns", "us" or "ms" {_MAP}')
+
+    def _judge_size(self, norms: Array) -> None:
+        low, middle, high = np.quantile(norms, (0.05, 0.5, 0.95))
+        seen = f"the acceleration is about {middle:.4g} in size where m/s^2 would give 9.8"
+        for unit, one in (("g", 1.0), ("mg", 1000.0)):
+            if 0.7 * one < middle < 1.4 * one and 0.2 * one < low and high < 4 * one:
+                what = f"{seen}: it seems to be {unit}"
+                raise TraceError(self.path, what, f'give m/s^2, or set unit = "{unit}" {_MAP}')
+        if low > 60:
+            what = f"{seen}: raw counts?"
+            remedy = f'say accel_unit (m/s^2 in one count) in NAME.json, or unit = "counts" {_MAP}'
+            raise TraceError(self.path, what, remedy)
+
+    def _judge_rates(self) -> None:
+        votes = self._votes
+        for unit, stated in (("deg/s", "rad/s"), ("rad/s", "deg/s")):
+            if votes[unit] >= _VOTES and votes[unit] > votes["as stated"] + votes["unclear"]:
+                what = f"the rates are not {stated}: gravity's direction turns as if they were {unit}"
+                raise TraceError(self.path, what, f'give rad/s, or set unit = "{unit}" {_MAP}')
+        self._settled = votes["as stated"] >= _VOTES
+
+
+def shown_unit(turning: Turning) -> str:
+    """Return the unit that a stretch shows the rates to have.
+
+    "deg/s" where they were read as rad/s, "rad/s" where they were read as deg/s, else "as stated",
+    "unclear", or "silent" where too little turns.
+    """
+    right, degrees, radians = (turning.misfit(k) for k in (1.0, DEGREE, 1 / DEGREE))
+    seen = turning.pairs * _SEEN**2
+    if right > max(_CLEARLY * degrees, seen, _TILT**2 * turning.spread):
+        return "deg/s"
+    if right > max(_CLEARLY * radians, seen):
+        return "rad/s"
+    if degrees > max(_CLEARLY * right, seen):
+        return "as stated"
+    return "silent" if max(right, degrees) < seen else "unclear"

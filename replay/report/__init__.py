@@ -1,4 +1,0 @@
-"""What a person sees and takes away of a diagnosis: coverage, map, figures, page, phone file, comparison.
-
-Nothing here judges: findings come from `stillcal.calib_core.misfit`, and are shown, tried and written down.
-"""

@@ -1,0 +1,162 @@
+"""Features of how a phone moves, and windows to take them from: the simulated phone's and UCI HAR's.
+
+Collin et al. 2019, 4.2: standard deviation and peak frequency of the force's norm (Fig. 10), the list that
+follows, and the coning error of the rates. All work on windows (n, m) at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.phone import Scenario, Truth, load_phone, simulate
+from stillcal.replay.phone.carried_activities import Carry, Drive, Stairs, Walk
+from stillcal.replay.phone.resting_activities import Table
+from stillcal.replay.studies.methods.coning import coning_errors
+
+MODES = ("walking", "driving", "stationary")
+WINDOW_S = 5.0
+BANDS_HZ = ((0.5, 3.0), (3.0, 8.0), (8.0, 20.0))
+NAMES = (
+    "standard deviation (log)",
+    "peak frequency",
+    "skewness",
+    "mean absolute deviation (log)",
+    "zero-crossing rate",
+    *(f"energy {low:g} to {high:g} Hz (log)" for low, high in BANDS_HZ),
+    "ratio of lowest to highest band (log)",
+    "change of peak frequency over 4 parts",
+    "spectral entropy",
+    "coning error (log)",
+)
+TWO = (0, 1)
+"""The features of Fig. 10."""
+CARRIES: tuple[Carry, ...] = ("pocket", "hand", "bag")
+MODE_OF = {"walk": "walking", "stairs": "walking", "drive": "driving"}
+_FLOOR = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Windows with their modes. features: (n, 12), NAMES. mode: (n,) index into MODES. person: (n,).
+
+    sd: (n,) standard deviation of the norm, m/s^2.
+    """
+
+    features: Array
+    mode: NDArray[np.intp]
+    person: NDArray[np.intp]
+    sd: Array
+
+
+def features(norms: Array, rates: Array, rate_hz: float) -> Array:
+    """Return NAMES of each window, (n, 12), from norms (n, m) m/s^2 and rates (n, m, 3) rad/s at rate_hz."""
+    centred = norms - norms.mean(axis=1, keepdims=True)
+    sd = centred.std(axis=1)
+    f, power = spectrum(centred, rate_hz)
+    share = power / np.maximum(power.sum(axis=1, keepdims=True), _FLOOR)
+    energies = [power[:, (f >= low) & (f < high)].sum(axis=1) for low, high in BANDS_HZ]
+    parts = [peak_frequency(part, rate_hz) for part in np.array_split(centred, 4, axis=1)]
+    return np.column_stack(
+        (
+            _log(sd),
+            peak_frequency(centred, rate_hz),
+            (centred**3).mean(axis=1) / np.maximum(sd, _FLOOR) ** 3,
+            _log(np.abs(centred).mean(axis=1)),
+            (np.diff(np.signbit(centred), axis=1)).mean(axis=1) * rate_hz,
+            *(_log(e) for e in energies),
+            _log(energies[0]) - _log(energies[-1]),
+            np.std(parts, axis=0),
+            -(share * np.log(np.maximum(share, _FLOOR))).sum(axis=1) / np.log(f.size),
+            _log(np.array([coning_errors(np.arange(len(w)) / rate_hz, w).max() for w in rates])),
+        )
+    )
+
+
+def spectrum(centred: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Return frequencies (k,) Hz above zero and the power of windows (n, m) at them under a Hann window."""
+    hann = np.hanning(centred.shape[1])
+    power = np.abs(np.fft.rfft(centred * hann, axis=1)) ** 2
+    f = np.fft.rfftfreq(centred.shape[1], 1.0 / rate_hz)
+    return np.asarray(f[1:], dtype=np.float64), np.asarray(power[:, 1:] / centred.shape[1])
+
+
+def peak_frequency(centred: Array, rate_hz: float) -> Array:
+    """Return the frequency of most power of each window, (n,) Hz."""
+    f, power = spectrum(centred, rate_hz)
+    return np.asarray(f[power.argmax(axis=1)])
+
+
+def simulated(people: int, seed: int, minutes: float = 8.0) -> Motion:
+    """Return windows of simulated people who walk, climb, drive and put the phone down."""
+    parts = [_person(number, seed * 7907 + number, minutes) for number in range(people)]
+    return Motion(*(np.concatenate([getattr(p, name) for p in parts]) for name in Motion.__slots__))
+
+
+def ucihar(data: Path) -> Motion:
+    """Return the windows of UCI HAR, walking and climbing against sitting, standing and lying."""
+    with np.load(data / "ucihar" / "ucihar_subset.npz") as found:
+        force, rates, label, person = (
+            np.concatenate([found[f"{part}_{column}"] for part in ("train", "test")]).astype(np.float64)
+            for column in ("total_acc", "body_gyro", "y", "subject")
+        )
+    norms = STANDARD * np.linalg.norm(force, axis=2)
+    mode = np.where(label <= 3, MODES.index("walking"), MODES.index("stationary"))
+    return Motion(features(norms, rates, 50.0), mode, person.astype(np.intp), norms.std(axis=1))
+
+
+def _person(number: int, seed: int, minutes: float) -> Motion:
+    span = 60.0 * minutes
+    carry = CARRIES[number % len(CARRIES)]
+    scenario = Scenario(
+        segments=(
+            Table(duration_s=span),
+            Walk(duration_s=span, carry=carry),
+            Stairs(duration_s=span / 4.0, carry=carry),
+            Drive(duration_s=2.0 * span),
+        )
+    )
+    simulation = simulate(scenario, load_phone("typical"), seed)
+    whole = simulation.whole()
+    assert whole.gyroscope is not None, "the typical phone has a gyroscope"
+    norms, rates, mode = _windows(whole.accelerometer, whole.gyroscope, simulation.truth)
+    return Motion(features(norms, rates, 100.0), mode, np.full(len(mode), number), norms.std(axis=1))
+
+
+def _windows(accel: Samples, gyro: Samples, truth: Truth) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Cut whole windows out of every stretch of one mode."""
+    size = int(WINDOW_S * 100)
+    norms, rates, modes = [], [], []
+    forces = np.linalg.norm(accel.xyz, axis=1)
+    for mode, begin, end in _stretches(truth):
+        first, last = np.searchsorted(accel.t, (begin, end))
+        for row in range(int(first), int(last) - size, size):
+            norms.append(forces[row : row + size])
+            rates.append(gyro.xyz[row : row + size])
+            modes.append(mode)
+    return np.array(norms), np.array(rates), np.array(modes)
+
+
+def _stretches(truth: Truth) -> list[tuple[int, float, float]]:
+    """Return (mode, begin, end) of stretches of one mode; handling between them belongs to none."""
+    found: list[tuple[int, float, float]] = []
+    for interval in truth.intervals:
+        name = "stationary" if interval.still else MODE_OF.get(interval.activity)
+        if name is None:
+            continue
+        mode = MODES.index(name)
+        if found and found[-1][0] == mode and found[-1][2] == interval.t_start:
+            found[-1] = (mode, found[-1][1], interval.t_end)
+        else:
+            found.append((mode, interval.t_start, interval.t_end))
+    return found
+
+
+def _log(values: Array) -> Array:
+    return np.asarray(np.log10(np.maximum(values, _FLOOR)))

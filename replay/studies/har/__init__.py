@@ -1,0 +1,1 @@
+"""Activity recognition, which several of the studies measure calibration by."""

@@ -1,0 +1,1 @@
+"""The papers' methods that only the studies use."""

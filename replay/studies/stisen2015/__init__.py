@@ -1,0 +1,1 @@
+"""Claims of Stisen et al. 2015: how phones' sensors differ."""

@@ -1,0 +1,241 @@
+"""Still devices: how evenly their samples come (Stisen et al. 2015, 3.2-3.3, Table 1, Figures 2 and 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.formats.trace import open_trace
+from stillcal.replay.studies.claim import Claim, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.drawing import BLUE, GREEN, panels, save
+from stillcal.replay.studies.har.data import without_recordings
+from stillcal.replay.studies.har.recordings import DATA, Still, read_still
+
+NAME, TITLE, WORK = "intervals", "Intervals between samples (Table 1, Figures 2 and 3)", "Stisen 2015"
+
+RATES_HZ = {
+    "LG_G-Watch": 200.0,
+    "Samsung-Galaxy-Gear": 100.0,
+    "iphone-6_s": 100.0,
+    "Samsung-Galaxy-Pocket+": 100.0,
+    "Samsung-Galaxy-S3 Mini": 100.0,
+    "LG-Nexus4": 200.0,
+    "Samsung-Galaxy-S3": 150.0,
+    "Samsung-Galaxy-Nexus": 125.0,
+    "Samsung-Galaxy-S+": 50.0,
+    "LG-Optimus-2X": 100.0,
+    "HTC-Desire": 50.0,
+    "HTC-Nexus-One": 25.0,
+    "Samsung-Galaxy-Tab10.1": 100.0,
+}
+"""Table 1: highest accelerometer rate by model, under the names of the recordings."""
+
+PAPER = {
+    "rates": ("3.3, Table 1", "most models' median interval is near their nominal rate's", "said"),
+    "arrival": ("3.3, Figure 2a", "arrival scatters more than creation, prominently the LG Nexus 4", "said"),
+    "outliers": ("3.3, Figure 2a", "few, but long, intervals: many means lie far from the median", "said"),
+    "iphone": ("3.3", "an iPhone suspends the app: a few very long intervals", "said"),
+    "load": ("3.3, Figure 2b", "under load the Nexus 4's median interval grows from 5.2 to 9.7 ms", "1.87"),
+    "gyro": ("3.3, Figure 3", "the gyroscope's intervals look like the accelerometer's", "said"),
+}
+
+PAUSE_MS = 1000.0
+"""Longer intervals in the activity recordings lie between exercises."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intervals:
+    """Intervals of one model by creation and by arrival, ms, (n,) each."""
+
+    creation: Array
+    arrival: Array
+
+    @property
+    def scatter(self) -> tuple[float, float]:
+        """Standard deviation by creation and by arrival, ms."""
+        return float(self.creation.std()), float(self.arrival.std())
+
+
+def by_model(recordings: list[Still]) -> dict[str, Intervals]:
+    """Pool the intervals of each model's recordings."""
+    models = sorted({r.model for r in recordings})
+    return {
+        model: Intervals(
+            np.concatenate([1e3 * np.diff(r.creation) for r in recordings if r.model == model]),
+            np.concatenate([1e3 * np.diff(r.arrival) for r in recordings if r.model == model]),
+        )
+        for model in models
+    }
+
+
+def outliers(intervals: Array) -> NDArray[np.bool_]:
+    """Tell which of (n,) lie beyond 1.5 interquartile ranges of the quartiles (Tukey's whiskers)."""
+    low, high = np.percentile(intervals, [25, 75])
+    reach = 1.5 * (high - low)
+    return np.asarray((intervals < low - reach) | (intervals > high + reach), dtype=np.bool_)
+
+
+def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
+    """Compare the intervals of devices lying on their backs with what the paper says of them."""
+    if data is None:
+        return without_recordings(NAME, TITLE, [(WORK, *row) for row in PAPER.values()], seed)
+    recordings = [r for r in read_still(data) if not r.reference]
+    found = by_model([r for r in recordings if r.face == "back"])
+    progress(0.5)
+    both = {kind: _sensors(data / "hhar" / kind) for kind in ("Phones", "Watch")}
+    claims = (
+        _rates(found),
+        _arrival(found),
+        _outliers(found),
+        _iphone(found),
+        Claim(
+            WORK,
+            *PAPER["load"],
+            "",
+            "none",
+            Verdict.UNTESTED,
+            "no recording was made under load among these",
+        ),
+        _gyro(both),
+    )
+    file = _draw(found, figures)
+    progress(1.0)
+    return Study(NAME, TITLE, claims, _text(found, file), (file,), seed)
+
+
+def _sensors(folder: Path) -> tuple[Intervals, Intervals]:
+    """Return the intervals of accelerometer and gyroscope of the short activity recordings."""
+    path = folder.parent / f"{folder.name}_accelerometer.csv.gz"
+    parts = list(open_trace(path, "hhar").chunks())
+    return _of([p.accelerometer for p in parts]), _of([p.gyroscope for p in parts])
+
+
+def _of(blocks: list[Samples]) -> Intervals:
+    samples = Samples.joined([b for b in blocks if len(b)])
+    assert samples.t_arrival is not None, "this format has both stamps"
+    made, came = 1e3 * np.diff(samples.t), 1e3 * np.diff(samples.t_arrival)
+    return Intervals(made[made < PAUSE_MS], came[came < PAUSE_MS])
+
+
+def _claim(key: str, ours: str, good: bool, because: str, data: str = DATA) -> Claim:
+    return Claim(WORK, *PAPER[key], ours, data, holds(good), because)
+
+
+def _rates(found: dict[str, Intervals]) -> Claim:
+    ratios = {
+        model: float(np.median(i.creation)) * RATES_HZ[model] / 1e3
+        for model, i in found.items()
+        if model in RATES_HZ
+    }
+    off = [f"{model} {ratio:.2f} times" for model, ratio in ratios.items() if abs(ratio - 1) > 0.1]
+    near = len(ratios) - len(off)
+    why = f"most: more than half; near: within 10 %; not: {', '.join(off) or 'none'}"
+    return _claim("rates", f"{near} of {len(ratios)} models", near > len(ratios) / 2, why)
+
+
+def _arrival(found: dict[str, Intervals]) -> Claim:
+    more = [model for model, i in found.items() if i.scatter[1] > i.scatter[0]]
+    ratio = {model: i.scatter[1] / i.scatter[0] for model, i in found.items() if "iphone" not in model}
+    most = max(ratio, key=lambda m: ratio[m])
+    nexus = found["LG-Nexus4"].scatter
+    why = (
+        "holds where arrival's sd is larger for more than half of the models and the Nexus 4's for certain;"
+        f" the largest ratio but for the suspended iPhones is {ratio[most]:.0f} ({most})"
+    )
+    ours = f"{len(more)} of {len(found)} models; Nexus 4: {nexus[0]:.2f} and {nexus[1]:.2f} ms"
+    return _claim("arrival", ours, len(more) > len(found) / 2 and nexus[1] > nexus[0], why)
+
+
+def _outliers(found: dict[str, Intervals]) -> Claim:
+    far = [m for m, i in found.items() if i.creation.mean() > 1.1 * np.median(i.creation)]
+    share = float(np.mean(np.concatenate([outliers(i.creation) for i in found.values()])))
+    why = "many: three models or more whose mean is over 1.1 times their median: " + (
+        ", ".join(far) or "none"
+    )
+    return _claim("outliers", f"{len(far)} models; {share:.1%} of intervals beyond", len(far) >= 3, why)
+
+
+def _iphone(found: dict[str, Intervals]) -> Claim:
+    longest = {model: float(i.arrival.max()) / 1e3 for model, i in found.items()}
+    others = max(value for model, value in longest.items() if "iphone" not in model)
+    ours = f"{longest['iphone-6_s']:.0f} s at the longest; other models {others:.2f} s"
+    why = "holds where the longest is over 1 s and ten times that of any other model"
+    return _claim("iphone", ours, longest["iphone-6_s"] > max(1.0, 10 * others), why)
+
+
+def _gyro(both: dict[str, tuple[Intervals, Intervals]]) -> Claim:
+    pairs = [(a.scatter, g.scatter) for a, g in both.values()]
+    ours = "; ".join(
+        f"{name}: accelerometer {a[0]:.2f} and {a[1]:.2f} ms, gyroscope {g[0]:.2f} and {g[1]:.2f} ms"
+        for name, (a, g) in zip(("Nexus 4", "Gear"), pairs, strict=True)
+    )
+    good = all((a[1] > a[0]) == (g[1] > g[0]) for a, g in pairs)
+    why = (
+        "sd by creation and by arrival, pauses of 1 s and more left out; holds where both sensors put them in"
+        " the same order. One phone and one watch in activity: the still experiment has no gyroscope here"
+    )
+    return _claim("gyro", ours, good, why, "hhar: first 10,000 rows of each sensor")
+
+
+def _draw(found: dict[str, Intervals], folder: Path) -> str:
+    figure, axes = panels(2, sharey=True)
+    figure.set_size_inches(9.6, 5.2)
+    for axis, cut in zip(axes, (True, False), strict=True):
+        for shift, colour, kind in ((-0.18, BLUE, "creation"), (0.18, GREEN, "arrival")):
+            boxes = [_box(getattr(i, kind), cut) for i in found.values()]
+            style = {"color": colour}
+            axis.bxp(
+                boxes,
+                positions=np.arange(len(found)) + shift,
+                orientation="horizontal",
+                widths=0.3,
+                showfliers=False,
+                showmeans=True,
+                meanprops={"marker": "*", "markerfacecolor": colour, "markeredgecolor": colour},
+                boxprops=style,
+                whiskerprops=style,
+                capprops=style,
+                medianprops=style,
+            )
+            axis.plot([], [], color=colour, label=kind)
+    axes[0].set_yticks(range(len(found)), list(found), fontsize=8)
+    axes[0].invert_yaxis()
+    axes[0].set(xlabel="interval, ms", title="Whiskers at 1.5 IQR; stars: means", xlim=(0, 50))
+    axes[1].set(
+        xlabel="interval, ms", title="Whiskers over all: with outliers", xscale="log", xlim=(0.5, 3e5)
+    )
+    axes[1].legend()
+    return save(figure, folder, NAME)
+
+
+def _box(values: Array, cut: bool) -> dict[str, float]:
+    q1, median, q3 = np.percentile(values, [25, 50, 75])
+    kept = values[~outliers(values)] if cut else values[values > 0.0]
+    low, high = float(kept.min()), float(kept.max())
+    return {"whislo": low, "q1": q1, "med": median, "q3": q3, "whishi": high, "mean": float(values.mean())}
+
+
+def _text(found: dict[str, Intervals], file: str) -> str:
+    rows = []
+    for model, i in found.items():
+        nominal = f"{1e3 / RATES_HZ[model]:.1f}" if model in RATES_HZ else "-"
+        made, came = i.scatter
+        middle = float(np.median(i.creation))
+        beyond = f"{np.mean(outliers(i.creation)):.1%}, {np.mean(outliers(i.arrival)):.1%}"
+        longest = f"{i.creation.max():.0f}, {i.arrival.max():.0f}"
+        cells = (nominal, f"{middle:.2f}", f"{i.creation.mean():.2f}", f"{made:.2f}, {came:.2f}")
+        rows.append((model, *cells, beyond, longest))
+    head = ("model", "nominal", "median", "mean", "sd: creation, arrival", "beyond whiskers", "longest")
+    return "\n\n".join(
+        [
+            "Devices on their backs; intervals in ms. Creation stamps come in units that differ by device and"
+            " are told from arrival. Arrival was recorded to the millisecond.",
+            picture(file, "Intervals by model, creation and arrival"),
+            table(head, rows),
+        ]
+    )

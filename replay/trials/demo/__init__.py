@@ -1,0 +1,1 @@
+"""`make run`: a simulated phone's day before the daemon."""

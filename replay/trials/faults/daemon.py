@@ -1,0 +1,69 @@
+"""A daemon that measures itself, for faults to be played on: what faults_socket.py and faults_fit.py start.
+
+It is `stillcal run` with one job more, which notes by how much later than asked it is woken, and how much
+memory the process has in use.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.daemon.app import Service
+from stillcal.daemon.app_launch import Given
+from stillcal.daemon.system import log
+from stillcal.daemon.system.memory import resident_bytes, stay_small
+from stillcal.daemon.system.systemd import Notifier
+
+STEP_S = 0.01
+KEPT = 100_000
+"""Wake-ups noted, more than a quarter of an hour of them."""
+
+
+class Notes:
+    """Rows of when (s, CLOCK_MONOTONIC), by how much too late (s), and memory in use (bytes)."""
+
+    def __init__(self) -> None:
+        self._rows = np.zeros((KEPT, 3))
+        self._filled = 0
+
+    @property
+    def rows(self) -> Array:
+        """What has been noted, (n, 3)."""
+        return self._rows[: self._filled]
+
+    async def take(self) -> None:
+        """Wake every STEP_S and note, until there is no more room."""
+        while self._filled < KEPT:
+            due = time.monotonic() + STEP_S
+            await asyncio.sleep(STEP_S)
+            now = time.monotonic()
+            self._rows[self._filled] = now, now - due, resident_bytes()
+            self._filled += 1
+
+
+async def _serve(given: Given, told: Path) -> None:
+    service = Service(given.settings(), given, Notifier({}))
+    service.open()
+    notes = Notes()
+    noting = asyncio.create_task(notes.take())
+    await service.run()
+    noting.cancel()
+    np.save(told, notes.rows)
+
+
+def main() -> None:
+    """Serve until SIGTERM; arguments: settings, port, store, socket, and where the notes go (.npy)."""
+    config, port, store, socket, told = sys.argv[1:]
+    log.set_up("warning")
+    stay_small()
+    asyncio.run(_serve(Given(Path(config), port, store, socket), Path(told)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""`make week`: a simulated week through the engine, counted."""

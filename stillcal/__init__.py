@@ -1,0 +1,1 @@
+"""Keeps a phone's accelerometer and gyroscope true: rests, calibration, diagnosis."""

@@ -1,0 +1,80 @@
+"""The pool of rests: bounded, and no attitude crowds out another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.calibration.attitude_index import Crowd
+from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool, PoolSettings
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.static.rest import RestState
+
+
+def rest(direction: np.ndarray, t: float, uncertainty: float = 1e-3) -> HeldRest:
+    force = 9.8 * direction / np.linalg.norm(direction)
+    sigma = np.full(3, uncertainty)
+    return HeldRest(RestState(t, t + 10, 1000, force, sigma * 30, sigma, uncertainty * 30), Gravity())
+
+
+def filled(directions: np.ndarray, settings: PoolSettings, uncertainty: float = 1e-3) -> Pool:
+    pool, crowd = Pool(), Crowd(settings)
+    for i, direction in enumerate(directions):
+        pool = crowd.grown(pool, rest(direction, 100.0 * i, uncertainty))
+    return pool
+
+
+def test_one_attitude_does_not_crowd_out_the_others() -> None:
+    settings = PoolSettings(rests_per_attitude=4)
+    rare = np.eye(3)
+    pool = filled(np.vstack([rare, np.tile([0.0, 0.0, 1.0], (200, 1))]), settings)
+    assert len(pool.attitudes(settings)) == 3
+    assert len(pool.held) == 2 + 4
+
+
+def test_of_a_crowded_attitude_the_least_certain_goes_and_the_newest_stays() -> None:
+    settings = PoolSettings(rests_per_attitude=3)
+    pool, crowd = Pool(), Crowd(settings)
+    for i, uncertainty in enumerate([1e-3, 5e-3, 2e-3, 1e-3, 9e-3]):
+        pool = crowd.grown(pool, rest(np.array([0, 0, 1.0]), 100.0 * i, uncertainty))
+    assert [h.rest.t_start for h in pool.held] == [0.0, 300.0, 400.0]
+
+
+def test_old_rests_and_the_oldest_attitudes_go() -> None:
+    rng = np.random.default_rng(1)
+    settings = PoolSettings(attitudes=20, max_age_s=5000)
+    pool = filled(rng.normal(size=(300, 3)), settings)
+    assert len(pool.attitudes(settings)) <= 20
+    assert pool.held[-1].rest.t_end - pool.held[0].rest.t_end <= 5000
+    assert pool.held[-1].rest.t_start == 29900.0
+
+
+def test_a_crowd_that_follows_a_pool_groups_as_one_that_comes_to_it_anew() -> None:
+    """Crowded, ageing, near one another: each of the ways in which a rest may go and free the others."""
+    rng, seen = np.random.default_rng(2), 0
+    settings = PoolSettings(attitude_angle=0.3, rests_per_attitude=4, attitudes=30, max_age_s=9000)
+    pool, crowd = Pool(), Crowd(settings)
+    for i in range(600):
+        new = rest(rng.normal(size=3) * [1.0, 1.0, 0.3], 100.0 * i, float(rng.uniform(1e-3, 1e-2)))
+        fresh = Crowd(settings).grown(pool, new)
+        pool = crowd.grown(pool, new)
+        assert pool.held == fresh.held
+        seen = max(seen, len(pool.attitudes(settings)))
+        assert crowd.attitudes(pool) == len(pool.attitudes(settings))
+    assert seen >= 30
+
+
+def test_since_and_where_select() -> None:
+    settings = PoolSettings()
+    pool = filled(np.eye(3), settings)
+    assert [h.rest.t_start for h in pool.since(100.0).held] == [100.0, 200.0]
+    assert pool.where(lambda r: r.t_start < 50).held == pool.held[:1]
+
+
+def test_senseless_bounds_are_refused() -> None:
+    with pytest.raises(ValueError, match="attitude_angle"):
+        PoolSettings(attitude_angle=2.0)
+    with pytest.raises(ValueError, match="turns = 0"):
+        replace(PoolSettings(), turns=0)

@@ -1,0 +1,76 @@
+"""Tails without a fourth moment are found as surely as tails with one; normal noise and knocks have none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
+from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
+
+WHERE = Where(0.0, 4000.0, (0.0, 12.5), "noise at rest")
+
+
+def said(values: np.ndarray) -> Finding | None:
+    pieces = tuple(values.reshape(100, 500, 3))
+    return tails(Quiet(pieces, tuple(np.arange(100) * 20.0), 25.0), "accel", WHERE, 0.0)
+
+
+@pytest.mark.parametrize("freedom", [2.5, 3.5, 4.5])
+@pytest.mark.parametrize("seed", range(3))
+def test_students_noise_has_heavy_tails_on_all_axes(freedom: float, seed: int) -> None:
+    found = said(np.random.default_rng(seed).standard_t(freedom, (50000, 3)))
+    assert found is not None and found.effect == "noise_heavy_tailed"
+    assert found.axes == ["x", "y", "z"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_normal_noise_and_what_is_near_it_are_silent(seed: int) -> None:
+    """Thirty degrees of freedom: an excess kurtosis of 6 / 26, below the tolerance."""
+    rng = np.random.default_rng(seed)
+    assert said(rng.normal(size=(50000, 3))) is None
+    assert said(rng.standard_t(30.0, (50000, 3))) is None
+
+
+def test_few_far_samples_are_spikes_and_no_heavy_tails() -> None:
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=(50000, 3))
+    values[rng.random(50000) < 1e-3, 2] += 40.0
+    found = said(values)
+    assert found is not None and found.effect == "unknown" and found.axes == ["z"]
+
+
+def shaken(values: np.ndarray, rng: np.random.Generator, share: float) -> np.ndarray:
+    """Return samples (50000, 3) of which a share of the rests is shaken now and then."""
+    moving = np.convolve(rng.normal(size=50000), np.ones(4) / 2.0, mode="same")
+    moving *= np.clip(np.convolve(rng.normal(size=50000), np.ones(200) / 8.0, mode="same"), 0.0, None)
+    loud = np.repeat(rng.random(100) < share, 500)
+    return np.asarray(values + (4.0 * moving * loud)[:, None] * np.array([0.6, 1.0, 0.8]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("share", [0.15, 0.4])
+def test_quiet_rests_tell_tails_where_others_are_shaken(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    found = said(shaken(rng.standard_t(3.0, (50000, 3)), rng, share))
+    assert found is not None and found.effect == "noise_heavy_tailed"
+    assert found.axes == ["x", "y", "z"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("share", [0.15, 0.4, 0.85, 1.0])
+def test_rests_that_are_shaken_give_normal_noise_no_tails(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    assert said(shaken(rng.normal(size=(50000, 3)), rng, share)) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_knocks_in_quiet_rests_are_no_tails_where_others_are_shaken(seed: int) -> None:
+    """A knock once in 5 s, some samples long, on two axes."""
+    rng = np.random.default_rng(seed)
+    values = shaken(rng.normal(size=(50000, 3)), rng, 0.3)
+    ring = 8.0 * np.exp(-np.arange(12) / 4.0) * np.cos(2.0 * np.arange(12))
+    for start in rng.choice(49900, 400, replace=False):
+        values[start : start + 12] += ring[:, None] * np.array([0.2, 0.7, 1.0])
+    assert said(values) is None

@@ -1,0 +1,95 @@
+"""Noise whose level follows time, temperature or charging is found; what shakes the phone is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+
+from stillcal.calib_core.diagnosis.direct.low_pass import judged, quiet
+from stillcal.calib_core.diagnosis.direct.noise_changes import changing
+from stillcal.calib_core.diagnosis.direct.noise_level import levels
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+Array = np.ndarray
+RATE, LENGTH = 25.0, 2400.0
+T = np.arange(round(RATE * LENGTH)) / RATE
+WARM = 25.0 + 5.0 * np.sin(T / 400.0) + np.where(T % 900.0 < 350.0, 2.0, 0.0)
+PLUGS = [Charging(t, bool(i % 2 == 0)) for i, t in enumerate(np.arange(200.0, LENGTH, 330.0))]
+ON = (np.searchsorted([p.t for p in PLUGS], T, side="right") % 2).astype(float)
+REST = (T // 80.0).astype(int)
+
+
+def noise(seed: int) -> Array:
+    return np.asarray(np.random.default_rng(seed).normal(0.0, 0.005, (T.size, 3)))
+
+
+def found(white: Array) -> Finding | None:
+    """Diagnose the accelerometer: thirty rests of 80 s, apart by turns of 3 s, and white noise (n, 3)."""
+    rng = np.random.default_rng(1)
+    up = rng.normal(size=(REST.max() + 1, 3))
+    force = 9.81 * (up / np.linalg.norm(up, axis=1, keepdims=True))[REST]
+    moved = ((T % 80.0) < 3.0)[:, None]
+    force = force + moved * rng.normal(0.0, 2.0, force.shape)
+    accel = Samples.checked(Sensor.ACCELEROMETER, T, force + white, WARM, None)
+    gyro = Samples.checked(
+        Sensor.GYROSCOPE, T, rng.normal(0.0, 1e-3, force.shape) + moved * rng.normal(0.0, 1.0, force.shape)
+    )
+    bins = cut(accel, gyro, PLUGS)
+    spectrum = judged(quiet(accel, bins))
+    assert spectrum is not None
+    return changing(spectrum, levels(spectrum), "accel", bins)
+
+
+def driver(white: Array) -> str | None:
+    seen = found(white)
+    return None if seen is None else seen.where.driver
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_even_noise_is_silent(seed: int) -> None:
+    assert found(noise(seed)) is None
+
+
+def test_noise_that_follows_temperature() -> None:
+    assert driver(noise(1) * np.exp(0.05 * (WARM - 25.0))[:, None]) == "temperature"
+
+
+def test_noise_added_beside_what_a_filter_passed_follows_charging() -> None:
+    b, a = butter(2, 0.8)
+    passed = lfilter(b, a, noise(1), axis=0)
+    assert driver(passed + 1.2 * noise(2) * ON[:, None]) == "charging"
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.6])
+def test_noise_of_another_level_for_a_while(ratio: float) -> None:
+    while_ = (T > 900.0) & (T < 1500.0)
+    seen = found(noise(1) * np.where(while_, ratio, 1.0)[:, None])
+    assert seen is not None and seen.where.driver == "time"
+    assert (seen.where.t_start, seen.where.t_end) == pytest.approx((900.0, 1500.0), abs=25.0)
+    assert seen.parameters["ratio"].value == pytest.approx(ratio, rel=0.03)
+
+
+def test_a_filter_that_is_another_for_a_while() -> None:
+    b, a = butter(2, 0.25)
+    filtered = lfilter(b, a, noise(1), axis=0) + 0.05 * noise(2)
+    seen = found(np.where(((T > 900.0) & (T < 1500.0))[:, None], filtered, noise(1)))
+    assert seen is not None and seen.where.driver == "time"
+    assert seen.parameters["ratio"].value < 1.0
+
+
+@pytest.mark.parametrize("band", [(0.1, 0.6), (0.3, 0.9)])
+def test_a_charger_that_hums_is_no_change_of_the_sensor(band: tuple[float, float]) -> None:
+    b, a = butter(2, band, "bandpass")
+    assert found(noise(1) + 2.0 * ON[:, None] * lfilter(b, a, noise(2), axis=0)) is None
+
+
+def test_rests_that_are_shaken_each_in_its_way_are_no_change_of_the_sensor() -> None:
+    """Even where the shaking is white: by temperature, by charging, and from a moment on."""
+    rng = np.random.default_rng(3)
+    by_rest = rng.uniform(1.0, 3.0, REST.max() + 1)[REST]
+    for when in (WARM > 27.0, ON > 0.5, T > 1300.0):
+        assert found(noise(1) * np.where(when, by_rest, 1.0)[:, None]) is None

@@ -1,0 +1,42 @@
+"""A limit within the noise of gravity itself: samples on one value, and nothing beyond."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.direct.quantisation import saturation
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+NOISE = np.full(3, 0.01)
+
+
+def resting(seed: int, step: float) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    up = np.repeat(np.array([[0.0, 0.0, 9.8], [9.8, 0.0, 0.0], [0.0, -9.8, 0.0]]), 4000, axis=0)
+    return np.round((up + NOISE * rng.standard_normal(up.shape)) / step) * step
+
+
+def samples(force: np.ndarray) -> Samples:
+    return Samples.checked(Sensor.ACCELEROMETER, np.arange(len(force)) / 50.0, force)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_phone_that_clips_at_gravity_is_found(seed: int) -> None:
+    found = saturation(samples(np.clip(resting(seed, 1e-3), -9.81, 9.81)), "accel", NOISE, 40.0)
+    assert found is not None and found.parameters["limit"].value == pytest.approx(9.81, abs=1e-3)
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-3, 5e-3, 0.05, 0.3])
+def test_gravity_is_no_limit(step: float) -> None:
+    for seed in range(20):
+        assert saturation(samples(resting(seed, step)), "accel", NOISE, 40.0) is None
+
+
+def test_values_of_few_uneven_levels_are_no_limit() -> None:
+    """As some phones give them: steps of 0.041 and 0.027 m/s^2 by turns, at a noise of half a step."""
+    levels = np.cumsum(np.tile([0.04086, 0.02724], 500)) - 17.0
+    rng = np.random.default_rng(3)
+    force = np.array([0.0, 9.77, -0.1]) + 0.02 * rng.standard_normal((9000, 3))
+    rounded = levels[np.abs(force[:, :, None] - levels[None, None]).argmin(axis=2)]
+    assert saturation(samples(rounded), "accel", np.full(3, 0.02), None) is None

@@ -1,0 +1,71 @@
+"""Held-out evidence against the same densities written out in full."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, Covariance, held_out
+from stillcal.calib_core.diagnosis.model.hypothesis import (
+    Entry,
+    Hypothesis,
+    Linear,
+    Scene,
+    bias_columns,
+    no_hypotheses,
+)
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from tests.support.diagnosis import nulls
+
+RAMP = Entry(
+    "accel_bias_drift", "accel", "time", no_hypotheses, (Linear("rate", "m/s^3", 3, 0.01),), "It drifts."
+)
+SCALE = 0.6
+
+
+def hour() -> tuple[Scene, Hypothesis]:
+    """Return an accelerometer's hour that drifts by 10 mm/s^2, and that drift."""
+    rng = np.random.default_rng(4)
+    day = nulls.schedule(rng)
+    drift = np.outer(np.linspace(0.0, 0.01, day.t.size), [1.0, -1.0, 0.5])
+    scene = scenes(nulls.bins_of(rng, day, "white", drift), nulls.G)[0]
+    return scene, Hypothesis(RAMP, {}, bias_columns(scene, scene.bins.t / scene.bins.span[1]))
+
+
+def covariances(scene: Scene) -> list[Covariance]:
+    """Return white noise and what is absorbed, both `SCALE` times as large as they would be."""
+    made = []
+    for view in scene.views:
+        shape = np.diag(view.variance)
+        if view.absorbed is not None:
+            shape = shape + view.absorbed @ view.absorbed.T
+        made.append(Covariance(SCALE * shape, SCALE))
+    return made
+
+
+def test_the_log_score_is_that_of_all_less_that_of_the_others() -> None:
+    scene, ramp = hour()
+    view = scene.views[0]
+    view = replace(view, baseline=np.zeros((1, view.y.size, 0)))
+    norm, (start, end) = replace(scene, views=(view,)), scene.bins.span
+    columns = ramp.columns[0][0] * ramp.sizes
+    spread = covariances(norm)[0].matrix + columns @ columns.T
+    fold = np.minimum(((view.t - start) / (end - start) * FOLDS).astype(int), FOLDS - 1)
+    expected = 0.0
+    for k in range(FOLDS):
+        rest = fold != k
+        expected += multivariate_normal.logpdf(view.y[0], cov=spread)
+        expected -= multivariate_normal.logpdf(view.y[0][rest], cov=spread[np.ix_(rest, rest)])
+    assert held_out(norm, covariances(norm), [ramp]).log_score == pytest.approx(expected, abs=1e-3)
+
+
+def test_an_effect_that_is_there_leaves_little_more_than_noise_whatever_the_scale() -> None:
+    scene, ramp = hour()
+    noise = float(np.sqrt(np.mean(scene.views[0].variance)))
+    with_it, without = (held_out(scene, covariances(scene), each) for each in ([ramp], []))
+    assert with_it.log_score > without.log_score + 20.0
+    assert with_it.rmse < 2.0 * noise
+    assert with_it.rmse < 0.5 * without.rmse

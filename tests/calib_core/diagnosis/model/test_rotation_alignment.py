@@ -1,0 +1,62 @@
+"""Affine parameters of both sensors from few attitudes: turns tell what gravity's norm does not."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from tests.support.diagnosis.turning import ups
+
+RATE, G = 50.0, 9.80665
+SCALE = np.array([[1.02, 0.0, 0.0], [0.0, 0.985, 0.0], [0.0, 0.0, 1.01]])
+BIAS = np.array([0.12, -0.2, 0.3])
+GYRO = np.array([[1.02, 0.004, 0.0], [-0.006, 0.99, 0.003], [0.0, 0.002, 1.015]])
+
+
+@cache
+def day() -> tuple[Samples, Samples, Array]:
+    """Forty rests of 25 s in eight attitudes, a turn of 4 s between; and gravity (n, 3)."""
+    rng = np.random.default_rng(2)
+    places = [Rotation.from_rotvec(v) for v in rng.normal(0.0, 0.8, (8, 3))]
+    rates, n = [], round(25 * RATE)
+    now = places[0]
+    for _ in range(40):
+        target = places[rng.integers(8)]
+        swell = np.sin(np.pi * (np.arange(round(4 * RATE)) + 0.5) / (4 * RATE)) ** 2
+        turn = (now.inv() * target).as_rotvec()
+        rates += [np.zeros((n, 3)), swell[:, None] / swell.sum() * RATE * turn]
+        now = target
+    rate = np.concatenate(rates)
+    up = ups(places[0], rate, RATE)
+    t = np.arange(len(rate)) / RATE
+    force = (G * up) @ np.linalg.inv(SCALE).T + BIAS + rng.normal(0, 0.01, up.shape)
+    spin = rate @ GYRO.T + 0.005 + rng.normal(0, 1e-3, up.shape)
+    return (
+        Samples.checked(Sensor.ACCELEROMETER, t, force),
+        Samples.checked(Sensor.GYROSCOPE, t, spin),
+        up,
+    )
+
+
+def test_few_attitudes_and_turns_tell_gravity_and_the_gyroscope() -> None:
+    accelerometer, gyroscope, up = day()
+    bins = cut(accelerometer, gyroscope)
+    made = aligned(gyroscope, bins, G)
+    norm_alone = fit_baseline(bins.force, bins.force_variance, bins.rest, G)
+    truth = up[np.searchsorted(accelerometer.t, bins.t)]
+    errors = []
+    for up_of in (made.baseline.up, norm_alone.up):
+        turn, _ = Rotation.align_vectors(truth, up_of)
+        errors.append(float(np.sqrt(((turn.apply(up_of) - truth) ** 2).sum(axis=1).mean())))
+    assert errors[0] < 1e-3 and errors[0] < errors[1] / 3.0, errors
+    rotation, _ = Rotation.align_vectors(truth, made.baseline.up)
+    frame = rotation.as_matrix()
+    assert np.abs(made.mapping @ GYRO @ frame.T - frame.T).max() < 3e-3
+    assert max(float(np.linalg.norm(t.miss)) for t in made.turns) < 5e-3

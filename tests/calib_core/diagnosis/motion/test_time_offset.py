@@ -1,0 +1,65 @@
+"""Delays and lever arms, from hands that turn a phone now and then and shake a little all the while."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from tests.support.diagnosis.turning import ups
+
+RATE, G = 50.0, 9.80665
+
+
+def diagnosed(
+    seed: int, delay: float = 0.0, arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> list[Finding]:
+    """Play ten minutes, a turn of four seconds in every twenty, and look at the motion alone."""
+    rng = np.random.default_rng(seed)
+    n = int(600 * RATE)
+    t = np.arange(n) / RATE
+    rate, hand = np.zeros((n, 3)), np.zeros((n, 3))
+    swell = np.sin(np.pi * np.arange(200) / 200) ** 2
+    for first in range(400, n - 300, 1000):
+        rows = slice(first, first + 200)
+        wobble = np.sin(
+            2 * np.pi * np.outer(np.arange(200) / 200, rng.uniform(0.5, 2.5, 3)) + rng.uniform(0, 6, 3)
+        )
+        rate[rows] = 2.5 * swell[:, None] * wobble
+        shaken = lfilter([1.0], [1.0, -0.9], rng.normal(0, 0.1, (200, 3)), axis=0)
+        hand[rows] = swell[:, None] * shaken
+    up = ups(Rotation.random(random_state=seed), rate, RATE)
+    about = np.cross(rate, np.cross(rate, arm)) + np.cross(np.gradient(rate, 1 / RATE, axis=0), arm)
+    force = G * up + hand + about + rng.normal(0, 0.008, (n, 3))
+    late = np.stack([np.interp(t - delay, t, rate[:, a]) for a in range(3)], axis=1)
+    spin = late + rng.normal(0, 5e-4, (n, 3))
+    accelerometer = Samples.checked(Sensor.ACCELEROMETER, t, force)
+    gyroscope = Samples.checked(Sensor.GYROSCOPE, t, spin)
+    bins = cut(accelerometer, gyroscope)
+    return motion_findings(accelerometer, gyroscope, aligned(gyroscope, bins, G), G)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hands_alone_are_no_finding(seed: int) -> None:
+    assert diagnosed(seed) == []
+
+
+@pytest.mark.parametrize("delay", [0.03, -0.08])
+def test_a_late_gyroscope_is_timed(delay: float) -> None:
+    (found,) = diagnosed(11, delay=delay)
+    low, high = found.parameters["delay"].ci95
+    assert found.effect == "accel_gyro_time_offset" and low < delay < high and high - low < 0.02
+    assert found.evidence.heldout_log_score_gain > 0.0
+
+
+def test_a_lever_arm_is_measured() -> None:
+    arm = (0.0, 0.08, -0.05)
+    (found,) = diagnosed(12, arm=arm)
+    assert found.effect == "lever_arm"
+    np.testing.assert_allclose(found.parameters["position"].value, arm, atol=0.02)

@@ -1,0 +1,55 @@
+"""Rests as the diagnosis cuts them: a knock ends one, coarse steps do not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+N = 15_000
+
+
+def resting(noise: float = 0.005) -> np.ndarray:
+    return np.random.default_rng(1).normal(0, noise, (N, 3)) + np.array([0.0, 0.0, 9.81])
+
+
+def bins(force: np.ndarray) -> Bins:
+    return cut(Samples.checked(Sensor.ACCELEROMETER, np.arange(N) / 50.0, force), None)
+
+
+def test_a_knock_ends_a_rest_and_is_in_no_bin() -> None:
+    knocked = resting()
+    knocked[7000:7040, 0] += 0.06 * np.sin(np.arange(40))
+    whole, cut_up = bins(resting()), bins(knocked)
+    assert np.unique(whole.rest).size == 1 and np.unique(cut_up.rest).size == 2
+    assert cut_up.vibration.max() < 1.5 * np.median(cut_up.vibration)
+
+
+def test_a_spike_of_one_sensor_is_in_no_mean_and_ends_no_rest() -> None:
+    rng, force, t = np.random.default_rng(2), resting(), np.arange(N) / 50.0
+    quiet = rng.normal(0, 1e-3, (N, 3))
+    spiked = quiet.copy()
+    spiked[700::700, 1] += 0.04
+
+    def both(rate: np.ndarray) -> Bins:
+        accel, gyro = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
+        return cut(Samples.checked(accel, t, force), Samples.checked(gyro, t, rate))
+
+    whole, spiky = both(quiet), both(spiked)
+    assert np.unique(spiky.rest).size == 1 and whole.rate is not None and spiky.rate is not None
+    np.testing.assert_allclose(spiky.rate, whole.rate, atol=1e-5)
+
+
+def test_values_that_toggle_between_two_steps_are_still() -> None:
+    coarse = np.round(resting(0.02) / 0.1) * 0.1
+    assert np.unique(bins(coarse).rest).size == 1
+
+
+def test_a_phone_that_is_carried_all_day_rests_only_where_it_is_put_down() -> None:
+    """Steps of a walk, even ones, but for the last twentieth."""
+    walked = np.arange(N) < 0.95 * N
+    t = np.arange(N) / 50.0
+    steps = np.stack([np.sin(2 * np.pi * f * t) for f in (1.0, 2.0, 4.0)], axis=1)
+    seen = bins(resting() + 2.5 * steps * walked[:, None])
+    assert len(seen) and seen.t.min() > 0.95 * t[-1]

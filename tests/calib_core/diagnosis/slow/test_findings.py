@@ -1,0 +1,143 @@
+"""The slow search on simple phones of known truth: silence on nulls, names, parameters, honesty."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+
+from stillcal.calib_core.codec import plain
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.hypothesis import nothing
+from stillcal.calib_core.diagnosis.model.likelihood import null_log_likelihood, posterior_weights
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.slow.effects import slow_entries
+from stillcal.calib_core.diagnosis.slow.effects_force import distinct
+from stillcal.calib_core.diagnosis.slow.estimate import estimate
+from stillcal.calib_core.diagnosis.slow.findings import slow_findings
+from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_scene, score
+from tests.support.diagnosis import nulls
+
+
+def day_of(seed: int, rests: int = 20) -> tuple[np.random.Generator, nulls.Day]:
+    """Draw days until one has enough rests in many attitudes, with the charger in and out."""
+    rng = np.random.default_rng(seed)
+    day = nulls.schedule(rng)
+    while (
+        day.rest.max() < rests
+        or len(np.unique(np.diff(day.charging))) < 3
+        or distinct(day.up[day.rest >= 0][::60]) < 10
+    ):
+        day = nulls.schedule(rng)
+    return rng, day
+
+
+@cache
+def found(sensor: str, seed: int, family: str = "white", **kind: object) -> list[Finding]:
+    rng, day = day_of(seed)
+    driver = {"temperature": day.temperature, "charging": day.charging, "warmup": 1 - np.exp(-day.t / 300.0)}
+    effect = {k: np.outer(driver[v[0]], v[1]) for k, v in kind.items() if k.endswith("_error")}  # type: ignore[index]
+    flags = {k: v for k, v in kind.items() if not k.endswith("_error")}
+    bins = nulls.bins_of(rng, day, family, **effect, **flags)
+    return slow_findings(next(s for s in scenes(bins, nulls.G) if s.sensor == sensor))
+
+
+@pytest.mark.parametrize("family", nulls.FAMILIES)
+def test_silent_where_nothing_is_wrong(family: str) -> None:
+    for seed in range(2):
+        rng = np.random.default_rng([11, seed])
+        bins = nulls.bins_of(rng, nulls.schedule(rng), family)
+        for scene in scenes(bins, nulls.G):
+            ranked = ranking(scene, slow_entries(scene.sensor))
+            assert ranked[0].score < thresholds.SCORE if ranked else True
+
+
+def linear(finding: Finding) -> Iterator[tuple[float, float, float]]:
+    parameter = next(iter(finding.parameters.values()))
+    for value, (low, high) in zip(parameter.value, parameter.ci95, strict=True):  # type: ignore[arg-type]
+        yield value, low, high
+
+
+@pytest.mark.parametrize(
+    ("sensor", "driver", "size", "effect"),
+    [
+        ("accel", "temperature", (0.004, 0.0, -0.003), "accel_bias_temperature"),
+        ("gyro", "temperature", (0.0, 2e-4, 0.0), "gyro_bias_temperature"),
+        ("accel", "charging", (0.0, 0.02, 0.01), "accel_charging_bias"),
+        ("gyro", "charging", (4e-4, 0.0, 0.0), "gyro_charging_bias"),
+        ("accel", "warmup", (0.05, 0.0, 0.03), "accel_warmup"),
+    ],
+)
+def test_named_with_axes_and_parameters(
+    sensor: str, driver: str, size: tuple[float, ...], effect: str
+) -> None:
+    findings = found(sensor, 5, "gm50", **{f"{sensor}_error": (driver, size)})
+    assert [f.effect for f in findings] == [effect]
+    first = findings[0]
+    assert first.axes == [a for a, s in zip("xyz", size, strict=True) if s]
+    for (value, low, high), truth in zip(linear(first), size, strict=True):
+        width = (high - low) / 2
+        assert low < value < high
+        assert abs(value - truth) < 1.6 * width
+    assert first.evidence.heldout_log_score_gain > 3.0
+    assert first.evidence.p_value < 1e-3
+
+
+def test_heat_is_found_without_a_thermometer() -> None:
+    findings = found("accel", 5, "gm50", accel_error=("temperature", (0.01, 0.0, -0.008)), thermometer=False)
+    assert findings[0].effect == "thermal_latent"
+    assert set(findings[0].axes) == {"x", "z"}
+    assert "tau_s" in findings[0].parameters
+
+
+def test_a_thermometer_that_does_nothing_raises_no_alarm() -> None:
+    assert found("accel", 8, "flicker") == []
+
+
+def test_a_finding_encodes_to_the_documented_structure() -> None:
+    finding = found("gyro", 5, "gm50", gyro_error=("charging", (4e-4, 0.0, 0.0)))[0]
+    table = msgspec.json.decode(msgspec.json.encode(plain(finding)))
+    assert set(table) == {
+        "effect", "sensor", "axes", "where", "parameters", "evidence", "alternatives", "statement",
+    }  # fmt: skip
+    assert set(table["where"]) == {"t_start", "t_end", "band_hz", "driver"}
+    assert table["parameters"]["step"]["unit"] == "rad/s"
+    assert set(table["evidence"]) >= {"p_value", "heldout_rmse_before", "heldout_log_score_gain", "folds"}
+
+
+def test_score_is_the_tail_of_f() -> None:
+    """With one parameter and many degrees of freedom, a gain of z^2/2 scores as a normal deviate z."""
+    assert score(4.0**2 / 2, 1, 1e7, 1) == pytest.approx(-np.log10(6.334e-5), rel=1e-3)
+    assert score(8.0, 1, 1e7, 100) == pytest.approx(score(8.0, 1, 1e7, 1) - 2.0)
+
+
+def test_shapes_find_the_wander_that_was_put_in() -> None:
+    rng, day = day_of(4)
+
+    def walking(family: str) -> float:
+        """Return the gyroscope's walk, a variance rate, as a part of what `walk_strong` has."""
+        scene = scenes(nulls.bins_of(rng, day, family), nulls.G)[1]
+        reduced = reduce_scene(scene, [nothing(scene)])
+        assert np.isfinite(null_log_likelihood(reduced))
+        return float(posterior_weights(reduced[0]) @ reduced[0].walk) / (0.05 * nulls.WHITE["gyro"]) ** 2
+
+    assert walking("white") < 0.1
+    assert 1 / 3 < walking("walk_strong") < 3.0
+
+
+def test_a_drift_beside_a_walk_is_as_uncertain_as_the_walk_makes_it() -> None:
+    """36 rates of which 95 % are to be within their intervals; 29 and fewer are by chance once in 1,000."""
+    drift = next(e for e in slow_entries("gyro") if e.effect == "gyro_bias_drift")
+    true, inside = np.array([3e-7, -2e-7, 0.0]), 0
+    for trial in range(12):
+        rng = np.random.default_rng([5, trial])
+        day = nulls.schedule(rng, 1800)
+        ramp = (day.t - 900.0)[:, None] * true
+        scene = scenes(nulls.bins_of(rng, day, "walk_strong", gyro_error=ramp), nulls.G)[1]
+        found = estimate(scene, drift.propose(drift, scene)[0], [])
+        inside += int((np.abs(found.value - true) < 1.96 * found.sigma).sum())
+    assert inside >= 30

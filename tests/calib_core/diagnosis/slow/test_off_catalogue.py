@@ -1,0 +1,149 @@
+"""What is outside the catalogue is called unknown; what wanders too much is called a walk; both by theory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.model import residuals as views
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.hypothesis import Bank, Scene, nothing
+from stillcal.calib_core.diagnosis.model.likelihood import fit_hypothesis, null_log_likelihood
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.slow import dictionaries as banks
+from stillcal.calib_core.diagnosis.slow.effects import slow_entries
+from stillcal.calib_core.diagnosis.slow.findings import findings_of, slow_findings
+from stillcal.calib_core.diagnosis.slow.screen import hypothesis, screened
+from stillcal.calib_core.diagnosis.slow.search import Scored, Step, proposals, ranking, reduce_scene
+from tests.calib_core.diagnosis.slow.test_findings import day_of
+from tests.support.diagnosis import effects, nulls
+
+Array = np.ndarray
+QUIET = {sensor: nulls.Wander(pink=0.1 * white) for sensor, white in nulls.WHITE.items()}
+
+
+def gyro_of(seed: int, error: Array | None, day: nulls.Day | None = None) -> tuple[Scene, nulls.Day]:
+    rng, drawn = day_of(seed)
+    bins = nulls.bins_of(rng, day or drawn, QUIET, gyro_error=error)
+    return scenes(bins, nulls.G)[1], day or drawn
+
+
+def said(seed: int, curve: Array, size: float = 4e-4, without: tuple[str, ...] = ()) -> list[Finding]:
+    scene, _ = gyro_of(seed, np.outer(curve, [size, 0.0, -size / 2]))
+    return slow_findings(scene, without)
+
+
+def test_a_bias_that_comes_and_goes_is_unknown_with_its_stretch() -> None:
+    _, day = day_of(6)
+    found = said(6, ((day.t > 1200) & (day.t < 1900)).astype(float))
+    assert [f.effect for f in found] == ["unknown"]
+    assert found[0].where.t_start == pytest.approx(1200, abs=60)
+    assert found[0].where.t_end == pytest.approx(1900, abs=60)
+
+
+def test_a_cycle_is_unknown_with_its_period() -> None:
+    _, day = day_of(6)
+    found = said(6, np.sin(2 * np.pi * day.t / 400.0))
+    assert {f.effect for f in found} == {"unknown"}
+    period = found[0].parameters["period_s"].value
+    assert isinstance(period, float)
+    assert period == pytest.approx(400.0, rel=0.05)
+
+
+def test_an_effect_taken_out_of_the_catalogue_is_unknown_and_says_what_it_follows() -> None:
+    _, day = day_of(5)
+    found = said(5, day.temperature - day.temperature.mean(), 2e-4, ("gyro_bias_temperature",))
+    assert {f.effect for f in found} == {"unknown"}
+    assert "temperature" in found[0].where.driver
+
+
+def test_a_step_within_a_bin_is_timed_within_it() -> None:
+    """A jump of a hundred times a bin's noise leaves no doubt of a time to a tenth of a bin of 18 s."""
+    _, day = day_of(6)
+    at = 1703.0
+    while day.rest[int(at)] < 0:
+        at += 7.0
+    found = said(6, (day.t >= at).astype(float), 4e-3)
+    assert [f.effect for f in found] == ["gyro_bias_step"]
+    assert found[0].where.t_start == pytest.approx(at, abs=2.0)
+
+
+@pytest.mark.parametrize(("ratio", "named"), [(0.4, False), (5.0, True)])
+def test_a_walk_is_named_only_beyond_what_a_phone_may_have(ratio: float, named: bool) -> None:
+    rng, day = day_of(9)
+    walk = {s: nulls.Wander(walk=ratio * thresholds.RANDOM_WALK[s]) for s in nulls.WHITE}
+    bins = nulls.bins_of(rng, day, walk)
+    for scene in scenes(bins, nulls.G):
+        found = slow_findings(scene)
+        assert [f.effect for f in found] == [f"{scene.sensor}_bias_random_walk"] * named
+        if named:
+            for low, high in found[0].parameters["density"].ci95:
+                assert low < ratio * thresholds.RANDOM_WALK[scene.sensor] < high
+
+
+def test_wander_does_not_bend_the_baseline() -> None:
+    """Seven rests are not enough for nine parameters: what they wander must not go into scale and bias."""
+    rng = np.random.default_rng([31, 1])
+    day = nulls.schedule(rng)
+    bins = nulls.bins_of(rng, day, {s: nulls.Wander(walk=1e-3) for s in nulls.WHITE})
+    baseline = views.fit_baseline(bins.force, bins.force_variance, bins.rest, nulls.G)
+    assert np.abs(baseline.scale - np.eye(3)).max() < 2 * views.SCALE_SIZE
+    assert np.abs(baseline.bias).max() < 2 * views.BIAS_SIZE
+
+
+def test_screening_keeps_the_curve_that_was_put_in() -> None:
+    _, day = day_of(6)
+    scene, _ = gyro_of(6, np.outer((day.t > 900) & (day.t < 1500), [4e-4, 0.0, 0.0]))
+    entry = next(e for e in slow_entries("gyro") if e.bank is banks.pulses)
+    empty = reduce_scene(scene, [nothing(scene)])
+    kept = screened(scene, [entry], empty, [])
+    reduced = reduce_scene(scene, kept)
+    gains = [
+        fit_hypothesis(reduced, i).log_likelihood - null_log_likelihood(reduced) for i in range(len(kept))
+    ]
+    best = kept[int(np.argmax(gains))].grid
+    assert best["t_start"] == pytest.approx(900, abs=40)
+    assert best["t_end"] == pytest.approx(1500, abs=40)
+
+
+def test_a_pair_is_the_difference_of_its_curves() -> None:
+    scene, _ = gyro_of(6, None)
+    entry = next(e for e in slow_entries("gyro") if e.bank is banks.pulses)
+    bank = banks.pulses(scene)
+    assert bank is not None and bank.pairs is not None
+    a, b = bank.pairs[7]
+    plain = Bank(bank.grids[:1], (bank.curves[a] - bank.curves[b])[None], 1)
+    for one, other in zip(
+        hypothesis(entry, scene, bank, 7).columns, hypothesis(entry, scene, plain, 0).columns, strict=True
+    ):
+        assert np.array_equal(one, other)
+
+
+def test_true_noise_of_the_trials_has_the_covariance_they_reckon_with() -> None:
+    """Bins of a thousand drawn wanders scatter as `Wander.covariance` says, to four standard errors."""
+    day = nulls.schedule(np.random.default_rng(3), 600)
+    average = nulls.cut(day, 60.0)[2]
+    wander = nulls.Wander(0.5, ((80.0, 0.7),), 0.02)
+    rng = np.random.default_rng(4)
+    drawn = np.concatenate([(average @ wander.series(rng, 600)).T for _ in range(334)])
+    expected = np.diag(wander.covariance(average))
+    assert drawn.var(axis=0) == pytest.approx(expected, rel=4 * np.sqrt(2 / len(drawn)))
+
+
+def test_every_stranger_can_be_drawn() -> None:
+    rng, day = day_of(6)
+    for kind in effects.STRANGERS:
+        put = effects.drawn(rng, day, kind, "gyro")
+        assert put.name is None
+        assert np.ptp(put.error) > 0.0
+
+
+def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_without_one() -> None:
+    _, day = day_of(6)
+    scene, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
+    period = ranking(scene, slow_entries("gyro"))[0]
+    drift = proposals(scene, [e for e in slow_entries("gyro") if e.effect == "gyro_bias_drift"])[0]
+    name = Scored(drift, fit_hypothesis(reduce_scene(scene, [drift]), 0), 5.0, 10.0)
+    assert [f.effect for f in findings_of(scene, [Step(name, (period,))])] == ["unknown"]
+    assert findings_of(scene, [Step(name, ())]) == []

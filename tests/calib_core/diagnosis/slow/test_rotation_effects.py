@@ -1,0 +1,87 @@
+"""Gains that change with what the catalogue has no name for are called unknown, and say what they follow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned, cuts
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.diagnosis.slow.findings import slow_findings, turn_findings
+from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
+from tests.calib_core.diagnosis.slow.test_findings import day_of
+from tests.calib_core.diagnosis.slow.test_off_catalogue import QUIET
+from tests.support.diagnosis import nulls
+
+
+def accelerometer(crossed: float, ageing: float, scale: float) -> list[Finding]:
+    """A day in which y gains 1/K times what x feels, all axes age, and z's scale follows temperature."""
+    rng, lived = day_of(4)
+    warm = lived.temperature - lived.temperature.mean()
+    error = ageing * G * lived.up * (lived.t / lived.t[-1])[:, None]
+    error[:, 1] += crossed * G * warm * lived.up[:, 0]
+    error[:, 2] += scale * G * warm * lived.up[:, 2]
+    return slow_findings(scenes(nulls.bins_of(rng, lived, QUIET, accel_error=error), nulls.G)[0])
+
+
+def test_what_an_axis_takes_up_of_another_by_temperature_is_no_scale() -> None:
+    found = accelerometer(2e-4, 0.0, 0.0)
+    assert [(f.effect, f.where.driver) for f in found] == [("unknown", "temperature x another axis' force")]
+    assert found[0].axes == ["x"], "x with y"
+    np.testing.assert_allclose(found[0].parameters["slope"].value, [2e-4, 0, 0], atol=4e-5)
+
+
+def test_a_gain_that_ages_is_no_temperature_s() -> None:
+    found = accelerometer(0.0, 2e-3, 0.0)
+    assert [(f.effect, f.where.driver) for f in found] == [("unknown", "own force, with time")]
+    np.testing.assert_allclose(found[0].parameters["gain"].value, 2e-3, rtol=0.2)
+
+
+def test_a_scale_that_follows_temperature_keeps_its_name() -> None:
+    assert [f.effect for f in accelerometer(0.0, 0.0, 2e-4)] == ["accel_scale_temperature"]
+
+
+@pytest.mark.parametrize(
+    ("name", "driver"),
+    [("ageing", "time x rate of turn"), ("lopsided", "size of the rate of turn"), ("none", "")],
+)
+def test_turns_tell_gains_by_time_and_by_sense(name: str, driver: str) -> None:
+    force, spin, _ = day()
+    turning = np.linalg.norm(spin.xyz, axis=1) > 0.05
+    rate = np.where(turning[:, None], spin.xyz - 0.005, 0.0)
+    error = {
+        "ageing": 0.01 * rate * (spin.t / spin.t[-1])[:, None],
+        "lopsided": 0.01 * np.abs(rate),
+        "none": 0.0 * rate,
+    }[name]
+    gyroscope = replace(spin, xyz=spin.xyz + error)
+    bins = cut(force, gyroscope)
+    found = turn_findings(aligned(gyroscope, bins, G), bins, G)
+    assert [(f.effect, f.where.driver) for f in found] == ([("unknown", driver)] if driver else [])
+    for f in found:
+        low, high = np.moveaxis(np.array(f.parameters["gain"].ci95), -1, 0)
+        np.testing.assert_allclose(f.parameters["gain"].value, 0.01, atol=0.004)
+        assert ((low < 0.01) & (high > 0.01)).sum() >= 2
+
+
+def test_turns_that_reach_a_limit_tell_nothing_of_linearity() -> None:
+    force, spin, _ = day()
+    stop = float(np.quantile(np.abs(spin.xyz), 0.995))
+    clipped = replace(spin, xyz=np.clip(spin.xyz, -stop, stop))
+    bins = cut(force, clipped)
+    whole, free = cuts(clipped, bins), cuts(clipped, bins, stop)
+    reached = [c for c in whole if np.abs(c.rate).max() > stop - 0.01]
+    assert len(reached) >= 1 and len(free) == len(whole) - len(reached)
+
+
+def test_what_coarse_steps_do_to_the_bias_at_rest_is_no_gain_by_sense() -> None:
+    """Steps of 1 deg/s: at rest they hide up to half of one, which shows when turns dither them."""
+    force, spin, _ = day()
+    step = float(np.deg2rad(1.0))
+    coarse = replace(spin, xyz=step * np.round((spin.xyz + 0.3 * step) / step))
+    bins = cut(force, coarse)
+    assert turn_findings(aligned(coarse, bins, G), bins, G) == []

@@ -1,0 +1,91 @@
+"""The whole diagnosis on simulated phones: silent on a sound one, and right about one that is not."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from stillcal.calib_core.codec import plain
+from stillcal.calib_core.diagnosis.diagnose import diagnose
+from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.phone.phone import Phone, load_phone
+from stillcal.replay.phone.scenario import load_scenario
+from stillcal.replay.phone.simulation import simulate
+
+
+def diagnosed(*effects: dict[str, object], minutes: float = 20.0, rate: float = 50.0) -> Diagnosis:
+    base = load_phone("typical")
+    table = msgspec.to_builtins(base)
+    for sensor in ("accel", "gyro"):
+        table[sensor]["rate_hz"] = rate
+    phone = msgspec.convert(table | {"effect": list(effects)}, type=Phone)
+    day = msgspec.structs.replace(load_scenario("tables"), duration_s=60.0 * minutes)
+    made = simulate(day, phone, 3).whole()
+    told = {k: v for k, v in base.claimed().items() if k in Claims.__slots__ and k != "nominal_rate_hz"}
+    return diagnose(made.accelerometer, made.gyroscope, (), Claims(**told), "made")
+
+
+def test_a_sound_phone_is_adequate() -> None:
+    answer = diagnosed()
+    assert answer.verdict == "adequate"
+    assert answer.findings == []
+    assert plain(answer)["schema"] == 1
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "truth", "tolerance"),
+    [
+        ({"name": "accel_gyro_time_offset", "delay": 0.015}, "delay", 0.015, 0.003),
+        (
+            {"name": "gyro_nonlinearity", "quadratic": [0.01, 0.0, 0.01]},
+            "quadratic",
+            [0.01, 0.0, 0.01],
+            0.002,
+        ),
+        ({"name": "lever_arm", "position": [0.03, 0.06, 0.0]}, "position", [0.03, 0.06, 0.0], 0.02),
+        ({"name": "bandwidth", "sensor": "gyro", "cutoff": 10.0}, "cutoff", 10.0, 1.0),
+        ({"name": "timestamp_jitter", "sigma": 0.002}, "sigma", 0.002, 1e-4),
+        ({"name": "noise_heavy_tailed", "sensor": "accel", "ratio": 5.0}, "ratio", 5.0, 0.6),
+    ],
+)
+def test_one_fault_is_named_and_measured(
+    effect: dict[str, object], parameter: str, truth: float | list[float], tolerance: float
+) -> None:
+    answer = diagnosed(effect)
+    assert [f.effect for f in answer.findings] == [effect["name"]]
+    value = answer.findings[0].parameters[parameter].value
+    np.testing.assert_allclose(value, truth, atol=tolerance)
+
+
+def test_two_faults_are_both_named() -> None:
+    matrix = [[2e-4, 0.0, 0.0], [0.0, 0.0, 2e-4], [0.0, 0.0, 0.0]]
+    answer = diagnosed(
+        {"name": "gyro_g_sensitivity", "matrix": matrix},
+        {"name": "accel_bias_step", "step": [0.05, 0.0, 0.05], "at_s": 600.0},
+    )
+    assert {f.effect for f in answer.findings} == {"gyro_g_sensitivity", "accel_bias_step"}
+
+
+def test_too_little_is_refused_and_no_gyroscope_is_said() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(6000) / 50.0
+    samples = Samples.checked(Sensor.ACCELEROMETER, t, rng.normal(0, 0.01, (6000, 3)) + np.array([0, 0, 9.8]))
+    with pytest.raises(NotSupported, match="at least 200"):
+        diagnose(samples[:100], None)
+    with pytest.raises(NotSupported, match="at least 10 s"):
+        diagnose(samples[:400], None)
+    answer = diagnose(samples, None)
+    assert answer.verdict == "adequate"
+    assert any("no gyroscope" in text for text in answer.limits)
+
+
+def test_an_axis_that_never_changes_breaks_nothing() -> None:
+    rng = np.random.default_rng(1)
+    force = rng.normal(0, 0.01, (6000, 3)) + np.array([0, 0, 9.8])
+    force[:, 1] = 0.25
+    diagnosis = diagnose(Samples.checked(Sensor.ACCELEROMETER, np.arange(6000) / 50.0, force), None)
+    assert diagnosis.verdict in ("adequate", "explained", "partly_explained", "unexplained")
+    assert any("still bins" in text or "rests" in text for text in diagnosis.limits)

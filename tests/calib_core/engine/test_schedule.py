@@ -1,0 +1,104 @@
+"""When to look, when to calibrate, how much sensing to allow: the pure decisions."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stillcal.calib_core.engine.duty_cycle import Allowance, EnergySettings
+from stillcal.calib_core.engine.schedule import (
+    Need,
+    Occasion,
+    ScheduleSettings,
+    Standing,
+    Watch,
+    calibration_due,
+    next_on_grid,
+    watch_for,
+)
+
+AUTO = ScheduleSettings()
+BOTH, RESTS, CHECK, NOTHING = Need(True, True), Need(True, False), Need(False, True), Need(False, False)
+
+
+@pytest.mark.parametrize(
+    ("need", "current", "lasts", "expected"),
+    [
+        (RESTS, Watch.IDLE, 3600, Watch.CONTINUOUS),
+        (RESTS, Watch.IDLE, 1799, Watch.PROBING),
+        (RESTS, Watch.CONTINUOUS, 1799, Watch.CONTINUOUS),
+        (RESTS, Watch.CONTINUOUS, 0, Watch.IDLE),
+        (RESTS, Watch.IDLE, 1, Watch.PROBING),
+        (CHECK, Watch.IDLE, 0, Watch.PROBING),
+        (BOTH, Watch.PROBING, 10, Watch.PROBING),
+        (CHECK, Watch.IDLE, 3600, Watch.PROBING),
+        (NOTHING, Watch.CONTINUOUS, 3600, Watch.IDLE),
+    ],
+)
+def test_watch_follows_need_and_allowance(need: Need, current: Watch, lasts: float, expected: Watch) -> None:
+    assert watch_for(need, current, lasts, 3600, AUTO) is expected
+
+
+@pytest.mark.parametrize("forced", ["continuous", "probing"])
+def test_a_forced_way_of_looking_is_kept(forced: str) -> None:
+    settings = ScheduleSettings(watch=forced)  # type: ignore[arg-type]
+    assert watch_for(NOTHING, Watch.IDLE, 0, 3600, settings) == forced
+
+
+@given(st.floats(-1e9, 1e9), st.floats(1, 1e5), st.floats(0, 1e7))
+def test_deadlines_stay_on_their_grid(began: float, interval: float, later: float) -> None:
+    found = next_on_grid(began, interval, began + later)
+    assert found > began + later or found == pytest.approx(began + later, rel=1e-9)
+    assert found - (began + later) <= interval * (1 + 1e-6) + 1e-6
+    assert (found - began) / interval == pytest.approx(round((found - began) / interval), abs=1e-3)
+
+
+def test_no_calibration_without_new_rests() -> None:
+    for occasion in set(Occasion) - {Occasion.ASKED}:
+        assert not calibration_due(Standing(False, True, 0, float("inf")), occasion, AUTO)
+    assert calibration_due(Standing(True, False, 0, 0.0), Occasion.ASKED, AUTO)
+
+
+def test_a_good_calibration_is_not_renewed_at_every_plug() -> None:
+    assert calibration_due(Standing(False, False, 1, float("inf")), Occasion.CHARGING, AUTO)
+    assert not calibration_due(Standing(True, False, 5, 3600), Occasion.CHARGING, AUTO)
+    assert calibration_due(Standing(True, True, 5, 3600), Occasion.CHARGING, AUTO)
+    assert calibration_due(Standing(True, False, 5, 7 * 3600), Occasion.CHARGING, AUTO)
+
+
+def test_the_allowance_pays_for_a_burst_and_refills() -> None:
+    settings = EnergySettings(burst_s=100, on_time_fraction=0.1)
+    start = Allowance(0, 100, 0)
+    assert start.lasts(settings) == pytest.approx(100 / 0.9)
+    spent = start.at(100 / 0.9, 100 / 0.9, settings)
+    assert spent.saved == pytest.approx(0) and spent.lasts(settings) == pytest.approx(0, abs=1e-9)
+    assert spent.at(100 / 0.9 + 500, 100 / 0.9, settings).saved == pytest.approx(50)
+    assert spent.at(1e6, 100 / 0.9, settings).saved == 100
+
+
+@given(st.lists(st.tuples(st.floats(0, 1e4), st.floats(0, 1)), max_size=30))
+def test_on_time_never_exceeds_what_was_earned(steps: list[tuple[float, float]]) -> None:
+    settings = EnergySettings(burst_s=600, on_time_fraction=0.05)
+    allowance = Allowance(0, 600, 0)
+    t = used = 0.0
+    for length, share in steps:
+        spend = min(length * share, allowance.lasts(settings))
+        t, used = t + length, used + spend
+        allowance = allowance.at(t, used, settings)
+    assert used <= 600 + 0.05 * t + 1e-6
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda: EnergySettings(burst_s=-1),
+        lambda: EnergySettings(on_time_fraction=1.5),
+        lambda: ScheduleSettings(check_interval_s=0),
+        lambda: ScheduleSettings(attitudes_wanted=3),
+        lambda: ScheduleSettings(diagnose_after_checks=0),
+    ],
+)
+def test_senseless_settings_are_refused(bad) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ValueError, match="must be"):
+        bad()

@@ -1,0 +1,85 @@
+"""The running daemon and its host: settings read again, what the manager hears, a full disk."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stillcal.daemon.store.store import Store, StoreError
+from stillcal.replay.serial_phone.link import serve_phone
+from tests.support.living import given_in, running, until, within_reason
+
+
+def test_another_device_is_taken_on_reload_and_bad_settings_are_refused(
+    tmp_path: Path, lab: list[Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    given = given_in(tmp_path)
+
+    async def test() -> None:
+        async with running(given) as service:
+            given.config.write_text("[engine.schedule]\nattitudes_wanted = 3\n")
+            os.kill(os.getpid(), signal.SIGHUP)
+            await until(lambda: "attitudes_wanted = 3: must be 6 or more" in caplog.text)
+            assert service.settings.engine.schedule.attitudes_wanted == 30
+            given.config.write_text("[engine.schedule]\nattitudes_wanted = 12\n[source]\nbaud = 9600\n")
+            os.kill(os.getpid(), signal.SIGHUP)
+            await until(lambda: service.settings.source.baud == 9600)
+            await serve_phone(lab[:3], {}, path=tmp_path / "tty")
+            await until(lambda: service.saved.clock.newest > 100)
+            assert service.source.settings.baud == 9600
+
+    within_reason(test())
+
+
+def test_the_manager_hears_everything_in_order(tmp_path: Path) -> None:
+    given = given_in(tmp_path)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        heard: list[str] = []
+
+        def listen() -> bool:
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    heard.extend(manager.recv(4096).decode().splitlines())
+            return heard.count("WATCHDOG=1") >= 3
+
+        async def test() -> None:
+            environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
+            async with running(given, environ) as service:
+                await until(listen)
+                await service.reload()
+            listen()
+
+        within_reason(test())
+    order = [line for line in heard if line.partition("=")[0] in ("READY", "RELOADING", "STOPPING")]
+    assert order == ["READY=1", "RELOADING=1", "READY=1", "STOPPING=1"]
+    assert any(line.startswith("STATUS=no phone; no calibration yet") for line in heard)
+
+
+def test_a_full_disk_delays_nothing_and_is_made_up_for(
+    tmp_path: Path, lab: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = given_in(tmp_path)
+    publish = Store.publish
+    monkeypatch.setattr("stillcal.daemon.app.SAVE_EVERY_S", 0.01)
+
+    def refuse(*arguments: Any) -> None:
+        raise StoreError("the disk is full: free some space")
+
+    async def test() -> None:
+        async with running(given) as service:
+            monkeypatch.setattr(Store, "publish", refuse)
+            await serve_phone(lab, {}, path=tmp_path / "tty")
+            await until(lambda: service.trouble)
+            assert service.view.record is not None and service.document.current is None
+            monkeypatch.setattr(Store, "publish", publish)
+            await until(lambda: service.document.current is not None)
+            await until(lambda: not service.trouble)
+
+    within_reason(test())

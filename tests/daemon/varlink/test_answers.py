@@ -1,0 +1,197 @@
+"""What the socket answers to the independent varlink client."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import varlink
+
+from stillcal.calib_core.engine.actions import Reject
+from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.store.store import Store
+from stillcal.replay.trials.faults.kill import example
+from tests.support.asking import NAME, STILLCAL, asked, client, stored
+from tests.support.living import answering, within_reason
+
+
+def test_the_interface_describes_itself(folder: Path) -> None:
+    def look() -> tuple[Any, Any]:
+        with varlink.Client(address=f"unix:{folder}/socket") as found:
+            found.get_interfaces()
+            return found.info, found.get_interface(NAME)
+
+    async def test() -> None:
+        async with answering(folder):
+            info, interface = await asyncio.to_thread(look)
+            assert NAME in info["interfaces"] and info["product"] == "stillcal"
+            methods = {
+                "GetCalibration",
+                "GetStatus",
+                "GetHistory",
+                "GetEnergy",
+                "Correct",
+                "Monitor",
+                "Rollback",
+            }
+            assert methods <= interface.members.keys()
+
+    within_reason(test())
+
+
+def test_the_current_calibration_is_the_stores(folder: Path, make_record: Any) -> None:
+    record = make_record(3)
+    stored(folder, make_record(2), record)
+
+    async def test() -> None:
+        async with answering(folder):
+            found = (await asked(folder, lambda c: c.GetCalibration()))["calibration"]
+            assert found["id"] == record.id
+            assert found["accelerometer"]["bias"] == record.accelerometer.bias.tolist()
+            assert found["accelerometer"]["unit"] == "m/s^2"
+            assert (
+                "bias_uncertainty" not in found["accelerometer"]
+                or not found["accelerometer"]["bias_uncertainty"]
+            )
+            assert (found["temperature_min_c"], found["confidence"]) == (20.0, "unchecked")
+            entries = (await asked(folder, lambda c: c.GetHistory()))["entries"]
+            assert [e["what"] for e in entries] == ["current", "replaced"]
+            status = (await asked(folder, lambda c: c.GetStatus()))["status"]
+            assert not status["connected"] and status["calibration"] == record.id
+
+    within_reason(test())
+
+
+def test_a_calibration_says_which_attitude_would_help_most(folder: Path, make_record: Any) -> None:
+    words = "lay it on its left edge (x axis up)"
+    record = make_record(3)
+    known = dataclasses.replace(record.accelerometer, most_helpful_attitude=words)
+    stored(folder, make_record(2), dataclasses.replace(record, accelerometer=known))
+
+    async def test() -> None:
+        async with answering(folder):
+            found = (await asked(folder, lambda c: c.GetCalibration()))["calibration"]
+            assert found["accelerometer"]["most_helpful_attitude"] == words
+            assert not found["gyroscope"].get("most_helpful_attitude")
+            command = [STILLCAL, "query", "--socket", str(folder / "socket")]
+            said = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True)
+            assert words in said.stdout, said.stderr
+
+    within_reason(test())
+
+
+def test_samples_are_corrected_and_their_number_is_bounded(folder: Path, make_record: Any) -> None:
+    record = make_record(3)
+    stored(folder, record)
+    raw = np.random.default_rng(2).normal(0, 9, (1000, 3))
+
+    async def test() -> None:
+        async with answering(folder):
+            for sensor in Sensor:
+                found = await asked(folder, lambda c, s=sensor: c.Correct(str(s), raw.tolist()))
+                assert np.array_equal(found["samples"], record.apply(raw, sensor))
+            for bad in ([[0.0] * 3] * 1001, [[1.0, 2.0]], [["x", 1.0, 2.0]], [[1.79e308] * 3]):
+                with pytest.raises(varlink.VarlinkError, match="InvalidParameter"):
+                    await asked(folder, lambda c, b=bad: c.Correct("accelerometer", b))
+
+    within_reason(test())
+
+
+def test_without_a_calibration_it_says_what_is_missing(folder: Path) -> None:
+    async def test() -> None:
+        async with answering(folder):
+            with pytest.raises(varlink.VarlinkError) as caught:
+                await asked(folder, lambda c: c.GetCalibration())
+            assert caught.value.error() == f"{NAME}.NotCalibrated"
+            command = [STILLCAL, "query", "--socket", str(folder / "socket")]
+            found = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True)
+            assert found.returncode == 3 and "too few rests" in found.stderr
+
+    within_reason(test())
+
+
+def test_changes_are_told_until_the_daemon_stops(folder: Path, make_record: Any) -> None:
+    stored(folder, make_record(1))
+
+    def listen(told: list[Any]) -> None:
+        with client(folder) as opened:
+            told.extend(e["event"] for e in opened.Monitor(_more=True))
+
+    async def test() -> None:
+        told: list[Any] = []
+        async with answering(folder) as service:
+            listening = asyncio.create_task(asyncio.to_thread(listen, told))
+            while not len(service.news):
+                await asyncio.sleep(0.001)
+            service.act([Keep(5.0, make_record(2), "better"), Reject(6.0, make_record(3), "not better")])
+        await listening
+        assert [e["what"] for e in told] == ["current", "calibrated", "rejected", "ended"]
+        assert told[1]["calibration"]["id"] == make_record(2).id and told[1]["reason"] == "better"
+
+    within_reason(test())
+
+
+def test_rolling_back_is_for_root_and_the_daemons_own_user(folder: Path, make_record: Any) -> None:
+    first, second = make_record(1), make_record(2)
+    stored(folder, first, second)
+    question = json.dumps({"method": f"{NAME}.Rollback"})
+    stranger = (
+        f"import socket; s = socket.socket(socket.AF_UNIX); s.connect({str(folder / 'socket')!r});"
+        f"s.sendall({question!r}.encode() + bytes(1)); print(s.recv(9999).decode())"
+    )
+
+    async def test() -> None:
+        async with answering(folder, "[socket]\nmode = 0o666\n") as service:
+            if os.geteuid() == 0:
+                python = [
+                    sys.executable if os.access(sys.executable, os.X_OK) else "python3",
+                    "-S",
+                    "-c",
+                    stranger,
+                ]
+                found = await asyncio.to_thread(
+                    subprocess.run,
+                    ["setpriv", "--reuid=65534", "--clear-groups", "/usr/bin/python3", *python[1:]],
+                    capture_output=True,
+                    text=True,
+                )
+                assert "org.varlink.service.PermissionDenied" in found.stdout, found.stderr
+                assert service.document.current.id == second.id
+            found = await asked(folder, lambda c: c.Rollback())
+            assert found["calibration"]["id"] == first.id == service.view.record.id
+            with pytest.raises(varlink.VarlinkError, match="Refused"):
+                await asked(folder, lambda c: c.Rollback("ffff"))
+        assert Store(folder / "store.json").load().current.id == first.id
+
+    within_reason(test())
+
+
+def test_who_may_asks_for_a_calibration_and_for_zeroing(folder: Path) -> None:
+    record, rests = example()
+    assert record.accelerometer is not None
+
+    async def test() -> None:
+        async with answering(folder) as service:
+            with pytest.raises(varlink.VarlinkError, match="Refused"):
+                await asked(folder, lambda c: c.Calibrate())
+            service.mind._engine.adopt(rests)
+            found = await asked(folder, lambda c: c.Calibrate())
+            assert found["calibration"]["accelerometer"]["n_rests"] == record.accelerometer.n_rests
+            assert (
+                service.document.current is None or service.document.current.id == found["calibration"]["id"]
+            )
+            with pytest.raises(varlink.VarlinkError, match="Refused"):
+                await asked(folder, lambda c: c.ZeroNow())  # rests without a gyroscope
+            status = (await asked(folder, lambda c: c.GetStatus()))["status"]
+            assert status["failed_checks"] == 0 and status["diagnosis"] == ""
+
+    within_reason(test())

@@ -1,0 +1,192 @@
+"""Cases: every effect can be drawn and put in, two makers agree, and what the recordings do not tell."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.replay.blind_test import detectability as power
+from stillcal.replay.blind_test import direct_detectability as sizes
+from stillcal.replay.blind_test import phones
+from stillcal.replay.blind_test import simulator_cases as simulated
+from stillcal.replay.blind_test.cases import DECOYS, Design, made, planned
+from stillcal.replay.blind_test.days import Day, play
+from stillcal.replay.blind_test.forward_model import FORWARD
+from stillcal.replay.blind_test.keys import SealError, TrueEffect, opened, seal_of, sealed
+from stillcal.replay.blind_test.make import ChallengeError, make, read_manifest
+from stillcal.replay.blind_test.off_catalogue import STRANGERS
+from stillcal.replay.blind_test.phones import Additions
+from stillcal.replay.blind_test.sizing import NAMES, Stage, drawn_effect, put_in
+from stillcal.replay.blind_test.world import binned, over_bins
+
+DOCUMENTED = """
+accel_bias_temperature gyro_bias_temperature accel_scale_temperature gyro_scale_temperature
+accel_warmup gyro_warmup thermal_latent gyro_g_sensitivity accel_nonlinearity gyro_nonlinearity
+accel_bias_step gyro_bias_step accel_bias_drift gyro_bias_drift accel_bias_random_walk
+gyro_bias_random_walk accel_charging_bias gyro_charging_bias accel_saturation gyro_saturation
+accel_quantisation gyro_quantisation noise_unequal_axes noise_heavy_tailed noise_level
+vibration_tone clock_skew timestamp_jitter dropped_samples arrival_bursts accel_gyro_time_offset
+bandwidth lever_arm
+"""
+
+
+def test_every_documented_effect_is_in_the_examination() -> None:
+    assert sorted(NAMES) == sorted(DOCUMENTED.split())
+    assert not set(STRANGERS) & set(NAMES)
+
+
+def stage_of(seed: int, **day: object) -> Stage:
+    rng = np.random.default_rng(seed)
+    world = play(Day(600.0, 25.0, **day), rng)  # type: ignore[arg-type]
+    return Stage(world, binned(world), phones.drawn_phone("flicker", 25.0, 9.80665, rng), rng)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_effect_changes_the_recording_it_is_put_into(name: str) -> None:
+    stage = stage_of(1, vivid=name.endswith("_saturation"), pivot=name == "lever_arm")
+    before, added = stage.phone, Additions.none(stage.world)
+    effect = drawn_effect(stage, name, 12.0)
+    put_in(stage, effect, added)
+    plain = phones.recorded(stage.world, before, Additions.none(stage.world), np.random.default_rng(2))
+    with_it = phones.recorded(stage.world, stage.phone, added, np.random.default_rng(2))
+    told = {"accel": "accelerometer", "gyro": "gyroscope", "timing": "accelerometer"}[effect.sensor]
+    one, other = getattr(plain, told), getattr(with_it, told)
+    if effect.effect == "accel_gyro_time_offset":
+        one, other = plain.gyroscope, with_it.gyroscope
+    same = len(one) == len(other) and all(
+        np.array_equal(getattr(one, f), getattr(other, f)) for f in ("t", "xyz", "t_arrival")
+    )
+    assert not same
+    assert effect.axes and effect.sensor in ("accel", "gyro", "timing")
+
+
+@pytest.mark.parametrize(
+    "name", [n for n in FORWARD if n not in ("gyro_scale_temperature", "gyro_nonlinearity")]
+)
+def test_a_slow_effect_has_the_d_prime_it_was_drawn_for(name: str) -> None:
+    stage = stage_of(3)
+    effect = drawn_effect(stage, name, 7.0)
+    added = Additions.none(stage.world)
+    put_in(stage, effect, added)
+    delta = over_bins(stage.world, stage.bins, getattr(added, effect.sensor))
+    assert power.d_prime(stage.weight(effect.sensor), delta) == pytest.approx(7.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", [n for n in simulated.CAN if n in FORWARD])
+def test_the_simulated_phone_and_the_examiner_agree_on_slow_effects(name: str) -> None:
+    """Two makers, no shared formula: what an effect adds to the bins of one day is the same to a percent."""
+    rng = np.random.default_rng(4)
+    phone = phones.drawn_phone("white", 25.0, 9.812, rng)
+    phone = replace(phone, accel=replace(phone.accel, lsb=1e-7), gyro=replace(phone.gyro, lsb=1e-8))
+    day = simulated.drawn_day(400.0, rng)
+    world = simulated.world_of(simulated.simulated(phone, day, [], 9, False))
+    stage = Stage(world, binned(world), phone, rng)
+    effect = drawn_effect(stage, name, 30.0)
+    plain, with_it = (
+        simulated.recorded(simulated.simulated(phone, day, e, 9, False), phone) for e in ([], [effect])
+    )
+    told = "gyroscope" if effect.sensor == "gyro" else "accelerometer"
+    difference = getattr(with_it, told).xyz - getattr(plain, told).xyz
+    added = Additions.none(world)
+    put_in(stage, effect, added)
+    expected = getattr(added, effect.sensor)[
+        np.clip(np.searchsorted(world.t, getattr(plain, told).t), 0, world.t.size - 1)
+    ]
+    switched = [effect.parameters.get("at_s", -9.0), *world.drive[:, 0]]
+    near = (np.abs(getattr(plain, told).t[:, None] - switched) < 2.0 * simulated.GRID_S).any(axis=1)
+    inside = (world.rest_of(getattr(plain, told).t) >= 0) & ~near
+    assert np.abs(difference - expected)[inside].max() < 0.02 * np.abs(expected[inside]).max()
+
+
+def test_sizes_are_the_inverse_of_what_they_are_drawn_from() -> None:
+    ratio = sizes.tail_ratio(6.0, 20_000)
+    assert sizes.excess_kurtosis(ratio, 0.02) == pytest.approx(
+        6.0 * np.hypot(sizes.KURTOSIS_SPREAD, np.sqrt(8.0 / 20_000))
+    )
+    rng, step = np.random.default_rng(5), sizes.comb_step(10.0, 20_000, 1.0)
+    # Rayleigh's statistic of the phases on a comb of that step has the size that was asked for.
+    phases = np.exp(2j * np.pi * rng.standard_normal(60_000) / step)
+    assert np.sqrt(2.0) * np.abs(phases.sum()) / np.sqrt(60_000 / 3.0) / np.sqrt(3.0) == pytest.approx(
+        10.0, abs=3.0
+    )
+    lost = sizes.dropped(5.0, 30_000)
+    assert lost / np.hypot(np.sqrt(lost / 30_000), sizes.DROP_SPREAD) == pytest.approx(5.0)
+
+
+def test_the_plan_has_every_kind_and_about_half_from_either_maker() -> None:
+    designs = planned(1000, 1)
+    kinds, makers = Counter(d.kind for d in designs), Counter(d.maker for d in designs)
+    assert len(designs) == 1000 and set(kinds) == {"null", "decoy", "single", "pair", "off_catalogue"}
+    assert 0.4 < makers["simulator"] / 1000 < 0.6
+    assert {d.names[0] for d in designs if d.kind == "decoy"} == set(DECOYS)
+    assert {d.names[0] for d in designs if d.kind == "single"} == set(NAMES)
+    assert {d.names[0] for d in designs if d.kind == "off_catalogue"} == set(STRANGERS)
+    assert 10 <= sum(d.full_length for d in designs) <= 30
+
+
+@pytest.mark.parametrize("name", [*STRANGERS])
+def test_strangers_are_in_their_recordings(name: str) -> None:
+    recording, key = made(Design("off_catalogue", "white", "examiner", (name,), 16.0, False), 6, 1)
+    assert key.exam is not None
+    added = np.abs(getattr(key.exam, STRANGERS[name].sensor)).max()
+    assert (added > 0.0) == (STRANGERS[name].course is not None)
+    assert key.effects[0].t_end > key.effects[0].t_start
+    assert np.isfinite(recording.accelerometer.xyz).all()
+
+
+@pytest.mark.parametrize("decoy", DECOYS)
+def test_decoys_conceal_nothing(decoy: str) -> None:
+    recording, key = made(Design("decoy", "flicker", "examiner", (decoy,), 10.0, False), 7, 1)
+    assert key.effects == [] and key.variant == decoy
+    assert (recording.claims.gravity is None) == (decoy == "location")
+
+
+def test_a_case_is_its_design_seed_and_index() -> None:
+    design = Design("single", "mixture", "examiner", ("accel_warmup",), 8.0, False)
+    (a, key_a), (b, key_b), (c, _) = (made(design, 8, i) for i in (1, 1, 2))
+    assert np.array_equal(a.accelerometer.xyz, b.accelerometer.xyz) and key_a == key_b
+    assert not np.array_equal(a.accelerometer.xyz[:100], c.accelerometer.xyz[:100])
+
+
+def test_a_seal_is_the_sum_of_the_file_and_breaks_with_one_bit() -> None:
+    _, key = made(Design("null", "white", "examiner", (), 2.0, False), 9, 1)
+    file = sealed(key)
+    assert seal_of(file) == hashlib.sha256(file).hexdigest()
+    assert opened(file, seal_of(file), "r0001.key") == key
+    assert sealed(key) != file
+    changed = bytearray(file)
+    changed[len(file) // 2] ^= 1
+    with pytest.raises(SealError, match=r"r0001\.key.*not the one"):
+        opened(bytes(changed), seal_of(file), "r0001.key")
+
+
+def test_a_key_of_another_kind_is_refused() -> None:
+    file = b'00\n{"kind":"guess"}\n'
+    with pytest.raises(SealError, match="kind = guess"):
+        opened(file, seal_of(file), "r0001.key")
+
+
+def test_recordings_tell_nothing_of_what_is_in_them(tmp_path: Path) -> None:
+    manifest = make(tmp_path / "recordings", tmp_path / "keys", 4, 3)
+    assert read_manifest(tmp_path / "recordings") == manifest
+    words = [w.encode() for w in (*NAMES, *STRANGERS, *DECOYS, "examiner", "simulator", "flicker", "seed")]
+    for path in (tmp_path / "recordings").iterdir():
+        assert path.name == "manifest.json" or (path.name[0] == "r" and path.name[1:5].isdigit())
+        head = path.read_bytes()[:4096]
+        assert not any(word in head for word in words)
+    assert sorted(p.stem for p in (tmp_path / "keys").iterdir()) == sorted(manifest.seals)
+    with pytest.raises(ChallengeError, match="holds files already"):
+        make(tmp_path / "recordings", tmp_path / "other", 1, 1)
+
+
+def test_true_effects_of_a_pair_are_both_told() -> None:
+    _, key = made(
+        Design("pair", "white", "simulator", ("accel_bias_step", "dropped_samples"), 16.0, False), 10, 1
+    )
+    assert [e.effect for e in key.effects] == ["accel_bias_step", "dropped_samples"]
+    assert isinstance(key.effects[0], TrueEffect) and key.effects[0].t_start > 0.0

@@ -1,0 +1,25 @@
+"""Tables of rests that state no uncertainty are diagnosed: the three that ship with the project."""
+
+from __future__ import annotations
+
+from importlib.resources import as_file, files
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.model.noise_models import families
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.replay.diagnosis.diagnose import diagnosed_rests, rest_bins
+from stillcal.replay.formats.trace import read_rest_table
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_published_table_is_diagnosed(number: int) -> None:
+    with as_file(files("stillcal.config") / "esgi" / f"dataset{number}.csv") as path:
+        rests = read_rest_table(path)
+    answer = diagnosed_rests(rests, "table")
+    names = {f["effect"] for f in answer["findings"]}
+    assert names <= {"accel_nonlinearity", "unknown"}
+    (norm, *_) = scenes(rest_bins(rests), 9.80665)[0].views
+    for family in families(norm):
+        assert np.isfinite(family.rotation).all() and (family.diagonals > 0.0).all()

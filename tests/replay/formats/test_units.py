@@ -1,0 +1,137 @@
+"""Mistaken units are recognised; real sensors, free fall and thrust raise no false alarm."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stillcal.replay.formats.trace import Recording, TraceError, read_all
+
+HEADER = "t,ax,ay,az,gx,gy,gz"
+SCENES = ["turning", "walking", "still"]
+
+
+@cache
+def turned(scene: str, n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
+    """Return rates (n, 3) rad/s and up (n, 3) of a phone at 100 Hz, and the generator that drew them."""
+    rng = np.random.default_rng(seed)
+    amplitude = {"turning": 1.0, "walking": 0.5, "still": 0.0}[scene]
+    phases = rng.uniform(0, 2 * np.pi, 3)
+    rate = amplitude * np.sin(np.outer(np.arange(n) / 100, [0.7, 1.1, 1.7]) + phases)
+    up = np.empty((n, 3))
+    up[0] = 0.0, 0.0, 1.0
+    for i, turn in enumerate(Rotation.from_rotvec(rate[:-1] / 100).as_matrix()):
+        np.matmul(up[i], turn, out=up[i + 1])
+    return rate, up, rng
+
+
+def phone(
+    scene: str, n: int = 3000, seed: int = 0, scale: float = 1.0, gyro_bias: float = 0.01
+) -> np.ndarray:
+    """Return rows of a phone that is turned by hand, walked with or left lying, in SI units.
+
+    Noise is that of a phone's sensors: 0.02 m/s^2 and 0.002 rad/s a sample at 100 Hz.
+    """
+    rate, up, drawn = turned(scene, n, seed)
+    t, force, rng = np.arange(n) / 100, 9.81 * up, deepcopy(drawn)
+    if scene == "walking":
+        force += np.column_stack([np.zeros(n), np.zeros(n), 1.5 * np.sin(2 * np.pi * 1.8 * t)])
+    force = scale * force + 0.2 + rng.normal(0, 0.02, (n, 3))
+    return np.column_stack([t, force, rate + gyro_bias + rng.normal(0, 0.002, (n, 3))])
+
+
+def read(path: Path, rows: np.ndarray) -> Recording:
+    text = "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist())
+    path.write_text(HEADER + "\n" + text)
+    return read_all(path)
+
+
+def taken_as_given(path: Path, rows: np.ndarray) -> bool:
+    """Whether a recording is read, and its values are taken for m/s^2 and rad/s."""
+    held = read(path, rows)
+    assert held.gyroscope is not None
+    same = (held.accelerometer.xyz == rows[:, 1:4]).all() and (held.gyroscope.xyz == rows[:, 4:7]).all()
+    return bool(same)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scale", [0.92, 1.0, 1.25])
+@pytest.mark.parametrize("gyro_bias", [0.01, 0.35])
+def test_real_errors_of_phones_raise_no_alarm(
+    tmp_path: Path, scene: str, scale: float, gyro_bias: float
+) -> None:
+    assert taken_as_given(tmp_path / "r.csv", phone(scene, scale=scale, gyro_bias=gyro_bias))
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("n", [100, 3000])
+@pytest.mark.parametrize(("unit", "per_si"), [("g", 1 / 9.80665), ("mg", 1000 / 9.80665)])
+def test_g_and_mg_are_recognised(tmp_path: Path, scene: str, n: int, unit: str, per_si: float) -> None:
+    rows = phone(scene, n)
+    rows[:, 1:4] *= per_si
+    with pytest.raises(TraceError, match=f'seems to be {unit}; give m/s\\^2, or set unit = "{unit}"'):
+        read(tmp_path / "r.csv", rows)
+
+
+@pytest.mark.parametrize("scene", ["turning", "walking", "still"])
+def test_degrees_are_recognised(tmp_path: Path, scene: str) -> None:
+    """Also of a phone that lies still: as radians its noise alone would turn gravity visibly."""
+    rows = phone(scene)
+    rows[:, 4:7] = np.rad2deg(rows[:, 4:7])
+    with pytest.raises(TraceError, match="the rates are not rad/s"):
+        read(tmp_path / "r.csv", rows)
+
+
+def test_a_late_first_turn_still_shows_degrees(tmp_path: Path) -> None:
+    rows = np.vstack([phone("still", 12_000), phone("turning", 3000)])
+    rows[:, 0] = np.arange(len(rows)) / 100
+    rows[:, 4:7] = np.rad2deg(rows[:, 4:7] * np.r_[np.zeros(12_000), np.ones(3000)][:, None])
+    with pytest.raises(TraceError, match="the rates are not rad/s"):
+        read(tmp_path / "r.csv", rows)
+
+
+def test_raw_counts_are_recognised(tmp_path: Path) -> None:
+    rows = phone("still")
+    rows[:, 1:4] *= 1670
+    with pytest.raises(TraceError, match=r"raw counts\?; say accel_unit"):
+        read(tmp_path / "r.csv", rows)
+
+
+def test_axes_of_the_gyroscope_turned_against_the_accelerometer_s_are_not_taken_for_degrees(
+    tmp_path: Path,
+) -> None:
+    rows = phone("turning")
+    rows[:, 4:7] *= -1
+    assert taken_as_given(tmp_path / "r.csv", rows)
+
+
+def test_tumbling_in_free_fall_and_thrust_raise_no_alarm(tmp_path: Path) -> None:
+    """A bias alone is left of the force in free fall and does not turn with the rates."""
+    rows = phone("still", 6000)
+    rows[2500:4000, 1:4] -= [0.0, 0.0, 9.81]
+    rows[2000:2500, 1:4] *= 8
+    rows[2000:4000, 4:7] += [5.0, 1.0, 0.0]
+    assert taken_as_given(tmp_path / "r.csv", rows)
+
+
+@pytest.mark.parametrize("rate", [5, 20, 100])
+def test_shaking_faster_than_can_be_followed_raises_no_alarm(tmp_path: Path, rate: int) -> None:
+    """A pocket's shaking at 3 and 4.1 Hz, 0.15 rad wide, sampled at 5 Hz too: the rates do not add up."""
+    t = np.arange(60 * rate) / rate
+    phase = 2 * np.pi * np.outer(t, [3.0, 4.1, 0.2])
+    angle = np.sin(phase) * [0.15, 0.1, 0.2]
+    rates = np.cos(phase) * [0.15, 0.1, 0.2] * (2 * np.pi * np.array([3.0, 4.1, 0.2]))
+    force = Rotation.from_rotvec(-angle).apply([0.0, 0.0, 9.81])
+    noise = np.random.default_rng(0).normal(0, 1, (len(t), 6)) * np.repeat([0.02, 0.002], 3)
+    assert taken_as_given(tmp_path / "r.csv", np.column_stack([t, np.column_stack([force, rates]) + noise]))
+
+
+def test_a_turntable_about_the_vertical_raises_no_alarm(tmp_path: Path) -> None:
+    rows = phone("still", 3000)
+    rows[500:, 6] += 3.5
+    assert taken_as_given(tmp_path / "r.csv", rows)

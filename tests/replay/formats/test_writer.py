@@ -1,0 +1,114 @@
+"""Writing recordings: to the last bit, whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.streams.events import Charging, Location
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.trace import TraceError, TraceWriter, open_trace, read_all
+
+VALUES = st.floats(-1e4, 1e4, allow_nan=False).map(lambda x: x + 0.0)  # no minus zero: -0.0 == 0.0 anyway
+
+
+def run(sensor: Sensor, t: np.ndarray, xyz: np.ndarray, temperature: np.ndarray | None = None) -> Samples:
+    return Samples(sensor, frozen(t), frozen(xyz), None if temperature is None else frozen(temperature))
+
+
+def simple(n: int = 30) -> Samples:
+    return run(Sensor.ACCELEROMETER, np.arange(n) / 10, np.tile([0.0, 0.0, 9.8], (n, 1)))
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=st.data(), n=st.integers(2, 40), m=st.integers(1, 40), suffix=st.sampled_from(["csv", "csv.gz"]))
+def test_what_is_written_is_read_to_the_last_bit(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, n: int, m: int, suffix: str
+) -> None:
+    stamps = st.floats(-1e6, 2e9).map(lambda x: x + 0.0)
+    accelerometer = run(
+        Sensor.ACCELEROMETER,
+        np.sort(data.draw(hnp.arrays(np.float64, n, elements=stamps, unique=True))),
+        data.draw(hnp.arrays(np.float64, (n, 3), elements=VALUES)) + np.array([0, 0, 3e4]),
+        data.draw(hnp.arrays(np.float64, n, elements=VALUES)),
+    )
+    own = data.draw(st.booleans())
+    t = (
+        np.sort(data.draw(hnp.arrays(np.float64, m, elements=stamps, unique=True)))
+        if own
+        else accelerometer.t
+    )
+    gyroscope = run(Sensor.GYROSCOPE, t, data.draw(hnp.arrays(np.float64, (len(t), 3), elements=VALUES)))
+    path = tmp_path_factory.getbasetemp() / f"round.{suffix}"
+    with TraceWriter(path, temperature=True) as writer:
+        writer.write(accelerometer, gyroscope)
+    trace = open_trace(path)
+    with pytest.MonkeyPatch.context() as patch:  # drawn numbers have no sensible unit
+        patch.setattr("stillcal.replay.formats.trace.UnitCheck.see", lambda *_: None)
+        chunks = list(trace.chunks())
+    back = Samples.joined(c.accelerometer for c in chunks)
+    rates = Samples.joined(c.gyroscope for c in chunks)
+    np.testing.assert_array_equal(back.t, accelerometer.t)
+    np.testing.assert_array_equal(back.xyz, accelerometer.xyz)
+    np.testing.assert_array_equal(back.temperature, accelerometer.temperature)
+    np.testing.assert_array_equal(rates.t, gyroscope.t)
+    np.testing.assert_array_equal(rates.xyz, gyroscope.xyz)
+
+
+def test_events_and_claims_are_written_beside(tmp_path: Path) -> None:
+    events = [Charging(0.5, True), Location(1.0, 46.5, 6.6, 400.0), Location(1.5, 46.5, 6.6)]
+    with TraceWriter(
+        tmp_path / "r.csv", gyroscope=False, claims=Claims(device="X", accel_unit=0.1)
+    ) as writer:
+        writer.write(simple(), events=events)
+    trace = open_trace(tmp_path / "r.csv")
+    assert trace.events == events
+    assert trace.claims == Claims(device="X")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["r.csv", "r.events.jsonl", "r.json"]
+
+
+def test_a_new_recording_does_not_keep_old_events(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    for events in ([Charging(0.5, True)], []):
+        with TraceWriter(path, gyroscope=False) as writer:
+            writer.write(simple(), events=events)
+    assert open_trace(path).events == []
+
+
+def test_an_error_leaves_nothing_behind_and_the_old_file_whole(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text("old")
+    with pytest.raises(KeyError), TraceWriter(path) as writer:
+        writer.write(simple(), events=[Charging(0.0, True)])
+        raise KeyError
+    assert [p.name for p in tmp_path.iterdir()] == ["r.csv"]
+    assert path.read_text() == "old"
+
+
+def test_a_folder_that_is_not_there_is_a_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(TraceError, match="cannot be written"), TraceWriter(tmp_path / "none" / "r.csv"):
+        pass
+
+
+def test_the_same_samples_give_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a.csv.gz", "b.csv.gz"):
+        with TraceWriter(tmp_path / name, gyroscope=False) as writer:
+            writer.write(simple())
+    assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
+
+
+def test_split_writing_is_whole_writing(tmp_path: Path) -> None:
+    whole = simple(100)
+    for name, parts in (("a.csv", [whole]), ("b.csv", [whole[:33], whole[33:34], whole[34:]])):
+        with TraceWriter(tmp_path / name, gyroscope=False) as writer:
+            for part in parts:
+                writer.write(part)
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert len(read_all(tmp_path / "a.csv").accelerometer) == 100

@@ -1,0 +1,73 @@
+"""Features of motion on signals that are known, Bayes' rule on normal classes, coning at 20 Hz."""
+
+import numpy as np
+import pytest
+
+from stillcal.replay.studies.collin2019.coning import at_20_hz
+from stillcal.replay.studies.collin2019.motion_features import (
+    MODES,
+    NAMES,
+    features,
+    peak_frequency,
+    simulated,
+)
+from stillcal.replay.studies.collin2019.motion_modes import Bayes, error_by_person, judge_by_bayes
+
+RATE = 100.0
+T = np.arange(500) / RATE
+
+
+def test_features_of_a_sinusoid_are_its_own() -> None:
+    norms = 9.81 + 2.0 * np.sin(2 * np.pi * 2.0 * T)[None]
+    found = dict(zip(NAMES, features(norms, np.zeros((1, 500, 3)), RATE)[0], strict=True))
+    assert 10 ** found["standard deviation (log)"] == pytest.approx(np.sqrt(2.0), rel=1e-6)
+    assert found["peak frequency"] == pytest.approx(2.0)
+    assert found["skewness"] == pytest.approx(0.0, abs=1e-6)
+    assert 10 ** found["mean absolute deviation (log)"] == pytest.approx(4.0 / np.pi, rel=2e-3)  # 50 a period
+    assert found["zero-crossing rate"] == pytest.approx(4.0, abs=0.3)
+    assert found["change of peak frequency over 4 parts"] == pytest.approx(0.0, abs=1e-9)
+    assert found["coning error (log)"] < -8
+
+
+def test_noise_has_more_entropy_than_a_tone() -> None:
+    noise = np.random.default_rng(1).standard_normal((1, 500))
+    tone = np.sin(2 * np.pi * 5.0 * T)[None]
+    entropy = [
+        features(x, np.zeros((1, 500, 3)), RATE)[0, NAMES.index("spectral entropy")] for x in (noise, tone)
+    ]
+    assert entropy[0] > 0.85 > 0.3 > entropy[1]
+    assert peak_frequency(tone, RATE) == pytest.approx([5.0])
+
+
+def test_bayes_rule_gives_the_posterior_of_normal_classes() -> None:
+    model = Bayes(np.array([[0.0], [2.0]]), np.ones((2, 1, 1)), np.array([0.75, 0.25]))
+    # log odds of two unit normals two apart: ln 3 + (2 - 2 z)
+    z = np.array([[0.0], [1.0], [1.7]])
+    odds = 3.0 * np.exp(2.0 - 2.0 * z[:, 0])
+    assert model.posterior(z)[:, 0] == pytest.approx(odds / (1.0 + odds))
+
+
+def test_bayes_reaches_the_error_of_theory_on_normal_classes() -> None:
+    rng = np.random.default_rng(2)
+    label = np.repeat([0, 1], 4000)
+    z = rng.standard_normal((8000, 2)) + 2.0 * label[:, None] * [1.0, 0.0]
+    learnt = Bayes.learnt(z[::2], label[::2], 2)
+    wrong = np.mean(learnt.posterior(z[1::2]).argmax(axis=1) != label[1::2])
+    assert wrong == pytest.approx(0.1587, abs=3.0 * np.sqrt(0.1587 * 0.84 / 4000) + 0.002)  # Phi(-1)
+
+
+def test_simulated_modes_differ_as_in_fig_9_and_are_told_apart() -> None:
+    people = simulated(3, 1, minutes=2.0)
+    sd = [np.median(people.sd[people.mode == m]) for m in range(len(MODES))]
+    assert sd[0] > 2.0 * sd[1] > 2.0 * sd[2]
+    assert error_by_person(people, judge_by_bayes(people, (0, 1))).mean() < 0.1
+
+
+def test_twenty_hertz_keep_the_mean_rate() -> None:
+    t = np.arange(0.0, 10.0, 0.005)
+    rates = np.column_stack((np.sin(t), np.cos(t), t))
+    slow, mean = at_20_hz(t, rates)
+    assert np.diff(slow) == pytest.approx(0.05)
+    # an interval holds its first sample and not its last: its mean leads by half a sample, a whole one if
+    # rounding moves a sample over the edge
+    assert np.abs(mean[:, 2] - (slow - 0.0025)).max() < 0.005 + 1e-9

@@ -1,0 +1,94 @@
+"""What a study says, how it is kept, the page, and the command."""
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from stillcal.replay.commands.evaluate import evaluate_command
+from stillcal.replay.studies import page
+from stillcal.replay.studies import registry as studies
+from stillcal.replay.studies.claim import Claim, Study, Verdict, agreement, holds, table
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def a_study(name: str = "laboratory") -> Study:
+    claim = Claim("ESGI'95", "2.4", "s1 | s2", "0.3", "0.4", "its tables", Verdict.DIFFERS, "off by 0.1")
+    return Study(name, "A title", (claim,), "### Detail\n\nwords", ("a.png",), 7)
+
+
+def test_agreement_is_judged_by_the_tolerance() -> None:
+    assert agreement(3.14, 3.15, 0.01 + 1e-12) is Verdict.REPRODUCED
+    assert agreement(3.14, 3.16, 0.01) is Verdict.DIFFERS
+    assert agreement(3.14, float("nan"), 0.01) is Verdict.DIFFERS
+    assert (holds(True), holds(False)) == (Verdict.REPRODUCED, Verdict.DIFFERS)
+
+
+def test_what_is_kept_comes_back(tmp_path: Path) -> None:
+    page.kept_at(tmp_path, "laboratory").write_bytes(page.encoded(a_study()))
+    assert page.kept(tmp_path) == [a_study()]
+
+
+def test_page_has_every_claim_and_the_command_of_each_section() -> None:
+    text = page.page([a_study()])
+    assert "1 claims: 0 reproduced, 1 differs" in text
+    assert (
+        "| ESGI'95, 2.4 | s1 \\| s2 | 0.3 | 0.4 | its tables | **differs** | off by 0.1 |"
+        " `stillcal evaluate laboratory --seed 7` |" in text
+    )
+    assert "`stillcal evaluate laboratory --seed 7`" in text
+
+
+def test_the_page_in_the_documents_is_what_was_kept_and_whole() -> None:
+    """Nothing on it is written by hand, no study is missing, and every figure is there and shown."""
+    folder = DOCS / page.FOLDER
+    kept = page.kept(folder)
+    assert [study.name for study in kept] == list(studies.STUDIES)
+    text = (DOCS / page.PAGE).read_text()
+    assert text == page.page(kept)
+    figures = {figure for study in kept for figure in study.figures}
+    assert figures == {file.name for file in folder.glob("*.png")}
+    assert all(f"({page.FOLDER}/{figure})" in text for figure in figures)
+
+
+def test_table_has_a_row_a_line() -> None:
+    assert table(("a", "b"), [("1", "2")]).splitlines() == ["| a | b |", "| --- | --- |", "| 1 | 2 |"]
+
+
+@pytest.mark.parametrize("name", studies.STUDIES)
+def test_every_study_can_be_found_and_says_what_it_is(name: str) -> None:
+    assert len(studies.title(name)) > 10
+
+
+def test_command_writes_the_page_and_runs_again(tmp_path: Path) -> None:
+    for _ in range(2):
+        result = CliRunner().invoke(evaluate_command, ["laboratory", "--out", str(tmp_path)])
+        assert result.exit_code == 0, result.output
+    text = (tmp_path / "evaluation.md").read_text()
+    assert "dataset 1, positions 1-20: parameters" in text
+    assert (tmp_path / "evaluation" / "laboratory.json").is_file()
+
+
+def test_unknown_study_is_refused_by_name(tmp_path: Path) -> None:
+    result = CliRunner().invoke(evaluate_command, ["gyre", "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "no study is named gyre: choose among " in result.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_library_is_named_with_its_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stillcal.replay.commands.evaluate.NEEDED", {"no_such_module": "no-such-package"})
+    result = CliRunner().invoke(evaluate_command, ["laboratory", "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "no-such-package not installed: pip install 'stillcal[evaluation]'" in result.output
+
+
+def test_a_damaged_result_is_named_with_its_remedy(tmp_path: Path) -> None:
+    folder = tmp_path / "evaluation"
+    folder.mkdir()
+    (folder / "allan.json").write_text('{"name": "allan"')
+    result = CliRunner().invoke(evaluate_command, ["laboratory", "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "allan.json: not a study's result" in result.output
+    assert "stillcal evaluate allan" in result.output
