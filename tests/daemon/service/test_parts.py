@@ -257,7 +257,7 @@ def test_blocks_are_not_joined_where_time_does_not_go_on_or_columns_differ(later
 PATCHY = """
 import sys
 import numpy as np
-from stillcal.daemon import memory
+from stillcal.daemon.system import memory
 if "stay_small" in sys.argv:
     memory.stay_small()
 np.empty(1 << 22, "u1").fill(1)  # once freed, glibc keeps blocks of this size

@@ -86,9 +86,9 @@ def test_the_answering_process_cannot_open_a_key(challenge: Path, tmp_path: Path
     code = f"""
 import sys
 from pathlib import Path
-from stillcal.replay.blind_test import answering
+from stillcal.replay.blind_test import answer as answering
 answering.run("affine_white_bic", Path({str(tmp_path)!r}), ["r0001"])
-assert not [m for m in sys.modules if m.rpartition(".")[2] in ("cases", "keys", "making")]
+assert not [m for m in sys.modules if m.rpartition(".")[2] in ("cases", "keys", "make")]
 open({str(key)!r}).read()
 """
     done = subprocess.run(

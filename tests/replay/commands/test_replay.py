@@ -264,7 +264,7 @@ def test_a_process_says_the_same(tmp_path: Path) -> None:
 
 INTERRUPTED = """
 import os, signal
-from stillcal.replay import trace
+from stillcal.replay.formats import trace
 whole = trace.Trace.chunks
 def chunks(self, *args, **named):
     for number, chunk in enumerate(whole(self, *args, **named)):
