@@ -1,7 +1,7 @@
 """`stillcal run`: the daemon put together, from its start to its clean end.
 
-One event loop holds the phone's line, the socket and the signals. The engine thinks in one thread and
-the disk is written in another (service_mind.py, service_storage.py), so that neither delays the loop.
+One event loop holds the phone's line, the socket and the signals. The engine runs in one thread and
+the disk is written in another (service/engine_thread.py, service/storage.py). Neither delays the loop.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Reject
 from stillcal.calib_core.engine.actions import Store as Keep
 from stillcal.calib_core.engine.state import EngineState
-from stillcal.daemon.app_launch import Given, fixed, serial_settings
-from stillcal.daemon.service.engine_thread import Mind, Thought, View
-from stillcal.daemon.service.phone_session import Pump, host_time
+from stillcal.daemon.app_launch import LaunchOptions, needs_restart, serial_settings
+from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
+from stillcal.daemon.service.phone_session import PhoneSession, host_time
 from stillcal.daemon.service.saved_state import SavedState
-from stillcal.daemon.service.storage import Storage, sourced
-from stillcal.daemon.service.subscribers import Item, News
+from stillcal.daemon.service.storage import Storage, with_provenance
+from stillcal.daemon.service.subscribers import Notification, Subscribers
 from stillcal.daemon.settings import Settings, SettingsError, store_path
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.sources.open import source_of
@@ -39,8 +39,8 @@ SAVE_EVERY_S = 10.0
 SAVE_AT_LEAST_S = 600.0
 """So often it is written anyway, s."""
 
-PATIENCE_S = 0.5
-"""How long a clean stop waits for what is being thought, s; twice at most."""
+STOP_TIMEOUT_S = 0.5
+"""A clean stop waits at most this long for the phone session, and again for the engine, s."""
 
 HEARTBEAT_S = 10.0
 """How often the manager hears of the service where its watchdog does not ask for more, s."""
@@ -48,26 +48,26 @@ HEARTBEAT_S = 10.0
 REMEDY = "record a day of it, temperature included, and see what is left out: stillcal diagnose RECORDING"
 """What a person can do where calibrating does not help."""
 
-STUCK = 0.5
-"""A thought that takes longer than this share of the watchdog's time counts as stuck."""
+STUCK_SHARE = 0.5
+"""An engine job that takes longer than this share of the watchdog's time counts as stuck."""
 
 
 class Service:
     """The daemon. `open` first, then `run`."""
 
-    mind: Mind
-    pump: Pump
+    engine_thread: EngineThread
+    session: PhoneSession
 
-    def __init__(self, settings: Settings, given: Given, notifier: Notifier) -> None:
-        self.settings, self._given, self._notifier = settings, given, notifier
+    def __init__(self, settings: Settings, options: LaunchOptions, notifier: Notifier) -> None:
+        self.settings, self._options, self._notifier = settings, options, notifier
         store = Store(store_path(settings.store, os.environ), settings.store)
         self.storage = Storage(store, lambda note: say("warning", "store", note))
         self.saved = SavedState(EngineState())
-        self.news = News()
-        self._began = host_time()
+        self.subscribers = Subscribers()
+        self._started_at = host_time()
         self._stop = asyncio.Event()
         self._unsaved = asyncio.Event()
-        self._fresh = False
+        self._save_now = False
 
     def open(self) -> None:
         """Lock the store and take up the state where it was left. Raises StoreError."""
@@ -79,8 +79,8 @@ class Service:
             self.saved.clock.host = None
             self.saved.energy.restarted()
         engine = loaded.state.engine if loaded.state else None
-        self.mind = Mind(self.settings.engine, engine, self.storage.document.current)
-        rests = self.mind.view.rests_held
+        self.engine_thread = EngineThread(self.settings.engine, engine, self.storage.document.current)
+        rests = self.engine_thread.view.rests_held
         say("info", "opened", store=self.storage.path, rests=rests, calibration=self.current_id)
 
     # What is known, for those who ask
@@ -88,7 +88,7 @@ class Service:
     @property
     def view(self) -> View:
         """What the engine thinks."""
-        return self.mind.view
+        return self.engine_thread.view
 
     @property
     def document(self) -> StoreDocument:
@@ -98,7 +98,7 @@ class Service:
     @property
     def source(self) -> Source:
         """The phone's line."""
-        return self.pump.source
+        return self.session.source
 
     @property
     def trouble(self) -> str:
@@ -113,12 +113,12 @@ class Service:
     @property
     def uptime_s(self) -> float:
         """For how long the daemon has been running, s."""
-        return host_time() - self._began
+        return host_time() - self._started_at
 
     @property
     def now(self) -> float | None:
         """The engine's time, s; None before the first sample since the start."""
-        return self.pump.now
+        return self.session.now
 
     @property
     def current_id(self) -> str | None:
@@ -131,9 +131,12 @@ class Service:
     async def run(self) -> None:
         """Serve until a signal says to stop, or something fails that must not; then it is raised."""
         self._listen_to_signals()
-        self.pump = self._new_pump()
-        async with serving(self, self.settings.socket, self._given.passed):
-            jobs = [asyncio.create_task(job) for job in (self._pumping(), self._writing(), self._beating())]
+        self.session = self._new_session()
+        async with serving(self, self.settings.socket, self._options.passed):
+            jobs = [
+                asyncio.create_task(job)
+                for job in (self._serving_phone(), self._saving(), self._sending_heartbeats())
+            ]
             self._notifier.ready(self.describe())
             say("info", "ready", "waiting for the phone", port=self.settings.source.port)
             stop = asyncio.create_task(self._stop.wait())
@@ -150,16 +153,16 @@ class Service:
 
     # Jobs
 
-    async def _pumping(self) -> None:
+    async def _serving_phone(self) -> None:
         """Serve the phone's line, and the next one where the settings come to name another."""
-        served: Pump | None = None
-        while served is not self.pump:
-            served = self.pump
+        served: PhoneSession | None = None
+        while served is not self.session:
+            served = self.session
             async with served.source:
                 await served.run()
         await self._stop.wait()
 
-    async def _writing(self) -> None:
+    async def _saving(self) -> None:
         """Write what changes: calibrations at once, the state now and then."""
         saved_at, changed = host_time() - SAVE_EVERY_S, False
         while True:
@@ -170,36 +173,40 @@ class Service:
             changed = changed or self._unsaved.is_set()
             self._unsaved.clear()
             await self.storage.flush()
-            if self._fresh or host_time() - saved_at >= (SAVE_EVERY_S if changed else SAVE_AT_LEAST_S):
-                self._fresh = False
+            if self._save_now or host_time() - saved_at >= (SAVE_EVERY_S if changed else SAVE_AT_LEAST_S):
+                self._save_now = False
                 saved_at, changed = host_time(), not await self.save()
 
-    async def _beating(self) -> None:
+    async def _sending_heartbeats(self) -> None:
         """Tell the manager that the loop lives, as long as the engine's thread does too."""
         watchdog = self._notifier.watchdog_s
         while True:
             self._notifier.status(self.describe())
-            if watchdog is None or self.mind.thinking_for() < STUCK * watchdog:
+            if watchdog is None or self.engine_thread.busy_for() < STUCK_SHARE * watchdog:
                 self._notifier.alive()
             await asyncio.sleep(HEARTBEAT_S if watchdog is None else min(watchdog / 4, HEARTBEAT_S))
 
     async def save(self) -> bool:
         """Write the state; say whether it is on the disk."""
         saved = replace(self.saved, clock=copy.deepcopy(self.saved.clock), energy=self.saved.energy.copy())
-        return await self.storage.save(await self.mind.encoded(saved))
+        return await self.storage.save(await self.engine_thread.encoded(saved))
 
-    async def _end(self, pumping: asyncio.Task[None], *others: asyncio.Task[None]) -> None:
+    async def _end(self, serving: asyncio.Task[None], *others: asyncio.Task[None]) -> None:
         """Take what has arrived, save, and let go of everything."""
-        self.pump.source.close()
-        await asyncio.wait([pumping], timeout=PATIENCE_S)
-        for job in (pumping, *others):
+        self.session.source.close()
+        await asyncio.wait([serving], timeout=STOP_TIMEOUT_S)
+        for job in (serving, *others):
             job.cancel()
-        await asyncio.gather(pumping, *others, return_exceptions=True)
-        if await self.mind.idle(PATIENCE_S):
+        await asyncio.gather(serving, *others, return_exceptions=True)
+        if await self.engine_thread.idle(STOP_TIMEOUT_S):
             await self.save()
         else:
-            say("warning", "stopping", "a thought took too long: the state stays as it was last written")
-        self.mind.close()
+            say(
+                "warning",
+                "stopping",
+                "the engine is still busy: its state is not saved",
+            )
+        self.engine_thread.close()
         self.storage.close()
         say("info", "stopped", "state saved", calibration=self.current_id)
 
@@ -214,41 +221,43 @@ class Service:
             elif isinstance(action, Diagnose):
                 say("warning", "diagnose", f"{action.reason}: {REMEDY}", t=action.t)
             elif isinstance(action, Keep | Reject | Forget):
-                self._keep(action)
+                self._enqueue(action)
 
-    def _keep(self, action: Keep | Reject | Forget) -> None:
-        self.storage.keep(sourced(action, self.settings.source.port, self.saved.device))
-        self._fresh = self._fresh or action.record.acceptance.how != "zeroing"
+    def _enqueue(self, action: Keep | Reject | Forget) -> None:
+        self.storage.enqueue(with_provenance(action, self.settings.source.port, self.saved.device))
+        self._save_now = self._save_now or action.record.acceptance.how != "zeroing"
         self._unsaved.set()
-        self.news.tell(action)
+        self.subscribers.announce(action)
 
     async def calibrate(self) -> CalibrationRecord:
         """Try a full calibration now. Raises ValueError where nothing comes of it."""
-        return self._outcome(await self.mind.calibrate(), "there is nothing to calibrate from")
+        return self._outcome(await self.engine_thread.calibrate(), "there is nothing to calibrate from")
 
     async def zero(self) -> CalibrationRecord:
         """Measure the gyroscope's bias now. Raises ValueError where no rest shows it."""
-        return self._outcome(await self.mind.zero(), "no rest of late shows it, or nothing is calibrated yet")
+        return self._outcome(
+            await self.engine_thread.zero(), "no rest of late shows it, or nothing is calibrated yet"
+        )
 
-    def _outcome(self, thought: Thought, otherwise: str) -> CalibrationRecord:
+    def _outcome(self, reply: EngineReply, otherwise: str) -> CalibrationRecord:
         """Do what follows and return the calibration that came of it. Raises ValueError with why none did."""
-        self.act(thought.actions)
-        for action in thought.actions:
+        self.act(reply.actions)
+        for action in reply.actions:
             if isinstance(action, Keep):
                 return action.record
             if isinstance(action, Reject):
                 raise ValueError(action.reason)
-        raise ValueError(next((a.why for a in thought.actions if isinstance(a, Log)), otherwise))
+        raise ValueError(next((a.why for a in reply.actions if isinstance(a, Log)), otherwise))
 
     async def rollback(self, target: int | str) -> CalibrationRecord | None:
         """Make an earlier calibration current. Raises ValueError where there is none such."""
         document = await self.storage.rollback(target)
-        await self.mind.hold(document.current)
+        await self.engine_thread.hold(document.current)
         self._unsaved.set()
         if document.current is not None:
             say("info", "rollback", "an earlier calibration is current again", calibration=self.current_id)
-            self.news.spread(
-                Item("rolled_back", self.now or 0.0, "as asked over the socket", document.current)
+            self.subscribers.notify(
+                Notification("rolled_back", self.now or 0.0, "as asked over the socket", document.current)
             )
         return document.current
 
@@ -264,7 +273,7 @@ class Service:
         """Read the settings again. Bad ones are refused, the reason logged and returned, the old kept."""
         self._notifier.reloading()
         try:
-            await self._apply(self._given.settings())
+            await self._apply(self._options.settings())
         except SettingsError as error:
             say("error", "reload", f"refused, the old settings stay: {error}")
             return str(error)
@@ -275,23 +284,23 @@ class Service:
 
     async def _apply(self, settings: Settings) -> None:
         old, self.settings = self.settings, settings
-        for name in fixed(old, settings):
+        for name in needs_restart(old, settings):
             say("warning", "reload", f"{name} has changed: that takes a restart")
         log.set_level(settings.log.level)
         self.storage.configure(settings.store)
         if settings.engine != old.engine:
-            await self.mind.change(settings.engine)
+            await self.engine_thread.change(settings.engine)
         if settings.source != old.source:
-            self.pump, last = self._new_pump(), self.pump
+            self.session, last = self._new_session(), self.session
             last.source.close()
 
-    def _new_pump(self) -> Pump:
+    def _new_session(self) -> PhoneSession:
         source = source_of(self.settings.source.kind, serial_settings(self.settings))
-        return Pump(source, self.mind, self.saved, self.settings.source.rate_hz, self.act)
+        return PhoneSession(source, self.engine_thread, self.saved, self.settings.source.rate_hz, self.act)
 
     def describe(self) -> str:
         """Say in a sentence how things are."""
-        view, device = self.mind.view, self.pump.source.device
+        view, device = self.engine_thread.view, self.session.source.device
         phone = f"phone on {device}" if device else "no phone"
         held = f"calibration {self.current_id}" if self.current_id else "no calibration yet"
         state = " that no longer fits" if view.degraded else ""

@@ -17,7 +17,7 @@ Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings)
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class LaunchOptions:
     """What was given from outside. config: the settings file, read again on SIGHUP.
 
     port, store, socket: stand in for the file's, where they are given. passed: sockets systemd opened.
@@ -31,12 +31,12 @@ class Given:
 
     def settings(self) -> Settings:
         """Read the settings. Raises SettingsError where they cannot serve."""
-        found = load_settings(self.config)
+        from_file = load_settings(self.config)
         settings = replace(
-            found,
-            source=_with(found.source, port=self.port),
-            store=_with(found.store, path=self.store),
-            socket=_with(found.socket, path=self.socket),
+            from_file,
+            source=_with(from_file.source, port=self.port),
+            store=_with(from_file.store, path=self.store),
+            socket=_with(from_file.socket, path=self.socket),
         )
         serial_settings(settings)
         return settings
@@ -54,11 +54,11 @@ def serial_settings(settings: Settings) -> SerialSettings:
     return SerialSettings(port, source.baud, retry_max_s=source.retry_max_s)
 
 
-def _with(part: Part, **given: Any) -> Part:
-    return replace(part, **{name: value for name, value in given.items() if value is not None})
+def _with(part: Part, **overrides: Any) -> Part:
+    return replace(part, **{name: value for name, value in overrides.items() if value is not None})
 
 
-def fixed(old: Settings, new: Settings) -> list[str]:
+def needs_restart(old: Settings, new: Settings) -> list[str]:
     """Return the names of what has changed and cannot change while running."""
     changed = {
         "[store] path": (old.store.path, new.store.path),

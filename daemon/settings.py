@@ -149,10 +149,10 @@ def store_path(settings: StoreSettings, environ: Mapping[str, str]) -> Path:
 
 def line_of(text: str, keys: tuple[str, ...]) -> int | None:
     """Return the line, from 1, where TOML text sets the key or, failing that, opens a table above it."""
-    places = {place: number for number, place in reversed(list(_places(text)))}
+    lines = {keys_there: number for number, keys_there in reversed(list(_keys_by_line(text)))}
     for length in range(len(keys), 0, -1):
-        if keys[:length] in places:
-            return places[keys[:length]]
+        if keys[:length] in lines:
+            return lines[keys[:length]]
     return None
 
 
@@ -172,7 +172,7 @@ def _section(kind: type[T], table: Any, keys: tuple[str, ...]) -> T:
     hints = get_type_hints(kind)
     for key in (key for key in table if key not in hints):
         raise _BadKeyError(
-            (*keys, key), f"is no {'key' if keys else 'section'}: {_nearest(key, list(hints))}"
+            (*keys, key), f"is no {'key' if keys else 'section'}: {_suggestion(key, list(hints))}"
         )
     values = {key: _value(hints[key], value, (*keys, key)) for key, value in table.items()}
     try:
@@ -190,7 +190,9 @@ def _value(hint: Any, value: Any, keys: tuple[str, ...]) -> Any:
     try:
         return msgspec.convert(value, type=hint)
     except msgspec.ValidationError as error:
-        raise _BadKeyError(keys, f"= {value!r}: must be {_allowed(hint) or _plainly(str(error))}") from error
+        raise _BadKeyError(
+            keys, f"= {value!r}: must be {_allowed(hint) or _expected_type(str(error))}"
+        ) from error
 
 
 def _allowed(hint: Any) -> str:
@@ -200,17 +202,17 @@ def _allowed(hint: Any) -> str:
     return f"one of {', '.join(map(repr, choices))}" if is_choice or get_origin(hint) is Literal else ""
 
 
-def _plainly(problem: str) -> str:
+def _expected_type(problem: str) -> str:
     """Turn "Expected `int`, got `str` - at `$`" into "int"."""
     return problem.removeprefix("Expected ").split(", got")[0].replace("`", "")
 
 
-def _nearest(key: str, known: list[str]) -> str:
+def _suggestion(key: str, known: list[str]) -> str:
     close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
     return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
 
 
-def _places(text: str) -> Iterator[tuple[int, tuple[str, ...]]]:
+def _keys_by_line(text: str) -> Iterator[tuple[int, tuple[str, ...]]]:
     table: tuple[str, ...] = ()
     for number, line in enumerate(text.splitlines(), 1):
         if header := re.match(r"\s*\[\[?\s*([^\[\]]+?)\s*\]", line):

@@ -17,8 +17,8 @@ _NAMES = "hhar, imu_tk, mikoff, imucal, phyphox, sensorlogger, sensorlogger_ios,
 def format_option(what: str = "TRACE", *, rests: bool) -> Option[Any]:
     """Return --format for `what`. rests: whether a table of rests is taken too."""
     known = f"csv, rest, {_NAMES}" if rests else f"csv, {_NAMES}"
-    told = f"Format of {what}: {known}, or the path of a column map (.toml)."
-    return click.option("--format", "format_", default="csv", show_default=True, help=told)
+    text = f"Format of {what}: {known}, or the path of a column map (.toml)."
+    return click.option("--format", "format_", default="csv", show_default=True, help=text)
 
 
 gyro_option: Option[Any] = click.option(

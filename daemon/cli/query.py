@@ -54,7 +54,7 @@ def query_command(method: str, parameters: str, path: str, as_json: bool) -> Non
     try:
         for reply in replies(where, _question(method, parameters)):
             if "error" in reply:
-                _refuse(str(reply["error"]), reply.get("parameters") or {})
+                _exit_with_error(str(reply["error"]), reply.get("parameters") or {})
             _print(reply.get("parameters") or {}, as_json)
     except NoDaemonError as error:
         click.echo(
@@ -94,19 +94,19 @@ def _messages(line: socket.socket) -> Iterator[dict[str, Any]]:
 
 def _question(method: str, parameters: str) -> dict[str, Any]:
     try:
-        given = msgspec.json.decode(parameters)
+        arguments = msgspec.json.decode(parameters)
     except msgspec.MsgspecError as error:
         raise click.UsageError(f"PARAMETERS is not JSON: {error}") from error
-    if not isinstance(given, dict):
+    if not isinstance(arguments, dict):
         raise click.UsageError(
             f"PARAMETERS is {parameters}: must be a JSON object, such as '{{\"limit\": 5}}'"
         )
     name = method if "." in method else f"{NAME}.{method}"
     more = {"more": True} if method.rpartition(".")[2] in STREAMS else {}
-    return {"method": name, "parameters": given, **more}
+    return {"method": name, "parameters": arguments, **more}
 
 
-def _refuse(error: str, parameters: dict[str, Any]) -> None:
+def _exit_with_error(error: str, parameters: dict[str, Any]) -> None:
     """Say in one line why there is no answer, and exit."""
     name = error.rpartition(".")[2]
     missing = ", ".join(parameters.get("missing") or [])

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from stillcal.daemon.app import Service
-from stillcal.daemon.app_launch import Given
+from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option
 from stillcal.daemon.system import log, memory
@@ -34,14 +34,14 @@ def run_command(config: Path | None, port: str | None, store: Path | None, socke
     The phone is on a serial line, or with kind = "iio" under [source] this machine is the phone. SIGHUP reads
     the settings again. Logs go to standard error. Exit code 2 where settings, store or socket cannot serve.
     """
-    given = Given(config, port, str(store) if store else None, socket, tuple(passed_sockets()))
-    settings = given.settings()
+    options = LaunchOptions(config, port, str(store) if store else None, socket, tuple(passed_sockets()))
+    settings = options.settings()
     log.set_up(settings.log.level)
-    memory.stay_small()
+    memory.limit_arenas()
     notifier = Notifier()
 
     async def serve() -> None:
-        service = Service(settings, given, notifier)
+        service = Service(settings, options, notifier)
         service.open()
         await service.run()
 

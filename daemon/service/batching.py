@@ -14,11 +14,11 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 
 T = TypeVar("T")
 
-NEAR_S = 1.0
+MAX_JOIN_GAP_S = 1.0
 """A block that begins so much later than the last one ended, s, or before it, is not joined to it."""
 
 
-def together(records: Iterable[T]) -> Iterator[T | Samples]:
+def join_blocks(records: Iterable[T]) -> Iterator[T | Samples]:
     """Join the blocks of each sensor as far as nothing else lies between them, the gyroscope's first.
 
     So the engine waits for neither. Blocks that bring a temperature or arrival stamps are not joined to
@@ -36,7 +36,7 @@ def together(records: Iterable[T]) -> Iterator[T | Samples]:
 def _joined(blocks: Iterable[Samples]) -> Iterator[Samples]:
     run: list[Samples] = []
     for block in blocks:
-        if run and not _goes_on(run[-1], block):
+        if run and not _continues(run[-1], block):
             yield Samples.joined(run)
             run = []
         run.append(block)
@@ -44,9 +44,9 @@ def _joined(blocks: Iterable[Samples]) -> Iterator[Samples]:
         yield Samples.joined(run)
 
 
-def _goes_on(last: Samples, block: Samples) -> bool:
+def _continues(last: Samples, block: Samples) -> bool:
     return (
-        0.0 <= block.t[0] - last.t[-1] <= NEAR_S
+        0.0 <= block.t[0] - last.t[-1] <= MAX_JOIN_GAP_S
         and (last.temperature is None) == (block.temperature is None)
         and (last.t_arrival is None) == (block.t_arrival is None)
     )

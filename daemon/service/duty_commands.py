@@ -20,15 +20,15 @@ STEP_S = 60.0
 
 
 @dataclass(slots=True)
-class Orders:
+class DutyCommands:
     """Remembers what the phone was told last. asleep_until: None where it was told nothing or to sense."""
 
     asleep_until: float | None = None
-    told: bool = False
+    commanded: bool = False
 
     def forget(self) -> None:
         """Assume nothing of the phone, as after it was plugged in or has restarted."""
-        self.asleep_until, self.told = None, False
+        self.asleep_until, self.commanded = None, False
 
     def asleep(self, now: float) -> bool:
         """Say whether the phone sleeps at `now` as far as it was told."""
@@ -45,20 +45,20 @@ class Orders:
         if want.until <= now:
             return []
         until = math.inf if want.until >= decides else want.until
-        if self.told and self.asleep_until == until:
+        if self.commanded and self.asleep_until == until:
             return []
-        self.asleep_until, self.told = until, True
+        self.asleep_until, self.commanded = until, True
         return [Sleep(until)]
 
     def _sense(self, want: Sense, now: float) -> list[Sense | Sleep]:
-        if self.told and not self.asleep(now):
+        if self.commanded and not self.asleep(now):
             self.asleep_until = None
             return []
-        self.asleep_until, self.told = None, True
+        self.asleep_until, self.commanded = None, True
         return [want]
 
 
-def grant(want: Sense | Sleep, decides: float, now: float) -> Grant:
+def credit(want: Sense | Sleep, decides: float, now: float) -> Grant:
     """Let a phone in step with the engine go on to the next time at which its orders may change."""
     goal = min(want.until, decides)
     if isinstance(want, Sense) and want.until < decides:

@@ -58,7 +58,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True)
-class Thought:
+class EngineReply:
     """What came of feeding: what is to be done, what the engine thinks now, and samples it refused."""
 
     actions: list[Action]
@@ -66,7 +66,7 @@ class Thought:
     refused: tuple[str, ...] = ()
 
 
-class Mind:
+class EngineThread:
     """The engine behind a thread. Every coroutine here waits for the jobs before it."""
 
     def __init__(
@@ -80,9 +80,9 @@ class Mind:
         self._jobs, self._since = 0, 0.0
         sys.setswitchinterval(SWITCH_S)
 
-    async def feed(self, items: Sequence[Samples | Event]) -> Thought:
+    async def feed(self, items: Sequence[Samples | Event]) -> EngineReply:
         """Feed the engine in order; what it refuses is named and left out."""
-        return self._seen(await self._run(self._feed, items))
+        return self._with_view(await self._run(self._feed, items))
 
     async def encoded(self, saved: SavedState) -> bytes:
         """Return the state file's contents: the engine as it is now, the rest as given."""
@@ -96,32 +96,32 @@ class Mind:
         """Take `record` for the current calibration, as after a rollback."""
         await self._ask(lambda engine: engine.hold(record))
 
-    async def calibrate(self) -> Thought:
+    async def calibrate(self) -> EngineReply:
         """Try a full calibration now."""
         return await self._ask(lambda engine: engine.calibrate())
 
-    async def zero(self) -> Thought:
+    async def zero(self) -> EngineReply:
         """Measure the gyroscope's bias now."""
         return await self._ask(lambda engine: engine.zero())
 
-    async def forget(self, reason: str) -> Thought:
+    async def forget(self, reason: str) -> EngineReply:
         """Begin anew with another phone."""
         return await self._ask(lambda engine: engine.forget(reason))
 
-    def thinking_for(self) -> float:
+    def busy_for(self) -> float:
         """Return for how long (s) the job at hand has been going on; 0 where there is none."""
         return time.monotonic() - self._since if self._jobs else 0.0
 
-    async def idle(self, patience_s: float) -> bool:
-        """Wait for the jobs at hand; say whether they were over within `patience_s`."""
-        done, _ = await asyncio.wait([asyncio.ensure_future(self._run(lambda: None))], timeout=patience_s)
+    async def idle(self, timeout_s: float) -> bool:
+        """Wait for the jobs at hand; say whether they were over within `timeout_s`."""
+        done, _ = await asyncio.wait([asyncio.ensure_future(self._run(lambda: None))], timeout=timeout_s)
         return bool(done)
 
     def close(self) -> None:
         """Take no more jobs."""
         self._thread.shutdown(wait=False, cancel_futures=True)
 
-    def _feed(self, items: Sequence[Samples | Event]) -> Thought:
+    def _feed(self, items: Sequence[Samples | Event]) -> EngineReply:
         actions: list[Action] = []
         refused: list[str] = []
         for item in items:
@@ -131,17 +131,17 @@ class Mind:
                 refused.append(str(error))
             if isinstance(item, End):
                 self._engine.go_on(item.t)
-        return Thought(actions, _view(self._engine), tuple(refused))
+        return EngineReply(actions, _view(self._engine), tuple(refused))
 
-    def _think(self, ask: Callable[[Engine], list[Action] | None]) -> Thought:
-        return Thought(ask(self._engine) or [], _view(self._engine))
+    def _call_engine(self, ask: Callable[[Engine], list[Action] | None]) -> EngineReply:
+        return EngineReply(ask(self._engine) or [], _view(self._engine))
 
-    async def _ask(self, ask: Callable[[Engine], list[Action] | None]) -> Thought:
-        return self._seen(await self._run(self._think, ask))
+    async def _ask(self, ask: Callable[[Engine], list[Action] | None]) -> EngineReply:
+        return self._with_view(await self._run(self._call_engine, ask))
 
-    def _seen(self, thought: Thought) -> Thought:
-        self.view = thought.view
-        return thought
+    def _with_view(self, reply: EngineReply) -> EngineReply:
+        self.view = reply.view
+        return reply
 
     async def _run(self, job: Callable[..., T], *arguments: object) -> T:
         """Do a job in the thread, after those before it."""

@@ -19,9 +19,9 @@ from stillcal.calib_core.engine.schedule import Watch
 from stillcal.calib_core.static.settings import Sleep
 from stillcal.calib_core.streams.events import Charging, End, Event, Location, Tick
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.daemon.service.batching import together
-from stillcal.daemon.service.duty_commands import Orders, grant
-from stillcal.daemon.service.engine_thread import Mind
+from stillcal.daemon.service.batching import join_blocks
+from stillcal.daemon.service.duty_commands import DutyCommands, credit
+from stillcal.daemon.service.engine_thread import EngineThread
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.sources.base import LinkDown, LinkUp, Record, Source
 from stillcal.daemon.system.log import say
@@ -40,54 +40,58 @@ SILENCE_S = 10.0
 """A phone that should be sensing and says nothing for so long is asked again, s."""
 
 
-class Pump:
+class PhoneSession:
     """One phone's line and what is known of the phone. `saved` holds what is kept over a restart."""
 
     def __init__(
         self,
         source: Source,
-        mind: Mind,
+        engine_thread: EngineThread,
         saved: SavedState,
         rate_hz: float,
         act: Callable[[list[Action]], None],
     ) -> None:
         self.source = source
         self.rate_hz = rate_hz
-        self._mind, self._saved, self._act = mind, saved, act
-        self._orders = Orders()
+        self._engine_thread, self._saved, self._act = engine_thread, saved, act
+        self._commands = DutyCommands()
         self._items: list[Samples | Event] = []
         self._celsius: float | None = None
         self._in_step = False
-        self._heard = self._thought = host_time()
+        self._heard_at = self._fed_at = host_time()
         self.hello: Hello | None = None
         self.refused = 0
 
     async def run(self) -> None:
         """Serve the line until its source is closed."""
-        while (records := await self._take()) is not None:
-            for record in together(records):
-                await self._handle(record)
-            if self._urgent(records):
-                await self._think()
+        while (records := await self._receive()) is not None:
+            for record in join_blocks(records):
+                await self._on_record(record)
+            if self._must_feed_now(records):
+                await self._feed_engine()
             if records and not self._in_step:
-                await self.source.rest(BATCH_S)
+                await self.source.let_gather(BATCH_S)
 
-    def _urgent(self, records: list[Record]) -> bool:
+    def _must_feed_now(self, records: list[Record]) -> bool:
         """Say whether the engine is to be woken for these records now."""
-        calm = records and not self._in_step and all(isinstance(record, Samples) for record in records)
-        view = self._mind.view
-        unhurried = view.watch is Watch.CONTINUOUS and self._saved.clock.newest < view.decides
-        return not (calm and unhurried and host_time() - self._thought < GATHER_S)
+        only_samples = (
+            records and not self._in_step and all(isinstance(record, Samples) for record in records)
+        )
+        view = self._engine_thread.view
+        no_decision_due = view.watch is Watch.CONTINUOUS and self._saved.clock.newest < view.decides
+        return not (
+            only_samples and not self._in_step and no_decision_due and host_time() - self._fed_at < GATHER_S
+        )
 
-    async def _take(self) -> list[Record] | None:
+    async def _receive(self) -> list[Record] | None:
         """Return what came; nothing where it is time to look up without, None once the source is closed."""
         try:
-            async with asyncio.timeout(None if self.source.pending else self._patience()):
+            async with asyncio.timeout(None if self.source.pending else self._timeout()):
                 records = await self.source.take()
         except TimeoutError:
-            self._look_up()
+            self._on_timeout()
             return []
-        self._heard = host_time()
+        self._heard_at = host_time()
         return records or None
 
     @property
@@ -100,73 +104,73 @@ class Pump:
 
     # Time without samples
 
-    def _patience(self) -> float | None:
+    def _timeout(self) -> float | None:
         """Return for how long (s) there is nothing to do unless something comes."""
         if self._items:
             return GATHER_S
         if not self.source.connected or self._in_step:
             return None
         clock = self._saved.clock
-        if not self._orders.asleep(clock.newest):
+        if not self._commands.asleep(clock.newest):
             return SILENCE_S
-        if clock.host is None or math.isinf(self._mind.view.decides):
+        if clock.host is None or math.isinf(self._engine_thread.view.decides):
             return None
-        due = clock.host + self._mind.view.decides - clock.newest + LATE_S
+        due = clock.host + self._engine_thread.view.decides - clock.newest + LATE_S
         return max(due - host_time(), 0.0)
 
-    def _look_up(self) -> None:
+    def _on_timeout(self) -> None:
         """Tell the engine the time while the phone sleeps; ask a phone that should not be silent."""
         clock, host = self._saved.clock, host_time()
         now = clock.now(host)
-        if self._orders.asleep(clock.newest) and now is not None:
-            self._items.append(Tick(min(now, max(self._mind.view.decides, clock.newest))))
-        elif host - self._heard >= SILENCE_S:
+        if self._commands.asleep(clock.newest) and now is not None:
+            self._items.append(Tick(min(now, max(self._engine_thread.view.decides, clock.newest))))
+        elif host - self._heard_at >= SILENCE_S:
             say("warning", "silent", "the phone says nothing: asking it", device=self.source.device)
-            self._heard = host
-            self._orders.forget()
+            self._heard_at = host
+            self._commands.forget()
             self.source.send(Identify())
 
     # Records
 
-    async def _handle(self, record: Record) -> None:
+    async def _on_record(self, record: Record) -> None:
         if isinstance(record, Samples | Charging | Location | Tick | End):
             self._queue(record)
             if isinstance(record, End) or (isinstance(record, Tick) and self._in_step):
-                await self._think()
-                self._answer(record)
+                await self._feed_engine()
+                self._answer_stop(record)
         elif isinstance(record, Status):
-            self._account(record)
+            self._on_status(record)
         elif isinstance(record, Temperature):
             self._celsius = record.celsius
         elif isinstance(record, Hello):
-            await self._meet(record)
+            await self._on_hello(record)
         elif isinstance(record, LinkUp | LinkDown):
-            self._link(record)
+            self._on_link(record)
 
     def _queue(self, record: Samples | Event) -> None:
         item = self._saved.clock.mapped(record, host_time())
         if isinstance(item, Samples):
             self._saved.energy.samples(float(item.t[-1]), len(item))
-            item = self._warm(item)
+            item = self._with_temperature(item)
         if item is not None:
             self._items.append(item)
 
-    def _warm(self, samples: Samples) -> Samples:
+    def _with_temperature(self, samples: Samples) -> Samples:
         """Give samples the thermometer's last reading where they bring none."""
         if samples.temperature is not None or self._celsius is None:
             return samples
         return replace(samples, temperature=frozen(np.full(len(samples), self._celsius)))
 
-    def _account(self, status: Status) -> None:
+    def _on_status(self, status: Status) -> None:
         t = status.t + self._saved.clock.offset
         self._saved.energy.status(t, status)
-        if status.sensing and self._orders.asleep(t):
-            self._orders.forget()
+        if status.sensing and self._commands.asleep(t):
+            self._commands.forget()
 
-    async def _meet(self, hello: Hello) -> None:
-        await self._identify(str(hello.claims.get("device") or ""))
+    async def _on_hello(self, hello: Hello) -> None:
+        await self._check_identity(str(hello.claims.get("device") or ""))
         self.hello, self._in_step = hello, hello.flow == "credit"
-        self._orders.forget()
+        self._commands.forget()
         if self._saved.clock.meet(hello.session):
             self._saved.energy.told = None
             say(
@@ -186,12 +190,14 @@ class Pump:
         if self.rate_hz > 0:
             self.source.send(Rate(self.rate_hz))
 
-    async def _identify(self, device: str) -> None:
+    async def _check_identity(self, device: str) -> None:
         """Begin anew where the phone says it is another one than before; one that says nothing is not."""
         before = self._saved.device
         if before and device and device != before:
-            await self._think()
-            thought = await self._mind.forget(f"another phone, {device}, has taken the place of {before}")
+            await self._feed_engine()
+            reply = await self._engine_thread.forget(
+                f"another phone, {device}, has taken the place of {before}"
+            )
             say(
                 "warning",
                 "another phone",
@@ -199,11 +205,11 @@ class Pump:
                 device=device,
                 before=before,
             )
-            self._act(thought.actions)
+            self._act(reply.actions)
         self._saved.device = device or before
 
-    def _link(self, record: LinkUp | LinkDown) -> None:
-        self._orders.forget()
+    def _on_link(self, record: LinkUp | LinkDown) -> None:
+        self._commands.forget()
         self._in_step = False
         if isinstance(record, LinkUp):
             say(
@@ -220,39 +226,39 @@ class Pump:
 
     # The engine and its orders
 
-    async def _think(self) -> None:
+    async def _feed_engine(self) -> None:
         """Feed what has gathered, hand on what is to be done, and tell the phone what is wanted now."""
-        items, self._items = list(together(self._items)), []
-        self._thought = host_time()
+        items, self._items = list(join_blocks(self._items)), []
+        self._fed_at = host_time()
         if items:
-            thought = await self._mind.feed(items)
-            self._account_for_thinking()
-            for reason in thought.refused:
+            reply = await self._engine_thread.feed(items)
+            self._account_for_engine()
+            for reason in reply.refused:
                 self.refused += 1
                 say("warning", "refused", reason)
-            if thought.actions:
-                self._act(thought.actions)
-        self._order()
+            if reply.actions:
+                self._act(reply.actions)
+        self._send_commands()
 
-    def _account_for_thinking(self) -> None:
+    def _account_for_engine(self) -> None:
         clock, energy = self._saved.clock, self._saved.energy
-        energy.totals(clock.newest, self._mind.view.ledger.asked_s, time.process_time())
+        energy.totals(clock.newest, self._engine_thread.view.ledger.asked_s, time.process_time())
 
-    def _order(self) -> None:
+    def _send_commands(self) -> None:
         if not self.source.connected or self.hello is None:
             return
-        clock, view = self._saved.clock, self._mind.view
-        for command in self._orders.due(view.want, view.decides, clock.newest):
+        clock, view = self._saved.clock, self._engine_thread.view
+        for command in self._commands.due(view.want, view.decides, clock.newest):
             self.source.send(type(command)(clock.phone(command.until)))
 
-    def _answer(self, record: Tick | End) -> None:
+    def _answer_stop(self, record: Tick | End) -> None:
         """Let a phone in step go on, and any phone go whose stream has come to its end."""
-        clock, view = self._saved.clock, self._mind.view
+        clock, view = self._saved.clock, self._engine_thread.view
         if isinstance(record, End):
-            self._orders.forget()
+            self._commands.forget()
             self.source.send(Sleep(math.inf))
             return
-        go = grant(view.want, view.decides, record.t + clock.offset)
+        go = credit(view.want, view.decides, record.t + clock.offset)
         self.source.send(replace(go, until=clock.phone(go.until)))
 
 

@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 Change = Keep | Reject | Forget
 
-MAX_WAITING = 64
+MAX_QUEUED = 64
 """Changes of the store that wait for a disk that refuses them; beyond this, the oldest rejected one goes."""
 
 
@@ -35,7 +35,7 @@ class Storage:
     def __init__(self, store: Store, note: Callable[[str], None]) -> None:
         self._store, self._note = store, note
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="disk")
-        self._waiting: deque[Change] = deque()
+        self._queued: deque[Change] = deque()
         self._trouble = ""
         self.document = StoreDocument()
 
@@ -56,24 +56,24 @@ class Storage:
         """
         self._store.path.parent.mkdir(parents=True, exist_ok=True)
         self._store.lock()
-        self._adopt(self._store.recover())
+        self._take_outcome(self._store.recover())
         return saved_state.load(saved_state.state_path(self._store.path))
 
-    def keep(self, action: Change) -> None:
+    def enqueue(self, action: Change) -> None:
         """Take a calibration that was accepted, rejected or given up; `flush` writes it."""
-        self._waiting.append(action)
+        self._queued.append(action)
 
     async def flush(self) -> bool:
         """Write what waits, in order; say whether all of it is on the disk. For one task only."""
-        while self._waiting:
-            action = self._waiting[0]
+        while self._queued:
+            action = self._queued[0]
             try:
-                self._adopt(await self._run(self._write, action))
+                self._take_outcome(await self._run(self._write, action))
             except StoreError as error:
-                self._failed(str(error))
-                self._shorten()
+                self._note_failure(str(error))
+                self._drop_excess()
                 return False
-            self._waiting.popleft()
+            self._queued.popleft()
         return True
 
     async def save(self, data: bytes) -> bool:
@@ -83,7 +83,7 @@ class Storage:
         try:
             await self._run(self._save, data)
         except OSError as error:
-            self._failed(f"cannot write {error.filename or 'the state'}: {error.strerror}")
+            self._note_failure(f"cannot write {error.filename or 'the state'}: {error.strerror}")
             return False
         self._trouble = ""
         return True
@@ -94,7 +94,7 @@ class Storage:
 
     async def rollback(self, target: int | str) -> StoreDocument:
         """Make an earlier calibration current. Raises ValueError where there is none such."""
-        self._adopt(await self._run(self._store.rollback, target))
+        self._take_outcome(await self._run(self._store.rollback, target))
         return self.document
 
     def close(self) -> None:
@@ -111,28 +111,28 @@ class Storage:
 
     def _save(self, data: bytes) -> None:
         saved_state.save(saved_state.state_path(self._store.path), data)
-        memory.give_back()
+        memory.release_free_pages()
 
-    def _adopt(self, outcome: Outcome) -> None:
+    def _take_outcome(self, outcome: Outcome) -> None:
         self.document = outcome.document
         for note in outcome.notes:
             self._note(note)
 
-    def _failed(self, trouble: str) -> None:
+    def _note_failure(self, trouble: str) -> None:
         if trouble != self._trouble:
             self._note(f"{trouble}; trying again")
         self._trouble = trouble
 
-    def _shorten(self) -> None:
-        while len(self._waiting) > MAX_WAITING:
-            rejected = next((a for a in self._waiting if isinstance(a, Reject)), self._waiting[0])
-            self._waiting.remove(rejected)
+    def _drop_excess(self) -> None:
+        while len(self._queued) > MAX_QUEUED:
+            rejected = next((a for a in self._queued if isinstance(a, Reject)), self._queued[0])
+            self._queued.remove(rejected)
 
     async def _run(self, job: Callable[..., T], *arguments: object) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, job, *arguments)
 
 
-def sourced(action: Change, source: str, device: str) -> Change:
+def with_provenance(action: Change, source: str, device: str) -> Change:
     """Return the action with where its calibration comes from; one that is given up keeps its own."""
     if isinstance(action, Forget):
         return action

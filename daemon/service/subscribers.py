@@ -14,7 +14,7 @@ BACKLOG = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class Notification:
     """What happened. what: calibrated, zeroed, rejected, forgotten or rolled_back; t: s of engine time."""
 
     what: str
@@ -24,11 +24,11 @@ class Item:
 
 
 @dataclass(slots=True, eq=False)
-class Listener:
-    """One who listens; `lost` where it was too slow and has been dropped."""
+class Subscriber:
+    """One who listens; `overflowed` where it was too slow and has been dropped."""
 
-    queue: asyncio.Queue[Item | None] = field(default_factory=lambda: asyncio.Queue(BACKLOG + 1))
-    lost: bool = False
+    queue: asyncio.Queue[Notification | None] = field(default_factory=lambda: asyncio.Queue(BACKLOG + 1))
+    overflowed: bool = False
 
     def close(self) -> None:
         """End the listening: what waits is forgotten."""
@@ -37,36 +37,36 @@ class Listener:
         self.queue.put_nowait(None)
 
 
-class News:
+class Subscribers:
     """Everybody who listens."""
 
     def __init__(self) -> None:
-        self._listeners: set[Listener] = set()
+        self._subscribers: set[Subscriber] = set()
 
     def __len__(self) -> int:
-        return len(self._listeners)
+        return len(self._subscribers)
 
-    def listen(self) -> tuple[Listener, Callable[[], None]]:
+    def subscribe(self) -> tuple[Subscriber, Callable[[], None]]:
         """Begin to listen; the second value ends it."""
-        listener = Listener()
-        self._listeners.add(listener)
-        return listener, lambda: self._listeners.discard(listener)
+        subscriber = Subscriber()
+        self._subscribers.add(subscriber)
+        return subscriber, lambda: self._subscribers.discard(subscriber)
 
-    def tell(self, action: Keep | Reject | Forget) -> None:
+    def announce(self, action: Keep | Reject | Forget) -> None:
         """Tell of what the engine decided."""
         names = {Reject: "rejected", Forget: "forgotten"}
         what = names.get(type(action)) or _kind(action.record)
-        self.spread(Item(what, action.t, action.reason, action.record))
+        self.notify(Notification(what, action.t, action.reason, action.record))
 
-    def spread(self, item: Item) -> None:
+    def notify(self, notification: Notification) -> None:
         """Tell everybody; who has too much unread is dropped."""
-        for listener in list(self._listeners):
-            if listener.queue.qsize() >= BACKLOG:
-                listener.lost = True
-                listener.close()
-                self._listeners.discard(listener)
+        for subscriber in list(self._subscribers):
+            if subscriber.queue.qsize() >= BACKLOG:
+                subscriber.overflowed = True
+                subscriber.close()
+                self._subscribers.discard(subscriber)
             else:
-                listener.queue.put_nowait(item)
+                subscriber.queue.put_nowait(notification)
 
 
 def _kind(record: CalibrationRecord) -> str:

@@ -1,8 +1,8 @@
 """What every source of a phone's samples is made of: settings, what is told of the link, patience.
 
 A source lives in callbacks of one asyncio loop. It looks for its phone, tells when that comes and goes, and
-keeps what it brought until somebody takes it. Which phone, and how it is read, is serial_source.py's and
-iio_source.py's.
+keeps what it brought until somebody takes it. serial.py and iio.py say which
+phone and how it is read.
 """
 
 from __future__ import annotations
@@ -103,9 +103,9 @@ class Source(ABC):
         self.settings = settings
         self.link = LinkCounters()
         self._records: deque[Record] = deque()
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
         self._failures = 0
-        self._told: str | None = None
+        self._last_reason: str | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._closed = False
 
@@ -144,13 +144,13 @@ class Source(ABC):
 
     async def take(self) -> list[Record]:
         """Wait until there is something and return all of it; an empty list once the source is closed."""
-        await self._something()
+        await self._wait_for_records()
         records = list(self._records)
         self._records.clear()
         self._resume()
         return records
 
-    async def rest(self, seconds: float) -> None:
+    async def let_gather(self, seconds: float) -> None:
         """Let what comes gather for so long, s."""
         await asyncio.sleep(seconds)
 
@@ -162,7 +162,7 @@ class Source(ABC):
         self._cancel()
         if self.connected:
             self._lose("closed", for_good=True)
-        self._news.set()
+        self._wakeup.set()
 
     @abstractmethod
     def _connect(self) -> None:
@@ -170,45 +170,45 @@ class Source(ABC):
 
     @abstractmethod
     def _lose(self, reason: str, for_good: bool = False) -> None:
-        """Let go of the phone and tell it by `_lost`."""
+        """Let go of the phone and report it by `_line_down`."""
 
     def _resume(self) -> None:  # noqa: B027 - only a line can be held back
         """Read on, where reading had stopped for want of somebody to take."""
 
-    async def _something(self) -> bool:
+    async def _wait_for_records(self) -> bool:
         while not self._records and not self._closed:
-            self._news.clear()
-            await self._news.wait()
+            self._wakeup.clear()
+            await self._wakeup.wait()
         return bool(self._records)
 
     def _emit(self, record: Record) -> None:
         self._records.append(record)
-        self._news.set()
+        self._wakeup.set()
 
-    def _found(self, device: str) -> None:
+    def _opened(self, device: str) -> None:
         self.link.connections += 1
         self._emit(LinkUp(device, self._failures))
-        self._told = None
+        self._last_reason = None
 
     def _fail(self, reason: str) -> None:
         """Tell, once for each reason, that there is no phone, and look again later."""
         self.link.failed_attempts += 1
-        if reason != self._told:
-            self._told = reason
+        if reason != self._last_reason:
+            self._last_reason = reason
             self._emit(LinkDown("", reason))
-        self._again()
+        self._retry_later()
 
-    def _lost(self, device: str, reason: str, for_good: bool) -> None:
+    def _line_down(self, device: str, reason: str, for_good: bool) -> None:
         self.link.disconnections += 1
         self._emit(LinkDown(device, reason))
         if not for_good:
-            self._again()
+            self._retry_later()
 
-    def _again(self) -> None:
+    def _retry_later(self) -> None:
         self._failures += 1
-        self._later(self.settings.wait(self._failures), self._connect)
+        self._schedule(self.settings.wait(self._failures), self._connect)
 
-    def _later(self, delay: float, job: Callable[[], None]) -> None:
+    def _schedule(self, delay: float, job: Callable[[], None]) -> None:
         self._timer = asyncio.get_running_loop().call_later(delay, job)
 
     def _cancel(self) -> None:

@@ -1,7 +1,7 @@
 """The sensors of the machine itself: a Linux phone's accelerometer and gyroscope, polled through sysfs.
 
 For the daemon it is a phone like any other: it says hello, sends samples with stamps, sleeps and wakes
-when told to. All in callbacks of one asyncio loop. What the files mean is iio_sysfs.py's. Stamps are
+when told to. All in callbacks of one asyncio loop. sysfs.py says what the files mean. Stamps are
 CLOCK_BOOTTIME halfway through a reading, so time goes on while the machine is suspended; a reboot is a new
 session.
 """
@@ -19,7 +19,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.static.settings import Sense, Sleep
 from stillcal.calib_core.streams.events import Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.daemon.sources import sysfs as iio_sysfs
+from stillcal.daemon.sources import sysfs
 from stillcal.daemon.sources.base import SerialSettings, Source
 from stillcal.daemon.sources.sysfs import SensorGoneError, Sensors
 from stillcal.daemon.wire.decoder import (
@@ -33,7 +33,7 @@ from stillcal.daemon.wire.decoder import (
     WireCounters,
 )
 
-MOST_HZ = 50.0
+MAX_RATE_HZ = 50.0
 """Readings a second unless another rate is asked for: each takes a system call and a bus transfer an axis."""
 
 BATCH_S = 0.1
@@ -49,9 +49,9 @@ class IioSource(Source):
     def __init__(self, settings: SerialSettings) -> None:
         super().__init__(settings)
         self._rate_hz = 0.0
-        self._counted = WireCounters()
+        self._counters = WireCounters()
         self._sensors: Sensors | None = None
-        self._read: dict[Sensor, tuple[list[float], list[Array]]] = {}
+        self._gathered: dict[Sensor, tuple[list[float], list[Array]]] = {}
         self._sensing, self._on_time, self._wakeups = False, 0.0, 0
         self._last = self._next_status = 0.0
 
@@ -70,7 +70,7 @@ class IioSource(Source):
     @property
     def wire(self) -> WireCounters:
         """A copy of what was counted; of a wire there is none, so only samples are."""
-        return replace(self._counted)
+        return replace(self._counters)
 
     def send(self, command: Command) -> bool:
         """Do what a phone does when told; False while there are no sensors."""
@@ -83,7 +83,7 @@ class IioSource(Source):
             self._sleep(command.until)
         elif isinstance(command, Rate):
             self._rate_hz = command.hz
-            iio_sysfs.set_rate(self._sensors, command.hz)
+            sysfs.set_rate(self._sensors, command.hz)
         elif isinstance(command, Identify):
             self._greet(self._sensors)
         return True
@@ -93,11 +93,11 @@ class IioSource(Source):
     def _connect(self) -> None:
         self._timer = None
         try:
-            self._sensors = iio_sysfs.find(Path(self.settings.port))
+            self._sensors = sysfs.find(Path(self.settings.port))
         except SensorGoneError as error:
             self._fail(str(error))
             return
-        self._found(self.device)
+        self._opened(self.device)
         self._greet(self._sensors)
         self._wake()
 
@@ -115,12 +115,12 @@ class IioSource(Source):
     def _lose(self, reason: str, for_good: bool = False) -> None:
         self._flush()
         device, self._sensors, self._sensing = self.device, None, False
-        self._lost(device, reason, for_good)
+        self._line_down(device, reason, for_good)
 
     # Reading
 
     def _hz(self, sensors: Sensors) -> float:
-        return self._rate_hz or min(sensors.rate_hz or MOST_HZ, MOST_HZ)
+        return self._rate_hz or min(sensors.rate_hz or MAX_RATE_HZ, MAX_RATE_HZ)
 
     def _wake(self) -> None:
         if self._sensing:
@@ -136,9 +136,9 @@ class IioSource(Source):
         self._cancel()
         self._flush()
         self._sensing = False
-        self._tell(_now())
+        self._emit_status(_now())
         if math.isfinite(until):
-            self._later(max(until - _now(), 0.0), self._wake)
+            self._schedule(max(until - _now(), 0.0), self._wake)
 
     def _poll(self) -> None:
         """Read each sensor once, and plan the next reading on the same grid."""
@@ -148,14 +148,14 @@ class IioSource(Source):
             return
         if len(self._records) >= self.settings.queue:
             self.link.pauses += 1
-            self._later(BATCH_S, self._poll)
+            self._schedule(BATCH_S, self._poll)
             return
         begin, loop = _now(), asyncio.get_running_loop()
         try:
             for channel in sensors.channels():
-                self._take_in(channel)
+                self._sample(channel)
             if begin >= self._next_status:
-                self._warm(sensors, begin)
+                self._read_status(sensors, begin)
         except SensorGoneError as error:
             self._lose(f"the sensor is gone: {error}")
             return
@@ -167,17 +167,17 @@ class IioSource(Source):
         now = loop.time()
         self._timer = loop.call_at((math.floor(now / step) + 1) * step, self._poll)
 
-    def _take_in(self, channel: iio_sysfs.Channel) -> None:
+    def _sample(self, channel: sysfs.Channel) -> None:
         before = _now()
         xyz = channel.read()
-        stamps, rows = self._read.setdefault(channel.sensor, ([], []))
+        stamps, rows = self._gathered.setdefault(channel.sensor, ([], []))
         stamps.append((before + _now()) / 2.0)
         rows.append(xyz)
 
     def _oldest(self, now: float) -> float:
-        return min((stamps[0] for stamps, _ in self._read.values() if stamps), default=now)
+        return min((stamps[0] for stamps, _ in self._gathered.values() if stamps), default=now)
 
-    def _warm(self, sensors: Sensors, now: float) -> None:
+    def _read_status(self, sensors: Sensors, now: float) -> None:
         self._next_status = now + STATUS_S
         celsius = sensors.celsius()
         if celsius is not None:
@@ -186,17 +186,17 @@ class IioSource(Source):
 
     def _flush(self) -> None:
         """Hand on what was read, the gyroscope's first."""
-        read, self._read = self._read, {}
+        read, self._gathered = self._gathered, {}
         for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER):
             stamps, rows = read.get(sensor, ([], []))
             if stamps:
-                self._counted.samples += len(stamps)
+                self._counters.samples += len(stamps)
                 self._emit(Samples.checked(sensor, stamps, rows))
 
     def _status(self, now: float) -> Status:
         return Status(now, self._on_time, self._sensing, self._wakeups)
 
-    def _tell(self, now: float) -> None:
+    def _emit_status(self, now: float) -> None:
         self._emit(self._status(now))
         self._emit(Tick(now))
 

@@ -1,8 +1,8 @@
 """The phone's serial line: opening it, reading and writing it on the event loop, and getting it back.
 
 Everything runs in callbacks of one asyncio loop; no thread, no task. What arrives is decoded at once and
-waits in a bounded queue; when that is full, reading stops and the kernel holds the sender back. What the
-bytes mean is wire.py's, what to do about it is the service's.
+waits in a bounded queue; when that is full, reading stops and the kernel holds the sender back. The wire
+package says what the bytes mean, the service package what to do about them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ READ_BYTES = 4096
 ROOM_BYTES = 3072
 """What may gather on the line unread: three quarters of what a terminal holds before it stops the sender."""
 
-LEAST_REST_S = 0.02
+LEAST_NAP_S = 0.02
 """A line that brings so much sooner is watched without a break, s."""
 
 UNSENT_LIMIT = 65_536
@@ -56,7 +56,7 @@ class SerialSource(Source):
         self._port: serial.Serial | None = None
         self._unsent = bytearray()
         self._reading = self._writing = False
-        self._looked = (-math.inf, 0)
+        self._rate_sample = (-math.inf, 0)
 
     # For the one who takes
 
@@ -76,29 +76,29 @@ class SerialSource(Source):
         return self._decoder.snapshot()
 
     async def __aiter__(self) -> AsyncIterator[Record]:
-        while await self._something():
+        while await self._wait_for_records():
             record = self._records.popleft()
             self._resume()
             yield record
 
-    async def rest(self, seconds: float) -> None:
+    async def let_gather(self, seconds: float) -> None:
         """Let what comes gather on the line, s, so that a trickle of small messages wakes nobody.
 
         A line that brings more is looked at more often; one that brings much is watched as ever.
         """
         loop = asyncio.get_running_loop()
         end = loop.time() + seconds
-        while (left := end - loop.time()) > 0.0 and (nap := self._nap(loop.time())) >= LEAST_REST_S:
+        while (left := end - loop.time()) > 0.0 and (nap := self._nap(loop.time())) >= LEAST_NAP_S:
             self._unwatch()
             await asyncio.sleep(min(nap, left))
-            self._look()
+            self._read_gathered()
         self._resume()
         if left > 0.0:
             await asyncio.sleep(left)
 
     def close(self) -> None:
         """Let go of the phone for good; what has come by now can still be taken."""
-        self._look()
+        self._read_gathered()
         super().close()
 
     def send(self, command: Command) -> bool:
@@ -120,7 +120,7 @@ class SerialSource(Source):
         reason = "no such device"
         for device in self._candidates():
             try:
-                self._port = _opened(device, self.settings.baud)
+                self._port = _open_port(device, self.settings.baud)
             except (serial.SerialException, OSError, termios.error, ValueError) as error:
                 reason = str(error)
                 continue
@@ -134,7 +134,7 @@ class SerialSource(Source):
 
     def _greet(self, device: str) -> None:
         """Ask who is there, in both forms: neither kind of device minds the other's."""
-        self._found(device)
+        self._opened(device)
         self._unsent.clear()
         self._resume()
         binary, text = (self._encoders[form].encode(Identify()) for form in (Form.BINARY, Form.TEXT))
@@ -149,7 +149,7 @@ class SerialSource(Source):
         port.close()
         for message in self._decoder.end():
             self._emit(message)
-        self._lost(str(port.port), reason, for_good)
+        self._line_down(str(port.port), reason, for_good)
 
     # Reading
 
@@ -171,15 +171,15 @@ class SerialSource(Source):
         if len(self._records) >= self.settings.queue:
             self._pause()
 
-    def _look(self) -> None:
+    def _read_gathered(self) -> None:
         """Read what gathered while nobody watched, if there is room for it."""
         if self._port is not None and not self._reading and len(self._records) < self.settings.queue:
             self._read()
 
     def _nap(self, now: float) -> float:
         """Return for how long (s) there is room, at the rate of what came since this was asked last."""
-        (before, had), self._looked = self._looked, (now, self._decoder.counters.bytes)
-        return ROOM_BYTES * (now - before) / max(self._looked[1] - had, 1)
+        (before, had), self._rate_sample = self._rate_sample, (now, self._decoder.counters.bytes)
+        return ROOM_BYTES * (now - before) / max(self._rate_sample[1] - had, 1)
 
     def _pause(self) -> None:
         self.link.pauses += self._unwatch()
@@ -228,7 +228,7 @@ class SerialSource(Source):
         self._writing = bool(self._unsent)
 
 
-def _opened(device: str, baud: int) -> serial.Serial:
+def _open_port(device: str, baud: int) -> serial.Serial:
     """Open `device` raw, locked against others, and so that a read tells silence from a hang-up.
 
     pyserial sets VMIN to 0, with which a read of nothing returns 0 bytes as a hang-up does (termios(3));

@@ -48,7 +48,10 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensors:
-    """What was found. gyroscope, thermometer: None where there is none. rate_hz: 0 where not said."""
+    """The sensors of one machine.
+
+    gyroscope, thermometer: None where there is none. rate_hz: 0 where the driver does not say.
+    """
 
     accelerometer: Channel
     gyroscope: Channel | None
@@ -97,7 +100,7 @@ def find(devices: Path) -> Sensors:
 
 def set_rate(sensors: Sensors, hz: float) -> bool:
     """Ask the chips for a rate; say whether all took it (most let only root, and only some rates)."""
-    taken = True
+    accepted = True
     for channel in sensors.channels():
         prefix = CHANNELS[channel.sensor]
         names = (f"{prefix}_sampling_frequency", "sampling_frequency")
@@ -105,10 +108,10 @@ def set_rate(sensors: Sensors, hz: float) -> bool:
         try:
             if file is not None:
                 file.write_text(f"{hz:g}\n")
-            taken = taken and file is not None
+            accepted = accepted and file is not None
         except OSError:
-            taken = False
-    return taken
+            accepted = False
+    return accepted
 
 
 def number(file: Path) -> float:
@@ -127,10 +130,10 @@ def matrix(text: str) -> Array:
     array([ 2., -1.,  3.])
     """
     rows = [[float(cell) for cell in row.split(",")] for row in text.split(";")]
-    found = np.array(rows)
-    if found.shape != (3, 3) or not np.allclose(found @ found.T, np.eye(3), atol=0.02):
+    value = np.array(rows)
+    if value.shape != (3, 3) or not np.allclose(value @ value.T, np.eye(3), atol=0.02):
         raise ValueError(f"{text!r} is no rotation or reflection")
-    return frozen(found)
+    return frozen(value)
 
 
 def _with(folders: list[Path], sensor: Sensor) -> Iterator[Path]:
@@ -181,5 +184,5 @@ def _text(file: Path) -> str:
 
 
 def _number_of(folder: Path) -> int:
-    found = re.search(r"\d+$", folder.name)
-    return int(found[0]) if found else 0
+    value = re.search(r"\d+$", folder.name)
+    return int(value[0]) if value else 0

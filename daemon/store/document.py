@@ -1,6 +1,6 @@
 """The store's contents: the document, its JSON, its checksum, and what earlier schemas looked like.
 
-Bytes in, document out, and back; no files here (see store.py).
+Bytes in, document out, and back; no files here (see files.py and store.py).
 """
 
 from __future__ import annotations

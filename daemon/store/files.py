@@ -1,6 +1,6 @@
 """The store's files: reading one, locking it, and what to say where the system refuses.
 
-What a store is and how it changes is store.py's; what the file says is store_document.py's.
+store.py changes a store; document.py defines the contents of its file.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def read(path: Path) -> Reading:
     except FileNotFoundError:
         return Reading(path)
     except PermissionError as error:
-        raise explained(error, path, "read") from error
+        raise store_error(error, path, "read") from error
     except OSError as error:
         return Reading(path, problem=StoreFormatError(Fault.UNREADABLE, f"{error.strerror}"))
     try:
@@ -73,23 +73,23 @@ def read(path: Path) -> Reading:
 def _bytes(path: Path) -> bytes:
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a FIFO must not block
     try:
-        found = os.fstat(fd)
-        if not stat.S_ISREG(found.st_mode):
+        status = os.fstat(fd)
+        if not stat.S_ISREG(status.st_mode):
             raise StoreError(f"{path} is not a regular file: a store cannot be there")
-        if found.st_size > MAX_BYTES:
-            raise OSError(errno.EFBIG, f"{found.st_size} bytes, more than any store has")
+        if status.st_size > MAX_BYTES:
+            raise OSError(errno.EFBIG, f"{status.st_size} bytes, more than any store has")
         with os.fdopen(fd, "rb", closefd=False) as file:
             return file.read()
     finally:
         os.close(fd)
 
 
-def lock_taken(path: Path, store: Path) -> int:
+def take_lock(path: Path, store: Path) -> int:
     """Lock `path` on behalf of `store` and return its descriptor. Raises StoreLockedError, StoreError."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     except OSError as error:
-        raise explained(error, store, "lock") from error
+        raise store_error(error, store, "lock") from error
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.ftruncate(fd, 0)
@@ -99,11 +99,11 @@ def lock_taken(path: Path, store: Path) -> int:
         os.close(fd)
         if isinstance(error, BlockingIOError):
             raise StoreLockedError(store, int(holder) if holder.isdigit() else None) from error
-        raise explained(error, store, "lock") from error
+        raise store_error(error, store, "lock") from error
     return fd
 
 
-def explained(error: OSError, path: Path, verb: str) -> StoreError:
+def store_error(error: OSError, path: Path, verb: str) -> StoreError:
     """Return an error of the system's as what could not be done, and what to do about it."""
     remedy = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
     return StoreError(f"cannot {verb} {path}: {remedy}")

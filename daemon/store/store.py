@@ -1,6 +1,6 @@
 """The store: one JSON file that holds the current calibration, and the care that nothing ever tears it.
 
-How it changes lives here; its files and locks are store_files.py's, what it says is store_document.py's.
+This module changes the store; files.py reads and locks its files, document.py defines their contents.
 
 Every change writes two whole files, `NAME.last-good` first and then `NAME`, each by an atomic rename:
 a crash at any moment leaves both whole, and a `NAME` that something else damaged later is replaced by
@@ -22,7 +22,7 @@ from types import TracebackType
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.daemon.store.atomic import NotDurableError, sync_folder, write_atomically
 from stillcal.daemon.store.document import SCHEMA, HistoryEntry, StoreDocument, render
-from stillcal.daemon.store.files import Reading, StoreError, StoreLockedError, explained, lock_taken, read
+from stillcal.daemon.store.files import Reading, StoreError, StoreLockedError, read, store_error, take_lock
 
 __all__ = [
     "Outcome",
@@ -42,7 +42,7 @@ class StoreSettings:
     """Where the store is and what it keeps.
 
     path: "" for store.json in the service's state folder. mode: permissions, 0600 or 0640. history:
-    how many earlier and rejected calibrations are kept.
+    how many earlier and rejected calibrations are aside.
     """
 
     path: str = ""
@@ -106,7 +106,7 @@ class Store:
     def lock(self) -> None:
         """Become the store's only writer until `close`. Raises StoreLockedError where somebody else is."""
         if self._lock is None:
-            self._lock = lock_taken(self.path.with_name(self.path.name + ".lock"), self.path)
+            self._lock = take_lock(self.path.with_name(self.path.name + ".lock"), self.path)
 
     def close(self) -> None:
         """Let other writers in."""
@@ -119,12 +119,14 @@ class Store:
 
         Changes nothing. Raises StoreError where the store is damaged and so is its twin.
         """
-        found = self.verify()
-        if found.store.problem is None:
-            return found.store.document
-        if found.last_good.document is None:
-            raise StoreError(f"{self.path} is {found.store.problem}, and there is no good copy beside it")
-        return found.last_good.document
+        verification = self.verify()
+        if verification.store.problem is None:
+            return verification.store.document
+        if verification.last_good.document is None:
+            raise StoreError(
+                f"{self.path} is {verification.store.problem}, and there is no good copy beside it"
+            )
+        return verification.last_good.document
 
     def verify(self) -> Verification:
         """Read the store and its twin and say what is wrong with them. Changes nothing."""
@@ -139,15 +141,15 @@ class Store:
         """Make the store usable: to be called before the first use, and called again before every change.
 
         What is damaged or foreign is set aside under a new name, never overwritten; the twin takes its
-        place. A store of an earlier schema is migrated and its original kept. Raises StoreError.
+        place. A store of an earlier schema is migrated and its original aside. Raises StoreError.
         """
         with self._locked():
-            found = self.verify()
-            if found.store.problem is not None:
-                return self._replace_damaged(found)
-            if found.store.document is None:
+            verification = self.verify()
+            if verification.store.problem is not None:
+                return self._replace_damaged(verification)
+            if verification.store.document is None:
                 return Outcome(StoreDocument())
-            return self._migrate(found.store.document, found.store.schema)
+            return self._migrate(verification.store.document, verification.store.schema)
 
     def save(self, document: StoreDocument) -> None:
         """Replace the store's contents.
@@ -162,7 +164,7 @@ class Store:
                     write_atomically(path, data, self.settings.mode)
         except OSError as error:
             verb = "make durable" if isinstance(error, NotDurableError) else "write"
-            raise explained(error, self.path, verb) from error
+            raise store_error(error, self.path, verb) from error
 
     def publish(self, calibration: CalibrationRecord, reason: str = "", at: float | None = None) -> Outcome:
         """Make `calibration` the current one; the one before goes into the history, why and when (s)."""
@@ -202,21 +204,21 @@ class Store:
     def _migrate(self, document: StoreDocument, schema: int | None) -> Outcome:
         if schema == SCHEMA:
             return Outcome(document)
-        kept = self._set_aside(self.path, f"schema-{schema}")
+        aside = self._set_aside(self.path, f"schema-{schema}")
         self.save(document)
-        note = f"{self.path}: migrated from schema {schema} to {SCHEMA}; original kept as {kept}"
+        note = f"{self.path}: migrated from schema {schema} to {SCHEMA}; original aside as {aside}"
         return Outcome(document, (note,))
 
-    def _replace_damaged(self, found: Verification) -> Outcome:
-        kept = self._set_aside(self.path, "unreadable")
-        damage = f"{self.path} was {found.store.problem}; set aside as {kept}"
-        if found.last_good.document is not None:
-            self.save(found.last_good.document)
-            return Outcome(found.last_good.document, (f"{damage}; the last good copy took its place",))
+    def _replace_damaged(self, verification: Verification) -> Outcome:
+        aside = self._set_aside(self.path, "unreadable")
+        damage = f"{self.path} was {verification.store.problem}; set aside as {aside}"
+        if verification.last_good.document is not None:
+            self.save(verification.last_good.document)
+            return Outcome(verification.last_good.document, (f"{damage}; the last good copy took its place",))
         notes = [f"{damage}; there was no good copy: starting without a calibration"]
-        if found.last_good.problem is not None:
-            kept = self._set_aside(self.last_good_path, "unreadable")
-            notes.append(f"{self.last_good_path} was {found.last_good.problem}; set aside as {kept}")
+        if verification.last_good.problem is not None:
+            aside = self._set_aside(self.last_good_path, "unreadable")
+            notes.append(f"{self.last_good_path} was {verification.last_good.problem}; set aside as {aside}")
         self._remove_damaged()
         return Outcome(StoreDocument(), tuple(notes))
 
@@ -240,7 +242,7 @@ class Store:
                 continue
             except OSError as error:
                 if error.errno not in (errno.EPERM, errno.ENOTSUP):
-                    raise explained(error, path, "set aside") from error
+                    raise store_error(error, path, "set aside") from error
                 path.rename(aside)
             sync_folder(path.parent)
             return aside

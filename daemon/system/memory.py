@@ -20,7 +20,7 @@ def resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def stay_small() -> None:
+def limit_arenas() -> None:
     """Have threads to come share one arena, and large blocks given back, where the allocator is glibc's."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
@@ -29,7 +29,7 @@ def stay_small() -> None:
         mallopt(M_TRIM_THRESHOLD, LARGE_BYTES)
 
 
-def give_back() -> None:
+def release_free_pages() -> None:
     """Give pages that hold nothing any more back to the kernel (malloc_trim(3)), where that is known."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:

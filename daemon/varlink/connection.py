@@ -1,4 +1,4 @@
-"""One client's connection: its bytes, its limits and its turn. Who may come in is api_server.py's.
+"""One client's connection: its bytes, its limits and its turn. server.py decides who may connect.
 
 asyncvarlink knows the interface, the conversion and the order of replies; the bytes are read here, by
 asyncio's own transport, because asyncvarlink's reads from one client until it has no more to say and sets
@@ -21,10 +21,10 @@ from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.varlink.interface import CALLER
 
 UNSENT_BYTES = 262_144
-"""Of answers that a client has not taken, above which it is asked nothing more and may stall."""
+"""Of answers that a client has not taken, above which its next request waits and its stall timer runs."""
 
 
-class House(Protocol):
+class ConnectionOwner(Protocol):
     """Where the client is. dropped: how many clients were hung up on."""
 
     settings: SocketSettings
@@ -43,23 +43,23 @@ class House(Protocol):
 class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
     """One client. Its questions are answered one at a time, in turn with the other clients'."""
 
-    def __init__(self, registry: VarlinkInterfaceRegistry, server: House) -> None:
+    def __init__(self, registry: VarlinkInterfaceRegistry, server: ConnectionOwner) -> None:
         super().__init__(registry)
         self._server = server
         self._line: asyncio.Transport | None = None
         self._buffer = bytearray()
         self._searched = 0
-        self._full = self._ended = False
+        self._congested = self._eof = False
         self._unsent: list[asyncio.Future[None]] = []
-        self._stall: asyncio.TimerHandle | None = None
-        self._listener: Any = None
-        self._allowance, self._counted = server.settings.calls_per_s, time.monotonic()
+        self._stall_timer: asyncio.TimerHandle | None = None
+        self._subscriber: Any = None
+        self._call_credit, self._credit_at = server.settings.calls_per_s, time.monotonic()
         self.answering = False
         self.may_change = False
 
-    def when_gone(self, listener: Any) -> None:
-        """Close `listener` when the client has gone."""
-        self._listener = listener
+    def on_disconnect(self, subscriber: Any) -> None:
+        """Close `subscriber` when the client has gone."""
+        self._subscriber = subscriber
 
     # The line's own calls
 
@@ -74,39 +74,39 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         """Keep what came until it is its turn."""
         self._buffer += data
-        self._look()
+        self._next_question()
 
     def eof_received(self) -> bool:  # type: ignore[override]  # asyncio's, whose True keeps our side open
-        """Answer what was asked, then hang up; who listens for news has stopped."""
-        self._ended = True
-        self.quit_listening()
-        self._look()
+        """Answer what was asked, then hang up; its subscription ends."""
+        self._eof = True
+        self.end_subscription()
+        self._next_question()
         return True
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the client."""
         self._line = None
         self._buffer.clear()
-        self._patient()
-        self.quit_listening()
-        self._sent()
+        self._stop_stall_timer()
+        self.end_subscription()
+        self._release_senders()
         self._server.leave(self)
 
     def pause_writing(self) -> None:
         """Wait for a client that does not take its answers, but not for long."""
-        self._full = True
-        self._impatient()
+        self._congested = True
+        self._start_stall_timer()
 
     def resume_writing(self) -> None:
         """Go on with a client that has taken its answers."""
-        self._full = False
-        self._patient()
-        self._sent()
-        self._look()
+        self._congested = False
+        self._stop_stall_timer()
+        self._release_senders()
+        self._next_question()
 
     # Questions
 
-    def _look(self) -> None:
+    def _next_question(self) -> None:
         """See whether a whole question is there, and get into the queue with it."""
         if self._line is None or self.answering:
             return
@@ -116,51 +116,51 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
             self.drop()
         elif end >= 0:
             self._line.pause_reading()
-            self._server.queue(self, self._wait())
-        elif self._ended:
+            self._server.queue(self, self._delay())
+        elif self._eof:
             self._line.close()
         else:
             self._line.resume_reading()
-            self._impatient() if self._buffer else self._patient()
+            self._start_stall_timer() if self._buffer else self._stop_stall_timer()
 
     def answer(self) -> None:
         """Answer the first question; called when it is this client's turn."""
         end = self._buffer.find(0)
-        if self._line is None or self._full or self.answering or end < 0:
+        if self._line is None or self._congested or self.answering or end < 0:
             return
-        self._patient()
+        self._stop_stall_timer()
         question = bytes(self._buffer[:end])
         del self._buffer[: end + 1]
         self._searched = 0
         try:
-            asked = msgspec.json.decode(question)
+            request = msgspec.json.decode(question)
         except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
-            asked = None
-        if isinstance(asked, dict):
-            self._answer(asked)
+            request = None
+        if isinstance(request, dict):
+            self._answer(request)
         else:
             self.drop()
 
-    def _answer(self, asked: dict[str, Any]) -> None:
+    def _answer(self, request: dict[str, Any]) -> None:
         CALLER.set(self)
-        busy = self.request_received(asked, None)
-        if busy is None or busy.done():
-            self._look()
+        reply = self.request_received(request, None)
+        if reply is None or reply.done():
+            self._next_question()
             return
         self.answering = True
-        busy.add_done_callback(self._answered)
+        reply.add_done_callback(self._answered)
 
-    def _answered(self, busy: asyncio.Future[None]) -> None:
+    def _answered(self, reply: asyncio.Future[None]) -> None:
         self.answering = False
-        self._listener = None
-        self._look()
+        self._subscriber = None
+        self._next_question()
 
-    def _wait(self) -> float:
+    def _delay(self) -> float:
         """Return how long (s) this client's next question has to wait, and count it."""
         now, rate = time.monotonic(), self._server.settings.calls_per_s
-        self._allowance = min(self._allowance + rate * (now - self._counted), rate) - 1.0
-        self._counted = now
-        return max(-self._allowance / rate, 0.0)
+        self._call_credit = min(self._call_credit + rate * (now - self._credit_at), rate) - 1.0
+        self._credit_at = now
+        return max(-self._call_credit / rate, 0.0)
 
     # Answers
 
@@ -171,13 +171,13 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         sent: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         if self._line is not None and not self._line.is_closing():
             self._line.write(msgspec.json.encode(obj) + b"\0")
-        if self._full and self._line is not None:
+        if self._congested and self._line is not None:
             self._unsent.append(sent)
         else:
             sent.set_result(None)
         return sent
 
-    def _sent(self) -> None:
+    def _release_senders(self) -> None:
         for future in self._unsent:
             if not future.done():
                 future.set_result(None)
@@ -185,21 +185,21 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
 
     # Patience
 
-    def _impatient(self) -> None:
-        if self._stall is None:
+    def _start_stall_timer(self) -> None:
+        if self._stall_timer is None:
             loop = asyncio.get_running_loop()
-            self._stall = loop.call_later(self._server.settings.stall_s, self.drop)
+            self._stall_timer = loop.call_later(self._server.settings.stall_s, self.drop)
 
-    def _patient(self) -> None:
-        if self._stall is not None:
-            self._stall.cancel()
-            self._stall = None
+    def _stop_stall_timer(self) -> None:
+        if self._stall_timer is not None:
+            self._stall_timer.cancel()
+            self._stall_timer = None
 
-    def quit_listening(self) -> None:
+    def end_subscription(self) -> None:
         """End what the client listens for."""
-        if self._listener is not None:
-            self._listener.close()
-            self._listener = None
+        if self._subscriber is not None:
+            self._subscriber.close()
+            self._subscriber = None
 
     def drop(self) -> None:
         """Hang up without a word."""

@@ -1,7 +1,7 @@
 """The varlink interface io.stillcal.Calibration: what may be asked over the socket.
 
 asyncvarlink makes the interface's description from these signatures and docstrings as they are evaluated:
-no `from __future__ import annotations` here. How bytes come and go is api_server.py's.
+no `from __future__ import annotations` here. connection.py reads and writes the bytes.
 """
 
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -31,8 +31,8 @@ class Caller(Protocol):
     def may_change(self) -> bool:
         """Whether the caller may change the daemon's state."""
 
-    def when_gone(self, listener: object) -> None:
-        """Close `listener` when the caller has gone."""
+    def on_disconnect(self, subscriber: object) -> None:
+        """Close `subscriber` when the caller has gone."""
 
 
 CALLER: ContextVar[Caller] = ContextVar("CALLER")
@@ -141,15 +141,15 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
     @varlinkmethod(return_parameter="event", delay_generator=False)
     async def Monitor(self) -> AsyncIterator[api.Event]:  # noqa: N802
         """Tell how things stand, and then every change. To be called with `more`."""
-        listener, done = self._daemon.news.listen()
-        CALLER.get().when_gone(listener)
+        subscriber, unsubscribe = self._daemon.subscribers.subscribe()
+        CALLER.get().on_disconnect(subscriber)
         try:
             yield views.standing(self._daemon)
-            while (item := await listener.queue.get()) is not None:
-                yield views.event(item, self._daemon)
+            while (notification := await subscriber.queue.get()) is not None:
+                yield views.event(notification, self._daemon)
         finally:
-            done()
-        if listener.lost:
+            unsubscribe()
+        if subscriber.overflowed:
             raise TooSlow()
         raise LastResult(api.Event("ended", "the daemon is stopping"))
 

@@ -1,4 +1,4 @@
-"""The socket: who is let in, who goes, and whose turn it is. What is asked and answered is api.py's.
+"""The socket: who is let in, who goes, and whose turn it is. interface.py defines the methods.
 
 Clients are let in one by one, each only once there is a place for it, and are answered in turn; after
 TURN_S the loop goes back to the phone.
@@ -26,10 +26,10 @@ from stillcal.daemon.varlink.views import VERSION, Daemon
 TURN_S = 0.01
 """How long clients are answered before the loop looks after everything else, s."""
 
-GOODBYE_S = 0.02
+CLOSING_S = 0.02
 """How long those who listen have for the last news, s."""
 
-WAITING = 1024
+LISTEN_BACKLOG = 1024
 """Clients that the kernel lets wait to be let in (listen(2))."""
 
 RETRY_S = 1.0
@@ -46,16 +46,16 @@ class Server:
         self._clients: dict[Connection, None] = {}
         self._queue: deque[Connection] = deque()
         self._serving = False
-        self._left = asyncio.Event()
+        self._departed = asyncio.Event()
 
-    async def admit(self, door: socket.socket) -> None:
+    async def admit(self, listener: socket.socket) -> None:
         """Let clients in for ever; where there is no place, the one that has been idle longest goes first."""
         loop = asyncio.get_running_loop()
         while True:
-            await _knock(door)
-            free = await self._place()
+            await _acceptable(listener)
+            free = await self._make_room()
             try:
-                line, _ = door.accept()
+                line, _ = listener.accept()
             except BlockingIOError:
                 continue  # it has gone again
             except OSError as error:
@@ -68,15 +68,15 @@ class Server:
                 self.dropped += 1
                 line.close()
 
-    async def _place(self) -> bool:
+    async def _make_room(self) -> bool:
         """See that there is a place; say whether there is: nobody goes who is being answered."""
         while len(self._clients) >= self.settings.connections:
             idle = next((c for c in self._clients if not c.answering), None)
             if idle is None:
                 return False
-            self._left.clear()
+            self._departed.clear()
             idle.drop()
-            await self._left.wait()
+            await self._departed.wait()
         return True
 
     def enter(self, client: Connection) -> None:
@@ -86,26 +86,26 @@ class Server:
     def leave(self, client: Connection) -> None:
         """Forget a client."""
         self._clients.pop(client, None)
-        self._left.set()
+        self._departed.set()
 
     def queue(self, client: Connection, wait_s: float) -> None:
         """Answer a client when it is its turn, not before `wait_s`."""
         if client in self._clients:
             self._clients[client] = self._clients.pop(client)
         if wait_s > 0:
-            asyncio.get_running_loop().call_later(wait_s, self._line_up, client)
+            asyncio.get_running_loop().call_later(wait_s, self._enqueue, client)
         else:
-            self._line_up(client)
+            self._enqueue(client)
 
     async def close(self) -> None:
         """Say goodbye to those who listen for news, and hang up on everybody."""
         for client in list(self._clients):
-            client.quit_listening()
-        await asyncio.sleep(GOODBYE_S)
+            client.end_subscription()
+        await asyncio.sleep(CLOSING_S)
         for client in list(self._clients):
             client.hang_up()
 
-    def _line_up(self, client: Connection) -> None:
+    def _enqueue(self, client: Connection) -> None:
         self._queue.append(client)
         if not self._serving:
             self._serving = True
@@ -130,27 +130,27 @@ async def serving(
     with opened(settings, passed) as sockets:
         for line in sockets:
             line.setblocking(False)
-            line.listen(WAITING)
-        doors = [asyncio.create_task(server.admit(door)) for door in sockets]
+            line.listen(LISTEN_BACKLOG)
+        listeners = [asyncio.create_task(server.admit(listener)) for listener in sockets]
         try:
             yield server
         finally:
-            for door in doors:
-                door.cancel()
-            await asyncio.gather(*doors, return_exceptions=True)
+            for listener in listeners:
+                listener.cancel()
+            await asyncio.gather(*listeners, return_exceptions=True)
             await server.close()
             for line in sockets:
                 line.close()
 
 
-async def _knock(door: socket.socket) -> None:
+async def _acceptable(listener: socket.socket) -> None:
     """Wait until somebody wants to be let in."""
-    loop, knocked = asyncio.get_running_loop(), asyncio.Event()
-    loop.add_reader(door, knocked.set)
+    loop, readable = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(listener, readable.set)
     try:
-        await knocked.wait()
+        await readable.wait()
     finally:
-        loop.remove_reader(door)
+        loop.remove_reader(listener)
 
 
 def _registry(daemon: Daemon) -> VarlinkInterfaceRegistry:

@@ -32,12 +32,12 @@ def opened(settings: SocketSettings, passed: Sequence[socket.socket]) -> Iterato
         raise SettingsError(
             f"cannot answer on {path}: {error.strerror}: give another [socket] path"
         ) from error
-    made = path.stat().st_ino
+    inode = path.stat().st_ino
     try:
         yield [line]
     finally:
         with contextlib.suppress(OSError):
-            if path.stat().st_ino == made:
+            if path.stat().st_ino == inode:
                 path.unlink()
 
 
@@ -46,14 +46,14 @@ def _bound(path: Path, mode: int) -> socket.socket:
     path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
     if _answers(path):
         raise SocketInUseError(f"{path} is in use by another daemon: stop it, or give another [socket] path")
-    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    unnamed = path.with_name(f".{path.name}.{os.getpid()}")
     with contextlib.suppress(FileNotFoundError):
-        fresh.unlink()
+        unnamed.unlink()
     line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
     try:
-        line.bind(str(fresh))
-        fresh.chmod(mode)
-        fresh.rename(path)
+        line.bind(str(unnamed))
+        unnamed.chmod(mode)
+        unnamed.rename(path)
     except BaseException:
         line.close()
         raise

@@ -18,7 +18,7 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.energy_ledger import Day
 from stillcal.daemon.service.engine_thread import View
 from stillcal.daemon.service.saved_state import SavedState
-from stillcal.daemon.service.subscribers import Item, News
+from stillcal.daemon.service.subscribers import Notification, Subscribers
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument
 from stillcal.daemon.varlink import types as api
@@ -30,7 +30,7 @@ class Daemon(Protocol):
     """What answers are taken from, and what may be asked of the daemon."""
 
     saved: SavedState
-    news: News
+    subscribers: Subscribers
 
     @property
     def view(self) -> View:
@@ -112,11 +112,11 @@ def corrected(
 
     Raises NotCalibratedError, and ValueError where `force` does not go with the readings.
     """
-    felt = None if force is None else np.array(force, dtype=np.float64).reshape(-1, 3)
-    if felt is not None and felt.shape != raw.shape:
-        raise ValueError(f"force has {len(felt)} rows, the samples have {len(raw)}")
-    warmth = None if temperature_c is None else np.full(len(raw), temperature_c)
-    return record.apply(raw - bias_terms(record, sensor, warmth, felt), sensor)
+    forces = None if force is None else np.array(force, dtype=np.float64).reshape(-1, 3)
+    if forces is not None and forces.shape != raw.shape:
+        raise ValueError(f"force has {len(forces)} rows, the samples have {len(raw)}")
+    temperatures = None if temperature_c is None else np.full(len(raw), temperature_c)
+    return record.apply(raw - bias_terms(record, sensor, temperatures, forces), sensor)
 
 
 def status(daemon: Daemon) -> api.Status:
@@ -178,9 +178,11 @@ def energy(days: list[Day], limit: int) -> list[api.EnergyDay]:
     return [api.EnergyDay(**dataclasses.asdict(day)) for day in days[-limit:]]
 
 
-def event(item: Item, daemon: Daemon) -> api.Event:
+def event(notification: Notification, daemon: Daemon) -> api.Event:
     """Return news as it is told."""
-    return api.Event(item.what, item.reason, item.t, calibration(item.record, daemon))
+    return api.Event(
+        notification.what, notification.reason, notification.t, calibration(notification.record, daemon)
+    )
 
 
 def standing(daemon: Daemon) -> api.Event:

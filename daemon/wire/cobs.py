@@ -1,4 +1,4 @@
-"""Frames as bytes: COBS, the CRC-32 and the delimiters. What is inside a frame is wire_frames.py's.
+"""Frames as bytes: COBS, the CRC-32 and the delimiters. frames.py says what is inside a frame.
 
 A frame is 0x00, a marker byte that carries the version, COBS(payload + CRC-32), 0x00.
 

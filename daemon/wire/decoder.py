@@ -1,8 +1,8 @@
 """The wire, both ways, sans-I/O: bytes in, messages out, and back. Nothing here opens anything.
 
 Binary frames and lines of text may come mixed on one line (a bootloader's chatter before the firmware's
-frames); docs/wire.md says how they are told apart. They are cut and judged here, and put in order in
-wire_delivery.py. Whatever comes in, nothing raises, memory stays bounded, and what a frame of intact bytes
+frames); docs/wire.md says how they are told apart. They are cut and checked here, and put in order in
+reassembly.py. Whatever comes in, nothing raises, memory stays bounded, and what a frame of intact bytes
 held is delivered exactly once, in order.
 """
 
@@ -74,7 +74,7 @@ class WireDecoder:
         self._mode = _Mode.START
         self._parts: list[bytes] = []
         self._held = 0
-        self._astray = False
+        self._out_of_sync = False
         self._delivery = WireDelivery(self.counters)
 
     def feed(self, data: bytes) -> list[Message]:
@@ -85,7 +85,7 @@ class WireDecoder:
             self._extend(piece)
             self._close()
         self._extend(rest)
-        return self._delivery.taken()
+        return self._delivery.take()
 
     def end(self) -> list[Message]:
         """Note that the connection is over: half a frame or line at its end is dropped and counted."""
@@ -93,7 +93,7 @@ class WireDecoder:
             self.counters.truncated += 1
             self._discard(self._held)
         self._begin(_Mode.START)
-        return self._delivery.taken()
+        return self._delivery.take()
 
     def snapshot(self) -> WireCounters:
         """Return a copy of the counters."""
@@ -177,7 +177,7 @@ class WireDecoder:
             self.counters.malformed += 1
             self._discard(len(body))
             return
-        self._good(Form.BINARY)
+        self._in_sync_again(Form.BINARY)
         self.counters.frames += 1
         self._delivery.deliver(frame)
 
@@ -195,18 +195,18 @@ class WireDecoder:
         if not text or (text.startswith(b"#") and _printable(text)):
             return
         try:
-            told = parse_line(text, self._delivery.clock) if len(line) <= MAX_LINE else None
+            message = parse_line(text, self._delivery.clock) if len(line) <= MAX_LINE else None
         except LineError:
-            told = None
-        if told is None:
+            message = None
+        if message is None:
             self._discard(len(line)) if doubtful else self._bad_line(line)
             return
-        self._good(Form.TEXT)
+        self._in_sync_again(Form.TEXT)
         self.counters.lines += 1
-        if isinstance(told, Row):
-            self._delivery.add(told)
+        if isinstance(message, Row):
+            self._delivery.add_row(message)
         else:
-            self._delivery.say(told)
+            self._delivery.add_message(message)
 
     def _bad_line(self, line: bytes) -> None:
         self.counters.bad_lines += _printable(line[:MAX_LINE].strip(b" \t\r"))
@@ -214,12 +214,12 @@ class WireDecoder:
 
     def _discard(self, count: int) -> None:
         self.counters.garbage_bytes += count
-        self._astray = self._astray or count > 0
+        self._out_of_sync = self._out_of_sync or count > 0
 
-    def _good(self, form: Form) -> None:
+    def _in_sync_again(self, form: Form) -> None:
         self.form = form
-        self.counters.resynchronisations += self._astray
-        self._astray = False
+        self.counters.resynchronisations += self._out_of_sync
+        self._out_of_sync = False
 
 
 def _printable(line: bytes) -> bool:

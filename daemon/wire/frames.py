@@ -1,6 +1,6 @@
 """What is inside a frame: each message's payload and back. Pure functions, no state.
 
-Payloads of samples are wire_blocks.py's; docs/wire.md has every layout.
+sample_blocks.py has the payloads of samples; docs/wire.md has every layout.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What can be said on the wire, as plain records: the phone's telling and the daemon's commands.
 
-Samples, events, Sense and Sleep are the engine's own records; here are the others. No bytes here: how a
-record looks on the wire is wire_frames.py's (binary) and wire_text.py's (lines).
+Samples, events, Sense and Sleep are the engine's own records; here are the others. No bytes here:
+frames.py (binary) and text.py (lines) say how a record looks on the wire.
 """
 
 from __future__ import annotations
@@ -77,10 +77,10 @@ class Identify:
     """Say hello, and where time stands: sent by the daemon whenever it has opened the line."""
 
 
-Told = Samples | Charging | Location | Tick | End | Temperature | Status | Hello
+PhoneMessage = Samples | Charging | Location | Tick | End | Temperature | Status | Hello
 """From the phone."""
 
 Command = Sense | Sleep | Rate | Grant | Identify
 """From the daemon."""
 
-Message = Told | Command
+Message = PhoneMessage | Command

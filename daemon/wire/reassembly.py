@@ -1,6 +1,6 @@
 """What a decoder understood, put in order: runs of samples, missing numbers, sessions that began anew.
 
-Takes frames and rows that were found whole (wire.py) and gives messages; counts what it meets.
+Takes whole frames and rows from decoder.py, returns messages in order, and counts errors and losses.
 """
 
 from __future__ import annotations
@@ -68,17 +68,17 @@ class WireDelivery:
             if len(frame.message):
                 self._out.append(frame.message)
             return
-        self.say(frame.message)
+        self.add_message(frame.message)
         self._counters.lost_messages += self._gap(MESSAGES, frame.sequence, 1)
 
-    def say(self, message: Message) -> None:
+    def add_message(self, message: Message) -> None:
         """Take a message that is no samples."""
         self._flush()
         if isinstance(message, Hello):
-            self._meet(message.session)
+            self._on_session(message.session)
         self._out.append(message)
 
-    def add(self, row: Row) -> None:
+    def add_row(self, row: Row) -> None:
         """Take a line of text with one sample."""
         if row.sequence is not None:
             self._counters.lost_samples += self._gap(row.sensor, row.sequence, 1)
@@ -87,13 +87,13 @@ class WireDelivery:
             self._flush()
         self._rows[row.sensor].append(row)
 
-    def taken(self) -> list[Message]:
+    def take(self) -> list[Message]:
         """Return what has come since the last time, in order."""
         self._flush()
         out, self._out = self._out, []
         return out
 
-    def _meet(self, session: int) -> None:
+    def _on_session(self, session: int) -> None:
         """Expect the numbers of a new session to begin at 0."""
         if self._session not in (None, session):
             self._counters.restarts += 1

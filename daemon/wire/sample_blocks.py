@@ -154,6 +154,6 @@ def usable(
         rows = np.flatnonzero(np.isfinite(t) & np.isfinite(xyz).all(axis=1))
         rows = rows[t[rows] >= np.maximum.accumulate(t[rows])]
     columns = (t, xyz, temperature, arrival)
-    kept = [None if c is None else frozen(c if rows is None else c[rows]) for c in columns]
-    assert kept[0] is not None and kept[1] is not None
-    return Samples(sensor, kept[0], kept[1], kept[2], kept[3])
+    usable_columns = [None if c is None else frozen(c if rows is None else c[rows]) for c in columns]
+    assert usable_columns[0] is not None and usable_columns[1] is not None
+    return Samples(sensor, usable_columns[0], usable_columns[1], usable_columns[2], usable_columns[3])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stillcal.daemon.app import Service
-from stillcal.daemon.app_launch import Given
+from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.system.systemd import Notifier
 
 
@@ -23,10 +23,10 @@ def within_reason(test: Coroutine[Any, Any, None]) -> None:
     asyncio.run(guarded())
 
 
-def given_in(folder: Path, text: str = "") -> Given:
+def given_in(folder: Path, text: str = "") -> LaunchOptions:
     config = folder / "stillcal.toml"
     config.write_text(text)
-    return Given(config, str(folder / "tty"), str(folder / "store.json"), str(folder / "socket"))
+    return LaunchOptions(config, str(folder / "tty"), str(folder / "store.json"), str(folder / "socket"))
 
 
 async def until(holds: Callable[[], Any]) -> None:
@@ -35,12 +35,12 @@ async def until(holds: Callable[[], Any]) -> None:
 
 
 @contextlib.asynccontextmanager
-async def running(given: Given, environ: dict[str, str] | None = None) -> AsyncIterator[Service]:
+async def running(given: LaunchOptions, environ: dict[str, str] | None = None) -> AsyncIterator[Service]:
     """Run the daemon on this loop and end it cleanly."""
     service = Service(given.settings(), given, Notifier(environ or {}))
     service.open()
     task = asyncio.create_task(service.run())
-    await until(lambda: hasattr(service, "pump") or task.done())
+    await until(lambda: hasattr(service, "session") or task.done())
     try:
         yield service
     finally:

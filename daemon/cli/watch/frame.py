@@ -30,16 +30,16 @@ def frame(now: Snapshot, before: Snapshot | None, glyphs: Glyphs) -> RenderableT
     if now.absent:
         return absent(now)
     if now.calibration is None:
-        calibrated: RenderableType = Text(f"none yet: {_reason(now)}", style="yellow")
+        calibration_text: RenderableType = Text(f"none yet: {_reason(now)}", style="yellow")
     else:
-        calibrated = Group(*_calibration(now.calibration))
+        calibration_text = Group(*_calibration(now.calibration))
     sphere = Panel(_map(now, glyphs), title="rests held, as the phone lay", width=MAP_WIDTH)
-    told = Group(
+    panels = Group(
         Panel(_state(now, before), title="phone", width=TEXT_WIDTH),
-        Panel(calibrated, title="calibration", width=TEXT_WIDTH),
+        Panel(calibration_text, title="calibration", width=TEXT_WIDTH),
         Panel(_energy(now.days), title="energy", width=TEXT_WIDTH),
     )
-    return Columns([told, sphere], padding=(0, 1))
+    return Columns([panels, sphere], padding=(0, 1))
 
 
 def absent(now: Snapshot) -> RenderableType:
@@ -66,22 +66,22 @@ def _state(now: Snapshot, before: Snapshot | None) -> RenderableType:
             ("phone", Text(f"{status['phone'] or 'unnamed'}{plugged}")),
             ("line", Text(f"{line}, {status['wire']['lost_samples']} samples lost")),
             ("stillness", Text.assemble((still, STILL.get(still, "")), f"; {words.last_rest(now)}")),
-            ("watch", Text(f"{status['watch']}, up for {words.span(status['uptime_s'])}")),
-            ("waits for", Text(words.waits_for(now), style="bold")),
+            ("watch", Text(f"{status['watch']}, up for {words.duration(status['uptime_s'])}")),
+            ("waits for", Text(words.next_step(now), style="bold")),
         ]
     )
 
 
 def _map(now: Snapshot, glyphs: Glyphs) -> RenderableType:
-    held, up, wanted = words.attitudes(now), words.ups(now), words.most_helpful(now)
+    held, up, wanted = words.attitudes(now), words.up_directions(now), words.wanted_attitude(now)
     drawn = sphere_map(held, up[0] if len(up) else None, None if wanted is None else wanted.up, glyphs)
-    counted = (
+    caption = (
         f"{now.stillness.get('rests_held', 0)} rests in {len(held)} attitudes; {glyphs.newest} the last one"
     )
     if wanted is None:
-        return Group(drawn, Text(counted), Text("no attitude is missing", style="green"))
+        return Group(drawn, Text(caption), Text("no attitude is missing", style="green"))
     return Group(
-        drawn, Text(counted), Text(f"{glyphs.wanted} would help most: {wanted.words}", style="bold yellow")
+        drawn, Text(caption), Text(f"{glyphs.wanted} would help most: {wanted.words}", style="bold yellow")
     )
 
 
@@ -89,11 +89,11 @@ def _reason(now: Snapshot) -> str:
     return now.status.get("refusal") or "too few rests so far"
 
 
-def _calibration(found: Answer) -> Iterable[RenderableType]:
-    age, checked = words.span(found.get("age_s")), words.span(found.get("checked_age_s"))
+def _calibration(calibration: Answer) -> Iterable[RenderableType]:
+    age, checked = words.duration(calibration.get("age_s")), words.duration(calibration.get("checked_age_s"))
     yield Text.assemble(
-        f"{found['id']}, {age} old, checked {checked} ago: ",
-        (found["confidence"], CONFIDENCE[found["confidence"]]),
+        f"{calibration['id']}, {age} old, checked {checked} ago: ",
+        (calibration["confidence"], CONFIDENCE[calibration["confidence"]]),
     )
     table = Table(box=None, padding=(0, 1), show_edge=False)
     for name in ("", "x", "y", "z", ""):
@@ -102,10 +102,10 @@ def _calibration(found: Answer) -> Iterable[RenderableType]:
         ("accelerometer", "accel.", MG, "mg", 2),
         ("gyroscope", "gyro.", DEG, "°/s", 4),
     ):
-        if found.get(sensor):
-            _sensor(table, found[sensor], name, (gain, unit, digits))
+        if calibration.get(sensor):
+            _sensor(table, calibration[sensor], name, (gain, unit, digits))
     yield table
-    yield Text(_fit(found), style="dim")
+    yield Text(_fit(calibration), style="dim")
 
 
 def _sensor(table: Table, part: Answer, name: str, shown: tuple[float, str, int]) -> None:
@@ -117,11 +117,11 @@ def _sensor(table: Table, part: Answer, name: str, shown: tuple[float, str, int]
     table.add_row(f"{name} scale", *(f"{part['scale'][k][k]:.5f}" for k in range(3)), "")
 
 
-def _fit(found: Answer) -> str:
-    part = found.get("accelerometer")
+def _fit(calibration: Answer) -> str:
+    part = calibration.get("accelerometer")
     if not part or part.get("rms_residual") is None:
-        return str(found["reason"])
-    low, high = found.get("temperature_min_c"), found.get("temperature_max_c")
+        return str(calibration["reason"])
+    low, high = calibration.get("temperature_min_c"), calibration.get("temperature_max_c")
     warm = "" if low is None or high is None else f", {low:.0f} to {high:.0f} °C"
     return (
         f"{part['parameters']} parameters, {part['n_rests']} rests in {part['n_states']} attitudes, "

@@ -15,9 +15,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.daemon.app import Service
-from stillcal.daemon.app_launch import Given
+from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.system import log
-from stillcal.daemon.system.memory import resident_bytes, stay_small
+from stillcal.daemon.system.memory import limit_arenas, resident_bytes
 from stillcal.daemon.system.systemd import Notifier
 
 STEP_S = 0.01
@@ -47,7 +47,7 @@ class Notes:
             self._filled += 1
 
 
-async def _serve(given: Given, told: Path) -> None:
+async def _serve(given: LaunchOptions, told: Path) -> None:
     service = Service(given.settings(), given, Notifier({}))
     service.open()
     notes = Notes()
@@ -61,8 +61,8 @@ def main() -> None:
     """Serve until SIGTERM; arguments: settings, port, store, socket, and where the notes go (.npy)."""
     config, port, store, socket, told = sys.argv[1:]
     log.set_up("warning")
-    stay_small()
-    asyncio.run(_serve(Given(Path(config), port, store, socket), Path(told)))
+    limit_arenas()
+    asyncio.run(_serve(LaunchOptions(Path(config), port, store, socket), Path(told)))
 
 
 if __name__ == "__main__":

@@ -125,7 +125,7 @@ async def _saving(path: Path, record: CalibrationRecord, rests: list[RestState],
         engine.adopt([replace(rests[count % len(rests)], t_start=begin, t_end=begin + REST_S)])
         newest = replace(record, fitted_at=float(number))
         engine.state.record = newest
-        storage.keep(Keep(begin, newest, "newer"))
+        storage.enqueue(Keep(begin, newest, "newer"))
         tell("writing")
         if await storage.flush():
             tell(f"published {number}")

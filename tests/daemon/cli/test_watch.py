@@ -89,22 +89,22 @@ def test_stillness_is_what_the_windows_since_the_last_frame_were(windows: int, s
 
 
 def test_it_says_what_is_waited_for_the_most_pressing_first() -> None:
-    assert "disk" in words.waits_for(_snapshot(trouble="no space left", connected=False))
-    assert "phone" in words.waits_for(_snapshot(connected=False))
-    assert words.waits_for(_snapshot()) == "the phone to lie still"
-    assert "charger" in words.waits_for(_snapshot(rests_held=8, charging=False))
+    assert "disk" in words.next_step(_snapshot(trouble="no space left", connected=False))
+    assert "phone" in words.next_step(_snapshot(connected=False))
+    assert words.next_step(_snapshot()) == "the phone to lie still"
+    assert "charger" in words.next_step(_snapshot(rests_held=8, charging=False))
     wanting = _snapshot(rests_held=8, missing=["lay it on its face", "another"])
-    assert words.waits_for(wanting) == "attitudes: lay it on its face, and 1 more"
+    assert words.next_step(wanting) == "attitudes: lay it on its face, and 1 more"
     calibrated = replace(_snapshot(degraded=True), calibration={"id": "x"})
-    assert "no longer fits" in words.waits_for(calibrated)
+    assert "no longer fits" in words.next_step(calibrated)
 
 
 def test_the_attitude_that_would_help_most_is_the_one_left_out() -> None:
     """Of the sphere's 26 named places all but those around screen down."""
     rests = [{"force": (9.8 * up).tolist()} for up in places() if up[2] > -0.1]
-    wanted = words.most_helpful(_snapshot(rests=rests))
+    wanted = words.wanted_attitude(_snapshot(rests=rests))
     assert wanted is not None and "screen down" in wanted.words
-    assert words.most_helpful(_snapshot(rests=[{"force": (9.8 * up).tolist()} for up in places()])) is None
+    assert words.wanted_attitude(_snapshot(rests=[{"force": (9.8 * up).tolist()} for up in places()])) is None
 
 
 # A daemon
@@ -133,7 +133,7 @@ def faces_at_rest() -> list[Any]:
 def test_one_frame_shows_rests_and_what_is_missing(folder: Path) -> None:
     async def test() -> None:
         async with answering(folder) as service:
-            await service.mind.feed([Charging(0.0, False), *faces_at_rest()])
+            await service.engine_thread.feed([Charging(0.0, False), *faces_at_rest()])
             service.saved.clock.mapped(Charging(150.0, False), 0.0)
             now = await asyncio.to_thread(snapshot, folder / "socket")
             assert 5 <= now.stillness["rests_held"] <= 6  # the last face may still be open

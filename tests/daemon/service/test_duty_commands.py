@@ -8,43 +8,43 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stillcal.calib_core.static.settings import Sense, Sleep
-from stillcal.daemon.service.duty_commands import PROBE_STEP_S, STEP_S, Orders, grant
+from stillcal.daemon.service.duty_commands import PROBE_STEP_S, STEP_S, DutyCommands, credit
 
 
 def test_a_phone_that_was_told_nothing_is_told_to_sense_once():
-    orders = Orders()
-    assert orders.due(Sense(math.inf), 60.0, 0.0) == [Sense(math.inf)]
-    assert orders.due(Sense(math.inf), 120.0, 60.0) == []
+    commands = DutyCommands()
+    assert commands.due(Sense(math.inf), 60.0, 0.0) == [Sense(math.inf)]
+    assert commands.due(Sense(math.inf), 120.0, 60.0) == []
 
 
 def test_an_idle_phone_sleeps_on_through_decisions_that_concern_no_sample():
-    orders = Orders()
-    assert orders.due(Sleep(60.0), 60.0, 0.0) == [Sleep(math.inf)]
-    assert orders.due(Sleep(120.0), 120.0, 60.0) == []
-    assert orders.asleep(1e9)
+    commands = DutyCommands()
+    assert commands.due(Sleep(60.0), 60.0, 0.0) == [Sleep(math.inf)]
+    assert commands.due(Sleep(120.0), 120.0, 60.0) == []
+    assert commands.asleep(1e9)
 
 
 def test_a_probe_is_slept_up_to_and_needs_no_waking():
-    orders = Orders()
-    assert orders.due(Sleep(40.0), 60.0, 0.0) == [Sleep(40.0)]
-    assert orders.asleep(39.9) and not orders.asleep(40.0)
-    assert orders.due(Sense(50.0), 60.0, 40.0) == []
-    assert orders.due(Sleep(55.0), 60.0, 43.0) == [Sleep(55.0)]
+    commands = DutyCommands()
+    assert commands.due(Sleep(40.0), 60.0, 0.0) == [Sleep(40.0)]
+    assert commands.asleep(39.9) and not commands.asleep(40.0)
+    assert commands.due(Sense(50.0), 60.0, 40.0) == []
+    assert commands.due(Sleep(55.0), 60.0, 43.0) == [Sleep(55.0)]
 
 
 def test_a_sleeping_phone_that_is_wanted_is_woken():
-    orders = Orders()
-    orders.due(Sleep(60.0), 60.0, 0.0)
-    assert orders.due(Sense(math.inf), 120.0, 60.0) == [Sense(math.inf)]
-    assert not orders.asleep(60.0)
+    commands = DutyCommands()
+    commands.due(Sleep(60.0), 60.0, 0.0)
+    assert commands.due(Sense(math.inf), 120.0, 60.0) == [Sense(math.inf)]
+    assert not commands.asleep(60.0)
 
 
 def test_after_a_restart_everything_is_said_again():
-    orders = Orders()
-    orders.due(Sleep(40.0), 60.0, 0.0)
-    orders.forget()
-    assert not orders.asleep(1.0)
-    assert orders.due(Sleep(40.0), 60.0, 1.0) == [Sleep(40.0)]
+    commands = DutyCommands()
+    commands.due(Sleep(40.0), 60.0, 0.0)
+    commands.forget()
+    assert not commands.asleep(1.0)
+    assert commands.due(Sleep(40.0), 60.0, 1.0) == [Sleep(40.0)]
 
 
 times = st.floats(0, 1e6) | st.just(math.inf)
@@ -55,7 +55,7 @@ def test_a_grant_goes_forward_and_never_past_a_decision(
     sense: bool, until: float, decides: float, now: float
 ):
     want = Sense(until) if sense else Sleep(until)
-    goal = grant(want, decides, now).until
+    goal = credit(want, decides, now).until
     assert now < goal < math.inf
     ahead = [t for t in (until, decides) if t > now]
     if min(until, decides) > now:
@@ -63,6 +63,6 @@ def test_a_grant_goes_forward_and_never_past_a_decision(
 
 
 def test_a_probe_is_granted_in_small_steps_and_a_watch_up_to_its_decision():
-    assert grant(Sense(50.0), 60.0, 40.0).until == 40.0 + PROBE_STEP_S
-    assert grant(Sense(60.0), 60.0, 1.0).until == 60.0
-    assert grant(Sleep(40.0), 60.0, 1.0).until == 40.0
+    assert credit(Sense(50.0), 60.0, 40.0).until == 40.0 + PROBE_STEP_S
+    assert credit(Sense(60.0), 60.0, 1.0).until == 60.0
+    assert credit(Sleep(40.0), 60.0, 1.0).until == 40.0

@@ -17,8 +17,8 @@ from stillcal.calib_core.engine.state import EngineSettings, EngineState
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service import saved_state
-from stillcal.daemon.service.engine_thread import Mind
-from stillcal.daemon.service.phone_session import Pump, host_time
+from stillcal.daemon.service.engine_thread import EngineThread
+from stillcal.daemon.service.phone_session import PhoneSession, host_time
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.sources.base import SerialSettings
 from stillcal.daemon.sources.serial import SerialSource
@@ -54,7 +54,7 @@ def test_lived_over_the_wire_and_replayed_give_the_same_store(
     async def test() -> None:
         async with running(given) as service:
             await serve_phone(lab, {"device": "p"}, path=tmp_path / "tty")
-            await until(lambda: service.mind.view.counters == replayed.state.counters)
+            await until(lambda: service.engine_thread.view.counters == replayed.state.counters)
             counts = service.saved.energy.days[0]
             assert counts.asked_s == replayed.ledger.asked_s
             if watch == "probing":
@@ -81,11 +81,11 @@ def test_rests_gathered_before_a_restart_still_count(tmp_path: Path, lab: list[A
             link.plug(tmp_path / "tty")
             phone = asyncio.create_task(link.serve())
             async with running(given) as service:
-                await until(lambda: service.mind.view.counters.rests >= 8)
+                await until(lambda: service.engine_thread.view.counters.rests >= 8)
             held = saved_state.load(tmp_path / "store.state").state.engine.counters.rests
             assert held >= 8
             async with running(given) as service:
-                assert service.mind.view.counters.rests == held
+                assert service.engine_thread.view.counters.rests == held
                 await until(lambda: service.document.current is not None)
             await phone
         assert service.document.current.accelerometer.n_rests >= 23
@@ -103,8 +103,8 @@ def test_a_phone_that_restarts_is_carried_on(tmp_path: Path, lab: list[Any]) -> 
                 await until(lambda: not service.source.connected)
             await until(lambda: service.saved.clock.newest > 550)
             assert service.saved.clock.restarts == 1
-            assert service.mind.view.counters.rests >= 20
-            assert service.pump.refused == 0
+            assert service.engine_thread.view.counters.rests >= 20
+            assert service.session.refused == 0
 
     within_reason(test())
 
@@ -117,10 +117,10 @@ def test_a_phone_in_real_time_sleeps_when_it_is_told(tmp_path: Path, lab: list[A
         phone = LinkSettings(speed=1.0, credit=False)
         async with running(given) as service:
             link = asyncio.create_task(serve_phone(lab, {}, phone, tmp_path / "tty"))
-            await until(lambda: service.mind.view.ledger.probes >= 2)
+            await until(lambda: service.engine_thread.view.ledger.probes >= 2)
             day = service.saved.energy.days[0]
             assert day.wakeups >= 2 and day.sensors_on_s < 0.9 * day.observed_s
-            assert service.mind.view.ledger.lapsed == 0
+            assert service.engine_thread.view.ledger.lapsed == 0
             link.cancel()
 
     within_reason(test())
@@ -140,7 +140,7 @@ def test_watched_without_a_break_a_phone_in_real_time_is_thought_of_now_and_then
             )
             clock = service.saved.clock
             while behind != {False, True} or not clock.newest > 1.5:
-                if known := service.mind._engine.present.latest:
+                if known := service.engine_thread._engine.present.latest:
                     behind.add(max(known.values()) < clock.newest)
                 await asyncio.sleep(0.01)
         link.cancel()
@@ -152,18 +152,24 @@ def test_watched_without_a_break_a_phone_in_real_time_is_thought_of_now_and_then
 
 
 def test_what_is_due_hurries_the_engine_and_samples_alone_do_not() -> None:
-    mind = Mind(EngineSettings(ScheduleSettings(watch="continuous")), None, None)
-    pump = Pump(SerialSource(SerialSettings("none")), mind, SavedState(EngineState()), 0.0, lambda _: None)
+    engine_thread = EngineThread(EngineSettings(ScheduleSettings(watch="continuous")), None, None)
+    session = PhoneSession(
+        SerialSource(SerialSettings("none")), engine_thread, SavedState(EngineState()), 0.0, lambda _: None
+    )
     few = [Samples.checked(Sensor.ACCELEROMETER, [0.0, 1.0], np.zeros((2, 3)))]
-    pump._thought = host_time() + 1e6
+    session._fed_at = host_time() + 1e6
 
     async def test() -> None:
         for record in (*few, Charging(2.0, True)):
-            await pump._handle(record)
-        assert not pump._urgent(few) and pump._urgent([*few, Charging(2.0, True)]) and pump._urgent([])
-        await pump._think()  # which leaves the charger for when samples are known up to it
-        assert mind.view.decides == 2.0 and pump._urgent(few)
-        mind.close()
+            await session._on_record(record)
+        assert (
+            not session._must_feed_now(few)
+            and session._must_feed_now([*few, Charging(2.0, True)])
+            and session._must_feed_now([])
+        )
+        await session._feed_engine()  # which leaves the charger for when samples are known up to it
+        assert engine_thread.view.decides == 2.0 and session._must_feed_now(few)
+        engine_thread.close()
 
     asyncio.run(test())
 

@@ -22,7 +22,7 @@ from stillcal.calib_core.codec import packed
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service import saved_state
-from stillcal.daemon.service.batching import together
+from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.energy_ledger import DAY_S, KEPT_DAYS, EnergyLedger
 from stillcal.daemon.service.saved_state import SavedState, StateError, decode, encode
 from stillcal.daemon.sources.base import Record
@@ -235,7 +235,7 @@ def test_blocks_are_joined_up_to_the_next_event_the_gyroscopes_first():
         Temperature(0.2, 25.0),
         run_of(accel, 0.3),
     ]
-    first, second, told, last = together(records)
+    first, second, told, last = join_blocks(records)
     assert isinstance(first, Samples) and isinstance(second, Samples) and isinstance(last, Samples)
     assert (first.sensor, first.t.tolist()) == (gyro, [0.05])
     assert (second.sensor, second.t.tolist()) == (accel, [0.0, 0.1, 0.2])
@@ -248,8 +248,8 @@ def test_blocks_are_not_joined_where_time_does_not_go_on_or_columns_differ(later
     """What a restart or a leap of the phone's clock does is judged by the first stamp of a block."""
     accel = Sensor.ACCELEROMETER
     records: list[Record] = [run_of(accel, 10.0), run_of(accel, 10.0 + later)]
-    assert len(list(together(records))) == 2
-    assert len(list(together([run_of(accel, 10.0), run_of(accel, 10.1, celsius=20.0)]))) == 2
+    assert len(list(join_blocks(records))) == 2
+    assert len(list(join_blocks([run_of(accel, 10.0), run_of(accel, 10.1, celsius=20.0)]))) == 2
 
 
 # Memory
@@ -258,22 +258,24 @@ PATCHY = """
 import sys
 import numpy as np
 from stillcal.daemon.system import memory
-if "stay_small" in sys.argv:
-    memory.stay_small()
+if "limit_arenas" in sys.argv:
+    memory.limit_arenas()
 np.empty(1 << 22, "u1").fill(1)  # once freed, glibc keeps blocks of this size
 before, kept = memory.resident_bytes(), []
 for _ in range(100):
     large = np.ones(200_000, "u1")
     kept += [large, np.ones(2_000, "u1")]
 del large, kept[::2]
-if "give_back" in sys.argv:
-    memory.give_back()
+if "release_free_pages" in sys.argv:
+    memory.release_free_pages()
 print(memory.resident_bytes() - before)
 """
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another allocator")
-@pytest.mark.parametrize(("calls", "given"), [([], False), (["stay_small"], True), (["give_back"], True)])
+@pytest.mark.parametrize(
+    ("calls", "given"), [([], False), (["limit_arenas"], True), (["release_free_pages"], True)]
+)
 def test_what_was_freed_between_what_is_kept_is_given_back(calls: list[str], given: bool):
     """20 MB in pieces with something small behind each; left alone, glibc keeps nearly all of it."""
     ran = subprocess.run([sys.executable, "-c", PATCHY, *calls], capture_output=True, text=True, check=True)

@@ -16,9 +16,9 @@ from stillcal.calib_core.static.detector import Sense, Sleep
 from stillcal.calib_core.streams.events import Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.app import Service
-from stillcal.daemon.app_launch import Given
+from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.settings import SettingsError
-from stillcal.daemon.sources import sysfs as iio_sysfs
+from stillcal.daemon.sources import sysfs
 from stillcal.daemon.sources.base import LinkDown, LinkUp, SerialSettings
 from stillcal.daemon.sources.iio import IioSource
 from stillcal.daemon.sources.sysfs import SensorGoneError, find, matrix
@@ -242,7 +242,7 @@ def test_a_daemon_lives_on_the_machines_own_sensors(tmp_path: Path) -> None:
     config.write_text(f'[source]\nkind = "iio"\nport = "{tmp_path / "devices"}"\n')
 
     async def test() -> None:
-        given = Given(config, None, str(tmp_path / "store.json"), str(tmp_path / "socket"))
+        given = LaunchOptions(config, None, str(tmp_path / "store.json"), str(tmp_path / "socket"))
         service = Service(given.settings(), given, Notifier({}))
         service.open()
         task = asyncio.create_task(service.run())
@@ -258,8 +258,8 @@ def test_a_daemon_lives_on_the_machines_own_sensors(tmp_path: Path) -> None:
 def test_without_a_folder_it_is_the_kernels_and_another_kind_is_refused(tmp_path: Path) -> None:
     config = tmp_path / "c.toml"
     config.write_text('[source]\nkind = "iio"\n')
-    assert Given(config).settings().source.port == ""
-    assert iio_sysfs.DEVICES == "/sys/bus/iio/devices"
+    assert LaunchOptions(config).settings().source.port == ""
+    assert sysfs.DEVICES == "/sys/bus/iio/devices"
     config.write_text('[source]\nkind = "usb"\n')
     with pytest.raises(SettingsError, match="one of 'serial', 'iio'"):
-        Given(config).settings()
+        LaunchOptions(config).settings()

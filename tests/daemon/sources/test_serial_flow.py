@@ -64,7 +64,7 @@ def test_a_full_queue_stops_reading_and_holds_the_sender_back(tmp_path: Path) ->
 async def resting_source(device: Device, source: SerialSource, seconds: float) -> asyncio.Task[None]:
     """Let a source that has greeted its device rest so long."""
     await device.read()
-    resting = asyncio.create_task(source.rest(seconds))
+    resting = asyncio.create_task(source.let_gather(seconds))
     await asyncio.sleep(0)
     return resting
 
@@ -103,7 +103,7 @@ def test_a_flood_is_read_on_while_the_daemon_rests(tmp_path: Path) -> None:
         device = Device(tmp_path / "tty")
         async with SerialSource(quick(device.path)) as source:
             await device.read()
-            await source.rest(0.001)
+            await source.let_gather(0.001)
             frame, written = WireEncoder().encode(block(0.0, 100)), 0
             resting: asyncio.Task[None] | None = None
             for i in range(120):
@@ -112,7 +112,7 @@ def test_a_flood_is_read_on_while_the_daemon_rests(tmp_path: Path) -> None:
                 while source.wire.bytes < written:
                     await asyncio.sleep(0)
                 if i == 60:  # 200,000 bytes at once
-                    resting = asyncio.create_task(source.rest(60.0))
+                    resting = asyncio.create_task(source.let_gather(60.0))
             assert resting is not None and not resting.done()
             resting.cancel()
 

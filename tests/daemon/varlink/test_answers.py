@@ -130,7 +130,7 @@ def test_changes_are_told_until_the_daemon_stops(folder: Path, make_record: Any)
         told: list[Any] = []
         async with answering(folder) as service:
             listening = asyncio.create_task(asyncio.to_thread(listen, told))
-            while not len(service.news):
+            while not len(service.subscribers):
                 await asyncio.sleep(0.001)
             service.act([Keep(5.0, make_record(2), "better"), Reject(6.0, make_record(3), "not better")])
         await listening
@@ -183,7 +183,7 @@ def test_who_may_asks_for_a_calibration_and_for_zeroing(folder: Path) -> None:
         async with answering(folder) as service:
             with pytest.raises(varlink.VarlinkError, match="Refused"):
                 await asked(folder, lambda c: c.Calibrate())
-            service.mind._engine.adopt(rests)
+            service.engine_thread._engine.adopt(rests)
             found = await asked(folder, lambda c: c.Calibrate())
             assert found["calibration"]["accelerometer"]["n_rests"] == record.accelerometer.n_rests
             assert (

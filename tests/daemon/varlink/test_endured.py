@@ -125,21 +125,24 @@ def test_a_listener_that_does_not_listen_is_dropped_and_holds_up_nothing(
                 serve_phone(lab, {}, LinkSettings(speed=10.0, credit=False), folder / "tty")
             )
             others.create_task(listening(await connected(folder), "told", heard))
-            await until(lambda: len(service.news) == 1 and service.source.wire.samples)
+            await until(lambda: len(service.subscribers) == 1 and service.source.wire.samples)
             deaf = socket.socket(socket.AF_UNIX)
             deaf.connect(str(folder / "socket"))
             deaf.sendall(json.dumps({"method": f"{NAME}.Monitor", "more": True}).encode() + b"\0")
-            await until(lambda: len(service.news) == 2)
+            await until(lambda: len(service.subscribers) == 2)
             asking, told, samples = await connected(folder), 0, service.source.wire.samples
             while not hung_up(deaf):
                 for _ in range(16):
                     told += 1
-                    service.news.tell(Reject(1.0, record, f"told {told} " + "no " * 5000))
+                    service.subscribers.announce(Reject(1.0, record, f"told {told} " + "no " * 5000))
                 await until(lambda last=told: last in heard)
                 assert "parameters" in await ask(asking, "GetStatus")
-                assert max(listener.queue.qsize() for listener in service.news._listeners) <= BACKLOG
+                assert (
+                    max(subscriber.queue.qsize() for subscriber in service.subscribers._subscribers)
+                    <= BACKLOG
+                )
             assert service.source.wire.samples > samples
-            assert heard == list(range(1, told + 1)) and len(service.news) == 1
+            assert heard == list(range(1, told + 1)) and len(service.subscribers) == 1
             deaf.settimeout(0)
             got = b""
             with contextlib.suppress(ConnectionResetError):

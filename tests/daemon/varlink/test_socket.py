@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from stillcal.daemon.app import Service
-from stillcal.daemon.app_launch import Given
+from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.system.systemd import Notifier
 from tests.support.asking import connected
 from tests.support.living import answering, within_reason
@@ -23,7 +23,7 @@ def test_a_second_daemon_on_the_same_socket_is_refused_and_a_dead_ones_place_is_
     dead.close()
 
     async def test() -> None:
-        given = Given(None, "none", str(folder / "other.json"), str(folder / "socket"))
+        given = LaunchOptions(None, "none", str(folder / "other.json"), str(folder / "socket"))
         config = folder / "stillcal.toml"
         config.write_text("")
         async with answering_after(folder):
