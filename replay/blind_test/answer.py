@@ -46,9 +46,9 @@ def answer_one(
     try:
         recording = read_all(folder / f"{name}.csv")
         if solver == "diagnosis":
-            from stillcal.replay.diagnosis.diagnose import diagnosed  # noqa: PLC0415 - baselines do without it
+            from stillcal.replay.diagnosis.diagnose import diagnose_recording  # noqa: PLC0415 - baselines do without it
 
-            return diagnosed(recording, f"{name}.csv", without)
+            return diagnose_recording(recording, f"{name}.csv", without)
         from stillcal.replay.blind_test import baselines  # noqa: PLC0415 - the diagnosis does without them
 
         return baselines.SOLVERS[solver](recording, f"{name}.csv")

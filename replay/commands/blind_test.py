@@ -64,11 +64,11 @@ def make_command(recordings: Path, keys: Path, trials: int, seed: int, jobs: int
     with _refusals(), _progress() as tick:
         done = [0]
 
-        def made() -> None:
+        def count() -> None:
             done[0] += 1
             tick("making", done[0], trials)
 
-        make(recordings, keys, trials, seed, jobs=jobs, tick=made)
+        make(recordings, keys, trials, seed, jobs=jobs, tick=count)
     click.echo(f"{recordings}: {trials} recordings and their manifest; keys in {keys}")
 
 
@@ -119,7 +119,7 @@ def reveal_command(recordings: Path, keys: Path, answers: tuple[Path, ...], json
     with _refusals():
         opened = revealing.open_keys(read_manifest(recordings), keys)
         verdict = proof.judged(opened, {folder.name: folder for folder in answers})
-    _tell(verdict, json_path)
+    _show_verdict(verdict, json_path)
 
 
 @click.command(
@@ -139,7 +139,7 @@ def prove_command(trials: int, seed: int, jobs: int, json_path: Path | None, kee
     """
     with _refusals(), _working_folder(keep) as folder, _progress() as tick:
         verdict = proof.prove(folder, trials, seed, jobs, tick)
-    _tell(verdict, json_path)
+    _show_verdict(verdict, json_path)
 
 
 @contextmanager
@@ -177,7 +177,7 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
         yield tick
 
 
-def _tell(verdict: proof.Verdict, json_path: Path | None) -> None:
+def _show_verdict(verdict: proof.Verdict, json_path: Path | None) -> None:
     """Print the table, write the JSON, and leave with the exit code."""
     console = Console(stderr=json_path == Path("-"), width=None if sys.stdout.isatty() else 150)
     console.print(_table(verdict.scores))
@@ -235,8 +235,8 @@ def _confusion(score: Score) -> Table:
     table = Table(title="What was said of clear effects (d' >= 8)")
     table.add_column("true effect")
     table.add_column("said, and how often")
-    for effect, given in score.confusion.items():
+    for effect, answers in score.confusion.items():
         table.add_row(
-            effect, ", ".join(f"{name} {n}" for name, n in sorted(given.items(), key=lambda i: -i[1]))
+            effect, ", ".join(f"{name} {n}" for name, n in sorted(answers.items(), key=lambda i: -i[1]))
         )
     return table

@@ -17,7 +17,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import format_option, gyro_option, quiet_option
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
-from stillcal.replay.commands.diagnose_work import Answered, Wanted, judged_recording, judged_rests
+from stillcal.replay.commands.diagnose_work import Answer, Request, diagnose_table, diagnose_trace
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
 from stillcal.replay.diagnosis.report.summary import summary
 
@@ -65,37 +65,37 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     Silence is an answer: most recordings differ in nothing. What could not be checked is said. Exit code 3
     where there is too little data.
     """
-    wanted = Wanted(phone, simulated, report, phone_out)
-    _check(wanted, trace, gyro, json_path, format_)
+    request = Request(phone, simulated, report, phone_out)
+    _check(request, trace, gyro, json_path, format_)
     try:
-        with _stages(quiet) as tell:
-            done = (
-                judged_rests(trace)
+        with _stages(quiet) as show_stage:
+            answer = (
+                diagnose_table(trace)
                 if format_ == "rest"
-                else judged_recording(trace, format_, gyro, wanted, tell)
+                else diagnose_trace(trace, format_, gyro, request, show_stage)
             )
     except NotSupported as refusal:
         click.echo(f"stillcal: {trace}: too little data: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
-    _write(done, wanted, json_path)
+    _write(answer, request, json_path)
     if not quiet and json_path != STANDARD_OUTPUT:
-        click.echo("\n".join(summary(done.answer)))
+        click.echo("\n".join(summary(answer.answer)))
 
 
-def _check(wanted: Wanted, trace: Path, gyro: Path | None, json_path: Path | None, format_: str) -> None:
+def _check(request: Request, trace: Path, gyro: Path | None, json_path: Path | None, format_: str) -> None:
     """Refuse early what would fail late. Raises UsageError."""
-    if wanted.report is not None and wanted.report.suffix not in (".html", ".htm"):
-        raise click.UsageError(f"{wanted.report} is no name of a page: let it end in .html")
-    if wanted.phone_out is not None and wanted.phone_out.suffix != ".toml":
-        raise click.UsageError(f"{wanted.phone_out} is no name of a phone file: let it end in .toml")
-    if format_ == "rest" and any(x is not None for x in wanted):
+    if request.report is not None and request.report.suffix not in (".html", ".htm"):
+        raise click.UsageError(f"{request.report} is no name of a page: let it end in .html")
+    if request.phone_out is not None and request.phone_out.suffix != ".toml":
+        raise click.UsageError(f"{request.phone_out} is no name of a phone file: let it end in .toml")
+    if format_ == "rest" and any(x is not None for x in request):
         raise click.UsageError(
             "a rest table holds no samples: --phone, --simulated, --report and --phone-out need them"
         )
     reads = [*recording_files(trace), *files(gyro)]
-    reads += [] if wanted.simulated is None else recording_files(wanted.simulated)
-    reads += [Path(wanted.phone)] if wanted.phone and wanted.phone.endswith(".toml") else []
-    refuse_collisions(files(wanted.report, wanted.phone_out, json_path), reads)
+    reads += [] if request.simulated is None else recording_files(request.simulated)
+    reads += [Path(request.phone)] if request.phone and request.phone.endswith(".toml") else []
+    refuse_collisions(files(request.report, request.phone_out, json_path), reads)
 
 
 @contextmanager
@@ -108,13 +108,13 @@ def _stages(quiet: bool) -> Iterator[Callable[[str], None]]:
         yield status.update
 
 
-def _write(done: Answered, wanted: Wanted, json_path: Path | None) -> None:
+def _write(answer: Answer, request: Request, json_path: Path | None) -> None:
     """Write what was asked for, each file whole or not at all."""
-    if wanted.report is not None and done.page is not None:
-        write_atomically(wanted.report, done.page.encode())
-    if wanted.phone_out is not None and done.phone is not None:
-        write_atomically(wanted.phone_out, done.phone.encode())
-    text = pretty(jsonable(done.answer)) + "\n"
+    if request.report is not None and answer.page is not None:
+        write_atomically(request.report, answer.page.encode())
+    if request.phone_out is not None and answer.phone is not None:
+        write_atomically(request.phone_out, answer.phone.encode())
+    text = pretty(jsonable(answer.answer)) + "\n"
     if json_path == STANDARD_OUTPUT:
         click.echo(text, nl=False)
     elif json_path is not None:

@@ -10,23 +10,23 @@ from typing import Any, NamedTuple
 import click
 
 from stillcal.replay.diagnosis.diagnose import (
-    answered,
+    answer_of,
     bins_of,
     claims_of,
-    diagnosed_rests,
+    diagnose_rests,
     diagnosis_of,
     facts,
 )
-from stillcal.replay.diagnosis.judge_phone import Judged, judged
+from stillcal.replay.diagnosis.judge_phone import PhoneJudgement, judge_phone
 from stillcal.replay.diagnosis.report.comparison import compare, side_of
-from stillcal.replay.diagnosis.report.inputs import Case, case_of, trials
+from stillcal.replay.diagnosis.report.inputs import Case, case_of, resimulate_before_and_after
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.report.phone_file import phone_text
 from stillcal.replay.formats.trace import read_all, read_rest_table
 from stillcal.replay.phone.phone import load_phone
 
 
-class Wanted(NamedTuple):
+class Request(NamedTuple):
     """What was asked for beside the findings; None for not."""
 
     phone: str | None
@@ -36,7 +36,7 @@ class Wanted(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Answered:
+class Answer:
     """The answer as plain values, and the files' text where they were asked for."""
 
     answer: dict[str, Any]
@@ -44,41 +44,41 @@ class Answered:
     phone: str | None = None
 
 
-def judged_rests(table: Path) -> Answered:
+def diagnose_table(table: Path) -> Answer:
     """Diagnose a table of rests. Raises TraceError, NotSupported."""
-    return Answered(diagnosed_rests(read_rest_table(table), table.name))
+    return Answer(diagnose_rests(read_rest_table(table), table.name))
 
 
-def judged_recording(
-    trace: Path, format_: str, gyro: Path | None, wanted: Wanted, tell: Callable[[str], None]
-) -> Answered:
+def diagnose_trace(
+    trace: Path, format_: str, gyro: Path | None, request: Request, show_stage: Callable[[str], None]
+) -> Answer:
     """Diagnose a recording and make what is wanted of it. Raises TraceError, NotSupported, UsageError."""
-    tell(f"reading {trace.name}")
+    show_stage(f"reading {trace.name}")
     recording = read_all(trace, format_, gyro)
-    tell("judging: stamps, noise, bias, motion")
-    if wanted.phone is None:
-        found = Judged(diagnosis_of(recording, trace.name))
+    show_stage("judging: stamps, noise, bias, motion")
+    if request.phone is None:
+        judgement = PhoneJudgement(diagnosis_of(recording, trace.name))
     else:
-        found = judged(recording, trace.name, _loaded(wanted.phone))
-    tell("mapping where it departs")
-    case = case_of(recording, found.diagnosis, found.known())
-    answer = answered(found.diagnosis, facts(recording, case.bins))
-    answer |= {"map": case.map.plain(), **found.plain()}
-    if wanted.phone is not None:
-        answer["judged_phone"] = wanted.phone
-    if wanted.simulated is not None:
-        tell(f"comparing with {wanted.simulated.name}")
-        answer["comparison"] = _compared(case, wanted.simulated)
-    both = None
-    if wanted.report is not None and len(case.bins):
-        both = trials(case, tell)
+        judgement = judge_phone(recording, trace.name, _loaded(request.phone))
+    show_stage("mapping where it departs")
+    case = case_of(recording, judgement.diagnosis, judgement.known())
+    answer = answer_of(judgement.diagnosis, facts(recording, case.bins))
+    answer |= {"map": case.departure_map.plain(), **judgement.plain()}
+    if request.phone is not None:
+        answer["judged_phone"] = request.phone
+    if request.simulated is not None:
+        show_stage(f"comparing with {request.simulated.name}")
+        answer["comparison"] = _compared(case, request.simulated)
+    resimulated = None
+    if request.report is not None and len(case.bins):
+        resimulated = resimulate_before_and_after(case, show_stage)
         answer |= {
-            "comparison_before": both[0].comparison.plain(),
-            "comparison_after": both[1].comparison.plain(),
+            "comparison_before": resimulated[0].comparison.plain(),
+            "comparison_after": resimulated[1].comparison.plain(),
         }
-    tell("drawing" if wanted.report is not None else "writing")
-    phone = None if wanted.phone_out is None else phone_text(case.phone(), case.found, trace.name)
-    return Answered(answer, None if wanted.report is None else page(case, answer, both), phone)
+    show_stage("drawing" if request.report is not None else "writing")
+    phone = None if request.phone_out is None else phone_text(case.phone(), case.mapped, trace.name)
+    return Answer(answer, None if request.report is None else page(case, answer, resimulated), phone)
 
 
 def _loaded(name: str) -> Any:

@@ -69,7 +69,7 @@ def evaluate_command(  # noqa: PLR0917 - click hands every option over by name
             write_atomically(page.kept_at(folder, name), page.encoded(study))
             if not quiet:
                 click.echo(f"{name}: {len(study.claims)} claims, {time.monotonic() - begin:.0f} s")
-    write_atomically(out / page.PAGE, page.page(_kept(folder)).encode())
+    write_atomically(out / page.PAGE, page.page(_kept_studies(folder)).encode())
     if not quiet:
         click.echo(f"{out / page.PAGE}")
 
@@ -78,7 +78,7 @@ def _within(step: Callable[[float], None], done: int) -> Callable[[float], None]
     return lambda share: step(done + share)
 
 
-def _kept(folder: Path) -> list[Study]:
+def _kept_studies(folder: Path) -> list[Study]:
     """Read what every study left. Raises UsageError where that is damaged."""
     try:
         return page.kept(folder)

@@ -73,21 +73,22 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
     the exit code is 0 even so.
     """
     try:
-        from stillcal.replay.fleet import discovery as listing  # noqa: PLC0415 - an extra
-        from stillcal.replay.fleet import results_folder as kept  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet import discovery, results_folder  # noqa: PLC0415 - an extra
         from stillcal.replay.fleet.worker import Task  # noqa: PLC0415
     except ImportError as error:
         raise click.UsageError(_LACKING.format(error)) from error
     try:
-        found = listing.find(recordings, format_)
-    except listing.NoRecordingsError as error:
+        recordings_found = discovery.find(recordings, format_)
+    except discovery.NoRecordingsError as error:
         raise click.UsageError(str(error)) from error
     made_by = f"stillcal {version('stillcal')} {format_} {watch}{'' if no_diagnosis else ' diagnosed'}"
-    results = kept.Results(out, made_by)
-    tasks = [Task(recording, format_, watch, not no_diagnosis) for recording in found]
+    results = results_folder.Results(out, made_by)
+    tasks = [Task(recording, format_, watch, not no_diagnosis) for recording in recordings_found]
     todo = results.todo(tasks)
     if not quiet:
-        click.echo(f"{len(found)} recordings, {len(found) - len(todo)} of them finished before")
+        click.echo(
+            f"{len(recordings_found)} recordings, {len(recordings_found) - len(todo)} of them finished before"
+        )
     began = time.monotonic()
     if todo:
         _examine(todo, results, _client(scheduler, workers), quiet)
@@ -100,18 +101,17 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
 
 
 def _client(scheduler: str | None, workers: int | None) -> AbstractContextManager[Client]:
-    from stillcal.replay.fleet import dask_jobs as running  # noqa: PLC0415 - Dask takes its time
+    from stillcal.replay.fleet import dask_jobs  # noqa: PLC0415 - Dask takes its time
 
-    return running.local(workers) if scheduler is None else running.remote(scheduler)
+    return dask_jobs.local(workers) if scheduler is None else dask_jobs.remote(scheduler)
 
 
 def _examine(todo: list[Task], results: object, opened: AbstractContextManager[Client], quiet: bool) -> None:
     """Have what is to do done; however that ends, what was finished is on the disk."""
-    from stillcal.replay.fleet import dask_jobs as running  # noqa: PLC0415 - Dask takes its time
-    from stillcal.replay.fleet import results_folder as kept  # noqa: PLC0415 - Dask takes its time
+    from stillcal.replay.fleet import dask_jobs, results_folder  # noqa: PLC0415 - Dask takes its time
     from stillcal.replay.fleet.worker import Examined  # noqa: PLC0415
 
-    assert isinstance(results, kept.Results)
+    assert isinstance(results, results_folder.Results)
     done = 0
     try:
         with opened as client, progress("recordings", len(todo), quiet) as step:
@@ -122,8 +122,8 @@ def _examine(todo: list[Task], results: object, opened: AbstractContextManager[C
                 done += 1
                 step(done)
 
-            running.run(client, todo, keep)
-    except running.SchedulerError as error:
+            dask_jobs.run(client, todo, keep)
+    except dask_jobs.SchedulerError as error:
         raise click.UsageError(f"{error} ({done} of {len(todo)} finished and kept)") from error
     except KeyboardInterrupt:
         click.echo(f"stillcal: {done} of {len(todo)} finished and kept: the same command goes on", err=True)
@@ -134,8 +134,8 @@ def _examine(todo: list[Task], results: object, opened: AbstractContextManager[C
 
 def _bad(rows: list[dict[str, object]]) -> list[str]:
     """Name the first recordings that could not be examined, each with what is wrong with it."""
-    found = [[str(row[k]) for k in ("status", "name", "reason")] for row in rows if row["status"] in _BAD]
-    bad = [f"{status}: {why if name in why else f'{name}: {why}'}" for status, name, why in found]
+    failures = [[str(row[k]) for k in ("status", "name", "reason")] for row in rows if row["status"] in _BAD]
+    bad = [f"{status}: {why if name in why else f'{name}: {why}'}" for status, name, why in failures]
     more = [f"and {len(bad) - _NAMED} more: `reason` in recordings.parquet"] if len(bad) > _NAMED else []
     return bad[:_NAMED] + more
 
@@ -166,19 +166,19 @@ def report_command(results: Path, json_path: Path | None) -> None:
     except ImportError as error:
         raise click.UsageError(_LACKING.format(error)) from error
     refuse_collisions(files(json_path), results.rglob("*.parquet"))
-    found = report(results)
-    text = pretty(found.document()) + "\n"
+    fleet = report(results)
+    text = pretty(fleet.document()) + "\n"
     if json_path == STANDARD_OUTPUT:
         click.echo(text, nl=False)
     else:
         if json_path is not None:
             write_atomically(json_path, text.encode())
-        click.echo(", ".join(f"{n} {status}" for status, n in found.recordings.items()) or "no recordings")
-        for table in tables(found):
+        click.echo(", ".join(f"{n} {status}" for status, n in fleet.recordings.items()) or "no recordings")
+        for table in tables(fleet):
             Console().print(table)
-        for limit in found.limits:
+        for limit in fleet.limits:
             click.echo(f"not seen: {limit}")
-    if not found.spreads:
+    if not fleet.spreads:
         click.echo(f"stillcal: {results}: no device was calibrated", err=True)
         sys.exit(TOO_LITTLE)
 
@@ -220,16 +220,16 @@ def first_command(
     except NotSupported as refusal:
         click.echo(f"stillcal: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
-    found = document(fit, rests, prior)
-    text = pretty(found) + "\n"
+    calibration = document(fit, rests, prior)
+    text = pretty(calibration) + "\n"
     if json_path == STANDARD_OUTPUT:
         click.echo(text, nl=False)
         return
     if json_path is not None:
         write_atomically(json_path, text.encode())
-    states = found["accelerometer"]["n_states"]
+    states = calibration["accelerometer"]["n_states"]
     click.echo(f"{trace}: {len(rests)} rests in {states} attitudes, prior of {prior.model or 'any model'}")
     sds = fit.covariance.diagonal() ** 0.5
-    for name, value, sd, shown in zip(prior.names, fit.values, sds, fit.shown, strict=True):
-        click.echo(f"  {name:5} {value:+9.4f} ± {sd:.4f}   {shown:4.0%} from the rests")
+    for name, value, sd, share in zip(prior.names, fit.values, sds, fit.shown, strict=True):
+        click.echo(f"  {name:5} {value:+9.4f} ± {sd:.4f}   {share:4.0%} from the rests")
     click.echo(f"  norm at rest known to {fit.worst_norm_uncertainty:.3f} m/s² along the worst direction")

@@ -58,8 +58,8 @@ def _rests(outcome: Outcome) -> str:
     if state is None or ledger.accel_samples == 0:
         return "as the table gives them"
     share = 100 * min(1.0, ledger.asked_s / outcome.duration) if outcome.duration else 100.0
-    found = f"{state.counters.rests} found, {state.counters.turns} turns between them"
-    return f"{found}, sensors on {share:.1f} % of the time"
+    counts = f"{state.counters.rests} found, {state.counters.turns} turns between them"
+    return f"{counts}, sensors on {share:.1f} % of the time"
 
 
 def _gravity(gravity: Gravity) -> str:

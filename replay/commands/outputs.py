@@ -41,14 +41,14 @@ def store_files(path: Path) -> list[Path]:
 
 def refuse_collisions(writes: Iterable[Path], reads: Iterable[Path]) -> None:
     """Raise UsageError where a file would be written over an input, or twice, or cannot be written at all."""
-    inputs, seen = {p.resolve() for p in reads if p.exists()}, set[Path]()
+    inputs, outputs = {p.resolve() for p in reads if p.exists()}, set[Path]()
     for path in writes:
         if path.resolve() in inputs:
             raise click.UsageError(f"{path} is read by this command: choose another name to write to")
-        if path.resolve() in seen:
+        if path.resolve() in outputs:
             raise click.UsageError(f"{path} would be written twice: choose two names")
         if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
             raise click.UsageError(
                 f"{path} cannot be written: {path.parent} is no folder that can be written to"
             )
-        seen.add(path.resolve())
+        outputs.add(path.resolve())

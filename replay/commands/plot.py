@@ -75,13 +75,13 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
         else:
             settings = load_settings(config).engine
             material = _replayed(open_trace(source, format_, gyro), settings, what in NOISE, quiet)
-        figure, left_out = drawn(what, material)
+        figure, omitted = drawn(what, material)
     except NotSupported as refusal:
         click.echo(f"stillcal: {source}: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
     style.save(figure, out)
     if not quiet:
-        for line in left_out:
+        for line in omitted:
             click.echo(f"stillcal: {source}: {line}", err=True)
         click.echo(f"{out}")
 
@@ -91,10 +91,10 @@ def _is_store(path: Path) -> bool:
     if path.suffix != ".json" or not path.is_file():
         return False
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
         return False
-    return isinstance(found, dict) and found.get("format") == FORMAT
+    return isinstance(content, dict) and content.get("format") == FORMAT
 
 
 def _stored(path: Path) -> Material:
@@ -105,9 +105,9 @@ def _stored(path: Path) -> Material:
 
 
 def _moments(document: StoreDocument) -> list[Moment]:
-    found = [Moment(e.what, _since(e.calibration), e.calibration) for e in document.history]
+    moments = [Moment(e.what, _since(e.calibration), e.calibration) for e in document.history]
     current = document.current
-    return found if current is None else [*found, Moment("current", _since(current), current)]
+    return moments if current is None else [*moments, Moment("current", _since(current), current)]
 
 
 def _since(record: CalibrationRecord) -> float | None:
@@ -121,12 +121,12 @@ def _replayed(opened: Trace, settings: EngineSettings, noise: bool, quiet: bool)
     with progress(opened.path.name, (3 if noise else 1) * opened.size_bytes, quiet) as step:
         passes, last = 0, 0
 
-        def told() -> None:
+        def show_progress() -> None:
             nonlocal passes, last
             passes, last = passes + (opened.bytes_read < last), opened.bytes_read
             step(passes * opened.size_bytes + last)
 
-        return of_trace(opened, Engine(_located(settings, opened)), told, noise)
+        return of_trace(opened, Engine(_located(settings, opened)), show_progress, noise)
 
 
 def _located(settings: EngineSettings, opened: Trace) -> EngineSettings:

@@ -83,21 +83,23 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     Leaves the store that a live run would leave. Exit code 3 where the recording cannot support a
     calibration; why is said, and which attitude is missing.
     """
-    refuse_collisions(_written(store_path, json_path), _read(trace, gyro))
+    refuse_collisions(_output_files(store_path, json_path), _input_files(trace, gyro))
     settings = load_settings(config)
-    kept: list[Store | Reject] = []
+    calibrations: list[Store | Reject] = []
     if format_ == "rest":
-        outcome = replay_rests(read_rest_table(trace), Engine(_chosen(settings, gravity, watch)), kept.append)
+        outcome = replay_rests(
+            read_rest_table(trace), Engine(_engine_settings(settings, gravity, watch)), calibrations.append
+        )
     else:
         opened = open_trace(trace, format_, gyro)
-        engine = Engine(_chosen(settings, _known_gravity(gravity, settings, opened), watch))
-        outcome = _replayed(opened, engine, kept.append, quiet)
-    if store_path is not None and kept:
-        _keep(store_path, settings, kept, trace)
+        engine = Engine(_engine_settings(settings, _known_gravity(gravity, settings, opened), watch))
+        outcome = _replayed(opened, engine, calibrations.append, quiet)
+    if store_path is not None and calibrations:
+        _keep_in_store(store_path, settings, calibrations, trace)
     if json_path is not None:
         _write_json(json_path, outcome)
     if not quiet and json_path != STANDARD_OUTPUT:
-        print_outcome(outcome, trace, store_path if kept else None, Console())
+        print_outcome(outcome, trace, store_path if calibrations else None, Console())
     if outcome.record is None or outcome.record.accelerometer is None:
         click.echo(f"stillcal: {trace}: no calibration: {_why(outcome)}", err=True)
         sys.exit(TOO_LITTLE)
@@ -126,7 +128,7 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
         raise storage.StoreError(
             f"{store_path}: holds no calibration: run stillcal replay or the daemon first"
         )
-    refuse_collisions(new_recording_files(out), [*_read(trace, gyro), *store_files(store_path)])
+    refuse_collisions(new_recording_files(out), [*_input_files(trace, gyro), *store_files(store_path)])
     opened = open_trace(trace, format_, gyro)
     with progress(opened.path.name, opened.size_bytes, quiet) as step, _writer(opened, out, record) as write:
         for chunk in opened.chunks():
@@ -160,28 +162,28 @@ def _writer(opened: Trace, out: Path, record: CalibrationRecord) -> Iterator[Cal
         yield write
 
 
-def _corrected(samples: Samples, record: CalibrationRecord, felt: Samples | None = None) -> Samples:
+def _corrected(samples: Samples, record: CalibrationRecord, force: Samples | None = None) -> Samples:
     """Correct one sensor's samples; a sensor that the store knows nothing of stays as it is.
 
     felt: the corrected accelerometer beside a gyroscope, whose samples may be at other times.
     """
     try:
-        return correct(record, samples, None if felt is None else interpolated(felt, samples.t))
+        return correct(record, samples, None if force is None else interpolated(force, samples.t))
     except NotCalibratedError:
         return samples
 
 
-def _read(trace: Path, gyro: Path | None) -> list[Path]:
+def _input_files(trace: Path, gyro: Path | None) -> list[Path]:
     return [*recording_files(trace), *files(gyro)]
 
 
-def _written(store: Path | None, json_path: Path | None) -> list[Path]:
+def _output_files(store: Path | None, json_path: Path | None) -> list[Path]:
     return [*([] if store is None else store_files(store)), *files(json_path)]
 
 
-def _chosen(settings: Settings, gravity: float | None, watch: str | None) -> EngineSettings:
-    told: dict[str, Any] = {"gravity": None if gravity is None else given(gravity).value, "watch": watch}
-    schedule = replace(settings.engine.schedule, **{k: v for k, v in told.items() if v is not None})
+def _engine_settings(settings: Settings, gravity: float | None, watch: str | None) -> EngineSettings:
+    overrides: dict[str, Any] = {"gravity": None if gravity is None else given(gravity).value, "watch": watch}
+    schedule = replace(settings.engine.schedule, **{k: v for k, v in overrides.items() if v is not None})
     return replace(settings.engine, schedule=schedule)
 
 
@@ -202,9 +204,9 @@ def _replayed(opened: Trace, engine: Engine, keep: Callable[[Store | Reject], No
     return outcome
 
 
-def _keep(path: Path, settings: Settings, kept: list[Store | Reject], source: Path) -> None:
+def _keep_in_store(path: Path, settings: Settings, calibrations: list[Store | Reject], source: Path) -> None:
     with storage.Store(path, settings.store) as opened:
-        for action in kept:
+        for action in calibrations:
             record = replace(action.record, provenance=replace(action.record.provenance, source=source.name))
             if isinstance(action, Store):
                 outcome = opened.publish(record, action.reason, action.t)

@@ -81,9 +81,9 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
     if not serial and (port is not None or speed is not None):
         raise click.UsageError("--port and --speed are for --serial")
     simulation = _simulation(scenario, phone, seed)
-    told = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
-    written = [*([] if out is None else new_recording_files(out)), *files(truth, port)]
-    refuse_collisions(written, told)
+    inputs = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
+    outputs = [*([] if out is None else new_recording_files(out)), *files(truth, port)]
+    refuse_collisions(outputs, inputs)
     if out is not None:
         _write(simulation, out, quiet)
     else:
@@ -125,8 +125,8 @@ def _serve(simulation: Simulation, settings: LinkSettings, port: Path | None, qu
 
 def truth_of(simulation: Simulation) -> dict[str, Any]:
     """Return the true affine models as plain values; calibrated = scale @ (raw - bias)."""
-    known = simulation.truth
-    return {"accelerometer": _plain(known.accelerometer), "gyroscope": _plain(known.gyroscope)}
+    truth = simulation.truth
+    return {"accelerometer": _plain(truth.accelerometer), "gyroscope": _plain(truth.gyroscope)}
 
 
 def _plain(model: TrueModel | None) -> dict[str, Any] | None:

@@ -137,6 +137,8 @@ def limits(facts: Facts) -> list[str]:
     if facts.bins == 0:
         return [NEVER_STILL]
     if facts.samples == 0:
-        said = ["a table of rests: stamps, noise, values, vibration and motion could not be checked"]
-        return said if facts.stamps else [*said, "its rows have no time: nothing that follows time was tried"]
+        texts = ["a table of rests: stamps, noise, values, vibration and motion could not be checked"]
+        return (
+            texts if facts.stamps else [*texts, "its rows have no time: nothing that follows time was tried"]
+        )
     return []

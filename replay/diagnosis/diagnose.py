@@ -23,7 +23,7 @@ from stillcal.calib_core.streams.events import Charging
 from stillcal.replay.diagnosis.coverage import Facts, checks, facts_of, limits
 from stillcal.replay.formats.trace import Recording
 
-SUREST = 1e-4
+LEAST_UNCERTAINTY = 1e-4
 """m/s^2: the least uncertainty of a row's mean specific force, whether a table states less or none."""
 
 LEAST_ROWS = 7
@@ -35,18 +35,18 @@ WITHOUT_TIME = ("time", "time since start", "charging", "charging and use", "tim
 
 def claims_of(recording: Recording) -> Claims:
     """Return what the maker says, as the diagnosis takes it."""
-    told = msgspec.to_builtins(recording.claims)
-    return Claims(**{k: told[k] for k in Claims.__slots__ if told.get(k) is not None})
+    claims = msgspec.to_builtins(recording.claims)
+    return Claims(**{k: claims[k] for k in Claims.__slots__ if claims.get(k) is not None})
 
 
-def plugs(recording: Recording) -> list[Charging]:
+def charging_events(recording: Recording) -> list[Charging]:
     """Return the recording's charging events."""
     return [e for e in recording.events if isinstance(e, Charging)]
 
 
 def bins_of(recording: Recording) -> Bins:
     """Return the recording's still bins."""
-    return diagnosis.still_bins(recording.accelerometer, recording.gyroscope, plugs(recording))
+    return diagnosis.still_bins(recording.accelerometer, recording.gyroscope, charging_events(recording))
 
 
 def diagnosis_of(
@@ -60,16 +60,16 @@ def diagnosis_of(
     return diagnosis.diagnose(
         recording.accelerometer,
         recording.gyroscope,
-        plugs(recording),
+        charging_events(recording),
         claims or claims_of(recording),
         name,
         without=removed,
     )
 
 
-def diagnosed(recording: Recording, name: str, without: str | None = None) -> dict[str, Any]:
+def diagnose_recording(recording: Recording, name: str, without: str | None = None) -> dict[str, Any]:
     """Return the diagnosis of a recording as plain values. Raises NotSupported on too little data."""
-    return answered(diagnosis_of(recording, name, without=without), facts(recording, bins_of(recording)))
+    return answer_of(diagnosis_of(recording, name, without=without), facts(recording, bins_of(recording)))
 
 
 def facts(recording: Recording, bins: Bins) -> Facts:
@@ -78,12 +78,12 @@ def facts(recording: Recording, bins: Bins) -> Facts:
     return facts_of(bins, len(recording.accelerometer), arrivals=arrivals)
 
 
-def answered(found: Diagnosis, facts: Facts) -> dict[str, Any]:
+def answer_of(result: Diagnosis, facts: Facts) -> dict[str, Any]:
     """Return a diagnosis as plain values, with what was and what could not be checked."""
-    answer: dict[str, Any] = plain(found)
-    said = limits(facts)
+    answer: dict[str, Any] = plain(result)
+    coverage_limits = limits(facts)
     answer["limits"] = [
-        *said,
+        *coverage_limits,
         *(text for text in answer["limits"] if not (facts.bins == 0 and "still" in text)),
     ]
     answer["checked"] = [plain(check) for check in checks(facts)]
@@ -104,7 +104,7 @@ def rest_bins(rests: Sequence[RestState]) -> Bins:
         duration=duration,
         rest=np.arange(len(rests)),
         force=np.array([r.specific_force for r in rests]),
-        force_variance=np.maximum(np.array([r.force_uncertainty for r in rests]), SUREST) ** 2,
+        force_variance=np.maximum(np.array([r.force_uncertainty for r in rests]), LEAST_UNCERTAINTY) ** 2,
         vibration=np.ones(len(rests)),
         activity=np.stack([start, np.zeros(len(rests))], axis=1),
         span=(float(start.min()), float((start + duration).max())),
@@ -123,7 +123,7 @@ def _variances(rests: Sequence[RestState]) -> Array:
     return np.maximum(1e-18 if uncertainty is None else uncertainty**2, 1e-18)
 
 
-def diagnosed_rests(rests: Sequence[RestState], name: str, claims: Claims | None = None) -> dict[str, Any]:
+def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None = None) -> dict[str, Any]:
     """Return what a table of rests shows: how gravity's norm and the rate at rest depart from affine sensors.
 
     Raises NotSupported with fewer than `LEAST_ROWS` rows.
@@ -131,18 +131,20 @@ def diagnosed_rests(rests: Sequence[RestState], name: str, claims: Claims | None
     if len(rests) < LEAST_ROWS:
         raise NotSupported(f"{len(rests)} rests", (f"at least {LEAST_ROWS}, in different attitudes",))
     bins, timed = rest_bins(rests), _timed(rests)
-    found = _of_rests(bins, claims or Claims(), timed=timed)
+    findings = _findings_of_rests(bins, claims or Claims(), timed=timed)
     facts = facts_of(bins, 0, stamps=timed)
-    said = [text for text in diagnosis.limits(bins, bins.rate is not None) if timed or "charging" not in text]
-    return answered(Diagnosis(1, name, verdict_of(found), found, said), facts)
+    core_limits = [
+        text for text in diagnosis.limits(bins, bins.rate is not None) if timed or "charging" not in text
+    ]
+    return answer_of(Diagnosis(1, name, verdict_of(findings), findings, core_limits), facts)
 
 
-def _of_rests(bins: Bins, claims: Claims, *, timed: bool) -> list[Finding]:
-    found = []
+def _findings_of_rests(bins: Bins, claims: Claims, *, timed: bool) -> list[Finding]:
+    findings = []
     for scene in scenes(bins, claims.gravity):
         entries = [e for e in slow_entries(scene.sensor) if timed or _without_time(e.follows)]
-        found += findings_of(scene, forward(scene, entries))
-    return found
+        findings += findings_of(scene, forward(scene, entries))
+    return findings
 
 
 def _without_time(follows: str) -> bool:

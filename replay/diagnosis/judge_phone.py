@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Findi
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.diagnose import bins_of, claims_of, diagnosis_of
-from stillcal.replay.diagnosis.twin import Lived, added, lived, observable
+from stillcal.replay.diagnosis.twin import Conditions, conditions_of, effects_output, observable
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effect_base import Effect, Moment
 from stillcal.replay.phone.phone import Phone
@@ -51,62 +51,63 @@ NEAR = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class PhoneJudgement:
     """A diagnosis of what a phone leaves unexplained.
 
-    already: findings that the phone has; only: what the phone has and the recording does not show.
+    already_simulated: findings that the phone has; only_simulated: what the phone has and the recording does
+    not show.
     """
 
     diagnosis: Diagnosis
-    already: list[dict[str, str]] = field(default_factory=list)
-    only: list[dict[str, str]] = field(default_factory=list)
+    already_simulated: list[dict[str, str]] = field(default_factory=list)
+    only_simulated: list[dict[str, str]] = field(default_factory=list)
     phone: Phone | None = None
 
     def plain(self) -> dict[str, Any]:
         """Return what there is beside the findings, as plain values; nothing where no phone was given."""
         if self.phone is None:
             return {}
-        return {"already_simulated": self.already, "only_simulated": self.only}
+        return {"already_simulated": self.already_simulated, "only_simulated": self.only_simulated}
 
     def known(self) -> tuple[Effect, ...]:
         """Return the judged phone's effects that the recording bears out or observes the course of."""
         if self.phone is None:
             return ()
-        shown = {k["effect"] for k in self.already}
-        return tuple(e for e in self.phone.effects if observable(e) or e.name in shown)
+        confirmed = {k["effect"] for k in self.already_simulated}
+        return tuple(e for e in self.phone.effects if observable(e) or e.name in confirmed)
 
 
-def judged(recording: Recording, name: str, phone: Phone) -> Judged:
+def judge_phone(recording: Recording, name: str, phone: Phone) -> PhoneJudgement:
     """Judge a phone by a recording. Raises NotSupported on too little data."""
-    told = claims_of(recording)
+    claimed = claims_of(recording)
     rate_hz = 1.0 / float(np.median(np.diff(recording.accelerometer.t)))
-    alike = abs(phone.accel.rate_hz / rate_hz - 1.0) < SAME_RATE
-    claims = _claims(phone, told, phone.accel.rate_hz if alike else None)
+    same_rate = abs(phone.accel.rate_hz / rate_hz - 1.0) < SAME_RATE
+    claims = _claims(phone, claimed, phone.accel.rate_hz if same_rate else None)
     raw = diagnosis_of(recording, name, claims)
     known = [e for e in phone.effects if observable(e)]
     bins = bins_of(recording)
     if not known or not len(bins):
-        left = raw
+        remaining = raw
     else:
-        left = diagnosis_of(without(recording, bins, phone, known), name, claims)
-    found = [f for f in raw.findings if f.effect.endswith(ON_SAMPLES)]
-    found += [f for f in left.findings if not f.effect.endswith(ON_SAMPLES)]
-    news = [f for f in found if not _has(phone, f)]
-    gone = [f for f in raw.findings if not any(_same(f, g) for g in news)]
-    already = [{"effect": f.effect, "sensor": f.sensor, "why": f.statement} for f in gone]
-    diagnosis = replace(raw, findings=news, verdict=verdict_of(news))
-    only = _only(phone, raw, news)
-    if not alike:
+        remaining = diagnosis_of(without_effects(recording, bins, phone, known), name, claims)
+    findings = [f for f in raw.findings if f.effect.endswith(ON_SAMPLES)]
+    findings += [f for f in remaining.findings if not f.effect.endswith(ON_SAMPLES)]
+    new_findings = [f for f in findings if not _phone_has(phone, f)]
+    explained = [f for f in raw.findings if not any(_same(f, g) for g in new_findings)]
+    already_simulated = [{"effect": f.effect, "sensor": f.sensor, "why": f.statement} for f in explained]
+    diagnosis = replace(raw, findings=new_findings, verdict=verdict_of(new_findings))
+    only_simulated = _only_simulated(phone, raw, new_findings)
+    if not same_rate:
         why = f"the phone file samples at {phone.accel.rate_hz:g} Hz, the recording at {rate_hz:.4g} Hz"
-        only.append({"effect": "rate", "why": why})
-    return Judged(diagnosis, already, only, phone)
+        only_simulated.append({"effect": "rate", "why": why})
+    return PhoneJudgement(diagnosis, already_simulated, only_simulated, phone)
 
 
 def _same(one: Finding, other: Finding) -> bool:
     return one.effect == other.effect and one.sensor == other.sensor
 
 
-def _claims(phone: Phone, told: Claims, rate_hz: float | None) -> Claims:
+def _claims(phone: Phone, claimed: Claims, rate_hz: float | None) -> Claims:
     """Return the phone's own range, step and noise as claims, with a nominal rate and what else is told."""
     own: dict[str, float | None] = {}
     for name, sensor in (("accel", Sensor.ACCELEROMETER), ("gyro", Sensor.GYROSCOPE)):
@@ -116,12 +117,12 @@ def _claims(phone: Phone, told: Claims, rate_hz: float | None) -> Claims:
             own[f"{name}_lsb"] = settings.lsb or None
             own[f"{name}_noise_density"] = float(np.median(per_axis(settings.noise.white))) or None
     known = {k: v for k, v in own.items() if v is not None}
-    return replace(replace(told, nominal_rate_hz=rate_hz), **known)
+    return replace(replace(claimed, nominal_rate_hz=rate_hz), **known)
 
 
-def without(recording: Recording, bins: Bins, phone: Phone, known: Sequence[Effect]) -> Recording:
+def without_effects(recording: Recording, bins: Bins, phone: Phone, known: Sequence[Effect]) -> Recording:
     """Return the recording with what the phone's observable effects add taken off."""
-    about = replace(lived(bins), reference_c=phone.heat.reference_c)
+    conditions = replace(conditions_of(bins), reference_c=phone.heat.reference_c)
     streams: list[Samples | None] = []
     for samples, sensor in (
         (recording.accelerometer, Sensor.ACCELEROMETER),
@@ -130,41 +131,43 @@ def without(recording: Recording, bins: Bins, phone: Phone, known: Sequence[Effe
         if samples is None or not any(e.concerns(sensor) for e in known):
             streams.append(samples)
             continue
-        moment = observed(recording, samples.t, phone, about)
+        moment = observed_moment(recording, samples.t, phone, conditions)
         rate_hz = 1.0 / float(np.median(np.diff(samples.t)))
         streams.append(
-            replace(samples, xyz=frozen(samples.xyz - added(known, sensor, moment, about, rate_hz)))
+            replace(
+                samples, xyz=frozen(samples.xyz - effects_output(known, sensor, moment, conditions, rate_hz))
+            )
         )
     accelerometer = streams[0]
     assert accelerometer is not None
     return replace(recording, accelerometer=accelerometer, gyroscope=streams[1])
 
 
-def observed(recording: Recording, t: Array, phone: Phone, about: Lived) -> Moment:
+def observed_moment(recording: Recording, t: Array, phone: Phone, conditions: Conditions) -> Moment:
     """Return what the phone felt at stamps (n,) s, by its own affine model of its readings."""
     accel, gyro = recording.accelerometer, recording.gyroscope
-    force = _felt(t, accel, np.asarray(phone.accel.scale), np.asarray(phone.accel.bias))
+    force = _true_values(t, accel, np.asarray(phone.accel.scale), np.asarray(phone.accel.bias))
     rate = np.zeros_like(force)
     if gyro is not None and phone.gyro is not None:
-        rate = _felt(t, gyro, np.asarray(phone.gyro.scale), np.asarray(phone.gyro.bias))
+        rate = _true_values(t, gyro, np.asarray(phone.gyro.scale), np.asarray(phone.gyro.bias))
         rate = np.where(np.linalg.norm(rate, axis=1, keepdims=True) > SLOWEST, rate, 0.0)
     warmth = np.zeros(t.size)
     if accel.temperature is not None and np.isfinite(accel.temperature).any():
         ok = np.isfinite(accel.temperature)
-        warmth = np.interp(t, accel.t[ok], accel.temperature[ok]) - about.reference_c
-    since = t - about.t_start
+        warmth = np.interp(t, accel.t[ok], accel.temperature[ok]) - conditions.reference_c
+    since = t - conditions.t_start
     dot = np.where(
         rate != 0.0, np.gradient(rate, np.maximum.accumulate(t + 1e-9 * np.arange(t.size)), axis=0), 0.0
     )
-    return Moment(since, force, rate, dot, warmth, about.surroundings.charging.at(since))
+    return Moment(since, force, rate, dot, warmth, conditions.surroundings.charging.at(since))
 
 
-def _felt(t: Array, samples: Samples, scale: Array, bias: Array) -> Array:
+def _true_values(t: Array, samples: Samples, scale: Array, bias: Array) -> Array:
     true = (samples.xyz - bias) @ np.linalg.inv(scale).T
     return np.stack([np.interp(t, samples.t, true[:, a]) for a in range(3)], axis=1)
 
 
-def _has(phone: Phone, finding: Finding) -> bool:
+def _phone_has(phone: Phone, finding: Finding) -> bool:
     """Whether the phone already has a finding about samples or stamps, with parameters like those found."""
     if not finding.effect.endswith(ON_SAMPLES):
         return False
@@ -186,20 +189,20 @@ def _own_values(phone: Phone, finding: Finding) -> dict[str, Any]:
         value = getattr(phone.effective_clock(), setting)
         return {parameter: value} if value else {}
     settings = phone.gyro if finding.sensor == "gyro" else phone.accel
-    return {} if settings is None else _of_settings(settings).get(finding.effect, {})
+    return {} if settings is None else _values_of_settings(settings).get(finding.effect, {})
 
 
-def _of_settings(settings: SensorSettings) -> dict[str, dict[str, Any]]:
+def _values_of_settings(settings: SensorSettings) -> dict[str, dict[str, Any]]:
     """Return what a sensor's own settings say in the words of findings."""
     noise, white = settings.noise, per_axis(settings.noise.white)
-    said: dict[str, dict[str, Any]] = {
+    values: dict[str, dict[str, Any]] = {
         "noise_unequal_axes": {"ratio": (white / max(float(np.median(white)), 1e-300)).tolist()}
     }
     if settings.cutoff_hz is not None:
-        said["bandwidth"] = {"cutoff": settings.cutoff_hz}
+        values["bandwidth"] = {"cutoff": settings.cutoff_hz}
     if noise.tail_fraction > 0.0:
-        said["noise_heavy_tailed"] = {"ratio": noise.tail_ratio, "fraction": noise.tail_fraction}
-    return said
+        values["noise_heavy_tailed"] = {"ratio": noise.tail_ratio, "fraction": noise.tail_fraction}
+    return values
 
 
 def _within(finding: Finding, name: str, own: Any) -> bool:
@@ -207,25 +210,31 @@ def _within(finding: Finding, name: str, own: Any) -> bool:
     parameter = finding.parameters[name]
     value = np.atleast_1d(np.asarray(parameter.value, dtype=np.float64))
     low, high = np.moveaxis(np.asarray(parameter.ci95, dtype=np.float64).reshape(*value.shape, 2), -1, 0)
-    mine = np.broadcast_to(np.asarray(own, dtype=np.float64), value.shape)
-    slack = NEAR * np.abs(value).max()
-    return bool(((mine >= np.minimum(low, value - slack)) & (mine <= np.maximum(high, value + slack))).all())
+    own_values = np.broadcast_to(np.asarray(own, dtype=np.float64), value.shape)
+    tolerance = NEAR * np.abs(value).max()
+    return bool(
+        (
+            (own_values >= np.minimum(low, value - tolerance))
+            & (own_values <= np.maximum(high, value + tolerance))
+        ).all()
+    )
 
 
-def _only(phone: Phone, raw: Diagnosis, news: list[Finding]) -> list[dict[str, str]]:
+def _only_simulated(phone: Phone, raw: Diagnosis, new_findings: list[Finding]) -> list[dict[str, str]]:
     """Return the phone's effects on samples and stamps that the recording does not show."""
-    seen = {f.effect for f in raw.findings} | {f.effect for f in news}
-    absent = [e for e in phone.effects if e.name.endswith(ON_SAMPLES) and e.name not in seen]
+    shown = {f.effect for f in raw.findings} | {f.effect for f in new_findings}
+    absent = [e for e in phone.effects if e.name.endswith(ON_SAMPLES) and e.name not in shown]
     absent = [e for e in absent if not e.name.endswith(("saturation", "quantisation", "noise_level"))]
     return [
-        {"effect": e.name, "why": f"the phone file has {_said(e)}, the recording shows none"} for e in absent
+        {"effect": e.name, "why": f"the phone file has {_settings_text(e)}, the recording shows none"}
+        for e in absent
     ]
 
 
-def _said(effect: Effect) -> str:
-    told = {
+def _settings_text(effect: Effect) -> str:
+    parameters = {
         k: v
         for k, v in msgspec.structs.asdict(effect).items()
         if not (isinstance(v, float) and math.isinf(v))
     }
-    return ", ".join(f"{k} = {v}" for k, v in told.items())
+    return ", ".join(f"{k} = {v}" for k, v in parameters.items())

@@ -12,7 +12,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.diagnosis.twin import Affine, Lived
+from stillcal.replay.diagnosis.twin import AffinePhone, Conditions
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
 from stillcal.replay.phone.effect_base import Moment
@@ -20,31 +20,31 @@ from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.sensor_chain import SensorChain
 
 
-def relived(
+def resimulate(
     recording: Recording,
     bins: Bins,
-    below: Affine,
-    about: Lived,
+    affine: AffinePhone,
+    conditions: Conditions,
     phone: Phone,
     *,
     gravity: float,
     seed: int = 0,
 ) -> Recording:
-    """Return what `phone` would have recorded. below: the affine phone fitted to the recording."""
+    """Return what `phone` would have recorded. affine: the affine phone fitted to the recording."""
     accel = recording.accelerometer
-    force = (accel.xyz - below.baseline.bias) @ below.baseline.scale.T
-    motion = [_still(accel, bins, force, gravity * below.baseline.up)]
+    force = (accel.xyz - affine.baseline.bias) @ affine.baseline.scale.T
+    motion = [_still(accel, bins, force, gravity * affine.baseline.up)]
     gyroscope = recording.gyroscope
     if gyroscope is not None:
-        rate = gyroscope.xyz - below.rate_bias
+        rate = gyroscope.xyz - affine.rate_bias
         motion.append(_still(gyroscope, bins, rate, np.zeros((len(bins), 3))))
-    made = [
-        _stream(phone, about, sensor, (recording, motion), seed)
+    streams = [
+        _stream(phone, conditions, sensor, (recording, motion), seed)
         for sensor in Sensor
         if sensor is Sensor.ACCELEROMETER or (gyroscope is not None and phone.gyro is not None)
     ]
     claims = recording.claims.without_counts()
-    return Recording(made[0], made[1] if len(made) > 1 else None, recording.events, claims, [])
+    return Recording(streams[0], streams[1] if len(streams) > 1 else None, recording.events, claims, [])
 
 
 def _still(samples: Samples, bins: Bins, values: Array, at_rest: Array) -> Array:
@@ -72,9 +72,9 @@ def _ticks(phone: Phone, sensor: Sensor, rate_hz: float, duration: float, seed: 
 
 
 def _stream(
-    phone: Phone, about: Lived, sensor: Sensor, lived: tuple[Recording, list[Array]], seed: int
+    phone: Phone, conditions: Conditions, sensor: Sensor, recorded: tuple[Recording, list[Array]], seed: int
 ) -> Samples:
-    recording, motion = lived
+    recording, motion = recorded
     settings, clock = phone.sensor(sensor), phone.effective_clock()
     assert settings is not None, "a stream is made only for a sensor that the phone has"
     settings = msgspec.structs.replace(
@@ -83,29 +83,29 @@ def _stream(
     accel = recording.accelerometer
     ticks = _ticks(phone, sensor, settings.rate_hz, float(accel.t[-1] - accel.t[0]), seed)
     delay = clock.gyro_delay_s if sensor is Sensor.GYROSCOPE else 0.0
-    moment, temperature = _moment(about, recording, motion, ticks.t, delay)
-    raw = SensorChain(sensor, settings, phone.effects, about.surroundings, seed).read(moment)
+    moment, temperature = _moment(conditions, recording, motion, ticks.t, delay)
+    raw = SensorChain(sensor, settings, phone.effects, conditions.surroundings, seed).read(moment)
     rows = ticks.rows
     warm = None if temperature is None or sensor is Sensor.GYROSCOPE else frozen(temperature[rows])
-    arrival = None if accel.t_arrival is None else frozen(ticks.arrival[rows] + about.t_start)
-    return Samples(sensor, frozen(ticks.stamp[rows] + about.t_start), frozen(raw[rows]), warm, arrival)
+    arrival = None if accel.t_arrival is None else frozen(ticks.arrival[rows] + conditions.t_start)
+    return Samples(sensor, frozen(ticks.stamp[rows] + conditions.t_start), frozen(raw[rows]), warm, arrival)
 
 
 def _moment(
-    about: Lived, recording: Recording, motion: list[Array], t: Array, delay: float
+    conditions: Conditions, recording: Recording, motion: list[Array], t: Array, delay: float
 ) -> tuple[Moment, Array | None]:
     """Return what is felt at true times (n,) s since the start, and the temperature there, degC."""
-    accel, at = recording.accelerometer, t + about.t_start - delay
+    accel, at = recording.accelerometer, t + conditions.t_start - delay
     force = _at(at, accel.t, motion[0])
     gyroscope = recording.gyroscope
     rate = np.zeros_like(force) if gyroscope is None else _at(at, gyroscope.t, motion[1])
     temperature, warmth = None, np.zeros(t.size)
     if accel.temperature is not None and np.isfinite(accel.temperature).any():
         known = np.isfinite(accel.temperature)
-        temperature = np.interp(t + about.t_start, accel.t[known], accel.temperature[known])
-        warmth = temperature - about.reference_c
+        temperature = np.interp(t + conditions.t_start, accel.t[known], accel.temperature[known])
+        warmth = temperature - conditions.reference_c
     dot = np.gradient(rate, t, axis=0)
-    return Moment(t, force, rate, dot, warmth, about.surroundings.charging.at(t)), temperature
+    return Moment(t, force, rate, dot, warmth, conditions.surroundings.charging.at(t)), temperature
 
 
 def _at(t: Array, known: Array, values: Array) -> Array:

@@ -22,12 +22,12 @@ from stillcal.replay.phone.heat import Surroundings
 from stillcal.replay.phone.noise import seeded
 from stillcal.replay.phone.timeline import Steps
 
-UNSEEN = frozenset({"spikes", "vibration_tone", "tilt_creep"})
+UNPREDICTED = frozenset({"spikes", "vibration_tone", "tilt_creep"})
 """Effects whose course a recording does not tell: random, of unknown phase, or true motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lived:
+class Conditions:
     """What a phone lived through. t_start: s, the stamp of its start; reference_c: degC, mean temperature.
 
     surroundings: charging and use (where it moved) by s since the start.
@@ -38,7 +38,7 @@ class Lived:
     surroundings: Surroundings
 
 
-def lived(bins: Bins) -> Lived:
+def conditions_of(bins: Bins) -> Conditions:
     """Return what the still bins and their events tell of the surroundings."""
     start = bins.span[0]
     reference = 25.0 if bins.temperature is None or len(bins) == 0 else float(bins.temperature.mean())
@@ -47,7 +47,7 @@ def lived(bins: Bins) -> Lived:
     use, plug = Steps.of(t, bins.activity[active, 1]), _charger(bins)
     both = np.union1d(use.t, plug.t)
     steady = Steps.of(both, np.full(both.size, reference))
-    return Lived(start, reference, Surroundings(steady, Steps.of(both, use.at(both)), _on(both, plug)))
+    return Conditions(start, reference, Surroundings(steady, Steps.of(both, use.at(both)), _on(both, plug)))
 
 
 def _on(t: Array, steps: Steps) -> Steps:
@@ -60,11 +60,11 @@ def _charger(bins: Bins) -> Steps:
     return Steps.of(bins.charging_switches[:, 0] - bins.span[0], bins.charging_switches[:, 1])
 
 
-def at_bins(bins: Bins, about: Lived, up: Array, gravity: float = STANDARD) -> Moment:
+def at_bins(bins: Bins, conditions: Conditions, up: Array, gravity: float = STANDARD) -> Moment:
     """Return what the phone felt in the middle of every still bin. up: (n, 3) unit gravity."""
-    t, still = bins.t - about.t_start, np.zeros((len(bins), 3))
-    warmth = np.zeros(len(bins)) if bins.temperature is None else bins.temperature - about.reference_c
-    charging = about.surroundings.charging.at(t) if bins.charging is None else bins.charging
+    t, still = bins.t - conditions.t_start, np.zeros((len(bins), 3))
+    warmth = np.zeros(len(bins)) if bins.temperature is None else bins.temperature - conditions.reference_c
+    charging = conditions.surroundings.charging.at(t) if bins.charging is None else bins.charging
     return Moment(t, gravity * up, still, still, warmth, charging)
 
 
@@ -72,23 +72,25 @@ def observable(effect: Effect) -> bool:
     """Whether what an effect adds to the output follows from what a recording observes."""
     kind = EFFECTS[effect.name]
     acts = kind.output_term is not Effect.output_term or kind.input_term is not Effect.input_term
-    return acts and effect.name not in UNSEEN
+    return acts and effect.name not in UNPREDICTED
 
 
-def added(effects: Sequence[Effect], sensor: Sensor, moment: Moment, about: Lived, rate_hz: float) -> Array:
+def effects_output(
+    effects: Sequence[Effect], sensor: Sensor, moment: Moment, conditions: Conditions, rate_hz: float
+) -> Array:
     """Return what the observable effects add to a sensor's output, (n, 3), in its unit."""
     total = np.zeros_like(moment.force)
     for effect in effects:
         if not (observable(effect) and effect.concerns(sensor)):
             continue
-        circumstances = Circumstances(rate_hz, about.surroundings, seeded(0, effect.name))
+        circumstances = Circumstances(rate_hz, conditions.surroundings, seeded(0, effect.name))
         terms = (effect.input_term(circumstances), effect.output_term(sensor, circumstances))
         total = sum((term(moment) for term in terms if term is not None), start=total)
     return total
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Affine:
+class AffinePhone:
     """The affine phone beneath the effects. accel, gyro: what the effects add in every bin, (n, 3)."""
 
     baseline: Baseline
@@ -97,19 +99,21 @@ class Affine:
     gyro: Array
 
 
-def affine(bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float, rounds: int = 2) -> Affine:
+def fit_affine(
+    bins: Bins, effects: Sequence[Effect], conditions: Conditions, gravity: float, rounds: int = 2
+) -> AffinePhone:
     """Fit the affine phone to the still bins with the effects off; a faultless phone where there are none."""
     accel = gyro = np.zeros_like(bins.force)
     if len(bins) == 0:
         faultless = Baseline(np.eye(3), np.zeros(3), np.empty((0, 3)), np.empty(0), np.empty((0, 9)))
-        return Affine(faultless, np.zeros(3), accel, gyro)
+        return AffinePhone(faultless, np.zeros(3), accel, gyro)
     for _ in range(rounds):
         baseline = fit_baseline(bins.force - accel, bins.force_variance, bins.rest, gravity)
-        moment = at_bins(bins, about, baseline.up, gravity)
-        accel = added(effects, Sensor.ACCELEROMETER, moment, about, 1.0 / 10.0)
-        gyro = added(effects, Sensor.GYROSCOPE, moment, about, 1.0 / 10.0)
+        moment = at_bins(bins, conditions, baseline.up, gravity)
+        accel = effects_output(effects, Sensor.ACCELEROMETER, moment, conditions, 1.0 / 10.0)
+        gyro = effects_output(effects, Sensor.GYROSCOPE, moment, conditions, 1.0 / 10.0)
     baseline = fit_baseline(bins.force - accel, bins.force_variance, bins.rest, gravity)
-    return Affine(baseline, _mean_rate(bins, gyro), accel, gyro)
+    return AffinePhone(baseline, _mean_rate(bins, gyro), accel, gyro)
 
 
 def _mean_rate(bins: Bins, gyro: Array) -> Array:

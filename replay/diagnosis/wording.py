@@ -105,7 +105,7 @@ def number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def against(phone: str) -> str:
+def judged_against(phone: str) -> str:
     """Return what is judged where a phone file is the twin."""
     return f"judged beside the phone {phone}: of what both have, parameters are the difference"
 

@@ -19,7 +19,7 @@ from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.state import EngineSettings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.diagnosis.diagnose import diagnosed
+from stillcal.replay.diagnosis.diagnose import diagnose_recording
 from stillcal.replay.fleet.discovery import Found
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.trace import Recording, Trace, open_trace
@@ -175,7 +175,7 @@ def _columns(sensor: str, part: SensorRecord) -> Iterator[tuple[str, Any]]:
 def _diagnosis(recording: Recording, outcome: Examined) -> None:
     row = outcome.row
     try:
-        answer = diagnosed(recording, row["name"])
+        answer = diagnose_recording(recording, row["name"])
     except NotSupported as refusal:
         row["verdict"] = f"too little data: {refusal}"
         return

@@ -9,7 +9,7 @@ import click
 from rich.console import Console
 from rich.progress import Progress
 
-from stillcal.replay.diagnosis.diagnose import diagnosed_rests
+from stillcal.replay.diagnosis.diagnose import diagnose_rests
 from stillcal.replay.formats.trace import read_rest_table
 from stillcal.replay.real_data.injection import DIRECT, SLOW
 from stillcal.replay.real_data.page import page
@@ -43,7 +43,7 @@ def _tables_of_rests() -> list[tuple[str, str, list[Finding]]]:
     answers = []
     for number in (1, 2, 3):
         with as_file(files("stillcal.config") / "esgi" / f"dataset{number}.csv") as path:
-            answer = diagnosed_rests(read_rest_table(path), path.name)
+            answer = diagnose_rests(read_rest_table(path), path.name)
         answers.append((f"dataset {number}", answer["verdict"], answer["findings"]))
     return answers
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stillcal.calib_core.errors import NotSupported
-from stillcal.replay.diagnosis.diagnose import diagnosed
+from stillcal.replay.diagnosis.diagnose import diagnose_recording
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.real_data import injection
 from stillcal.replay.real_data.injection import Injection
@@ -32,7 +32,7 @@ class Row:
 def found(recording: Recording, name: str) -> tuple[str, list[Finding], list[str]]:
     """Return verdict, findings and limits; a refusal is a verdict too."""
     try:
-        answer = diagnosed(recording, name)
+        answer = diagnose_recording(recording, name)
     except NotSupported as refusal:
         return "too little data", [], [str(refusal)]
     return answer["verdict"], answer["findings"], answer["limits"]

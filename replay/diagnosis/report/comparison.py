@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of, t
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.diagnosis.report.comparison_slow import Slow, slow_differences, slow_side
+from stillcal.replay.diagnosis.report.comparison_slow import SlowSide, slow_differences, slow_side
 from stillcal.replay.formats.trace import Recording
 
 LEVEL = 0.01
@@ -66,8 +66,8 @@ class Comparison:
 
     def plain(self) -> dict[str, Any]:
         """Return the comparison as plain values."""
-        told: dict[str, Any] = plain(self)
-        return told
+        values: dict[str, Any] = plain(self)
+        return values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +77,7 @@ class Side:
     recording: Recording
     bins: Bins
     gravity: float
-    slow: Slow
+    slow: SlowSide
 
 
 def side_of(recording: Recording, bins: Bins, gravity: float) -> Side:
@@ -87,21 +87,21 @@ def side_of(recording: Recording, bins: Bins, gravity: float) -> Side:
 
 def compare(recorded: Side, simulated: Side) -> Comparison:
     """Compare all statistics that both recordings have."""
-    found = [*_of_stamps(recorded.recording, simulated.recording)]
+    comparisons = [*_compare_stamps(recorded.recording, simulated.recording)]
     streams = (
         ("accel", recorded.recording.accelerometer, simulated.recording.accelerometer),
         ("gyro", recorded.recording.gyroscope, simulated.recording.gyroscope),
     )
     for sensor, one, other in streams:
         if one is not None and other is not None:
-            found += _of_samples(sensor, (one, recorded.bins), (other, simulated.bins))
-    found += [Compared(*row) for row in slow_differences(recorded.slow, simulated.slow)]
-    return corrected(found)
+            comparisons += _compare_samples(sensor, (one, recorded.bins), (other, simulated.bins))
+    comparisons += [Compared(*row) for row in slow_differences(recorded.slow, simulated.slow)]
+    return holm_corrected(comparisons)
 
 
-def corrected(found: Sequence[Compared], level: float = LEVEL) -> Comparison:
+def holm_corrected(comparisons: Sequence[Compared], level: float = LEVEL) -> Comparison:
     """Correct p-values by Holm's steps."""
-    ordered = sorted(found, key=lambda c: c.p_value)
+    ordered = sorted(comparisons, key=lambda c: c.p_value)
     steps = [min(1.0, c.p_value * (len(ordered) - i)) for i, c in enumerate(ordered)]
     rising: list[float] = np.maximum.accumulate(steps).tolist() if steps else []
     tests = [replace(c, p_corrected=p) for c, p in zip(ordered, rising, strict=True)]
@@ -110,11 +110,11 @@ def corrected(found: Sequence[Compared], level: float = LEVEL) -> Comparison:
 
 def difference(one: Measured, other: Measured, tolerance: float) -> float:
     """Return p of two means being further apart than the tolerance, two-sided."""
-    apart = Measured(one.value - other.value, float(np.hypot(one.error, other.error)))
-    return tail(apart.beyond(-tolerance, tolerance))
+    distance = Measured(one.value - other.value, float(np.hypot(one.error, other.error)))
+    return tail(distance.beyond(-tolerance, tolerance))
 
 
-def _of_stamps(one: Recording, other: Recording) -> Iterator[Compared]:
+def _compare_stamps(one: Recording, other: Recording) -> Iterator[Compared]:
     period = float(np.median(np.diff(one.accelerometer.t)))
     sides = [_intervals(r.accelerometer, period) for r in (one, other)]
     tolerances = (
@@ -123,14 +123,18 @@ def _of_stamps(one: Recording, other: Recording) -> Iterator[Compared]:
         ("part of samples missing", "1", 10.0 * thresholds.DROP_TOLERANCE),
     )
     for i, (what, unit, tolerance) in enumerate(tolerances):
-        yield _pieces(what, "stamps", unit, (sides[0][i], sides[1][i]), tolerance)
+        yield _compare_pieces(what, "stamps", unit, (sides[0][i], sides[1][i]), tolerance)
     arrivals = [_burst_parts(r.accelerometer, period) for r in (one, other)]
     if arrivals[0] is not None and arrivals[1] is not None:
         both = (arrivals[0], arrivals[1])
-        yield _pieces("part of samples in bursts", "arrival", "1", both, 2.0 * thresholds.BURST_TOLERANCE)
+        yield _compare_pieces(
+            "part of samples in bursts", "arrival", "1", both, 2.0 * thresholds.BURST_TOLERANCE
+        )
 
 
-def _pieces(what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float) -> Compared:
+def _compare_pieces(
+    what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float
+) -> Compared:
     means = [_mean(side) for side in sides]
     p = difference(means[0], means[1], tolerance)
     return Compared(what, channel, means[0].value, means[1].value, unit, p)
@@ -156,8 +160,8 @@ def _intervals(samples: Samples, period: float) -> tuple[Array, Array, Array]:
 def stamps_measured(samples: Samples) -> tuple[float, float]:
     """Return the standard deviation of a stamp about an even rate, s, and the part of samples missing."""
     _, scatter, missing = _intervals(samples, float(np.median(np.diff(samples.t))))
-    lost = float(missing.mean())
-    return float(np.median(scatter)), lost / (1.0 + lost)
+    missing_share = float(missing.mean())
+    return float(np.median(scatter)), missing_share / (1.0 + missing_share)
 
 
 def _burst_parts(samples: Samples, period: float) -> Array | None:
@@ -169,7 +173,7 @@ def _burst_parts(samples: Samples, period: float) -> Array | None:
     )
 
 
-def _of_samples(
+def _compare_samples(
     sensor: str, recorded: tuple[Samples, Bins], simulated: tuple[Samples, Bins]
 ) -> Iterator[Compared]:
     """Compare what single samples do inside still bins, bin by bin."""
@@ -177,37 +181,47 @@ def _of_samples(
     if min(len(one.pieces), len(other.pieces)) < 5:
         return
     rate = min(one.rate, other.rate)
-    shown = [_per_bin(still.pieces) for still in (one, other)]
+    moments = [_per_bin(still.pieces) for still in (one, other)]
     power = [_band_power(spectra(still), rate) for still in (one, other)]
     steps = [[comb_step(s.xyz[:, a]) or 0.0 for a in range(3)] for s, _ in (recorded, simulated)]
     for a, axis in enumerate("xyz"):
         name, unit = f"{sensor} {axis}", UNIT[sensor]
-        yield _steps(name, unit, (steps[0][a], steps[1][a]), shown)
-        if _coarse(steps[0][a], shown[0]) and _coarse(steps[1][a], shown[1]):
+        yield _compare_steps(name, unit, (steps[0][a], steps[1][a]), moments)
+        if _coarse(steps[0][a], moments[0]) and _coarse(steps[1][a], moments[1]):
             continue  # noise that hides in a step depends on where between two values a rest happens to lie
-        spreads, shapes = ((shown[0][what][:, a], shown[1][what][:, a]) for what in ("spread", "kurtosis"))
-        yield _ratio("spread of samples at rest", name, unit, spreads, SPREAD_TOLERANCE)
-        yield _robust("excess kurtosis of samples at rest", name, "1", shapes, SHAPE_TOLERANCE)
+        spreads, shapes = (
+            (moments[0][what][:, a], moments[1][what][:, a]) for what in ("spread", "kurtosis")
+        )
+        yield _compare_logarithms("spread of samples at rest", name, unit, spreads, SPREAD_TOLERANCE)
+        yield _compare_means("excess kurtosis of samples at rest", name, "1", shapes, SHAPE_TOLERANCE)
         for b in range(BANDS):
             low, high = _edges(rate)[b : b + 2]
             what = f"power from {_hertz(low)} to {_hertz(high)} Hz"
             bands = (power[0][:, b, a], power[1][:, b, a])
-            yield _ratio(what, name, f"({unit})^2/Hz", bands, BAND_TOLERANCE)
+            yield _compare_logarithms(what, name, f"({unit})^2/Hz", bands, BAND_TOLERANCE)
 
 
 def _hertz(f: float) -> str:
     return f"{f:.1f}" if f < 10.0 else f"{f:.0f}"
 
 
-def _robust(what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float) -> Compared:
+def _compare_means(
+    what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float
+) -> Compared:
     one, other = (mean_of(side, 1e-12) for side in sides)
     return Compared(what, channel, one.value, other.value, unit, difference(one, other, tolerance))
 
 
-def _ratio(what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float) -> Compared:
+def _compare_logarithms(
+    what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float
+) -> Compared:
     """Compare logarithms; what is told are the geometric means, in `unit`."""
-    told = _robust(what, channel, unit, sides, tolerance)
-    return replace(told, recorded=float(np.exp(told.recorded)), simulated=float(np.exp(told.simulated)))
+    logarithmic = _compare_means(what, channel, unit, sides, tolerance)
+    return replace(
+        logarithmic,
+        recorded=float(np.exp(logarithmic.recorded)),
+        simulated=float(np.exp(logarithmic.simulated)),
+    )
 
 
 def _per_bin(pieces: Sequence[Array]) -> dict[str, Array]:
@@ -218,15 +232,17 @@ def _per_bin(pieces: Sequence[Array]) -> dict[str, Array]:
     return {"spread": np.log(floor), "kurtosis": fourth / floor**4 - 3.0}
 
 
-def _steps(channel: str, unit: str, step: tuple[float, float], shown: list[dict[str, Array]]) -> Compared:
+def _compare_steps(
+    channel: str, unit: str, step: tuple[float, float], moments: list[dict[str, Array]]
+) -> Compared:
     """Compare the steps of values: they differ where one is coarse beside the noise and not the other's."""
-    coarse = any(_coarse(s, side) for s, side in zip(step, shown, strict=True))
-    alike = not coarse or abs(step[0] - step[1]) < 0.02 * max(step)
-    return Compared("step of values", channel, *step, unit, 1.0 if alike else 1e-12)
+    coarse = any(_coarse(s, side) for s, side in zip(step, moments, strict=True))
+    same = not coarse or abs(step[0] - step[1]) < 0.02 * max(step)
+    return Compared("step of values", channel, *step, unit, 1.0 if same else 1e-12)
 
 
-def _coarse(step: float, shown: dict[str, Array]) -> bool:
-    return step > 0.5 * float(np.exp(np.median(shown["spread"])))
+def _coarse(step: float, moments: dict[str, Array]) -> bool:
+    return step > 0.5 * float(np.exp(np.median(moments["spread"])))
 
 
 def _edges(rate: float) -> Array:

@@ -25,13 +25,13 @@ from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 Row = tuple[str, str, float, float, str, float]
 """statistic, channel, recorded, simulated, unit, p."""
 
-FOLLOWED = (
+COMPARED_EFFECTS = (
     "bias_temperature", "scale_temperature", "warmup", "thermal_latent", "charging_bias", "bias_drift",
     "g_sensitivity", "nonlinearity",
 )  # fmt: skip
 """Effects whose coefficients are compared, by the end of their names."""
 
-SAME = 3e-3
+PARAMETER_TOLERANCE = 3e-3
 """Part of a parameter's physical size that two phones of one make may differ by, as a standard deviation."""
 
 WANDER_TOLERANCE = 0.7
@@ -43,10 +43,10 @@ CALIBRATION_TOLERANCE = 1e-3
 RATE_TOLERANCE = 2e-4
 """Difference of gyroscope biases that is no difference, rad/s (0.011 deg/s)."""
 
-HEAT = ("bias_temperature", "thermal_latent")
+THERMAL_EFFECTS = ("bias_temperature", "thermal_latent")
 """What is fitted first, because charging, time and attitude may go with it."""
 
-TURNS = "turn"
+DIRECTION_VIEW = "turn"
 """The view of gravity's direction after turns, rad; all others are in their sensor's unit."""
 
 TAU = 300.0
@@ -67,45 +67,50 @@ class Coefficients:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Slow:
-    """The slow side of one recording. followed: by effect, sensor and time constant; none with few bins."""
+class SlowSide:
+    """The slow statistics of one recording, to be compared with another's.
+
+    coefficients: by effect, sensor and time constant in s; empty where there are too few static bins.
+    """
 
     bins: Bins
     gravity: float
     scenes: tuple[Scene, ...]
-    followed: dict[tuple[str, str, float], Coefficients]
+    coefficients: dict[tuple[str, str, float], Coefficients]
 
 
-def slow_side(bins: Bins, gravity: float) -> Slow:
+def slow_side(bins: Bins, gravity: float) -> SlowSide:
     """Fit what is slow in a recording's still bins."""
-    made = scenes(bins, gravity) if len(bins) >= thresholds.LEAST_BINS else []
-    found = {key: c for scene in made for key, c in _followed(scene)}
-    return Slow(bins, gravity, tuple(made), found)
+    slow_scenes = scenes(bins, gravity) if len(bins) >= thresholds.LEAST_BINS else []
+    coefficients = {key: c for scene in slow_scenes for key, c in _fitted_coefficients(scene)}
+    return SlowSide(bins, gravity, tuple(slow_scenes), coefficients)
 
 
-def slow_differences(recorded: Slow, simulated: Slow) -> list[Row]:
+def slow_differences(recorded: SlowSide, simulated: SlowSide) -> list[Row]:
     """Return the comparisons of two recordings; none where either has too few still bins."""
     if not (recorded.scenes and simulated.scenes):
         return []
-    both = recorded.followed.keys() & simulated.followed.keys()
-    rows = [_wald(recorded.followed[key], simulated.followed[key]) for key in sorted(both)]
+    both = recorded.coefficients.keys() & simulated.coefficients.keys()
+    rows = [_wald(recorded.coefficients[key], simulated.coefficients[key]) for key in sorted(both)]
     for a, b in zip(recorded.scenes, simulated.scenes, strict=False):
         rows += _wander(a, b)
     return [*rows, *_calibration(recorded, simulated)]
 
 
-def _followed(scene: Scene) -> Iterator[tuple[tuple[str, str, float], Coefficients]]:
+def _fitted_coefficients(scene: Scene) -> Iterator[tuple[tuple[str, str, float], Coefficients]]:
     """Fit every curve that is compared; heat first, and the others beside it."""
     curves = [h for entry in slow_entries(scene.sensor) for h in _proposed(entry, scene)]
-    heat = [h for h in curves if h.entry.effect.endswith(HEAT)][:1]
+    heat = [h for h in curves if h.entry.effect.endswith(THERMAL_EFFECTS)][:1]
     others = [h for h in curves if h not in heat]
-    for group, beside in ((heat, []), (others, heat)):
+    for group, also_fitted in ((heat, []), (others, heat)):
         if not group:
             continue
-        reduced = reduce_scene(scene, group, beside)
+        reduced = reduce_scene(scene, group, also_fitted)
         for index, h in enumerate(group):
             fit = fit_hypothesis(reduced, index)
-            covariance = fit.covariance * np.outer(h.sizes, h.sizes) + np.diag((SAME * h.sizes) ** 2)
+            covariance = fit.covariance * np.outer(h.sizes, h.sizes) + np.diag(
+                (PARAMETER_TOLERANCE * h.sizes) ** 2
+            )
             unit = h.entry.parameters[0].unit
             key = (h.entry.effect, scene.sensor, h.grid.get("tau_s", 0.0) + h.sizes.size)
             name = " and ".join(
@@ -116,21 +121,21 @@ def _followed(scene: Scene) -> Iterator[tuple[tuple[str, str, float], Coefficien
 
 def _proposed(entry: Entry, scene: Scene) -> list[Hypothesis]:
     """Return an entry's hypothesis, of a grid the one of the middle time constant."""
-    if not entry.effect.endswith(FOLLOWED):
+    if not entry.effect.endswith(COMPARED_EFFECTS):
         return []
-    found = entry.propose(entry, scene)
-    return sorted(found, key=lambda h: abs(h.grid.get("tau_s", TAU) - TAU))[:1]
+    hypotheses = entry.propose(entry, scene)
+    return sorted(hypotheses, key=lambda h: abs(h.grid.get("tau_s", TAU) - TAU))[:1]
 
 
 def _wald(one: Coefficients, other: Coefficients) -> Row:
     """Compare two estimates by Wald's statistic."""
     from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
 
-    away = one.value - other.value
+    distance = one.value - other.value
     covariance = one.covariance + other.covariance
-    p = float(chi2.sf(away @ np.linalg.solve(covariance, away), away.size))
+    p = float(chi2.sf(distance @ np.linalg.solve(covariance, distance), distance.size))
     worst = int(np.argmax(np.abs(one.value) / np.sqrt(one.covariance.diagonal())))
-    axis = "xyz"[(worst // 3 if away.size == 9 else worst) % 3]
+    axis = "xyz"[(worst // 3 if distance.size == 9 else worst) % 3]
     return one.effect, f"{one.sensor} {axis}", float(one.value[worst]), float(other.value[worst]), one.unit, p
 
 
@@ -139,39 +144,46 @@ def _wander(one: Scene, other: Scene) -> Iterator[Row]:
     for a, b in zip(one.views, other.views, strict=False):
         if a.name != b.name:
             continue
-        left = [np.log(max(_scatter(v), 1e-12)) for v in (a, b)]
+        log_scatters = [np.log(max(_scatter(v), 1e-12)) for v in (a, b)]
         # A wander has few independent pieces however many bins: its variance is known to some ten of them.
         error = np.sqrt(1.0 / 10.0)
-        sigmas = max(abs(left[0] - left[1]) - WANDER_TOLERANCE, 0.0) / error
+        sigmas = max(abs(log_scatters[0] - log_scatters[1]) - WANDER_TOLERANCE, 0.0) / error
         from scipy.special import erfc  # noqa: PLC0415 - the daemon stays light
 
         p = float(erfc(sigmas / np.sqrt(2.0)))
         name = f"{one.sensor} {a.name.removeprefix('rate_')}"
-        unit = "rad" if a.name == TURNS else UNIT[one.sensor]
-        yield "scatter of still bins", name, float(np.exp(left[0])), float(np.exp(left[1])), unit, p
+        unit = "rad" if a.name == DIRECTION_VIEW else UNIT[one.sensor]
+        yield (
+            "scatter of still bins",
+            name,
+            float(np.exp(log_scatters[0])),
+            float(np.exp(log_scatters[1])),
+            unit,
+            p,
+        )
 
 
 def _scatter(view: View) -> float:
     """Root mean square of a view's residuals with all that the baseline phone may do projected out."""
     columns = [view.nuisance(b) for b in range(len(view.y))]
-    left = [r - x @ np.linalg.lstsq(x, r, rcond=None)[0] for r, x in zip(view.y, columns, strict=True)]
-    return float(np.sqrt(np.mean(np.square(left))))
+    residuals = [r - x @ np.linalg.lstsq(x, r, rcond=None)[0] for r, x in zip(view.y, columns, strict=True)]
+    return float(np.sqrt(np.mean(np.square(residuals))))
 
 
-def _calibration(recorded: Slow, simulated: Slow) -> Iterator[Row]:
+def _calibration(recorded: SlowSide, simulated: SlowSide) -> Iterator[Row]:
     """Compare affine calibrations: whether one fits both recordings' rests as well as two do (Chow 1960)."""
     from scipy.stats import f as f_distribution  # noqa: PLC0415 - the daemon stays light
 
-    sides = [_rests(side.bins) for side in (recorded, simulated)]
+    sides = [_mean_of_rests(side.bins) for side in (recorded, simulated)]
     if min(len(force) for force, _ in sides) >= LEAST_RESTS:
         known = (recorded.gravity, simulated.gravity)
         gravity = sum(known) / 2.0
         force, variance = (np.concatenate([s[i] for s in sides]) for i in (0, 1))
         floor = (CALIBRATION_TOLERANCE * gravity) ** 2
-        together = _misfit(force, variance + floor, gravity)
-        apart = sum(_misfit(f, v + floor, g) for (f, v), g in zip(sides, known, strict=True))
+        common_chi2 = _chi2(force, variance + floor, gravity)
+        separate_chi2 = sum(_chi2(f, v + floor, g) for (f, v), g in zip(sides, known, strict=True))
         dof = len(force) - 18
-        ratio = max(together - apart, 0.0) / 9.0 / max(apart / dof, 1.0)
+        ratio = max(common_chi2 - separate_chi2, 0.0) / 9.0 / max(separate_chi2 / dof, 1.0)
         p = float(f_distribution.sf(ratio, 9, dof))
         norms = [float(np.median(np.linalg.norm(f, axis=1))) for f, _ in sides]
         yield "affine calibration, by norms of rests", "accel", norms[0], norms[1], "m/s^2", p
@@ -180,14 +192,14 @@ def _calibration(recorded: Slow, simulated: Slow) -> Iterator[Row]:
         yield from _mean_rates(one, other)
 
 
-def _rests(bins: Bins) -> tuple[Array, Array]:
+def _mean_of_rests(bins: Bins) -> tuple[Array, Array]:
     """Mean force (k, 3) of every rest and its white variance."""
     first = np.unique(bins.rest, return_index=True)[1]
     counts = np.bincount(bins.rest)[np.unique(bins.rest)][:, None]
     return rest_means(bins.force, bins.rest)[first], bins.force_variance[first] / counts
 
 
-def _misfit(force: Array, variance: Array, gravity: float) -> float:
+def _chi2(force: Array, variance: Array, gravity: float) -> float:
     fit = fit_baseline(force, variance, np.arange(len(force)), gravity)
     return float((((fit.norm - gravity) ** 2) / variance.mean(axis=1)).sum())
 
@@ -199,6 +211,6 @@ def _mean_rates(one: Array, other: Array) -> Iterator[Row]:
     for a, axis in enumerate("xyz"):
         parts = [np.array([p.mean() for p in np.array_split(b[:, a], 10)]) for b in (one, other)]
         error = np.hypot(*(p.std(ddof=1) / np.sqrt(10.0) for p in parts))
-        apart = max(abs(parts[0].mean() - parts[1].mean()) - RATE_TOLERANCE, 0.0)
-        p = 2.0 * float(student.sf(apart / error, 9))
+        distance = max(abs(parts[0].mean() - parts[1].mean()) - RATE_TOLERANCE, 0.0)
+        p = 2.0 * float(student.sf(distance / error, 9))
         yield "mean rate at rest", f"gyro {axis}", float(parts[0].mean()), float(parts[1].mean()), "rad/s", p

@@ -20,10 +20,10 @@ from stillcal.calib_core.diagnosis.model.residuals import norm_view
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.diagnosis.report.phone_effects import Mapped
-from stillcal.replay.diagnosis.twin import Affine, Lived, added, at_bins, observable
+from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
+from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, at_bins, effects_output, observable
 
-SEEN = 0.5
+LEAST_SHARE = 0.5
 """An axis is drawn from bins in which the residual shows at least this part of it."""
 
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
@@ -32,11 +32,13 @@ SENSOR = {"accel": Sensor.ACCELEROMETER, "gyro": Sensor.GYROSCOPE}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """One axis of one finding. x: (n,) driver in `x_name`; t: (n,) s since the start; values in `unit`.
+    """The component and residual of one finding on one axis, at n static bins.
 
-    point: component plus residual; held: the component from the other fifths, None where no term is known;
-    edges: s, where the fifths meet; span: s, where the finding is. alone, line: point and component with only
-    what x itself does left in, so that the component is a curve over x; both are of `y_name`.
+    unit: of the values. x: (n,) what the finding is drawn against, named `x_name`. t: (n,) s since the start.
+    point: (n,) component plus residual. held_out: (n,) the component with its size fitted to the other fifths
+    of the recording; None where no term is known. edges: s, the boundaries of the fifths. span: s, start and
+    end of the finding. partial_point, partial_component: (n,) point and component with only the part that x
+    causes, so that the component is a curve over x; named `y_name`.
     """
 
     axis: str
@@ -45,12 +47,12 @@ class Curve:
     x: Array
     t: Array
     point: Array
-    held: Array | None
+    held_out: Array | None
     edges: Array
     span: tuple[float, float]
     y_name: str
-    alone: Array
-    line: Array | None
+    partial_point: Array
+    partial_component: Array | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +64,7 @@ class Residual:
     baseline: Array
 
 
-def slow(finding: Finding) -> bool:
+def is_slow(finding: Finding) -> bool:
     """Whether a finding is about a bias of the still bins, and so has a curve."""
     return (
         finding.sensor in SENSOR
@@ -71,13 +73,13 @@ def slow(finding: Finding) -> bool:
     )
 
 
-def residuals(sensor: str, bins: Bins, below: Affine, gravity: float) -> list[Residual]:
+def residuals(sensor: str, bins: Bins, affine: AffinePhone, gravity: float) -> list[Residual]:
     """Return the residuals of gravity's norm, or of the three rates at rest."""
     if sensor == "accel":
-        view = norm_view(bins, below.baseline, gravity)
+        view = norm_view(bins, affine.baseline, gravity)
         # The baseline was fitted with what is known taken off; the residual is wanted with it in.
-        y = view.y[0] + np.einsum("na,na->n", view.project[0], below.accel)
-        return [Residual(np.asarray(y), view.project[0], affine_columns(below.baseline.up))]
+        y = view.y[0] + np.einsum("na,na->n", view.project[0], affine.accel)
+        return [Residual(np.asarray(y), view.project[0], affine_columns(affine.baseline.up))]
     assert bins.rate is not None
     ones = np.ones((len(bins), 1))
     return [Residual(bins.rate[:, a], np.tile(np.eye(3)[a], (len(bins), 1)), ones) for a in range(3)]
@@ -93,80 +95,90 @@ def affine_columns(up: Array) -> Array:
     return np.column_stack([np.ones_like(x), x, y, z, x * x, y * y, x * y, y * z, z * x])
 
 
-def left_over(part: Residual, explained: Array) -> Array:
+def unexplained_residual(part: Residual, explained: Array) -> Array:
     """Return what the baseline and errors `explained` (n, 3) leave of a residual, (n,)."""
     y = part.y - np.einsum("na,na->n", part.project, explained)
     return np.asarray(y - part.baseline @ np.linalg.lstsq(part.baseline, y, rcond=None)[0])
 
 
-def curves_of(one: Mapped, bins: Bins, about: Lived, below: Affine, gravity: float) -> list[Curve]:
-    """Return the finding's curves, one a named axis. below: the phone with all that is known."""
-    finding = one.finding
-    if not slow(finding) or (finding.sensor == "gyro" and bins.rate is None):
+def curves_of(
+    mapped: MappedFinding, bins: Bins, conditions: Conditions, affine: AffinePhone, gravity: float
+) -> list[Curve]:
+    """Return the finding's curves, one a named axis. affine: the phone with all that is known."""
+    finding = mapped.finding
+    if not is_slow(finding) or (finding.sensor == "gyro" and bins.rate is None):
         return []
-    own = _term(one, bins, about, below, gravity)
-    if own is None and finding.effect != "unknown":
+    component = _component(mapped, bins, conditions, affine, gravity)
+    if component is None and finding.effect != "unknown":
         return []
-    everything = below.accel if finding.sensor == "accel" else below.gyro
-    parts = residuals(finding.sensor, bins, below, gravity)
+    explained = affine.accel if finding.sensor == "accel" else affine.gyro
+    parts = residuals(finding.sensor, bins, affine, gravity)
     return [
         curve
         for axis in finding.axes
-        if (curve := _curve(finding, "xyz".index(axis), parts, own, everything, bins=bins, below=below))
+        if (
+            curve := _curve(finding, "xyz".index(axis), parts, component, explained, bins=bins, affine=affine)
+        )
         is not None
     ]
 
 
-def _term(one: Mapped, bins: Bins, about: Lived, below: Affine, gravity: float) -> Array | None:
-    effect = one.effect
-    if effect is None or not observable(effect) or not slow(one.finding):
+def _component(
+    mapped: MappedFinding, bins: Bins, conditions: Conditions, affine: AffinePhone, gravity: float
+) -> Array | None:
+    effect = mapped.effect
+    if effect is None or not observable(effect) or not is_slow(mapped.finding):
         return None
-    moment = at_bins(bins, about, below.baseline.up, gravity)
-    return added([effect], SENSOR[one.finding.sensor], moment, about, 0.1)
+    moment = at_bins(bins, conditions, affine.baseline.up, gravity)
+    return effects_output([effect], SENSOR[mapped.finding.sensor], moment, conditions, 0.1)
 
 
 def _curve(
     finding: Finding,
     axis: int,
     parts: list[Residual],
-    own: Array | None,
-    everything: Array,
+    term: Array | None,
+    explained: Array,
     *,
     bins: Bins,
-    below: Affine,
+    affine: AffinePhone,
 ) -> Curve | None:
     part = parts[0] if len(parts) == 1 else parts[axis]
     share = part.project[:, axis]
-    seen = np.abs(share) >= SEEN
-    if seen.sum() < 5:
+    visible = np.abs(share) >= LEAST_SHARE
+    if visible.sum() < 5:
         return None
-    rest = left_over(part, everything)
-    component = np.zeros(len(bins)) if own is None else own[:, axis]
-    if own is not None and not np.ptp(component) > 0.0:
+    residual = unexplained_residual(part, explained)
+    component = np.zeros(len(bins)) if term is None else term[:, axis]
+    if term is not None and not np.ptp(component) > 0.0:
         return None
     t = bins.t - bins.span[0]
     edges = np.linspace(0.0, bins.span[1] - bins.span[0], FOLDS + 1)
-    held = None if own is None else _held(part, everything, component, axis, t=t, edges=edges)
-    x_name, x = _driver(finding, bins, axis, below)
-    point = component[seen] + rest[seen] / share[seen]
-    y_name, alone, line = _alone(finding, axis, point, component[seen], up=below.baseline.up[seen])
+    held_out = (
+        None if term is None else _held_out_component(part, explained, component, axis, t=t, edges=edges)
+    )
+    x_name, x = _driver(finding, bins, axis, affine)
+    point = component[visible] + residual[visible] / share[visible]
+    y_name, partial_point, partial_component = _partial(
+        finding, axis, point, component[visible], up=affine.baseline.up[visible]
+    )
     return Curve(
         "xyz"[axis],
         UNIT[finding.sensor],
         x_name,
-        x[seen],
-        t[seen],
+        x[visible],
+        t[visible],
         point,
-        None if held is None else held[seen],
+        None if held_out is None else held_out[visible],
         edges,
         (finding.where.t_start - bins.span[0], finding.where.t_end - bins.span[0]),
         y_name,
-        alone,
-        None if own is None else line,
+        partial_point,
+        None if term is None else partial_component,
     )
 
 
-def _alone(
+def _partial(
     finding: Finding, axis: int, point: Array, component: Array, *, up: Array
 ) -> tuple[str, Array, Array]:
     """Return what is drawn over the driver, its name, and the part of the component that the driver makes."""
@@ -175,46 +187,48 @@ def _alone(
     matrix = finding.parameters.get("matrix")
     if matrix is None:
         return "bias", point, component
-    other = _strongest(finding, axis)
+    other = _strongest_axis(finding, axis)
     line = np.asarray(matrix.value)[axis, other] * STANDARD * up[:, other]
     return "bias", point - component + line, line
 
 
-def _held(part: Residual, everything: Array, component: Array, axis: int, *, t: Array, edges: Array) -> Array:
+def _held_out_component(
+    part: Residual, explained: Array, component: Array, axis: int, *, t: Array, edges: Array
+) -> Array:
     """Return the component with its size from the other fifths, (n,)."""
     column = part.project[:, axis] * component
-    y = part.y - np.einsum("na,na->n", part.project, everything) + column
-    out = component.copy()
+    y = part.y - np.einsum("na,na->n", part.project, explained) + column
+    held_out = component.copy()
     for first, last in pairwise(edges):
         test = (t >= first) & (t <= last)
         if (~test).sum() > 5 and test.any():
-            out[test] = component[test] * _size(y[~test], column[~test], part.baseline[~test])
-    return out
+            held_out[test] = component[test] * _size(y[~test], column[~test], part.baseline[~test])
+    return held_out
 
 
 def _size(y: Array, column: Array, baseline: Array) -> float:
     """Return the least-squares factor of a column beside the baseline; 1 where the part does not show it."""
     design = np.column_stack([column, baseline])
-    left = column - baseline @ np.linalg.lstsq(baseline, column, rcond=None)[0]
-    if float(left @ left) < 1e-3 * float(column @ column):
+    independent = column - baseline @ np.linalg.lstsq(baseline, column, rcond=None)[0]
+    if float(independent @ independent) < 1e-3 * float(column @ column):
         return 1.0
     return float(np.linalg.lstsq(design, y, rcond=None)[0][0])
 
 
-def _driver(finding: Finding, bins: Bins, axis: int, below: Affine) -> tuple[str, Array]:
+def _driver(finding: Finding, bins: Bins, axis: int, affine: AffinePhone) -> tuple[str, Array]:
     """Return what a finding is drawn against."""
     follows = finding.where.driver
     if "temperature" in follows and bins.temperature is not None:
         return "temperature, degC", bins.temperature
     if follows in ("own force", "attitude", "attitude, nonlinearly"):
-        other = axis if finding.sensor == "accel" else _strongest(finding, axis)
-        return f"gravity along {'xyz'[other]}, m/s^2", np.asarray(STANDARD * below.baseline.up[:, other])
+        other = axis if finding.sensor == "accel" else _strongest_axis(finding, axis)
+        return f"gravity along {'xyz'[other]}, m/s^2", np.asarray(STANDARD * affine.baseline.up[:, other])
     if follows == "vibration power":
         return "vibration, (m/s^2)^2", bins.vibration
     return "time, min", np.asarray((bins.t - bins.span[0]) / 60.0)
 
 
-def _strongest(finding: Finding, axis: int) -> int:
+def _strongest_axis(finding: Finding, axis: int) -> int:
     """Return the component of force that an axis follows most."""
     matrix = finding.parameters.get("matrix")
     return axis if matrix is None else int(np.argmax(np.abs(np.asarray(matrix.value)[axis])))

@@ -17,8 +17,8 @@ from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import windows
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.diagnosis.report.curves import UNIT, left_over, residuals
-from stillcal.replay.diagnosis.twin import Affine
+from stillcal.replay.diagnosis.report.curves import UNIT, residuals, unexplained_residual
+from stillcal.replay.diagnosis.twin import AffinePhone
 from stillcal.replay.formats.trace import Recording
 
 CELLS = 96
@@ -38,7 +38,7 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Map:
+class DepartureMap:
     """edges: (CELLS + 1,) s of the recording's stamps."""
 
     edges: Array
@@ -51,29 +51,31 @@ class Map:
                 "channel": c.name,
                 "unit": c.unit,
                 "noise": c.noise,
-                "value": _told(c.value),
-                "departure": _told(c.departure),
+                "value": _rounded(c.value),
+                "departure": _rounded(c.departure),
             }
             for c in self.channels
         ]
         return {"t": [round(float(t), 3) for t in self.edges], "channels": rows}
 
 
-def _told(values: Array) -> list[float | None]:
+def _rounded(values: Array) -> list[float | None]:
     return [float(f"{v:.4g}") if np.isfinite(v) else None for v in values]
 
 
-def map_of(recording: Recording, bins: Bins, below: tuple[Affine, Affine], claims: Claims) -> Map:
-    """Draw the map. below: the affine phone with nothing found, and with all that was found."""
+def map_of(
+    recording: Recording, bins: Bins, affine_phones: tuple[AffinePhone, AffinePhone], claims: Claims
+) -> DepartureMap:
+    """Draw the map. affine_phones: fitted without and with the effects found."""
     accel = recording.accelerometer
     edges = np.linspace(float(accel.t[0]), float(accel.t[-1]), CELLS + 1)
-    rows = _slow("accel", bins, below, claims.gravity, edges) if len(bins) > 5 else []
+    rows = _slow("accel", bins, affine_phones, claims.gravity, edges) if len(bins) > 5 else []
     if bins.rate is not None and len(bins) > 5:
-        rows += _slow("gyro", bins, below, claims.gravity, edges)
+        rows += _slow("gyro", bins, affine_phones, claims.gravity, edges)
     rows += _spreads("accel", accel, bins, claims, edges)
     if recording.gyroscope is not None:
         rows += _spreads("gyro", recording.gyroscope, bins, claims, edges)
-    return Map(edges, (*rows, _stamps(accel, edges)))
+    return DepartureMap(edges, (*rows, _stamps(accel, edges)))
 
 
 def _cells(t: Array, values: Array, edges: Array) -> Array:
@@ -85,29 +87,29 @@ def _cells(t: Array, values: Array, edges: Array) -> Array:
 
 
 def _slow(
-    sensor: str, bins: Bins, below: tuple[Affine, Affine], gravity: float, edges: Array
+    sensor: str, bins: Bins, affine_phones: tuple[AffinePhone, AffinePhone], gravity: float, edges: Array
 ) -> list[Channel]:
-    plain, better = below
+    plain, better = affine_phones
     names = ["accel norm"] if sensor == "accel" else [f"gyro {a} at rest" for a in "xyz"]
-    known, explained = ((b.accel if sensor == "accel" else b.gyro) for b in below)
+    known, explained = ((b.accel if sensor == "accel" else b.gyro) for b in affine_phones)
     parts = zip(
         names, residuals(sensor, bins, plain, gravity), residuals(sensor, bins, better, gravity), strict=True
     )
     variance = bins.force_variance if sensor == "accel" or bins.rate_variance is None else bins.rate_variance
     rows = []
     for name, before, after in parts:
-        departure, left = left_over(before, known), left_over(after, explained)
+        departure, remaining = unexplained_residual(before, known), unexplained_residual(after, explained)
         # Few bins beside many parameters leave hardly anything: less than the white noise it cannot be.
         white = np.sqrt(np.median(np.sum(before.project**2 * variance, axis=1)))
-        noise = max(_bin_to_bin(left, bins), float(white))
+        noise = max(_bin_to_bin(remaining, bins), float(white))
         value = _cells(bins.t, departure, edges)
         rows.append(Channel(name, UNIT[sensor], noise, value, value / noise))
     return rows
 
 
-def _bin_to_bin(left: Array, bins: Bins) -> float:
+def _bin_to_bin(remaining: Array, bins: Bins) -> float:
     """Noise of a bin from differences of neighbours in one rest, or of all where rests are short."""
-    step = np.diff(left)
+    step = np.diff(remaining)
     inside = step[np.diff(bins.rest) == 0]
     used = inside if inside.size >= 10 else step
     middle = float(np.median(np.abs(used)))
@@ -116,11 +118,13 @@ def _bin_to_bin(left: Array, bins: Bins) -> float:
 
 def _spreads(sensor: str, samples: Samples, bins: Bins, claims: Claims, edges: Array) -> list[Channel]:
     """Spread of single samples in still bins against the declared one, or their own middle."""
-    made = windows(samples, *bins.span)
-    inside = np.zeros(made.t.size, dtype=bool)
+    short_windows = windows(samples, *bins.span)
+    inside = np.zeros(short_windows.t.size, dtype=bool)
     for t, d in zip(bins.t, bins.duration, strict=True):
-        inside[np.searchsorted(made.t, t - d / 2) : np.searchsorted(made.t, t + d / 2)] = True
-    inside &= made.count > 3
+        inside[np.searchsorted(short_windows.t, t - d / 2) : np.searchsorted(short_windows.t, t + d / 2)] = (
+            True
+        )
+    inside &= short_windows.count > 3
     if inside.sum() < 5:
         return []
     rate = 1.0 / float(np.median(np.diff(samples.t)))
@@ -128,12 +132,15 @@ def _spreads(sensor: str, samples: Samples, bins: Bins, claims: Claims, edges: A
     floor = ((claims.accel_lsb if sensor == "accel" else claims.gyro_lsb) or 0.0) / np.sqrt(12.0)
     rows = []
     for a, axis in enumerate("xyz"):
-        spread = np.sqrt(np.maximum(made.variance[inside, a], 1e-24))
+        spread = np.sqrt(np.maximum(short_windows.variance[inside, a], 1e-24))
         middle = float(np.median(spread)) if declared is None else declared
         # A step coarser than the noise hides it: less spread than the step's own tells nothing.
         log = np.log(np.maximum(spread, floor) / middle)
         noise = max(1.4826 * float(np.median(np.abs(log - np.median(log)))), LEAST_NOISE)
-        value, mean = _cells(made.t[inside], spread, edges), _cells(made.t[inside], log, edges)
+        value, mean = (
+            _cells(short_windows.t[inside], spread, edges),
+            _cells(short_windows.t[inside], log, edges),
+        )
         rows.append(Channel(f"{sensor} {axis} noise", UNIT[sensor], noise * middle, value, mean / noise))
     return rows
 

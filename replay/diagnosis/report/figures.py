@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.direct.low_pass import quiet, spectra
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.curves import Curve, running_median
-from stillcal.replay.diagnosis.report.departure_map import Map
+from stillcal.replay.diagnosis.report.departure_map import DepartureMap
 from stillcal.replay.diagnosis.wording import readable
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", "#c65a11", "#0b6e99"
 CLIP = 8.0
 """Departures beyond this many units of noise have one colour."""
 
-PART = 0.9
+SHADED_BELOW = 0.9
 """A finding in less than this part of the recording is shaded in time."""
 
 STYLE: Any = {
@@ -83,11 +83,11 @@ def drawing(height: float = HEIGHT) -> Iterator[tuple[Figure, Axes, list[str]]]:
     out.append(text.getvalue())
 
 
-def map_figure(drawn: Map) -> str:
+def map_figure(departure_map: DepartureMap) -> str:
     """Draw where the recording departs from its twin."""
-    rows = drawn.channels
+    rows = departure_map.channels
     with drawing(0.9 + 0.27 * len(rows)) as (figure, axes, out):
-        minutes = (drawn.edges - drawn.edges[0]) / 60.0
+        minutes = (departure_map.edges - departure_map.edges[0]) / 60.0
         values = np.ma.masked_invalid(np.array([r.departure for r in rows]))
         colours = axes.pcolormesh(
             minutes, np.arange(len(rows) + 1), values, cmap="PuOr_r", vmin=-CLIP, vmax=CLIP, rasterized=True
@@ -114,14 +114,16 @@ def curve_figures(curve: Curve) -> list[str]:
 
 def _against(curve: Curve, scale: float, unit: str) -> str:
     with drawing() as (_, axes, out):
-        y = curve.alone * scale
+        y = curve.partial_point * scale
         axes.plot(curve.x, y, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
-        if curve.line is None:
+        if curve.partial_component is None:
             x, middle = running_median(curve.x, y)
             axes.plot(x, middle, color=BEFORE, lw=1.8, label="running median: no name")
         else:
             order = np.argsort(curve.x)
-            axes.plot(curve.x[order], curve.line[order] * scale, color=AFTER, lw=1.8, label="fitted")
+            axes.plot(
+                curve.x[order], curve.partial_component[order] * scale, color=AFTER, lw=1.8, label="fitted"
+            )
         axes.set_xlabel(readable(curve.x_name))
         axes.set_ylabel(f"{curve.y_name} {curve.axis}, {readable(unit)}")
     return out[0]
@@ -130,22 +132,22 @@ def _against(curve: Curve, scale: float, unit: str) -> str:
 def _in_time(curve: Curve, scale: float, unit: str) -> str:
     with drawing() as (_, axes, out):
         minutes = curve.t / 60.0
-        if curve.span[1] - curve.span[0] < PART * (curve.edges[-1] - curve.edges[0]):
+        if curve.span[1] - curve.span[0] < SHADED_BELOW * (curve.edges[-1] - curve.edges[0]):
             axes.axvspan(curve.span[0] / 60.0, curve.span[1] / 60.0, color="#f1e3d6", label="where it is")
         axes.plot(minutes, curve.point * scale, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
-        if curve.held is None:
+        if curve.held_out is None:
             x, y = running_median(minutes, curve.point, 30)
             axes.plot(x, y * scale, color=BEFORE, lw=1.8, label="running median: no name")
         else:
-            left = (curve.point - curve.held) * scale
-            axes.plot(minutes, left, ".", color=AFTER, ms=3, alpha=0.5, label="left after it")
+            remaining = (curve.point - curve.held_out) * scale
+            axes.plot(minutes, remaining, ".", color=AFTER, ms=3, alpha=0.5, label="left after it")
             axes.plot(
-                minutes, curve.held * scale, color=AFTER, lw=1.6, label="held out: from the other fifths"
+                minutes, curve.held_out * scale, color=AFTER, lw=1.6, label="held out: from the other fifths"
             )
             for edge in curve.edges[1:-1] / 60.0:
                 axes.axvline(edge, color="#bbbbbb", lw=0.8, ls=":")
         axes.set_xlabel(
-            "time, min (dotted: fifths held out in turn)" if curve.held is not None else "time, min"
+            "time, min (dotted: fifths held out in turn)" if curve.held_out is not None else "time, min"
         )
         axes.set_ylabel(f"bias {curve.axis}, {readable(unit)}")
     return out[0]
@@ -159,14 +161,14 @@ def prefixed(values: Array, unit: str) -> tuple[float, str]:
     return (1e3, f"10⁻³ {unit}") if size >= 2e-4 else (1e6, f"10⁻⁶ {unit}")
 
 
-Three = Sequence[tuple[str, str, Samples, Bins]]
+RecordedAndSimulated = Sequence[tuple[str, str, Samples, Bins]]
 """Label, colour, samples and still bins of the recording and of the twins before and after."""
 
 
-def spectrum_figure(three: Three, unit: str, mark: float | None) -> str:
+def spectrum_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, mark: float | None) -> str:
     """Draw noise densities at rest, root mean square over axes. mark: Hz."""
     with drawing() as (_, axes, out):
-        for label, colour, samples, bins in three:
+        for label, colour, samples, bins in recorded_and_simulated:
             still = quiet(samples, bins)
             if len(still.pieces) < 3:
                 continue
@@ -183,10 +185,13 @@ def spectrum_figure(three: Three, unit: str, mark: float | None) -> str:
     return out[0]
 
 
-def values_figure(three: Three, unit: str, axis: int) -> str:
+def values_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, axis: int) -> str:
     """Draw how single samples at rest scatter about their bin's mean."""
     with drawing() as (_, axes, out):
-        parts = [(label, colour, _pooled(samples, bins, axis)) for label, colour, samples, bins in three]
+        parts = [
+            (label, colour, _pooled(samples, bins, axis))
+            for label, colour, samples, bins in recorded_and_simulated
+        ]
         spread = max(float(np.abs(p).max(initial=1e-9)) for _, _, p in parts)
         wide = min(spread, 8.0 * max(float(p.std()) if p.size else 1e-9 for _, _, p in parts))
         edges = np.linspace(-wide, wide, 122)
@@ -205,12 +210,12 @@ def _pooled(samples: Samples, bins: Bins, axis: int) -> Array:
     return np.concatenate([p[:, axis] for p in pieces]) if pieces else np.empty(0)
 
 
-def intervals_figure(three: Three, *, arrival: bool) -> str:
+def intervals_figure(recorded_and_simulated: RecordedAndSimulated, *, arrival: bool) -> str:
     """Draw the intervals between stamps, or between arrivals."""
     with drawing() as (_, axes, out):
-        period = float(np.median(np.diff(three[0][2].t)))
+        period = float(np.median(np.diff(recorded_and_simulated[0][2].t)))
         edges = np.linspace(0.0, 4.0 * period, 162) * 1e3
-        for label, colour, samples, _bins in three:
+        for label, colour, samples, _bins in recorded_and_simulated:
             t = samples.t_arrival if arrival else samples.t
             if t is None:
                 continue
@@ -222,11 +227,11 @@ def intervals_figure(three: Three, *, arrival: bool) -> str:
     return out[0]
 
 
-def extremes_figure(three: Three, unit: str, limit: float) -> str:
+def extremes_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, limit: float) -> str:
     """Draw how often large values of any axis occur. limit: marked."""
     with drawing() as (_, axes, out):
         edges = np.linspace(0.0, 1.3 * limit, 131)
-        for label, colour, samples, _bins in three:
+        for label, colour, samples, _bins in recorded_and_simulated:
             share = np.histogram(np.abs(samples.xyz).max(axis=1), edges)[0] / max(len(samples), 1)
             axes.stairs(share, edges, color=colour, lw=1.3, label=label)
         axes.axvline(limit, color="#999999", lw=1.0, ls=":")

@@ -14,17 +14,17 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.replay.diagnosis.report import figures, tables
-from stillcal.replay.diagnosis.report.curves import UNIT, slow
-from stillcal.replay.diagnosis.report.inputs import Case, Trial
-from stillcal.replay.diagnosis.report.phone_effects import Mapped
+from stillcal.replay.diagnosis.report.curves import UNIT, is_slow
+from stillcal.replay.diagnosis.report.inputs import Case, Resimulation
+from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.report.pictures import Picture, pictures
-from stillcal.replay.diagnosis.report.summary import told
+from stillcal.replay.diagnosis.report.summary import comparison_text
 from stillcal.replay.diagnosis.wording import (
     EQUATIONS,
-    against,
     certainty,
     ending,
     headline,
+    judged_against,
     number,
     readable,
     title,
@@ -47,14 +47,14 @@ code,.equation{font-family:ui-monospace,monospace;font-size:.92rem}
 .no{color:#8a3c00;font-weight:600}footer{margin-top:2.5rem;font-size:.85rem;color:#555}
 """
 
-OUTCOMES = {
+SIMULATED_LAST = {
     "adequate": "Its simulated twin",
     "unexplained": "A phone simulated as it was measured, without what has no name",
 }
 """What was simulated last, by verdict, where it is not a phone with what was found."""
 
 
-def page(case: Case, answer: dict[str, Any], both: tuple[Trial, Trial] | None) -> str:
+def page(case: Case, answer: dict[str, Any], resimulated: tuple[Resimulation, Resimulation] | None) -> str:
     """Return the page's HTML. answer: the plain diagnosis; both: the twins before and after, if made."""
     name = escape(case.diagnosis.recording)
     parts = [
@@ -62,7 +62,7 @@ def page(case: Case, answer: dict[str, Any], both: tuple[Trial, Trial] | None) -
         *_verdict(case, answer),
         "<h2>Where it departs</h2>",
         _figure(_map(case), wide=True),
-        *_findings(case, answer, both),
+        *_findings(case, answer, resimulated),
         *_comparison(answer),
         *_checked(answer),
         "<footer>Made by <code>stillcal diagnose</code>. Intervals are 95 %; p-values carry the size of the"
@@ -80,11 +80,11 @@ def _verdict(case: Case, answer: dict[str, Any]) -> Iterator[str]:
     checks = answer["checked"]
     done = sum(c["done"] for c in checks)
     kind, words = answer["verdict"], headline(answer["verdict"], done, len(checks))
-    said = kind.replace("_", " ").capitalize()
-    yield f'<p class="verdict {escape(kind)}"><strong>{escape(said)}</strong>: {escape(words)}.</p>'
+    verdict = kind.replace("_", " ").capitalize()
+    yield f'<p class="verdict {escape(kind)}"><strong>{escape(verdict)}</strong>: {escape(words)}.</p>'
     if "judged_phone" in answer:
-        beside = against(answer["judged_phone"])
-        yield f"<p>{escape(beside[0].upper() + beside[1:])}.</p>"
+        sentence = judged_against(answer["judged_phone"])
+        yield f"<p>{escape(sentence[0].upper() + sentence[1:])}.</p>"
     yield _list(readable(f["statement"]) for f in answer["findings"])
     yield _outcome(answer)
     known = [f"{k['effect']} ({k['sensor']}): {k['why']}" for k in answer.get("already_simulated", ())]
@@ -102,8 +102,8 @@ def _outcome(answer: dict[str, Any]) -> str:
     after = answer.get("comparison_after")
     if after is None:
         return ""
-    which = OUTCOMES.get(answer["verdict"], "A phone simulated with what was found")
-    return f"<p>{which}, on this recording's own day: {escape(told(after))}.</p>"
+    which = SIMULATED_LAST.get(answer["verdict"], "A phone simulated with what was found")
+    return f"<p>{which}, on this recording's own day: {escape(comparison_text(after))}.</p>"
 
 
 def _list(items: Iterable[str]) -> str:
@@ -112,12 +112,12 @@ def _list(items: Iterable[str]) -> str:
 
 
 def _map(case: Case) -> Picture:
-    loudest = max(case.map.channels, key=lambda c: float(_largest(c.departure)))
-    minutes = (case.map.edges[-1] - case.map.edges[0]) / 60.0
+    loudest = max(case.departure_map.channels, key=lambda c: float(_largest(c.departure)))
+    minutes = (case.departure_map.edges[-1] - case.departure_map.edges[0]) / 60.0
     size = _largest(loudest.departure)
     alt = (
-        f"Map of departures over {minutes:.0f} minutes for {len(case.map.channels)} channels; the largest"
-        f" is {size:.0f} units of noise in {loudest.name}."
+        f"Map of departures over {minutes:.0f} minutes for {len(case.departure_map.channels)} channels; the"
+        f" largest is {size:.0f} units of noise in {loudest.name}."
     )
     caption = (
         "Each row is a channel: the norm of gravity and the rates at rest, the spread of single samples at"
@@ -126,7 +126,7 @@ def _map(case: Case) -> Picture:
         f" taken off; beyond {figures.CLIP:.0f} units it is full. One unit of noise in the row that departs"
         f" most, {loudest.name}, is {number(loudest.noise)} {readable(loudest.unit)}."
     )
-    return Picture(figures.map_figure(case.map), alt, caption)
+    return Picture(figures.map_figure(case.departure_map), alt, caption)
 
 
 def _largest(values: Any) -> float:
@@ -143,36 +143,40 @@ def _figure(picture: Picture, *, wide: bool = False) -> str:
     )
 
 
-def _findings(case: Case, answer: dict[str, Any], both: tuple[Trial, Trial] | None) -> Iterator[str]:
-    if not case.found:
+def _findings(
+    case: Case, answer: dict[str, Any], resimulated: tuple[Resimulation, Resimulation] | None
+) -> Iterator[str]:
+    if not case.mapped:
         return
     yield "<h2>What was found</h2>"
-    for one in case.found:
-        yield from _finding(case, one, both)
+    for mapped in case.mapped:
+        yield from _finding(case, mapped, resimulated)
 
 
-def _finding(case: Case, one: Mapped, both: tuple[Trial, Trial] | None) -> Iterator[str]:
-    finding = one.finding
+def _finding(
+    case: Case, mapped: MappedFinding, resimulated: tuple[Resimulation, Resimulation] | None
+) -> Iterator[str]:
+    finding = mapped.finding
     yield f"<h3>{escape(title(finding))}</h3><p>{escape(readable(finding.statement))}</p>"
     equation = ending(finding.effect, EQUATIONS)
     if equation:
         yield f'<p class="equation">{equation}</p>'
-    drawn = pictures(case, one, both)
-    if drawn:
-        yield f'<div class="pictures">{"".join(_figure(p) for p in drawn)}</div>'
+    shown_pictures = pictures(case, mapped, resimulated)
+    if shown_pictures:
+        yield f'<div class="pictures">{"".join(_figure(p) for p in shown_pictures)}</div>'
     yield tables.parameters(finding)
-    yield f"<p>{_sure(finding, case.about.t_start)}</p>"
+    yield f"<p>{_sure(finding, case.conditions.t_start)}</p>"
     yield _alternatives(finding)
     following = to_record(finding)
     if following:
         yield f"<p>What to record next: {escape(following)}.</p>"
-    if one.effect is None:
-        yield f"<p>In the phone file: {escape(one.why)}.</p>"
+    if mapped.effect is None:
+        yield f"<p>In the phone file: {escape(mapped.why)}.</p>"
 
 
 def _sure(finding: Finding, start: float) -> str:
     e, where = finding.evidence, finding.where
-    unit = readable(UNIT[finding.sensor]) + " " if slow(finding) else ""
+    unit = readable(UNIT[finding.sensor]) + " " if is_slow(finding) else ""
     span = f"from {where.t_start - start:.0f} to {where.t_end - start:.0f} s after the start"
     text = f"How sure: {certainty(e.p_value)} (p = {tables.p_words(e.p_value)}), {span},"
     text += f" following {escape(where.driver)}."
@@ -204,10 +208,13 @@ def _alternatives(finding: Finding) -> str:
 
 
 def _comparison(answer: dict[str, Any]) -> Iterator[str]:
-    given = answer.get("comparison")
-    if given is not None:
+    with_simulated = answer.get("comparison")
+    if with_simulated is not None:
         yield "<h2>Beside the simulated recording</h2>"
-        yield f"<p>The simulated recording: {escape(told(given))}.</p>" + tables.comparison(given)
+        yield (
+            f"<p>The simulated recording: {escape(comparison_text(with_simulated))}.</p>"
+            + tables.comparison(with_simulated)
+        )
     before, after = answer.get("comparison_before"), answer.get("comparison_after")
     if before is None or after is None:
         return
@@ -215,7 +222,7 @@ def _comparison(answer: dict[str, Any]) -> Iterator[str]:
         yield "<h2>Beside its simulated twin</h2>"
         yield (
             "<p>A simulated phone, with the affine errors and the noise measured here, lives through this"
-            f" recording's own day. Its recording: {escape(told(after))}.</p>"
+            f" recording's own day. Its recording: {escape(comparison_text(after))}.</p>"
         )
         yield tables.comparison(after)
         return
@@ -224,7 +231,7 @@ def _comparison(answer: dict[str, Any]) -> Iterator[str]:
         "<p>A simulated phone lives through this recording's own day, rest by rest, once as it was and once"
         " with what was found; both recordings are then compared with this one.</p>"
     )
-    yield f"<p>Before: {escape(told(before))}. After: {escape(told(after))}.</p>"
+    yield f"<p>Before: {escape(comparison_text(before))}. After: {escape(comparison_text(after))}.</p>"
     yield tables.comparison(before, after)
 
 

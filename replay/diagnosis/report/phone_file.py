@@ -18,8 +18,8 @@ from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.calib_core.noise.covariance import NoiseModel, fit_noise
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.comparison import stamps_measured
-from stillcal.replay.diagnosis.report.phone_effects import IN_WHITE, Mapped
-from stillcal.replay.diagnosis.twin import Affine, Lived, affine
+from stillcal.replay.diagnosis.report.phone_effects import WHITE_NOISE_FINDINGS, MappedFinding
+from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, fit_affine
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effect_base import Effect
 from stillcal.replay.phone.phone import Claims, Phone, dump_phone
@@ -46,26 +46,26 @@ TAUS = (240.0,)
 
 
 def phone_of(
-    recording: Recording, bins: Bins, effects: Sequence[Effect], about: Lived, gravity: float
+    recording: Recording, bins: Bins, effects: Sequence[Effect], conditions: Conditions, gravity: float
 ) -> Phone:
     """Return the phone that would have made the recording, as far as it shows. bins: at least one."""
-    below = affine(bins, effects, about, gravity)
-    wander = _force_wander(bins, below, gravity)
+    affine = fit_affine(bins, effects, conditions, gravity)
+    wander = _force_wander(bins, affine, gravity)
     return Phone(
         description=f"{recording.claims.device or 'a phone'}, as a recording shows it",
         accel=_sensor(
             recording.accelerometer,
             bins,
             effects,
-            bias=below.baseline.bias,
-            scale=np.asarray(np.linalg.inv(below.baseline.scale), dtype=np.float64),
+            bias=affine.baseline.bias,
+            scale=np.asarray(np.linalg.inv(affine.baseline.scale), dtype=np.float64),
             slow=[wander] * 3,
             limit=recording.claims.accel_range,
             claimed=recording.claims.accel_noise_density,
         ),
-        gyro=_gyroscope(recording, bins, effects, below, gravity),
+        gyro=_gyroscope(recording, bins, effects, affine, gravity),
         clock=_clock(recording, effects),
-        heat=_heat(recording.accelerometer, about),
+        heat=_heat(recording.accelerometer, conditions),
         claims=_claims(recording),
         effects=tuple(effects),  # type: ignore[arg-type]  # every member of the registry
     )
@@ -73,38 +73,48 @@ def phone_of(
 
 def _clock(recording: Recording, effects: Sequence[Effect]) -> ClockSettings:
     """Return the stamps' clock, with their scatter and what is missing unless effects have these."""
-    told = {e.name for e in effects}
+    effect_names = {e.name for e in effects}
     scatter, missing = stamps_measured(recording.accelerometer)
     return ClockSettings(
-        shared=_together(recording.accelerometer, recording.gyroscope),
-        jitter_s=0.0 if "timestamp_jitter" in told else float(f"{scatter:.4g}"),
-        drop_fraction=0.0 if "dropped_samples" in told or missing > MOST_MISSING else float(f"{missing:.3g}"),
+        shared=_same_stamps(recording.accelerometer, recording.gyroscope),
+        jitter_s=0.0 if "timestamp_jitter" in effect_names else float(f"{scatter:.4g}"),
+        drop_fraction=0.0
+        if "dropped_samples" in effect_names or missing > MOST_MISSING
+        else float(f"{missing:.3g}"),
     )
 
 
 def plain_phone(
-    phone: Phone, found: Sequence[Mapped], known: Sequence[Effect], recording: Recording, below: Affine
+    phone: Phone,
+    mapped: Sequence[MappedFinding],
+    known: Sequence[Effect],
+    recording: Recording,
+    affine: AffinePhone,
 ) -> Phone:
     """Return the phone as it was before anything was found: affine, its wander the same, its clock even.
 
-    below: the affine phone fitted with no effects but those known before.
+    affine: the affine phone fitted with no effects but those known before.
     """
-    scale = _matrix(np.asarray(np.linalg.inv(below.baseline.scale), dtype=np.float64))
-    loud = {m.finding.sensor for m in found if m.finding.effect in IN_WHITE}
+    scale = _matrix(np.asarray(np.linalg.inv(affine.baseline.scale), dtype=np.float64))
+    replaced = {m.finding.sensor for m in mapped if m.finding.effect in WHITE_NOISE_FINDINGS}
     claims = recording.claims
-    accel = _as_claimed(phone.accel, claims.accel_noise_density if "accel" in loud else None, "accel" in loud)
+    accel = _as_claimed(
+        phone.accel, claims.accel_noise_density if "accel" in replaced else None, "accel" in replaced
+    )
     gyro = phone.gyro
     if gyro is not None:
-        quiet_gyro = _as_claimed(gyro, claims.gyro_noise_density if "gyro" in loud else None, "gyro" in loud)
-        gyro = msgspec.structs.replace(quiet_gyro, bias=_vector(below.rate_bias))
-    accel = msgspec.structs.replace(accel, bias=_vector(below.baseline.bias), scale=scale)
+        quiet_gyro = _as_claimed(
+            gyro, claims.gyro_noise_density if "gyro" in replaced else None, "gyro" in replaced
+        )
+        gyro = msgspec.structs.replace(quiet_gyro, bias=_vector(affine.rate_bias))
+    accel = msgspec.structs.replace(accel, bias=_vector(affine.baseline.bias), scale=scale)
     clock = ClockSettings(shared=phone.clock.shared)
     return msgspec.structs.replace(phone, accel=accel, gyro=gyro, clock=clock, effects=tuple(known))
 
 
-def _as_claimed(settings: SensorSettings, density: float | None, loud: bool) -> SensorSettings:
+def _as_claimed(settings: SensorSettings, density: float | None, replaced: bool) -> SensorSettings:
     """Return a sensor whose white noise is as claimed, or alike on its axes where nothing is claimed."""
-    if not loud:
+    if not replaced:
         return settings
     white = density or float(np.median(per_axis(settings.noise.white)))
     noise = msgspec.structs.replace(settings.noise, white=white)
@@ -117,20 +127,20 @@ def _claims(recording: Recording) -> Claims:
 
 
 def _gyroscope(
-    recording: Recording, bins: Bins, effects: Sequence[Effect], below: Affine, gravity: float
+    recording: Recording, bins: Bins, effects: Sequence[Effect], affine: AffinePhone, gravity: float
 ) -> SensorSettings | None:
     samples = recording.gyroscope
     if samples is None:
         return None
     slow: list[NoiseModel | None] = [None] * 3
     if bins.rate is not None:
-        slow = [_wander(bins, bins.rate[:, a] - below.gyro[:, a]) for a in range(3)]
+        slow = [_wander(bins, bins.rate[:, a] - affine.gyro[:, a]) for a in range(3)]
     scale = np.asarray(np.linalg.inv(aligned(samples, bins, gravity).mapping))
     return _sensor(
         samples,
         bins,
         effects,
-        bias=below.rate_bias,
+        bias=affine.rate_bias,
         scale=scale,
         slow=slow,
         limit=recording.claims.gyro_range,
@@ -204,15 +214,15 @@ def _tail_power(samples: Samples, effects: Sequence[Effect]) -> float:
     """Return by how much heavy tails raise the power of the noise."""
     for effect in effects:
         if effect.name == "noise_heavy_tailed" and effect.concerns(samples.sensor):
-            told = msgspec.to_builtins(effect)
-            return 1.0 + float(told.get("fraction", 0.02)) * (float(told["ratio"]) ** 2 - 1.0)
+            settings = msgspec.to_builtins(effect)
+            return 1.0 + float(settings.get("fraction", 0.02)) * (float(settings["ratio"]) ** 2 - 1.0)
     return 1.0
 
 
-def _force_wander(bins: Bins, below: Affine, gravity: float) -> NoiseModel | None:
+def _force_wander(bins: Bins, affine: AffinePhone, gravity: float) -> NoiseModel | None:
     """Return the slow noise that gravity's norm shows, taken to be alike on the axes."""
-    up, scale = below.baseline.up, below.baseline.scale
-    corrected = (bins.force - below.accel - below.baseline.bias) @ scale.T
+    up, scale = affine.baseline.up, affine.baseline.scale
+    corrected = (bins.force - affine.accel - affine.baseline.bias) @ scale.T
     return _wander(bins, np.einsum("na,na->n", up, corrected) - gravity)
 
 
@@ -220,8 +230,8 @@ def _wander(bins: Bins, values: Array) -> NoiseModel | None:
     """Fit coloured noise to residuals (n,) of the bins, a few neighbours together where there are many."""
     if len(bins) < LEAST_BINS:
         return None
-    together = max(1, round(len(bins) / MOST_BINS))
-    cuts = np.flatnonzero((np.arange(len(bins)) % together == 0) | (np.diff(bins.rest, prepend=-1) != 0))
+    group_size = max(1, round(len(bins) / MOST_BINS))
+    cuts = np.flatnonzero((np.arange(len(bins)) % group_size == 0) | (np.diff(bins.rest, prepend=-1) != 0))
     weight = np.add.reduceat(bins.duration, cuts)
     t, value = (np.add.reduceat(x * bins.duration, cuts) / weight for x in (bins.t, values))
     if t.size < LEAST_BINS:
@@ -229,7 +239,7 @@ def _wander(bins: Bins, values: Array) -> NoiseModel | None:
     return _bounded(fit_noise(t, weight, value, TAUS), bins, values)
 
 
-def _bounded(found: NoiseModel, bins: Bins, values: Array) -> NoiseModel:
+def _bounded(model: NoiseModel, bins: Bins, values: Array) -> NoiseModel:
     """Keep wander within what neighbouring bins of one rest differ by.
 
     Flicker moves as much between neighbours as over any time, so what follows an attitude or a curve without
@@ -237,27 +247,27 @@ def _bounded(found: NoiseModel, bins: Bins, values: Array) -> NoiseModel:
     """
     inside = np.diff(bins.rest) == 0
     if inside.sum() < LEAST_BINS:
-        return found
+        return model
     step = float(np.sqrt(np.mean(np.diff(values)[inside] ** 2) / 2.0))
-    decay = 1.0 - np.exp(-float(np.median(bins.duration)) / found.tau)
+    decay = 1.0 - np.exp(-float(np.median(bins.duration)) / model.tau)
     return replace(
-        found,
-        flicker=min(found.flicker, step),
-        gauss_markov=min(found.gauss_markov, step / float(np.sqrt(decay))),
-        walk=min(found.walk, step / float(np.sqrt(np.median(bins.duration)))),
+        model,
+        flicker=min(model.flicker, step),
+        gauss_markov=min(model.gauss_markov, step / float(np.sqrt(decay))),
+        walk=min(model.walk, step / float(np.sqrt(np.median(bins.duration)))),
     )
 
 
-def _together(one: Samples, other: Samples | None) -> bool:
+def _same_stamps(one: Samples, other: Samples | None) -> bool:
     return other is None or bool(np.array_equal(one.t, other.t))
 
 
-def _heat(samples: Samples, about: Lived) -> HeatSettings:
+def _heat(samples: Samples, conditions: Conditions) -> HeatSettings:
     warm = samples.temperature
     known = np.empty(0) if warm is None else warm[np.isfinite(warm)]
     step = comb_step(known) if known.size else None
     return HeatSettings(
-        reference_c=about.reference_c, thermometer=bool(known.size), thermometer_lsb_c=step or 0.0
+        reference_c=conditions.reference_c, thermometer=bool(known.size), thermometer_lsb_c=step or 0.0
     )
 
 
@@ -271,10 +281,10 @@ def _matrix(values: Array) -> Matrix:
     return (x, y, z)
 
 
-def phone_text(phone: Phone, found: Sequence[Mapped], name: str) -> str:
+def phone_text(phone: Phone, mapped: Sequence[MappedFinding], name: str) -> str:
     """Return the phone as TOML, with what no effect could be written for as comments."""
     lines = [f"# The phone of {name}, as `stillcal diagnose` found it; see docs/report.md."]
-    for m in found:
+    for m in mapped:
         if m.effect is None:
             lines += [f"# Not an effect here: {m.finding.effect} ({m.finding.sensor}): {m.why}."]
             lines += [f"#   {m.finding.statement}"]

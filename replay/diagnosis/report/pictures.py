@@ -10,8 +10,8 @@ from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report import figures
 from stillcal.replay.diagnosis.report.curves import Curve
-from stillcal.replay.diagnosis.report.inputs import Case, Trial
-from stillcal.replay.diagnosis.report.phone_effects import Mapped
+from stillcal.replay.diagnosis.report.inputs import Case, Resimulation
+from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.wording import readable
 from stillcal.replay.formats.trace import Recording
 
@@ -30,13 +30,15 @@ class Picture:
     caption: str
 
 
-def pictures(case: Case, one: Mapped, both: tuple[Trial, Trial] | None) -> list[Picture]:
+def pictures(
+    case: Case, mapped: MappedFinding, resimulated: tuple[Resimulation, Resimulation] | None
+) -> list[Picture]:
     """Return the pictures of one finding."""
-    curves = case.curves(one)[:MOST_AXES]
+    curves = case.curves(mapped)[:MOST_AXES]
     if curves:
-        return [p for curve in curves for p in _of_curve(one.finding, curve)]
-    drawn = [] if both is None else _of_samples(case, one.finding, both)
-    return drawn or _of_held_out(one.finding)
+        return [p for curve in curves for p in _of_curve(mapped.finding, curve)]
+    sample_pictures = [] if resimulated is None else _of_samples(case, mapped.finding, resimulated)
+    return sample_pictures or _of_held_out(mapped.finding)
 
 
 def _of_held_out(finding: Finding) -> list[Picture]:
@@ -49,38 +51,40 @@ def _of_held_out(finding: Finding) -> list[Picture]:
 
 
 def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
-    drawn = figures.curve_figures(curve)
+    svgs = figures.curve_figures(curve)
     effect = finding.effect.replace("_", " ")
     low, high = float(curve.point.min()), float(curve.point.max())
     size = f"from {low:.3g} to {high:.3g} {readable(curve.unit)}"
     against = Picture(
-        drawn[0],
+        svgs[0],
         f"Bias of axis {curve.axis} against {curve.x_name}, {size}, with the curve of {effect}.",
         f"Axis {curve.axis}: each point is a still bin, by what the finding follows.",
     )
     in_time = Picture(
-        drawn[-1],
+        svgs[-1],
         f"Bias of axis {curve.axis} in time, {size}, with the held-out prediction of {effect}.",
         f"Axis {curve.axis}: the line in each fifth was fitted to the other four; the dots about zero are"
         " what it leaves."
-        if curve.held is not None
+        if curve.held_out is not None
         else f"Axis {curve.axis} in time: what no effect of the catalogue explains.",
     )
-    return [in_time] if len(drawn) == 1 else [against, in_time]
+    return [in_time] if len(svgs) == 1 else [against, in_time]
 
 
-def _of_samples(case: Case, finding: Finding, both: tuple[Trial, Trial]) -> list[Picture]:
+def _of_samples(
+    case: Case, finding: Finding, resimulated: tuple[Resimulation, Resimulation]
+) -> list[Picture]:
     """Return the picture of what single samples or stamps do; none where no kind of picture shows it."""
-    three = _three(case, finding, both)
+    recorded_and_simulated = _recorded_and_simulated(case, finding, resimulated)
     kind = _kind(finding)
-    if three is None or kind is None:
+    if recorded_and_simulated is None or kind is None:
         return []
     draw, what, caption = kind
     alt = f"{what}: recorded, simulated before and simulated after."
-    return [Picture(draw(three, UNIT.get(finding.sensor, "")), alt, caption)]
+    return [Picture(draw(recorded_and_simulated, UNIT.get(finding.sensor, "")), alt, caption)]
 
 
-Draw = Callable[[figures.Three, str], str]
+Draw = Callable[[figures.RecordedAndSimulated, str], str]
 
 
 def _kind(finding: Finding) -> tuple[Draw, str, str] | None:
@@ -121,15 +125,17 @@ def _number(finding: Finding, *names: str) -> float | None:
     return None
 
 
-def _three(case: Case, finding: Finding, both: tuple[Trial, Trial]) -> figures.Three | None:
+def _recorded_and_simulated(
+    case: Case, finding: Finding, resimulated: tuple[Resimulation, Resimulation]
+) -> figures.RecordedAndSimulated | None:
     """Return the sensor's samples recorded, before and after; None where there are none."""
-    found = [
+    recordings = [
         (case.recording, case.bins, "recorded", figures.RECORDED),
-        (both[0].made, both[0].bins, "simulated before", figures.BEFORE),
-        (both[1].made, both[1].bins, "simulated after", figures.AFTER),
+        (resimulated[0].recording, resimulated[0].bins, "simulated before", figures.BEFORE),
+        (resimulated[1].recording, resimulated[1].bins, "simulated after", figures.AFTER),
     ]
     rows = []
-    for recording, bins, label, colour in found:
+    for recording, bins, label, colour in recordings:
         samples = _samples(recording, finding.sensor)
         if samples is None:
             return None

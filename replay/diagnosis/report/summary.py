@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from stillcal.replay.diagnosis.wording import against, counted, headline
+from stillcal.replay.diagnosis.wording import counted, headline, judged_against
 
 LINES = 10
 
 
 def summary(answer: dict[str, Any]) -> list[str]:
     """Return at most `LINES` lines."""
-    lines = [_verdict(answer), *_twin(answer), *_findings(answer), *_comparisons(answer), *_unseen(answer)]
+    lines = [
+        _verdict(answer),
+        *_judged_phone(answer),
+        *_findings(answer),
+        *_comparisons(answer),
+        *_limits(answer),
+    ]
     if len(lines) <= LINES:
         return lines
     return [*lines[: LINES - 1], f"  and {len(lines) - LINES + 1} lines more: --json or --report has all"]
@@ -24,18 +30,18 @@ def _verdict(answer: dict[str, Any]) -> str:
     return f"{answer['recording']}: {answer['verdict'].replace('_', ' ')} - {words}"
 
 
-def _twin(answer: dict[str, Any]) -> Iterator[str]:
+def _judged_phone(answer: dict[str, Any]) -> Iterator[str]:
     if "judged_phone" in answer:
-        yield f"  {against(answer['judged_phone'])}"
+        yield f"  {judged_against(answer['judged_phone'])}"
 
 
 def _findings(answer: dict[str, Any]) -> Iterator[str]:
     for finding in answer["findings"]:
         where = " ".join([finding["sensor"], *finding["axes"]])
         yield f"  {finding['effect']} ({where}): {finding['statement']}"
-        alike = [a["effect"] for a in finding["alternatives"] if a["indistinguishable"]]
-        if alike and "cannot tell" not in finding["statement"]:
-            yield f"    this recording cannot tell it from {', '.join(alike)}"
+        indistinguishable = [a["effect"] for a in finding["alternatives"] if a["indistinguishable"]]
+        if indistinguishable and "cannot tell" not in finding["statement"]:
+            yield f"    this recording cannot tell it from {', '.join(indistinguishable)}"
     for known in answer.get("already_simulated", ()):
         yield f"  already in the simulation: {known['effect']} ({known['sensor']})"
     for missing in answer.get("only_simulated", ()):
@@ -50,10 +56,10 @@ def _comparisons(answer: dict[str, Any]) -> Iterator[str]:
         ("comparison_after", better),
     ):
         if name in answer and (answer["findings"] or name != "comparison_before"):
-            yield f"  {what}: {told(answer[name])}"
+            yield f"  {what}: {comparison_text(answer[name])}"
 
 
-def told(comparison: dict[str, Any]) -> str:
+def comparison_text(comparison: dict[str, Any]) -> str:
     """Return a comparison's outcome in a phrase."""
     tests = comparison["tests"]
     different = [t for t in tests if t["p_corrected"] < comparison["level"]]
@@ -64,6 +70,6 @@ def told(comparison: dict[str, Any]) -> str:
     return f"differs in {len(different)} of {counted(len(tests), 'statistic')}, {most}{first}"
 
 
-def _unseen(answer: dict[str, Any]) -> Iterator[str]:
+def _limits(answer: dict[str, Any]) -> Iterator[str]:
     for limit in answer.get("limits", ()):
         yield f"  not seen: {limit}"

@@ -90,20 +90,20 @@ def comparison(before: dict[str, Any], after: dict[str, Any] | None = None) -> s
     keys = sorted({k: 0 for side in tests for k in side}, key=lambda k: _least(tests, k))
     level = before["level"]
     differing = sum(_least(tests, k) < level for k in keys)
-    shown = keys[: min(max(differing, LEAST), MOST)]
+    shown_keys = keys[: min(max(differing, LEAST), MOST)]
     times = ("",) if after is None else (" before", " after")
-    told = (f"{what}{time}" for time in times for what in ("simulated", "p"))
-    heads = ("statistic", "channel", "unit", "recorded", *told)
+    value_heads = (f"{what}{time}" for time in times for what in ("simulated", "p"))
+    heads = ("statistic", "channel", "unit", "recorded", *value_heads)
     what = (
         f"All {len(keys)} statistics"
-        if len(shown) == len(keys)
-        else f"{len(shown)} of {len(keys)} statistics"
+        if len(shown_keys) == len(keys)
+        else f"{len(shown_keys)} of {len(keys)} statistics"
     )
     note = (
         f"<p>{what}, most different first. The p-values are corrected for their number; below {level:g}"
         " the simulation is not the recording's.</p>"
     )
-    return note + table(heads, [_compared(tests, key, level) for key in shown])
+    return note + table(heads, [_compared(tests, key, level) for key in shown_keys])
 
 
 def _least(tests: list[dict[tuple[str, str], Any]], key: tuple[str, str]) -> float:

@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.model.noise_models import families
 from stillcal.calib_core.diagnosis.model.scenes import scenes
-from stillcal.replay.diagnosis.diagnose import diagnosed_rests, rest_bins
+from stillcal.replay.diagnosis.diagnose import diagnose_rests, rest_bins
 from stillcal.replay.formats.trace import read_rest_table
 
 
@@ -17,7 +17,7 @@ from stillcal.replay.formats.trace import read_rest_table
 def test_a_published_table_is_diagnosed(number: int) -> None:
     with as_file(files("stillcal.config") / "esgi" / f"dataset{number}.csv") as path:
         rests = read_rest_table(path)
-    answer = diagnosed_rests(rests, "table")
+    answer = diagnose_rests(rests, "table")
     names = {f["effect"] for f in answer["findings"]}
     assert names <= {"accel_nonlinearity", "unknown"}
     (norm, *_) = scenes(rest_bins(rests), 9.80665)[0].views

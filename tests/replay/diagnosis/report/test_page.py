@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.cli.main import cli
-from stillcal.replay.diagnosis.diagnose import diagnosed, diagnosed_rests
+from stillcal.replay.diagnosis.diagnose import diagnose_recording, diagnose_rests
 from stillcal.replay.diagnosis.report.departure_map import CELLS
 from stillcal.replay.diagnosis.report.figures import drawing
 from stillcal.replay.diagnosis.report.summary import LINES, summary
@@ -131,7 +131,7 @@ def test_a_recording_without_stillness_is_not_called_adequate_without_a_word(rec
     t = real.accelerometer.t
     turning = up[((t - t[0]) / 2.0).astype(int)] + rng.normal(0.0, 0.01, (t.size, 3))
     samples = Samples.checked(Sensor.ACCELEROMETER, t, turning)
-    answer = diagnosed(Recording(samples, None, [], real.claims, []), "shaken.csv")
+    answer = diagnose_recording(Recording(samples, None, [], real.claims, []), "shaken.csv")
     assert any("never lies still for long enough" in text for text in answer["limits"])
     undone = [c["what"] for c in answer["checked"] if not c["done"]]
     assert "slow bias at rest" in undone and "temperature" in undone
@@ -152,7 +152,7 @@ def test_a_table_of_rests_is_judged_by_norms_and_says_what_it_cannot_show(tmp_pa
         ]
         table = tmp_path / "rests.csv"
         table.write_text("\n".join(rows) + "\n")
-        answer = diagnosed_rests(read_rest_table(table), "rests.csv")
+        answer = diagnose_rests(read_rest_table(table), "rests.csv")
         assert answer["verdict"] == verdict
         assert any("no time" in text for text in answer["limits"])
         assert [f["effect"] for f in answer["findings"]] == ["accel_nonlinearity"] * bool(quadratic)

@@ -76,12 +76,12 @@ def test_a_matrix_is_drawn_as_a_line_over_the_one_force_that_it_is_drawn_against
     case_with: Callable[..., Case],
 ) -> None:
     case = case_with(SENSITIVE)
-    (one,) = [m for m in case.found if m.finding.effect == SENSITIVE["name"]]
+    (one,) = [m for m in case.mapped if m.finding.effect == SENSITIVE["name"]]
     curves = case.curves(one)
     assert curves
     for curve in curves:
-        assert curve.line is not None
-        slope, offset = np.polyfit(curve.x, curve.line, 1)
-        np.testing.assert_allclose(curve.line, slope * curve.x + offset, atol=1e-9)
+        assert curve.partial_component is not None
+        slope, offset = np.polyfit(curve.x, curve.partial_component, 1)
+        np.testing.assert_allclose(curve.partial_component, slope * curve.x + offset, atol=1e-9)
         row = np.asarray(SENSITIVE["matrix"])["xyz".index(curve.axis)]
         assert abs(slope - row[np.argmax(np.abs(row))]) < 5e-5
