@@ -14,8 +14,7 @@ import signal
 from dataclasses import replace
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Reject
-from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Publish, Reject
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.daemon.app_launch import LaunchOptions, needs_restart, serial_settings
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
@@ -220,10 +219,10 @@ class Service:
                 self._unsaved.set()
             elif isinstance(action, Diagnose):
                 say("warning", "diagnose", f"{action.reason}: {REMEDY}", t=action.t)
-            elif isinstance(action, Keep | Reject | Forget):
+            elif isinstance(action, Publish | Reject | Forget):
                 self._enqueue(action)
 
-    def _enqueue(self, action: Keep | Reject | Forget) -> None:
+    def _enqueue(self, action: Publish | Reject | Forget) -> None:
         self.storage.enqueue(with_provenance(action, self.settings.source.port, self.saved.device))
         self._save_now = self._save_now or action.record.acceptance.how != "zeroing"
         self._unsaved.set()
@@ -243,7 +242,7 @@ class Service:
         """Do what follows and return the calibration that came of it. Raises ValueError with why none did."""
         self.act(reply.actions)
         for action in reply.actions:
-            if isinstance(action, Keep):
+            if isinstance(action, Publish):
                 return action.record
             if isinstance(action, Reject):
                 raise ValueError(action.reason)

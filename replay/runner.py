@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.engine.actions import Action, Level, Log, Reject, Store
+from stillcal.calib_core.engine.actions import Action, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.state import EngineState, Refusal
 from stillcal.calib_core.static.rest import RestState
@@ -44,7 +44,7 @@ class Outcome:
         return 0.0 if self.t_start is None or self.t_end is None else self.t_end - self.t_start
 
 
-Keep = Callable[[Store | Reject], None]
+Keep = Callable[[Publish | Reject], None]
 
 
 def replay(
@@ -69,7 +69,7 @@ def replay_rests(rests: Iterable[RestState], engine: Engine, keep: Keep) -> Outc
     """Hand a rest table's rows to `engine` as gathered rests, and let it calibrate."""
     outcome = Outcome()
     table = list(rests)
-    engine.adopt(table)
+    engine.add_rests(table)
     outcome.samples = sum(r.n for r in table)
     outcome.t_start, outcome.t_end = (table[0].t_start, table[-1].t_end) if table else (None, None)
     return _closed(outcome, engine, keep)
@@ -100,6 +100,6 @@ def _act(outcome: Outcome, actions: Iterable[Action], keep: Keep) -> None:
         if isinstance(action, Log):
             if action.level is not Level.DEBUG:
                 outcome.log.append(action)
-        elif isinstance(action, Store | Reject):
+        elif isinstance(action, Publish | Reject):
             outcome.rejected += isinstance(action, Reject)
             keep(action)

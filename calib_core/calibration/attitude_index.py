@@ -20,7 +20,7 @@ Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 
-class Crowd:
+class AttitudeIndex:
     """Grows pools by one rest at a time, fastest where each pool is the one it returned last.
 
     By rest of that pool: up, (n, 3), its direction; ends, s; doubt, its uncertainty, m/s^2; first, the place

@@ -13,7 +13,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.record import Acceptance, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.errors import NotSupported
-from stillcal.calib_core.gyroscope.bias import BiasEstimate, zeroing
+from stillcal.calib_core.gyroscope.bias import BiasEstimate, update_bias
 from stillcal.calib_core.gyroscope.fit import GyroscopeFit, Parameters
 from stillcal.calib_core.model import SensorModel
 
@@ -29,7 +29,7 @@ def gyroscope_record(fit: GyroscopeFit, t: float) -> GyroscopeRecord:
         bias=fit.model.bias,
         parameters=_PARAMETER_COUNT[fit.parameters],
         names=_GYRO_NAMES,
-        covariance=_wandering(fit.covariance, fit.bias),
+        covariance=_with_wander(fit.covariance, fit.bias),
         rms_residual=fit.rms_after if turns else None,
         rms_nominal=fit.rms_before if turns else None,
         n_rests=fit.bias.n_rests,
@@ -40,18 +40,18 @@ def gyroscope_record(fit: GyroscopeFit, t: float) -> GyroscopeRecord:
     )
 
 
-def zeroed(record: CalibrationRecord, recent: Pool, t: float) -> CalibrationRecord | None:
+def with_updated_bias(record: CalibrationRecord, recent: Pool, t: float) -> CalibrationRecord | None:
     """Return the record with the gyroscope's bias measured anew at rest (4.7); None without a rate."""
     model = SensorModel.identity() if record.gyroscope is None else record.gyroscope.model
     try:
-        new_model, estimate = zeroing(model, recent.rests)
+        new_model, estimate = update_bias(model, recent.rests)
     except NotSupported:
         return None
     known = record.gyroscope or GyroscopeRecord(scale=model.scale, bias=model.bias, parameters=3)
     part = replace(
         known,
         bias=new_model.bias,
-        covariance=_wandering(known.covariance, estimate),
+        covariance=_with_wander(known.covariance, estimate),
         rotation_admitted=_bounded(estimate.admitted),
         zeroed_at=t,
     )
@@ -60,7 +60,7 @@ def zeroed(record: CalibrationRecord, recent: Pool, t: float) -> CalibrationReco
     return replace(record, gyroscope=part, acceptance=acceptance)
 
 
-def _wandering(covariance: Array | None, bias: BiasEstimate) -> Array | None:
+def _with_wander(covariance: Array | None, bias: BiasEstimate) -> Array | None:
     """Return a gyroscope's covariance (12, 12) with its bias as uncertain as one rest leaves it.
 
     The mean over rests is known better, but the bias wanders on, and it is used between the rests.

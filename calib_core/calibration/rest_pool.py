@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.gravity import Gravity
-from stillcal.calib_core.gyroscope.rotation_segment import Turn
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.static.rest import RestState, group_attitudes
 
 
@@ -55,14 +55,14 @@ class Pool:
     """What has been gathered, oldest first."""
 
     held: tuple[HeldRest, ...] = ()
-    turns: tuple[Turn, ...] = ()
+    turns: tuple[RotationSegment, ...] = ()
 
     @property
     def rests(self) -> list[RestState]:
         """The rests without their gravity, oldest first."""
         return [h.rest for h in self.held]
 
-    def with_turn(self, turn: Turn, settings: PoolSettings) -> Pool:
+    def with_segment(self, turn: RotationSegment, settings: PoolSettings) -> Pool:
         """Return the pool with one turn more; the oldest goes where there are too many."""
         return replace(self, turns=(*self.turns, turn)[-settings.turns :])
 

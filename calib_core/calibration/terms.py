@@ -44,7 +44,7 @@ def with_terms(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]])
     return replace(record, terms=(*kept, *fresh.values()))
 
 
-def carried(old: CalibrationRecord | None, new: CalibrationRecord) -> CalibrationRecord:
+def inherit_terms(old: CalibrationRecord | None, new: CalibrationRecord) -> CalibrationRecord:
     """Return a new calibration with the old one's terms, counted from where its own bias holds."""
     reference = None if old is None else mean_temperature(new)
     terms = [] if old is None else [_referred(term, reference) for term in old.terms]

@@ -30,7 +30,7 @@ class Log:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Store:
+class Publish:
     """Keep this calibration as the current one, with the reason it was accepted."""
 
     t: float
@@ -64,4 +64,4 @@ class Diagnose:
     reason: str
 
 
-Action = Sense | Sleep | Log | Store | Reject | Forget | Diagnose
+Action = Sense | Sleep | Log | Publish | Reject | Forget | Diagnose

@@ -10,7 +10,7 @@ from stillcal.calib_core.calibration.candidate import CalibrateSettings, Candida
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
-from stillcal.calib_core.calibration.terms import carried
+from stillcal.calib_core.calibration.terms import inherit_terms
 from stillcal.calib_core.engine.schedule import Occasion
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
@@ -58,7 +58,7 @@ def fitted(task: FitTask) -> FitOutcome:
     if isinstance(found, NotSupported):
         return FitOutcome(None, False, found.reason, found.missing)
     decision = calibrate.decide(found, task.current, task.degraded, task.quality)
-    record = carried(task.current, found.accepted(decision, task.occasion))
+    record = inherit_terms(task.current, found.accepted(decision, task.occasion))
     return FitOutcome(record, decision.accepted, decision.reason, (), decision.settled, recent_only)
 
 

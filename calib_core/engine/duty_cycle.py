@@ -25,20 +25,20 @@ class EnergySettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Allowance:
+class DutyBudget:
     """On-time saved up, in s, as it stood at time t (s), when the sensors had been on for `used` s."""
 
     t: float
     saved: float
     used: float
 
-    def at(self, t: float, used: float, settings: EnergySettings) -> Allowance:
+    def at(self, t: float, used: float, settings: EnergySettings) -> DutyBudget:
         """Bring the allowance to time t, with `used` s of on-time spent since the beginning."""
         earned = settings.on_time_fraction * (t - self.t)
         saved = min(self.saved + earned - (used - self.used), settings.burst_s)
-        return Allowance(t, saved, used)
+        return DutyBudget(t, saved, used)
 
-    def lasts(self, settings: EnergySettings) -> float:
+    def remaining_s(self, settings: EnergySettings) -> float:
         """Return how many s of unbroken sensing the allowance pays for."""
         if self.saved <= 0:
             return 0.0

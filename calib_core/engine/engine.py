@@ -19,14 +19,13 @@ import numpy as np
 
 from stillcal.calib_core import gravity as local_gravity
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.engine.actions import Action, Forget, Level
-from stillcal.calib_core.engine.duty_cycle import Allowance
-from stillcal.calib_core.engine.intake import Holding
+from stillcal.calib_core.engine.actions import Action, Forget, Level, Log
+from stillcal.calib_core.engine.duty_cycle import DutyBudget
+from stillcal.calib_core.engine.intake import Intake
 from stillcal.calib_core.engine.planning import first_of_use, resumed, review_soon
-from stillcal.calib_core.engine.policy import Judging
+from stillcal.calib_core.engine.policy import CalibrationPolicy
 from stillcal.calib_core.engine.schedule import Need, Occasion, Watch, next_on_grid, watch_for
 from stillcal.calib_core.engine.state import EngineSettings, EngineState, first_state, without_phone
-from stillcal.calib_core.engine.telling import Telling
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Ledger, Mode, Sense, Sleep
@@ -43,25 +42,25 @@ class Engine:
 
     def __init__(self, settings: EngineSettings | None = None, state: EngineState | None = None) -> None:
         self.settings = settings or EngineSettings()
-        self._telling = Telling()
+        self._actions: list[Action] = []
         self._take_up(state or first_state(self.settings))
 
     def _take_up(self, state: EngineState) -> None:
-        self._s = state
+        self._state = state
         self._detector = StationaryDetector(self.settings.detector, state.detector)
-        self._holding = Holding(self.settings, state, self._detector, self._telling)
-        self._judging = Judging(self.settings, state, self._detector, self._telling)
+        self._intake = Intake(self.settings, state, self._detector, self._actions)
+        self._policy = CalibrationPolicy(self.settings, state, self._detector, self._actions)
 
     @property
     def state(self) -> EngineState:
         """All there is to save; encode it before the next feed changes it."""
-        self._s.detector = self._detector.state
-        return self._s
+        self._state.detector = self._detector.state
+        return self._state
 
     @property
     def present(self) -> EngineState:
         """What holds now, to look at and not to save: the detector's part, dear to copy, is stale."""
-        return self._s
+        return self._state
 
     @property
     def ledger(self) -> Ledger:
@@ -80,38 +79,38 @@ class Engine:
             else:
                 self._hear(item)
         self._advance()
-        return self._telling.taken()
+        return self._take_actions()
 
     def wants(self) -> Sense | Sleep:
         """Say whether samples are wanted, until when to go by that, and to tick or ask again.
 
         What comes in while the engine wants none changes nothing; it may as well not be delivered.
         """
-        s = self._s
-        if s.began is None:
+        state = self._state
+        if state.began is None:
             return Sense(math.inf)
-        until = min(t for t in (s.next_review, s.next_check, math.inf) if t is not None)
-        if s.watch is Watch.IDLE:
+        until = min(t for t in (state.next_review, state.next_check, math.inf) if t is not None)
+        if state.watch is Watch.IDLE:
             return Sleep(until)
-        if s.watch is Watch.CONTINUOUS:
+        if state.watch is Watch.CONTINUOUS:
             return Sense(until)
         want = self._detector.wants(self._horizon())
         return replace(want, until=min(want.until, until))
 
     # What may be asked besides
 
-    def adopt(self, rests: Sequence[RestState]) -> None:
+    def add_rests(self, rests: Sequence[RestState]) -> None:
         """Take rests that somebody else has cut, such as the rows of a rest table."""
-        self._holding.gather(rests)
+        self._intake.gather(rests)
 
-    def go_on(self, t: float) -> None:
+    def resume(self, t: float) -> None:
         """Make plans again after a stream's end, t (s): the phone may come back."""
-        s = self._s
-        if s.began is not None:
-            s.next_review = t
-            s.next_check = next_on_grid(s.began, self.settings.schedule.check_interval_s, t)
+        state = self._state
+        if state.began is not None:
+            state.next_review = t
+            state.next_check = next_on_grid(state.began, self.settings.schedule.check_interval_s, t)
 
-    def change(self, settings: EngineSettings) -> None:
+    def change_settings(self, settings: EngineSettings) -> None:
         """Go on with other settings."""
         state = self.state
         self.settings = settings
@@ -120,66 +119,73 @@ class Engine:
         self._take_up(state)
         review_soon(state, self._now(), settings.schedule)
 
-    def hold(self, record: CalibrationRecord | None) -> None:
+    def use_calibration(self, record: CalibrationRecord | None) -> None:
         """Take `record` for the current calibration, as after a rollback; nothing is known against it."""
-        s = self._s
-        s.record, s.degraded, s.checked, s.sound_until, s.trouble = record, False, None, None, None
-        review_soon(s, self._now(), self.settings.schedule)
+        state = self._state
+        state.record, state.degraded = record, False
+        state.checked = state.sound_until = state.trouble = None
+        review_soon(state, self._now(), self.settings.schedule)
 
     def calibrate(self) -> list[Action]:
         """Try a full calibration now, because somebody asks; say what came of it."""
-        self._judging.renew(self._now(), Occasion.ASKED)
-        return self._telling.taken()
+        self._policy.renew(self._now(), Occasion.ASKED)
+        return self._take_actions()
 
-    def zero(self) -> list[Action]:
+    def update_bias(self) -> list[Action]:
         """Measure the gyroscope's bias on the rests of the last check interval, because somebody asks."""
         t = self._now()
-        self._judging.zero_gyro(t, t - self.settings.schedule.check_interval_s)
-        return self._telling.taken()
+        self._policy.update_bias(t, t - self.settings.schedule.check_interval_s)
+        return self._take_actions()
 
     def forget(self, reason: str) -> list[Action]:
         """Begin anew with another phone: what was gathered and found is the old one's.
 
         The place, the charger and the time go on.
         """
-        old, t = self._s, self._now()
+        old, t = self._state, self._now()
         self._take_up(without_phone(old))
         if old.record is not None:
-            self._telling.act(Forget(t, old.record, reason))
-        return self._telling.taken()
+            self._actions.append(Forget(t, old.record, reason))
+        return self._take_actions()
+
+    def _take_actions(self) -> list[Action]:
+        """Return the actions gathered since the last call, in order; they are handed out once."""
+        actions = self._actions.copy()
+        self._actions.clear()
+        return actions
 
     # What comes in
 
     def _take(self, samples: Samples) -> None:
         if len(samples):
-            self._holding.take(samples)
-            if self._s.began is None and samples.sensor is Sensor.ACCELEROMETER:
+            self._intake.take(samples)
+            if self._state.began is None and samples.sensor is Sensor.ACCELEROMETER:
                 self._begin(float(samples.t[0]))
 
     def _hear(self, event: Event) -> None:
         if isinstance(event, Tick):
-            self._s.heard = event.t if self._s.heard is None else max(event.t, self._s.heard)
+            self._state.heard = event.t if self._state.heard is None else max(event.t, self._state.heard)
         else:
-            self._s.events = sorted([*self._s.events, event], key=lambda e: e.t)
+            self._state.events = sorted([*self._state.events, event], key=lambda e: e.t)
 
     def _begin(self, t: float) -> None:
-        s = self._s
-        s.began = t
-        s.allowance = Allowance(t, self.settings.energy.burst_s, 0.0)
-        s.next_check = t + self.settings.schedule.check_interval_s
+        state = self._state
+        state.began = t
+        state.allowance = DutyBudget(t, self.settings.energy.burst_s, 0.0)
+        state.next_check = t + self.settings.schedule.check_interval_s
         self._plan(t)
 
     # Time
 
     def _now(self) -> float:
         """Return the time (s) that the engine has come to; 0 before the first sample."""
-        known = self._holding.known_until()
+        known = self._intake.known_until()
         return known if math.isfinite(known) else 0.0
 
     def _horizon(self) -> float:
         """Return the time (s) up to which both streams are known, the end included."""
-        ended = any(isinstance(e, End) for e in self._s.events)
-        return math.inf if ended else self._holding.known_until()
+        ended = any(isinstance(e, End) for e in self._state.events)
+        return math.inf if ended else self._intake.known_until()
 
     def _advance(self) -> None:
         """Look at the streams and act, deadline by deadline, as far as both streams are known."""
@@ -187,109 +193,109 @@ class Engine:
         while True:
             t, act = self._next_deadline()
             if t > horizon or act is None:
-                self._holding.look(horizon)
+                self._intake.look(horizon)
                 return
             if act == self._do_event or not self._asleep_until(t):
-                self._holding.look(t)
+                self._intake.look(t)
             self._detector.wants(t)  # gives up probes that nothing came for, as it would have live
             act(t)
             horizon = min(horizon, self._horizon())
 
     def _asleep_until(self, t: float) -> bool:
         """Tell whether nothing before `t` (s) is asked for: it may wait to be looked at later."""
-        return self._s.watch is Watch.PROBING and self._detector.next_probe(t) >= t
+        return self._state.watch is Watch.PROBING and self._detector.next_probe(t) >= t
 
     def _next_deadline(self) -> tuple[float, Callable[[float], None] | None]:
-        s = self._s
+        state = self._state
         deadlines: list[tuple[float, Callable[[float], None]]] = []
-        if s.events:
-            deadlines.append((self._due(s.events[0]), self._do_event))
-        if s.next_check is not None:
-            deadlines.append((s.next_check, self._do_check))
-        if s.next_review is not None:
-            deadlines.append((s.next_review, self._do_review))
+        if state.events:
+            deadlines.append((self._due(state.events[0]), self._do_event))
+        if state.next_check is not None:
+            deadlines.append((state.next_check, self._do_check))
+        if state.next_review is not None:
+            deadlines.append((state.next_review, self._do_review))
         return min(deadlines, key=lambda d: d[0], default=(math.inf, None))
 
     def _due(self, event: Event) -> float:
         """Return when an event takes place: its own time, but the end waits for every sample."""
         if not isinstance(event, End):
             return event.t
-        return max([event.t, *(float(np.nextafter(t, math.inf)) for t in self._s.latest.values())])
+        return max([event.t, *(float(np.nextafter(t, math.inf)) for t in self._state.latest.values())])
 
     # Deadlines
 
     def _do_event(self, t: float) -> None:
-        event = self._s.events.pop(0)
+        event = self._state.events.pop(0)
         if isinstance(event, Charging):
-            self._s.charging = event.on
-            self._telling.log(t, Level.INFO, "charging", "plugged in" if event.on else "unplugged")
+            self._state.charging = event.on
+            self._actions.append(Log(t, Level.INFO, "charging", "plugged in" if event.on else "unplugged"))
             if event.on:
-                self._judging.renew(t, Occasion.CHARGING)
+                self._policy.renew(t, Occasion.CHARGING)
         elif isinstance(event, Location):
-            self._holding.move_to(event)
+            self._intake.move_to(event)
         elif isinstance(event, End):
-            self._holding.gather(self._detector.finish())
-            self._judging.renew(t, Occasion.END)
-            self._s.next_review = self._s.next_check = None
+            self._intake.gather(self._detector.finish())
+            self._policy.renew(t, Occasion.END)
+            self._state.next_review = self._state.next_check = None
             return
-        if self._s.began is not None and t >= self._s.began:
+        if self._state.began is not None and t >= self._state.began:
             self._plan(t)
 
     def _do_check(self, t: float) -> None:
-        s, interval = self._s, self.settings.schedule.check_interval_s
-        s.check_due = s.record is not None
-        s.next_check = next_on_grid(s.began or t, interval, resumed(s, t))
-        self._judging.check(t)
+        state, interval = self._state, self.settings.schedule.check_interval_s
+        state.check_due = state.record is not None
+        state.next_check = next_on_grid(state.began or t, interval, resumed(state, t))
+        self._policy.check(t)
         self._plan(t)
 
     def _do_review(self, t: float) -> None:
-        if self._s.check_due:
-            self._judging.check(t)
-        if self._s.charging:
-            self._judging.renew(t, Occasion.CHARGING)
-        elif self._s.charging is None and self._supported_well():
-            self._judging.renew(t, Occasion.UNPLUGGED)
+        if self._state.check_due:
+            self._policy.check(t)
+        if self._state.charging:
+            self._policy.renew(t, Occasion.CHARGING)
+        elif self._state.charging is None and self._supported_well():
+            self._policy.renew(t, Occasion.UNPLUGGED)
         self._plan(t)
 
     # How to look
 
     def _plan(self, t: float) -> None:
         """Decide how to look until the next review."""
-        s, settings = self._s, self.settings
-        if s.allowance is None:
+        state, settings = self._state, self.settings
+        if state.allowance is None:
             return
-        s.allowance = s.allowance.at(t, self._detector.ledger.asked_s, settings.energy)
-        lasts = s.allowance.lasts(settings.energy)
-        need = Need(rests=not self._supported_well() or s.degraded, check=s.check_due)
-        watch = watch_for(need, s.watch, lasts, settings.energy.burst_s, settings.schedule)
-        onward = resumed(s, t)
-        if s.watch is Watch.PROBING and (watch is not s.watch or onward > t):
-            self._holding.look(t)
+        state.allowance = state.allowance.at(t, self._detector.ledger.asked_s, settings.energy)
+        remaining_s = state.allowance.remaining_s(settings.energy)
+        need = Need(rests=not self._supported_well() or state.degraded, check=state.check_due)
+        watch = watch_for(need, state.watch, remaining_s, settings.energy.burst_s, settings.schedule)
+        onward = resumed(state, t)
+        if state.watch is Watch.PROBING and (watch is not state.watch or onward > t):
+            self._intake.look(t)
         self._turn_to(watch, t)
         step = settings.schedule.review_interval_s
         if watch is Watch.CONTINUOUS and settings.schedule.watch == "auto":
-            step = min(step, max(lasts, _LEAST_REVIEW_S))
+            step = min(step, max(remaining_s, _LEAST_REVIEW_S))
         if onward > t and watch is Watch.PROBING:
             self._skip_to(onward)
         idle = watch is Watch.IDLE and not need.rests
         settled = idle or (watch is Watch.CONTINUOUS and settings.schedule.watch != "auto")
-        s.next_review = onward + step
+        state.next_review = onward + step
         if settled:
-            s.next_review = first_of_use(s, s.next_review, step, settings.schedule)
+            state.next_review = first_of_use(state, state.next_review, step, settings.schedule)
 
     def _turn_to(self, watch: Watch, t: float) -> None:
-        if watch is self._s.watch:
+        if watch is self._state.watch:
             return
         done = self._detector.finish() if watch is Watch.IDLE else []
-        self._holding.gather([*done, *self._switch(watch, t)])
-        self._s.last_rest = self._s.gyro_tail = None
-        self._s.watch = watch
-        self._telling.log(t, _LEVELS[watch], "watch", f"the sensors are watched: {watch}")
+        self._intake.gather([*done, *self._switch(watch, t)])
+        self._state.last_rest = self._state.gyro_tail = None
+        self._state.watch = watch
+        self._actions.append(Log(t, _LEVELS[watch], "watch", f"the sensors are watched: {watch}"))
 
     def _skip_to(self, t: float) -> None:
         """Leave out the probes of a gap up to t (s), which nobody could have answered."""
-        self._holding.gather(self._detector.set_mode(Mode.SCAN))
-        self._holding.gather(self._switch(Watch.PROBING, t))
+        self._intake.gather(self._detector.set_mode(Mode.SCAN))
+        self._intake.gather(self._switch(Watch.PROBING, t))
 
     def _switch(self, watch: Watch, t: float) -> list[RestState]:
         """Switch the detector over, its first probe drawn from now on, whoever asks for it and when."""
@@ -298,4 +304,4 @@ class Engine:
         return closed
 
     def _supported_well(self) -> bool:
-        return self._s.attitudes >= self.settings.schedule.attitudes_wanted
+        return self._state.attitudes >= self.settings.schedule.attitudes_wanted

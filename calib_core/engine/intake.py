@@ -11,14 +11,13 @@ from collections.abc import Iterable
 import numpy as np
 
 from stillcal.calib_core import gravity as local_gravity
-from stillcal.calib_core.calibration.attitude_index import Crowd
+from stillcal.calib_core.calibration.attitude_index import AttitudeIndex
 from stillcal.calib_core.calibration.rest_pool import HeldRest
-from stillcal.calib_core.engine.actions import Level
+from stillcal.calib_core.engine.actions import Action, Level, Log
 from stillcal.calib_core.engine.schedule import Watch
 from stillcal.calib_core.engine.state import EngineSettings, EngineState, Move
-from stillcal.calib_core.engine.telling import Telling
 from stillcal.calib_core.gravity import Gravity, LocationError
-from stillcal.calib_core.gyroscope.rotation_segment import Turn, make_turn
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment, cut_rotation_segment
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.events import Location
@@ -28,40 +27,46 @@ _SLACK_S = 60.0
 """How much longer than a turn and the rest that ends it the gyroscope is kept, s."""
 
 
-class Holding:
+class Intake:
     """Gathers into `state`. Streams are cut where they are told to be, never by how they came."""
 
     def __init__(
-        self, settings: EngineSettings, state: EngineState, detector: StationaryDetector, telling: Telling
+        self,
+        settings: EngineSettings,
+        state: EngineState,
+        detector: StationaryDetector,
+        actions: list[Action],
     ) -> None:
-        self._settings, self._s, self._detector, self._telling = settings, state, detector, telling
-        self._crowd = Crowd(settings.pool)
+        self._settings, self._state, self._detector, self._actions = settings, state, detector, actions
+        self._index = AttitudeIndex(settings.pool)
 
     def take(self, samples: Samples) -> None:
         """Let samples wait until they are looked at. Raises SampleError where their stream runs back."""
-        s, sensor = self._s, samples.sensor
-        if samples.t[0] < s.latest.get(sensor, -math.inf):
-            raise SampleError(0, f"{sensor} at {samples.t[0]:.6f} s comes after {s.latest[sensor]:.6f} s")
-        s.waiting[sensor] = Samples.joined([s.waiting[sensor], samples]) if sensor in s.waiting else samples
-        s.latest[sensor] = float(samples.t[-1])
+        state, sensor = self._state, samples.sensor
+        if samples.t[0] < state.latest.get(sensor, -math.inf):
+            raise SampleError(0, f"{sensor} at {samples.t[0]:.6f} s comes after {state.latest[sensor]:.6f} s")
+        waiting = state.waiting.get(sensor)
+        state.waiting[sensor] = samples if waiting is None else Samples.joined([waiting, samples])
+        state.latest[sensor] = float(samples.t[-1])
 
     def known_until(self) -> float:
         """Return the time (s) up to which both streams are known; -inf before the first sample."""
-        s = self._s
-        accel = s.latest.get(Sensor.ACCELEROMETER, -math.inf)
-        gyro = s.latest.get(Sensor.GYROSCOPE, -math.inf)
+        state = self._state
+        accel = state.latest.get(Sensor.ACCELEROMETER, -math.inf)
+        gyro = state.latest.get(Sensor.GYROSCOPE, -math.inf)
         known = max(min(accel, gyro), accel - self._settings.schedule.gyro_patience_s)
-        return known if s.heard is None else max(known, s.heard)
+        return known if state.heard is None else max(known, state.heard)
 
     def look(self, stop: float) -> None:
         """Pass the samples before `stop` to the detector and gather the rests it finds."""
-        s = self._s
+        state = self._state
         due = [block for sensor in Sensor if len(block := self._before(sensor, stop))]
-        if not due or s.watch is Watch.IDLE:
+        if not due or state.watch is Watch.IDLE:
             return
         for block in due:
-            if block.sensor is Sensor.GYROSCOPE and s.watch is Watch.CONTINUOUS:
-                s.gyro_tail = block if s.gyro_tail is None else Samples.joined([s.gyro_tail, block])
+            if block.sensor is Sensor.GYROSCOPE and state.watch is Watch.CONTINUOUS:
+                tail = state.gyro_tail
+                state.gyro_tail = block if tail is None else Samples.joined([tail, block])
         self.gather(self._detector.feed(*due))
         self._trim_tail()
 
@@ -72,56 +77,58 @@ class Holding:
 
     def move_to(self, place: Location) -> None:
         """Take gravity from the place; what was gathered keeps that of where it was."""
-        s = self._s
+        state = self._state
         if self._settings.schedule.gravity is not None:
             return
         try:
             found = local_gravity.at(place.latitude, place.altitude)
         except LocationError as error:
-            self._telling.log(place.t, Level.WARNING, "location", f"location not used: {error}")
+            self._actions.append(Log(place.t, Level.WARNING, "location", f"location not used: {error}"))
             return
-        change = found.value - s.gravity.value
-        if s.gravity.source == "default":
-            s.pool = s.pool.located(found, place.t, self._settings.pool)
-            s.attitudes = self._crowd.attitudes(s.pool)
+        change = found.value - state.gravity.value
+        if state.gravity.source == "default":
+            state.pool = state.pool.located(found, place.t, self._settings.pool)
+            state.attitudes = self._index.attitudes(state.pool)
         else:
             reach = place.t - self._settings.detector.max_rest_s - _SLACK_S
-            s.moves = [*(m for m in s.moves if m.t >= reach), Move(place.t, s.gravity)]
-        s.gravity = found
-        self._telling.log(place.t, Level.INFO, "gravity", f"g is {found.value:.5f} m/s^2 here", change=change)
+            state.moves = [*(m for m in state.moves if m.t >= reach), Move(place.t, state.gravity)]
+        state.gravity = found
+        why = f"g is {found.value:.5f} m/s^2 here"
+        self._actions.append(Log(place.t, Level.INFO, "gravity", why, {"change": change}))
 
     def _before(self, sensor: Sensor, stop: float) -> Samples:
         """Take the samples before `stop` off those that wait."""
-        waiting = self._s.waiting.get(sensor)
+        waiting = self._state.waiting.get(sensor)
         if waiting is None or waiting.t[0] >= stop:
             return Samples.empty(sensor)
         cut = int(np.searchsorted(waiting.t, stop, side="left"))
         if cut == len(waiting):
-            return self._s.waiting.pop(sensor)
-        self._s.waiting[sensor] = waiting[cut:]
+            return self._state.waiting.pop(sensor)
+        self._state.waiting[sensor] = waiting[cut:]
         return waiting[:cut]
 
     def _trim_tail(self) -> None:
         """Keep of the gyroscope what a turn may still need: its own length and the rest that ends it."""
-        s, settings = self._s, self._settings
-        if s.gyro_tail is not None and len(s.gyro_tail):
+        state, settings = self._state, self._settings
+        if state.gyro_tail is not None and len(state.gyro_tail):
             reach = settings.turns.max_duration + settings.detector.max_rest_s + _SLACK_S
-            s.gyro_tail = s.gyro_tail.between(float(s.gyro_tail.t[-1]) - reach, math.inf)
+            state.gyro_tail = state.gyro_tail.between(float(state.gyro_tail.t[-1]) - reach, math.inf)
 
     def _gather(self, rest: RestState) -> None:
-        s = self._s
-        s.pool = self._crowd.grown(s.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
-        s.attitudes = self._crowd.attitudes(s.pool)
-        s.fresh += 1
-        s.counters.rests += 1
-        if s.last_rest is not None and s.gyro_tail is not None:
-            turn = make_turn(s.last_rest, rest, s.gyro_tail, self._settings.turns)
-            if isinstance(turn, Turn):
-                s.pool = s.pool.with_turn(turn, self._settings.pool)
-                s.counters.turns += 1
-        s.last_rest = rest
-        self._telling.log(rest.t_end, Level.DEBUG, "rest", f"lay still for {rest.duration:.1f} s", n=rest.n)
+        state = self._state
+        state.pool = self._index.grown(state.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
+        state.attitudes = self._index.attitudes(state.pool)
+        state.fresh += 1
+        state.counters.rests += 1
+        if state.last_rest is not None and state.gyro_tail is not None:
+            turn = cut_rotation_segment(state.last_rest, rest, state.gyro_tail, self._settings.turns)
+            if isinstance(turn, RotationSegment):
+                state.pool = state.pool.with_segment(turn, self._settings.pool)
+                state.counters.turns += 1
+        state.last_rest = rest
+        why = f"lay still for {rest.duration:.1f} s"
+        self._actions.append(Log(rest.t_end, Level.DEBUG, "rest", why, {"n": rest.n}))
 
     def _gravity_at(self, t: float) -> Gravity:
         """Return gravity of where the phone was at t (s): a rest may close after it was told of moves."""
-        return next((move.left for move in self._s.moves if t <= move.t), self._s.gravity)
+        return next((move.left for move in self._state.moves if t <= move.t), self._state.gravity)

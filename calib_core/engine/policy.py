@@ -12,16 +12,15 @@ from dataclasses import replace
 from stillcal.calib_core.calibration import candidate as calibrate
 from stillcal.calib_core.calibration import gyroscope_record
 from stillcal.calib_core.calibration.drift_check import Verdict
-from stillcal.calib_core.engine.actions import Diagnose, Level, Reject, Store
+from stillcal.calib_core.engine.actions import Action, Diagnose, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.decisions import FitOutcome, FitTask, fitted
 from stillcal.calib_core.engine.schedule import Occasion, Standing, calibration_due
 from stillcal.calib_core.engine.state import EngineSettings, EngineState, Refusal, Trouble
-from stillcal.calib_core.engine.telling import Telling
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.detector import StationaryDetector
 
 
-class Judging:
+class CalibrationPolicy:
     """Judges what `state` holds.
 
     detector: says whether a rest is believed to be one by the floor known now.
@@ -32,108 +31,109 @@ class Judging:
         settings: EngineSettings,
         state: EngineState,
         detector: StationaryDetector,
-        telling: Telling,
+        actions: list[Action],
     ) -> None:
-        self._settings, self._s, self._detector, self._telling = settings, state, detector, telling
+        self._settings, self._state, self._detector, self._actions = settings, state, detector, actions
 
     # The check of 4.7
 
     def check(self, t: float) -> None:
         """Hold the rests since the last check against the calibration, if there are any."""
-        s = self._s
-        if s.record is None or s.record.accelerometer is None:
-            s.check_due = False
+        state = self._state
+        if state.record is None or state.record.accelerometer is None:
+            state.check_due = False
             return
-        since = s.checked
-        recent = s.pool.since(since).where(self._detector.still_valid)
-        found = calibrate.checked(s.record, recent, self._settings.quality)
+        since = state.checked
+        recent = state.pool.since(since).where(self._detector.still_valid)
+        found = calibrate.checked(state.record, recent, self._settings.quality)
         if found.verdict is Verdict.WAIT:
             return
-        s.check_due, s.checked = False, t
-        s.counters.checks += 1
-        self._telling.log(t, Level.INFO, "check", f"{found.verdict}", **calibrate.figures(found))
+        state.check_due, state.checked = False, t
+        state.counters.checks += 1
+        self._actions.append(Log(t, Level.INFO, "check", f"{found.verdict}", calibrate.figures(found)))
         if found.verdict is Verdict.RECALIBRATE:
             self._degrade(t, since if found.off_since is None else found.off_since)
         else:
-            s.trouble = None
-            self.zero_gyro(t, since)
+            state.trouble = None
+            self.update_bias(t, since)
 
-    def zero_gyro(self, t: float, since: float | None) -> None:
+    def update_bias(self, t: float, since: float | None) -> None:
         """Measure the gyroscope's bias anew (4.7) on the rests since a time, s, if they show it."""
-        s = self._s
-        recent = s.pool.since(since).where(self._detector.still_valid)
-        zeroed = None if s.record is None else gyroscope_record.zeroed(s.record, recent, t)
-        if zeroed is not None:
-            s.record = zeroed
-            s.counters.zeroings += 1
-            self._telling.act(Store(t, zeroed, zeroed.acceptance.reason))
+        state = self._state
+        recent = state.pool.since(since).where(self._detector.still_valid)
+        if state.record is None:
+            return
+        updated = gyroscope_record.with_updated_bias(state.record, recent, t)
+        if updated is not None:
+            state.record = updated
+            state.counters.zeroings += 1
+            self._actions.append(Publish(t, updated, updated.acceptance.reason))
 
     def _degrade(self, t: float, since: float | None) -> None:
         """Gather again; `since` (s) is from when on the calibration may have been wrong."""
-        s = self._s
-        if not s.degraded:
-            s.degraded, s.sound_until = True, since
-            s.counters.degradations += 1
-            self._telling.log(
-                t, Level.WARNING, "degraded", "the calibration no longer fits: gathering rests again"
-            )
-        s.trouble = (s.trouble or Trouble(t)).after_failed_check()
-        if s.trouble.failed == self._settings.schedule.diagnose_after_checks:
-            self._telling.act(Diagnose(t, s.trouble.reason))
-        if s.charging:
+        state = self._state
+        if not state.degraded:
+            state.degraded, state.sound_until = True, since
+            state.counters.degradations += 1
+            why = "the calibration no longer fits: gathering rests again"
+            self._actions.append(Log(t, Level.WARNING, "degraded", why))
+        state.trouble = (state.trouble or Trouble(t)).after_failed_check()
+        if state.trouble.failed == self._settings.schedule.diagnose_after_checks:
+            self._actions.append(Diagnose(t, state.trouble.reason))
+        if state.charging:
             self.renew(t, Occasion.CHARGING)
 
     # Full calibration
 
     def renew(self, t: float, occasion: Occasion) -> None:
         """Try a full calibration if one is due on this occasion."""
-        s = self._s
-        since = math.inf if s.tried is None else t - s.tried
-        standing = Standing(s.record is not None, s.degraded, s.fresh, since)
+        state = self._state
+        since = math.inf if state.tried is None else t - state.tried
+        standing = Standing(state.record is not None, state.degraded, state.fresh, since)
         if not calibration_due(standing, occasion, self._settings.schedule):
             return
-        s.fresh, s.tried = 0, t
-        if s.trouble is not None:
-            s.trouble = replace(s.trouble, tried=True)
-        sure = tuple(self._detector.still_valid(h.rest) for h in s.pool.held)
+        state.fresh, state.tried = 0, t
+        if state.trouble is not None:
+            state.trouble = replace(state.trouble, tried=True)
+        sure = tuple(self._detector.still_valid(h.rest) for h in state.pool.held)
         task = FitTask(
             t,
             occasion,
-            s.pool,
+            state.pool,
             sure,
-            s.gravity,
-            s.record,
-            s.degraded,
-            s.sound_until,
+            state.gravity,
+            state.record,
+            state.degraded,
+            state.sound_until,
             self._settings.calibrate,
             self._settings.quality,
         )
         self._follow(t, fitted(task), occasion)
 
     def _follow(self, t: float, found: FitOutcome, occasion: Occasion) -> None:
-        s = self._s
+        state = self._state
         if found.record is None:
             self._refuse(t, found, occasion)
             return
         if found.recent_only:
-            s.pool = s.pool.since(s.sound_until)
-            s.attitudes = len(s.pool.attitudes(self._settings.pool))
+            state.pool = state.pool.since(state.sound_until)
+            state.attitudes = len(state.pool.attitudes(self._settings.pool))
         if not found.accepted:
-            s.degraded = s.degraded and not found.settled
-            s.counters.rejected += 1
-            self._telling.act(Reject(t, found.record, found.reason))
-            self._telling.log(t, Level.INFO, "rejected", found.reason, occasion=str(occasion))
+            state.degraded = state.degraded and not found.settled
+            state.counters.rejected += 1
+            self._actions.append(Reject(t, found.record, found.reason))
+            self._actions.append(Log(t, Level.INFO, "rejected", found.reason, {"occasion": str(occasion)}))
             return
-        s.record, s.checked, s.degraded, s.refusal = found.record, t, False, None
-        s.counters.calibrations += 1
-        self._telling.act(Store(t, found.record, found.reason))
-        self._telling.log(t, Level.INFO, "calibrated", found.reason, occasion=str(occasion))
+        state.record, state.checked, state.degraded, state.refusal = found.record, t, False, None
+        state.counters.calibrations += 1
+        self._actions.append(Publish(t, found.record, found.reason))
+        self._actions.append(Log(t, Level.INFO, "calibrated", found.reason, {"occasion": str(occasion)}))
 
     def _refuse(self, t: float, found: FitOutcome, occasion: Occasion) -> None:
-        s = self._s
-        s.counters.refused += 1
-        news = s.refusal is None or s.refusal.missing != found.missing
-        s.refusal = Refusal(found.reason, found.missing)
+        state = self._state
+        state.counters.refused += 1
+        news = state.refusal is None or state.refusal.missing != found.missing
+        state.refusal = Refusal(found.reason, found.missing)
         why = str(NotSupported(found.reason, found.missing))
         level = Level.INFO if news else Level.DEBUG
-        self._telling.log(t, level, "refused", why, occasion=str(occasion))
+        self._actions.append(Log(t, level, "refused", why, {"occasion": str(occasion)}))

@@ -63,7 +63,7 @@ class Need:
 
 
 def watch_for(
-    need: Need, current: Watch, lasts_s: float, burst_s: float, settings: ScheduleSettings
+    need: Need, current: Watch, remaining_s: float, capacity_s: float, settings: ScheduleSettings
 ) -> Watch:
     """Choose how to look on, given how long (s) the energy allowance would last.
 
@@ -72,9 +72,9 @@ def watch_for(
     """
     if settings.watch != "auto":
         return Watch(settings.watch)
-    if need.rests and lasts_s > 0 and (current is Watch.CONTINUOUS or lasts_s >= burst_s / 2):
+    if need.rests and remaining_s > 0 and (current is Watch.CONTINUOUS or remaining_s >= capacity_s / 2):
         return Watch.CONTINUOUS
-    return Watch.PROBING if need.check or (need.rests and lasts_s > 0) else Watch.IDLE
+    return Watch.PROBING if need.check or (need.rests and remaining_s > 0) else Watch.IDLE
 
 
 def next_on_grid(began: float, interval: float, after: float) -> float:

@@ -12,10 +12,10 @@ from stillcal.calib_core.calibration.candidate import CalibrateSettings
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool, PoolSettings
-from stillcal.calib_core.engine.duty_cycle import Allowance, EnergySettings
+from stillcal.calib_core.engine.duty_cycle import DutyBudget, EnergySettings
 from stillcal.calib_core.engine.schedule import ScheduleSettings, Watch
 from stillcal.calib_core.gravity import Gravity
-from stillcal.calib_core.gyroscope.rotation_segment import TurnSettings
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegmentSettings
 from stillcal.calib_core.static.detector import DetectorState
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import DetectorSettings
@@ -31,7 +31,7 @@ class EngineSettings:
     energy: EnergySettings = field(default_factory=EnergySettings)
     detector: DetectorSettings = field(default_factory=DetectorSettings)
     pool: PoolSettings = field(default_factory=PoolSettings)
-    turns: TurnSettings = field(default_factory=TurnSettings)
+    turns: RotationSegmentSettings = field(default_factory=RotationSegmentSettings)
     calibrate: CalibrateSettings = field(default_factory=CalibrateSettings)
     quality: QualitySettings = field(default_factory=QualitySettings)
 
@@ -111,7 +111,7 @@ class EngineState:
     checked: float | None = None
     tried: float | None = None
     watch: Watch = Watch.IDLE
-    allowance: Allowance | None = None
+    allowance: DutyBudget | None = None
     charging: bool | None = None
     degraded: bool = False
     gravity: Gravity = field(default_factory=Gravity)

@@ -68,7 +68,7 @@ def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
     )
 
 
-def zeroing(
+def update_bias(
     model: SensorModel, rests: Sequence[RestState], known: BiasEstimate | None = None
 ) -> tuple[SensorModel, BiasEstimate]:
     """Renew the bias of a gyroscope's model from recent rests (Grammenos et al. 2018, 4.7).
@@ -79,7 +79,7 @@ def zeroing(
     >>> sd = np.full(3, 1e-4)
     >>> told = {"rate": np.array([0.01, -0.02, 0.0]), "rate_sd": sd, "rate_uncertainty": sd}
     >>> rest = RestState(0.0, 10.0, 500, np.array([0, 0, 9.8]), sd, sd, 1e-3, **told)
-    >>> model, estimate = zeroing(SensorModel.identity(), [rest])
+    >>> model, estimate = update_bias(SensorModel.identity(), [rest])
     >>> model.bias.tolist(), estimate.n_rests
     ([0.01, -0.02, 0.0], 1)
     """
@@ -144,7 +144,8 @@ def _admitted(rests: Sequence[RestState], variances: Array) -> Array:
     up = forces(rests)
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
     along = up[:, :, None] * up[:, None, :]
-    spin = np.array([_UNBOUNDED_SPIN if r.spin_admitted is None else r.spin_admitted for r in rests])
+    bounds = [r.undetected_rotation_bound for r in rests]
+    spin = np.array([_UNBOUNDED_SPIN if bound is None else bound for bound in bounds])
     tilt = np.array([r.tilt_rate_limit or 0.0 for r in rests])
     noise = variances.mean(axis=1)
     vertical, across = (1.0 / (noise + hidden**2) for hidden in (spin, tilt))

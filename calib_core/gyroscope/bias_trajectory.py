@@ -22,7 +22,7 @@ _MAD_TO_SD = 1.4826  # of a normal distribution
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BiasWalk:
+class BiasTrajectory:
     """Bias over n rests in time order. walk: (n, 3) rad/s, the part that force does not explain.
 
     sensitivity: (3, 3) G, (rad/s)/(m/s^2), row by rate, column by force. covariance: (3, n + 3, n + 3) for
@@ -35,7 +35,7 @@ class BiasWalk:
     step: Array
 
     @classmethod
-    def of(cls, rates: Array, variances: Array, forces: Array, typical: float) -> BiasWalk:
+    def of(cls, rates: Array, variances: Array, forces: Array, typical: float) -> BiasTrajectory:
         """Follow the bias through n rests: mean rates and their variances, calibrated forces, all (n, 3).
 
         typical: (rad/s)/(m/s^2), standard size of an element of G before anything is seen. The walk's

@@ -18,7 +18,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gyroscope.bias import BiasEstimate, bias_from_rests
-from stillcal.calib_core.gyroscope.rotation_segment import Turn
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.gyroscope.solver import (
     NOMINAL,
     TURN_ABOUT,
@@ -77,7 +77,7 @@ class GyroscopeFit:
 
 
 def fit(
-    turns: Sequence[Turn],
+    turns: Sequence[RotationSegment],
     accel: SensorModel,
     gravity: float,
     *,
@@ -114,17 +114,19 @@ def fit(
     return _reported(problem, held(problem), Parameters.BIAS, bias=bias, gravity=gravity, missing=missing)
 
 
-def residuals(turns: Sequence[Turn], accel: SensorModel, scale: Array, shift: Array | None = None) -> Array:
+def residuals(
+    turns: Sequence[RotationSegment], accel: SensorModel, scale: Array, shift: Array | None = None
+) -> Array:
     """Angles between gravity carried through each turn and measured, (K,) rad: Eq. 15, for any turns.
 
     The bias is that of the rests around each turn and the force along it, plus `shift`, (3,) rad/s.
     """
     theta = np.concatenate((scale.ravel(), np.zeros(3) if shift is None else shift))
     problem = Problem.of(turns, accel, GyroscopeSettings()).along(theta)
-    return problem.at(theta, 0.0).carried.angle
+    return problem.at(theta, 0.0).propagated.angle
 
 
-def _distinct(turns: Sequence[Turn], rests: Sequence[RestState]) -> list[RestState]:
+def _distinct(turns: Sequence[RotationSegment], rests: Sequence[RestState]) -> list[RestState]:
     """All rests at hand once each, in time order."""
     ends = (r for turn in turns for r in (turn.before, turn.after))
     found = {(r.t_start, r.t_end): r for r in (*rests, *ends)}
@@ -175,8 +177,8 @@ def _reported(
     covariance = solution.covariance.copy()
     covariance[9:], covariance[:, 9:] = 0.0, 0.0
     covariance[9:, 9:] = bias.covariance
-    before = problem.along(NOMINAL).at(NOMINAL, 0.0).carried.angle
-    after = problem.at(solution.theta, 0.0).carried.angle
+    before = problem.along(NOMINAL).at(NOMINAL, 0.0).propagated.angle
+    after = problem.at(solution.theta, 0.0).propagated.angle
     used = solution.used
     rms_before, rms_after = (float(np.sqrt(np.mean(a[used] ** 2))) for a in (before, after))
     return GyroscopeFit(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.gyroscope.rotation_segment import Turn
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.maths import rotation
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState, force_uncertainties
@@ -41,7 +41,7 @@ class Rests:
     forces: Array
 
     @classmethod
-    def of(cls, turns: Sequence[Turn], accel: SensorModel) -> Rests:
+    def of(cls, turns: Sequence[RotationSegment], accel: SensorModel) -> Rests:
         """Collect the rests of `turns` and their directions under the accelerometer's model."""
         found = {_key(r): r for turn in turns for r in (turn.before, turn.after)}
         keys = sorted(found)
@@ -94,7 +94,7 @@ class Bundle:
     up_after: Array
 
     @classmethod
-    def of(cls, turns: Sequence[Turn], biases: Sequence[Array], rests: Rests) -> Bundle:
+    def of(cls, turns: Sequence[RotationSegment], biases: Sequence[Array], rests: Rests) -> Bundle:
         """Lay out `turns` with each one's bias, (3,) or (n, 3) for n samples, taken off."""
         lengths = np.array([t.t.size for t in turns])
         ends = np.cumsum(lengths) - 1
@@ -129,7 +129,7 @@ class Bundle:
         total: Array = np.add.reduceat(self.steps[:, 0], self.starts)
         return total
 
-    def carry(self, scale: Array, shift: Array) -> Carried:
+    def propagate(self, scale: Array, shift: Array) -> PropagatedGravity:
         """Carry gravity through every turn with rates scale @ (raw - bias - shift)."""
         body = self._bodies(scale, shift)
         first = body[self.starts].transpose(0, 2, 1)
@@ -139,7 +139,7 @@ class Bundle:
         sums = np.array([rows[:, a:b] @ self.nodes[a:b] for a, b in spans])
         sums = (first @ sums.reshape(-1, 3, 12)).reshape(-1, 3, 3, 4)
         rate_sums = sums[..., :3] - sums[..., 3:] * shift
-        return Carried.of(self, turned, rate_sums.reshape(-1, 3, 9), -sums[..., 3] @ scale)
+        return PropagatedGravity.of(self, turned, rate_sums.reshape(-1, 3, 9), -sums[..., 3] @ scale)
 
     def up_along(self, scale: Array, shift: Array) -> list[Array]:
         """Return for each turn the direction of gravity's specific force at its samples, (n, 3)."""
@@ -156,7 +156,7 @@ class Bundle:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Carried:
+class PropagatedGravity:
     """Gravity after every turn under one scale and one bias shift, across gravity as it was measured.
 
     angle: (K,) rad between both. residuals: (K, 2) of Eq. 15, the part along gravity being none.
@@ -172,7 +172,7 @@ class Carried:
     after_slopes: Array
 
     @classmethod
-    def of(cls, bundle: Bundle, turned: Array, by_scale: Array, by_bias: Array) -> Carried:
+    def of(cls, bundle: Bundle, turned: Array, by_scale: Array, by_bias: Array) -> PropagatedGravity:
         """Compare with measured gravity; turned: (K, 3, 3); by_*: (K, 3, m) in the first body."""
         arrived = np.einsum("kij,kj->ki", turned, bundle.up_before)
         across = _across(bundle.up_after)

@@ -16,7 +16,7 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples
 
 
-class NoTurn(StrEnum):
+class NoSegment(StrEnum):
     """Why two rests and the samples between them make no turn."""
 
     DISORDERED = "the second rest does not follow the first"
@@ -28,7 +28,7 @@ class NoTurn(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class TurnSettings:
+class RotationSegmentSettings:
     """How turns are cut.
 
     margin: s, how far into each rest the integration reaches (at most half the rest). max_duration: s,
@@ -50,7 +50,7 @@ class TurnSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turn:
+class RotationSegment:
     """The gyroscope between two rests. t: (n,) s; rates: (n, 3) raw rad/s, from rest into rest."""
 
     before: RestState
@@ -69,27 +69,27 @@ class Turn:
         return float(self.t[-1])
 
 
-def make_turn(
-    before: RestState, after: RestState, gyro: Samples, settings: TurnSettings | None = None
-) -> Turn | NoTurn:
+def cut_rotation_segment(
+    before: RestState, after: RestState, gyro: Samples, settings: RotationSegmentSettings | None = None
+) -> RotationSegment | NoSegment:
     """Cut the turn between two successive rests out of `gyro`, or say why there is none.
 
     gyro: raw samples that reach at least from the end of `before` to the start of `after`; more is
     ignored. The turn begins within the first rest and ends within the second, so that gravity's
     direction at either end is that of the rest.
     """
-    settings = settings or TurnSettings()
+    settings = settings or RotationSegmentSettings()
     if after.t_start < before.t_end:
-        return NoTurn.DISORDERED
+        return NoSegment.DISORDERED
     if before.rate is None or after.rate is None:
-        return NoTurn.NO_RATES
+        return NoSegment.NO_RATES
     t_start = before.t_end - min(settings.margin, 0.5 * before.duration)
     t_end = after.t_start + min(settings.margin, 0.5 * after.duration)
     if t_end - t_start > settings.max_duration:
-        return NoTurn.TOO_LONG
+        return NoSegment.TOO_LONG
     span = gyro.between(t_start, np.nextafter(t_end, np.inf))
     fault = _fault(span, before, after, settings)
-    return fault or Turn(before, after, np.array(span.t), np.array(span.xyz))
+    return fault or RotationSegment(before, after, np.array(span.t), np.array(span.xyz))
 
 
 def excursion(t: Array, rates: Array) -> float:
@@ -98,14 +98,16 @@ def excursion(t: Array, rates: Array) -> float:
     return float(np.sqrt((angle**2).sum(axis=1).max(initial=0.0)))
 
 
-def _fault(span: Samples, before: RestState, after: RestState, settings: TurnSettings) -> NoTurn | None:
+def _fault(
+    span: Samples, before: RestState, after: RestState, settings: RotationSegmentSettings
+) -> NoSegment | None:
     if len(span) < 3 or span.t[0] > before.t_end + settings.max_gap:
-        return NoTurn.NOT_COVERED
+        return NoSegment.NOT_COVERED
     if span.t[-1] < after.t_start - settings.max_gap:
-        return NoTurn.NOT_COVERED
+        return NoSegment.NOT_COVERED
     if np.diff(span.t).max() > settings.max_gap:
-        return NoTurn.GAP
+        return NoSegment.GAP
     assert before.rate is not None and after.rate is not None
     if excursion(span.t, span.xyz - 0.5 * (before.rate + after.rate)) < settings.min_angle:
-        return NoTurn.TOO_SMALL
+        return NoSegment.TOO_SMALL
     return None

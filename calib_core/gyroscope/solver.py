@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gyroscope.bias import rest_rates
-from stillcal.calib_core.gyroscope.bias_trajectory import BiasWalk
-from stillcal.calib_core.gyroscope.gravity_propagation import Bundle, Carried, Rests
-from stillcal.calib_core.gyroscope.rotation_segment import Turn
+from stillcal.calib_core.gyroscope.bias_trajectory import BiasTrajectory
+from stillcal.calib_core.gyroscope.gravity_propagation import Bundle, PropagatedGravity, Rests
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
 
@@ -94,19 +94,19 @@ class Problem:
     rad^2, what the rate's noise adds up to over each turn.
     """
 
-    turns: Sequence[Turn]
+    turns: Sequence[RotationSegment]
     rests: Rests
     bundle: Bundle
-    bias: BiasWalk
+    bias: BiasTrajectory
     bias_covariance: Array
     random_walk: Array
     settings: GyroscopeSettings
 
     @classmethod
-    def of(cls, turns: Sequence[Turn], accel: SensorModel, settings: GyroscopeSettings) -> Problem:
+    def of(cls, turns: Sequence[RotationSegment], accel: SensorModel, settings: GyroscopeSettings) -> Problem:
         """Pose the problem; force along a turn is at first taken for the mean of its two rests."""
         rests = Rests.of(turns, accel)
-        bias = BiasWalk.of(*rest_rates(rests.rests), rests.forces, settings.g_sensitivity)
+        bias = BiasTrajectory.of(*rest_rates(rests.rests), rests.forces, settings.g_sensitivity)
         mean = 0.5 * (rests.forces[rests.before] + rests.forces[rests.after])
         return _posed(turns, rests, bias, list(mean[:, None]), settings)
 
@@ -119,19 +119,19 @@ class Problem:
 
     def at(self, theta: Array, allowance: float) -> System:
         """Residuals, slopes and covariance at parameters (12,), the scale still wrong by `allowance`."""
-        carried = self.bundle.carry(theta[:9].reshape(3, 3), theta[9:])
-        covariance = carried.covariance(self.rests, self.bias_covariance, self.random_walk)
+        propagated = self.bundle.propagate(theta[:9].reshape(3, 3), theta[9:])
+        covariance = propagated.covariance(self.rests, self.bias_covariance, self.random_walk)
         still_wrong = allowance * np.linalg.norm(self.bundle.path(), axis=1)
         covariance[np.diag_indices_from(covariance)] += np.repeat(still_wrong**2, 2)
-        slopes = np.concatenate((carried.scale_slopes, carried.bias_slopes), axis=2)
-        return System(carried, slopes, covariance)
+        slopes = np.concatenate((propagated.scale_slopes, propagated.bias_slopes), axis=2)
+        return System(propagated, slopes, covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class System:
     """The problem made linear at one point. slopes: (K, 2, 12); covariance: (2 K, 2 K) rad^2."""
 
-    carried: Carried
+    propagated: PropagatedGravity
     slopes: Array
     covariance: Array
 
@@ -139,7 +139,7 @@ class System:
         """Each turn's residual in standard deviations, (K,)."""
         k = len(self.slopes)
         own = self.covariance.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)]
-        r = self.carried.residuals
+        r = self.propagated.residuals
         squared: Array = np.einsum("ki,ki->k", r, np.linalg.solve(own, r[..., None])[..., 0])
         return np.sqrt(squared)
 
@@ -147,7 +147,7 @@ class System:
         """Slopes (2 K', 12) and residuals (2 K',) of the turns used, independent and of unit variance."""
         rows = np.repeat(used, 2)
         root = np.linalg.cholesky(self.covariance[np.ix_(rows, rows)])
-        both = np.column_stack((self.slopes.reshape(-1, 12), self.carried.residuals.ravel()))
+        both = np.column_stack((self.slopes.reshape(-1, 12), self.propagated.residuals.ravel()))
         white: Array = np.linalg.solve(root, both[rows])
         return white[:, :12], white[:, 12]
 
@@ -192,7 +192,11 @@ def held(problem: Problem) -> Solution:
 
 
 def _posed(
-    turns: Sequence[Turn], rests: Rests, bias: BiasWalk, along: Sequence[Array], settings: GyroscopeSettings
+    turns: Sequence[RotationSegment],
+    rests: Rests,
+    bias: BiasTrajectory,
+    along: Sequence[Array],
+    settings: GyroscopeSettings,
 ) -> Problem:
     """Take every turn's bias off, with what the force along it, (n, 3) or (1, 3), adds."""
     mean_force = np.array([force.mean(axis=0) for force in along])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.noise_floor import Floor, rate_class
-from stillcal.calib_core.static.settings import DetectorSettings, Fate
+from stillcal.calib_core.static.settings import DetectorSettings, Label
 from stillcal.calib_core.static.windows import (
     COLUMNS,
     D2,
@@ -33,14 +33,14 @@ from stillcal.calib_core.static.windows import (
 )
 
 # Fates that one window alone can have, by code; the first that applies is the window's.
-FATES = (
-    Fate.STILL,
-    Fate.GAP,
-    Fate.SPARSE,
-    Fate.IMPLAUSIBLE,
-    Fate.FROZEN,
-    Fate.ACCEL_MOVING,
-    Fate.GYRO_MOVING,
+LABELS = (
+    Label.STILL,
+    Label.GAP,
+    Label.SPARSE,
+    Label.IMPLAUSIBLE,
+    Label.FROZEN,
+    Label.ACCEL_MOVING,
+    Label.GYRO_MOVING,
 )
 STILL, GAPPED, SPARSE, IMPLAUSIBLE, FROZEN, ACCEL_MOVING, GYRO_MOVING = range(7)
 
@@ -79,7 +79,7 @@ class Coarseness:
         known = self.lsb[np.isfinite(self.lsb)]
         return float(np.sqrt((known**2).sum() / 12.0)) if self.coarse else 0.0
 
-    def observed(self, half: Half, looked: Flags, ceiling: float) -> Coarseness:
+    def observed(self, half: SensorWindows, looked: Flags, ceiling: float) -> Coarseness:
         """Count windows that were looked at; nothing changes before `renewed`."""
         quiet = looked & (half.spread <= ceiling) & (half.rows[:, N] > 0) & ~half.constant
         if not quiet.any():
@@ -101,7 +101,7 @@ class Coarseness:
 
 
 @dataclass(slots=True)
-class Half:
+class SensorWindows:
     """What one sensor's windows show, whatever the floor: (n,) each. slack: m/s^2 or rad/s squared."""
 
     rows: Array
@@ -109,38 +109,38 @@ class Half:
     rates: NDArray[np.intp]
     constant: Flags
     few: Flags
-    thin: Flags
-    slack: Array
+    sparse: Flags
+    quantisation_allowance: Array
 
     @classmethod
-    def of(cls, rows: Array, settings: DetectorSettings) -> Half:
+    def of(cls, rows: Array, settings: DetectorSettings) -> SensorWindows:
         """Derive from one sensor's rows."""
         if not rows[:, N].any():
             return cls.absent(rows)
         lsb = rows[:, LSB]
         narrow = rows[:, HIGH] - rows[:, LOW] <= _FEW_CODES * lsb
-        slack = across(np.where(narrow & np.isfinite(lsb), 0.25 * lsb * lsb, 0.0)) / 3.0
+        quantisation_allowance = across(np.where(narrow & np.isfinite(lsb), 0.25 * lsb * lsb, 0.0)) / 3.0
         rate = rows[:, N] / ((rows[:, K_END] - rows[:, K]).clip(1.0) * settings.window_s)
         constant = across(rows[:, D2]) == 0
-        few, thin = (
+        few, sparse = (
             narrow[:, 0] & narrow[:, 1] & narrow[:, 2] & ~constant,
             2 * rows[:, N] < settings.min_samples,
         )
-        return cls(rows, spread(rows), rate_class(rate), constant, few, thin, slack)
+        return cls(rows, spread(rows), rate_class(rate), constant, few, sparse, quantisation_allowance)
 
     @classmethod
-    def absent(cls, rows: Array) -> Half:
+    def absent(cls, rows: Array) -> SensorWindows:
         """Return what rows of zeros show: no sample, nothing moved."""
         n = rows.shape[0]
         none, yes, no = np.zeros(n), np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
         return cls(rows, none, np.zeros(n, dtype=np.intp), yes, no, yes, none)
 
-    def __getitem__(self, part: slice) -> Half:
-        return Half(*(getattr(self, name)[part] for name in self.__slots__))
+    def __getitem__(self, part: slice) -> SensorWindows:
+        return SensorWindows(*(getattr(self, name)[part] for name in self.__slots__))
 
     def exceeds(self, floor: Floor, factor: float, ceiling: float) -> Flags:
         """Whether the spread is above `factor` floors (a coarse step allowed on top) or the ceiling."""
-        limit = np.sqrt((factor * floor.level[self.rates]) ** 2 + self.slack)
+        limit = np.sqrt((factor * floor.level[self.rates]) ** 2 + self.quantisation_allowance)
         return np.asarray(self.spread > np.minimum(limit, ceiling))
 
 
@@ -149,8 +149,8 @@ class Windows:
     """Windows of both sensors side by side. rows: (n, 2 COLUMNS), gyroscope columns 0 where unusable."""
 
     rows: Array
-    accel: Half
-    gyro: Half
+    accel: SensorWindows
+    gyro: SensorWindows
 
     @classmethod
     def of(cls, accel: Array, gyro: Array, widths: Index, settings: DetectorSettings) -> Windows:
@@ -160,7 +160,7 @@ class Windows:
         gyro_rows = rows[:, COLUMNS:]
         unusable = (gyro_rows[:, GAP] > settings.gap_s) | (2 * gyro_rows[:, N] < settings.min_samples)
         gyro_rows[unusable | (across(gyro_rows[:, D2]) == 0)] = 0.0
-        return cls(rows, Half.of(rows[:, :COLUMNS], settings), Half.of(gyro_rows, settings))
+        return cls(rows, SensorWindows.of(rows[:, :COLUMNS], settings), SensorWindows.of(gyro_rows, settings))
 
     def __len__(self) -> int:
         return int(self.rows.shape[0])
@@ -171,13 +171,15 @@ class Windows:
         return Windows(self.rows[part], self.accel[part], self.gyro[part])
 
 
-def fates(windows: Windows, floors: tuple[Floor, Floor], coarse: bool, settings: DetectorSettings) -> Codes:
+def classify(
+    windows: Windows, floors: tuple[Floor, Floor], coarse: bool, settings: DetectorSettings
+) -> Codes:
     """Return each window's fate as an index into FATES; `coarse`: the accelerometer may repeat itself."""
     accel, mean = windows.accel, windows.accel.rows[:, MEAN]
     norm = np.sqrt(mean[:, 0] ** 2 + mean[:, 1] ** 2 + mean[:, 2] ** 2)
     conditions = [
         accel.rows[:, GAP] > settings.gap_s,
-        accel.thin,
+        accel.sparse,
         (norm < settings.force_low) | (norm > settings.force_high),
         accel.constant & (not coarse),
         accel.exceeds(floors[0], settings.accel_factor, settings.accel_ceiling),
@@ -189,7 +191,7 @@ def fates(windows: Windows, floors: tuple[Floor, Floor], coarse: bool, settings:
     return codes
 
 
-def lively(windows: Windows, codes: Codes) -> tuple[Flags, Flags]:
+def trainable(windows: Windows, codes: Codes) -> tuple[Flags, Flags]:
     """Which windows may teach the two floors: whole, plausible, and not frozen."""
     whole = (codes == STILL) | (codes >= ACCEL_MOVING)
     return whole & ~windows.accel.constant, whole & ~windows.gyro.constant

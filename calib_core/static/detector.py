@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.static.classify import FATES, Coarseness, Codes, Flags, Windows, fates, lively
+from stillcal.calib_core.static.classify import LABELS, Coarseness, Codes, Flags, Windows, classify, trainable
 from stillcal.calib_core.static.gather import Gathered, Gatherer
 from stillcal.calib_core.static.noise_floor import Floor, counted, rate_class, renewed
 from stillcal.calib_core.static.rest import RestState
-from stillcal.calib_core.static.settings import DetectorSettings, Fate, Ledger, Mode, Sense, Sleep, Want
+from stillcal.calib_core.static.settings import DetectorSettings, Label, Ledger, Mode, Sense, Sleep, Want
 from stillcal.calib_core.static.window_length import Pace, moved, paced
 from stillcal.calib_core.static.windows import BLOCK, COLUMNS, K_END, K, N, Stream, matched, take
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -27,7 +27,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 __all__ = [
     "DetectorSettings",
     "DetectorState",
-    "Fate",
+    "Label",
     "Ledger",
     "Mode",
     "Sense",
@@ -69,26 +69,26 @@ class StationaryDetector:
 
     def __init__(self, settings: DetectorSettings | None = None, state: DetectorState | None = None) -> None:
         self.settings = settings or DetectorSettings()
-        self._s = copy.deepcopy(state) if state else DetectorState(self.settings.mode)
-        self._s.accel, self._s.gyro = self._s.accel.reshaped(), self._s.gyro.reshaped()
-        run = self._s.gathered.run
+        self._state = copy.deepcopy(state) if state else DetectorState(self.settings.mode)
+        self._state.accel, self._state.gyro = self._state.accel.reshaped(), self._state.gyro.reshaped()
+        run = self._state.gathered.run
         run.rows = run.rows.reshape(-1, 2 * COLUMNS)
-        self._gatherer = Gatherer(self.settings, self._s.gathered)
+        self._gatherer = Gatherer(self.settings, self._state.gathered)
 
     @property
     def state(self) -> DetectorState:
         """A snapshot of all that is remembered; feeding on does not change it."""
-        return copy.deepcopy(self._s)
+        return copy.deepcopy(self._state)
 
     @property
     def ledger(self) -> Ledger:
         """What was asked for and read so far, and the fates of windows and candidate rests."""
-        return self._s.gathered.ledger.copy()
+        return self._state.gathered.ledger.copy()
 
     @property
     def mode(self) -> Mode:
         """How the detector runs now."""
-        return self._s.mode
+        return self._state.mode
 
     def feed(self, *blocks: Samples) -> list[RestState]:
         """Take blocks of either sensor, each stream in time order, and return the rests that they complete.
@@ -103,18 +103,18 @@ class StationaryDetector:
 
     def finish(self) -> list[RestState]:
         """Judge what is buffered, close the open rest, and return what that completes."""
-        s, window = self._s, self.settings.window_s
-        s.accel = take(s.accel, Samples.empty(Sensor.ACCELEROMETER), window, close=True)
-        s.gyro = take(s.gyro, Samples.empty(Sensor.GYROSCOPE), window, close=True)
+        state, window = self._state, self.settings.window_s
+        state.accel = take(state.accel, Samples.empty(Sensor.ACCELEROMETER), window, close=True)
+        state.gyro = take(state.gyro, Samples.empty(Sensor.GYROSCOPE), window, close=True)
         self._advance(math.inf)
         self._gatherer.stop()
         return self._gatherer.taken()
 
     def set_mode(self, mode: Mode) -> list[RestState]:
         """Switch between scanning and probing from the next window on; return the rest that this closes."""
-        if mode is not self._s.mode:
+        if mode is not self._state.mode:
             self._gatherer.stop()
-            self._s.mode, self._s.gathered.probe = mode, None
+            self._state.mode, self._state.gathered.probe = mode, None
         return self._gatherer.taken()
 
     def wants(self, now: float) -> Want:
@@ -122,12 +122,12 @@ class StationaryDetector:
 
         A probe for which nothing came is given up, max_lag_s after its end, and the next one drawn.
         """
-        return Sense(math.inf) if self._s.mode is Mode.SCAN else self._gatherer.wants(now)
+        return Sense(math.inf) if self._state.mode is Mode.SCAN else self._gatherer.wants(now)
 
     def next_probe(self, now: float) -> float:
         """Return when the current or next probe begins, s; in scan mode `now`."""
         window = self.settings.window_s
-        return now if self._s.mode is Mode.SCAN else self._gatherer.due(now / window).start * window
+        return now if self._state.mode is Mode.SCAN else self._gatherer.due(now / window).start * window
 
     def still_valid(self, rest: RestState) -> bool:
         """Judge an accepted rest again by the floors as known now.
@@ -135,10 +135,10 @@ class StationaryDetector:
         A rest accepted while the floor was still too high (nothing quieter had been seen) fails later. The
         rest's pooled sample deviations are compared, at its own sampling rate.
         """
-        s, k = self._s, self.settings
+        state, k = self._state, self.settings
         pairs = ((rest.force_sd, k.accel_factor), (rest.rate_sd, k.gyro_factor))
         rate = rate_class(np.array([rest.n / max(rest.duration, 1e-9)]))[0]
-        for floor, coarse, (sd, factor) in zip(s.floors, s.coarse, pairs, strict=True):
+        for floor, coarse, (sd, factor) in zip(state.floors, state.coarse, pairs, strict=True):
             limit = math.hypot(factor * float(floor.level[rate]), coarse.step)
             if sd is not None and math.sqrt(float((sd**2).mean())) > limit:
                 return False
@@ -147,83 +147,83 @@ class StationaryDetector:
     def noise_floor(self, rate_hz: float) -> tuple[float, float]:
         """Return the floors known for a sampling rate, (m/s^2, rad/s), inf where none is known yet."""
         octave = rate_class(np.array([rate_hz]))[0]
-        return float(self._s.floors[0].level[octave]), float(self._s.floors[1].level[octave])
+        return float(self._state.floors[0].level[octave]), float(self._state.floors[1].level[octave])
 
     def _take(self, block: Samples) -> None:
         """Add a block to its stream; rows that come too late to be paired or judged are dropped."""
-        s, accel = self._s, block.sensor is Sensor.ACCELEROMETER
-        stream = s.accel if accel else s.gyro
+        state, accel = self._state, block.sensor is Sensor.ACCELEROMETER
+        stream = state.accel if accel else state.gyro
         last = stream.t[-1] if stream.t.size else -math.inf
         if len(block) and block.t[0] < last:
             raise ValueError(f"{block.sensor} runs backwards, from {last:.6f} to {block.t[0]:.6f} s: sort it")
         stream = take(stream, block, self.settings.window_s)
-        late = int(np.searchsorted(stream.rows[:, K], s.next_cell))
+        late = int(np.searchsorted(stream.rows[:, K], state.next_cell))
         stream.rows = stream.rows[late:]
         if accel:
-            s.accel = stream
+            state.accel = stream
         else:
-            s.gyro = stream
-            s.gathered.ledger.gyro_late += late
+            state.gyro = stream
+            state.gathered.ledger.gyro_late += late
 
     def _horizon(self) -> float:
         """Return the first cell not to be judged yet, deciding whether to wait for the gyroscope."""
-        s, window = self._s, self.settings.window_s
-        if s.accel.t.size == 0:
+        state, window = self._state, self.settings.window_s
+        if state.accel.t.size == 0:
             return -math.inf
-        accel = float(math.floor(s.accel.t[-1] / window))
-        gyro = float(math.floor(s.gyro.t[-1] / window)) if s.gyro.t.size else -math.inf
-        start = float(s.accel.rows[0, K]) if s.accel.rows.shape[0] else accel
+        accel = float(math.floor(state.accel.t[-1] / window))
+        gyro = float(math.floor(state.gyro.t[-1] / window)) if state.gyro.t.size else -math.inf
+        start = float(state.accel.rows[0, K]) if state.accel.rows.shape[0] else accel
         lost = accel - max(gyro, start) > self.settings.max_lag_s / window
-        s.gyro_expected = not lost and (s.gyro_expected or gyro >= s.next_cell)
-        return min(accel, gyro) if s.gyro_expected else accel
+        state.gyro_expected = not lost and (state.gyro_expected or gyro >= state.next_cell)
+        return min(accel, gyro) if state.gyro_expected else accel
 
     def _advance(self, horizon: float) -> None:
         """Judge all windows that are complete before cell `horizon`, epoch by epoch."""
-        s = self._s
-        accel, gyro = _before(s.accel.rows, horizon), _before(s.gyro.rows, horizon)
+        state = self._state
+        accel, gyro = _before(state.accel.rows, horizon), _before(state.gyro.rows, horizon)
         at, found = matched(gyro[:, K], accel[:, K])
         counts = accel[:, N].copy()
         counts[found] = np.minimum(counts[found], gyro[at[found], N])
-        widths = paced(s.pace, accel[:, K], counts, self.settings.min_samples)
+        widths = paced(state.pace, accel[:, K], counts, self.settings.min_samples)
         ends = (np.floor(accel[:, K] / widths) + 1.0) * widths
         whole = int(np.searchsorted(ends, horizon, side="right"))
         if whole == 0:
             return
-        if s.mode is Mode.PROBE and self._gatherer.passes_over(float(ends[whole - 1])):
+        if state.mode is Mode.PROBE and self._gatherer.passes_over(float(ends[whole - 1])):
             self._pass_over(accel[:whole], ends[:whole] - widths[:whole])
         else:
             self._judge_epochs(Windows.of(accel[:whole], gyro, widths[:whole], self.settings))
-        s.pace = moved(s.pace, accel[:whole, K], counts[:whole])
-        s.next_cell = float(ends[whole - 1])
-        s.accel.rows = s.accel.rows[whole:]
-        s.gyro.rows = s.gyro.rows[np.searchsorted(s.gyro.rows[:, K], s.next_cell) :]
+        state.pace = moved(state.pace, accel[:whole, K], counts[:whole])
+        state.next_cell = float(ends[whole - 1])
+        state.accel.rows = state.accel.rows[whole:]
+        state.gyro.rows = state.gyro.rows[np.searchsorted(state.gyro.rows[:, K], state.next_cell) :]
 
     def _pass_over(self, rows: Array, starts: Array) -> None:
         """Count cells that no probe asks for, unjudged. starts: (n,) of the windows that they would join."""
-        s = self._s
-        first = int(np.searchsorted(starts, s.epoch_end))
+        state = self._state
+        first = int(np.searchsorted(starts, state.epoch_end))
         while first < starts.size:
             self._renew(starts[first])
-            first = int(np.searchsorted(starts, s.epoch_end))
-        s.gathered.ledger.accel_unasked += int(rows[:, N].sum())
+            first = int(np.searchsorted(starts, state.epoch_end))
+        state.gathered.ledger.accel_unasked += int(rows[:, N].sum())
 
     def _judge_epochs(self, windows: Windows) -> None:
         """Judge windows, renewing the floors wherever an epoch ends."""
-        s, first = self._s, 0
+        state, first = self._state, 0
         starts = windows.rows[:, K]
         while first < len(windows):
-            if starts[first] >= s.epoch_end:
+            if starts[first] >= state.epoch_end:
                 self._renew(starts[first])
-            last = int(np.searchsorted(starts, s.epoch_end))
+            last = int(np.searchsorted(starts, state.epoch_end))
             self._judge(windows[slice(first, last)])
             first = last
 
     def _judge(self, windows: Windows) -> None:
         """Judge the windows of one epoch, gather rests from them, and learn from those looked at."""
-        s = self._s
-        steps = (s.coarse[0].step, s.coarse[1].step)
-        codes = fates(windows, (s.floors[0], s.floors[1]), s.coarse[0].coarse, self.settings)
-        if s.mode is Mode.SCAN:
+        state = self._state
+        steps = (state.coarse[0].step, state.coarse[1].step)
+        codes = classify(windows, (state.floors[0], state.floors[1]), state.coarse[0].coarse, self.settings)
+        if state.mode is Mode.SCAN:
             looked = np.ones(len(windows), dtype=bool)
             self._gatherer.scan(windows.rows, codes, steps)
         else:
@@ -234,17 +234,17 @@ class StationaryDetector:
 
     def _learn(self, windows: Windows, codes: Codes, looked: Flags) -> None:
         """Let the windows looked at teach the floors and the sensors' coarseness."""
-        s = self._s
+        state = self._state
         ceilings = (self.settings.accel_ceiling, self.settings.gyro_ceiling)
-        teach = lively(windows, codes)
+        teach = trainable(windows, codes)
         for i, half in enumerate((windows.accel, windows.gyro)):
             use = teach[i] & looked
-            s.floors[i] = counted(s.floors[i], half.rates[use], half.spread[use])
-            s.coarse[i] = s.coarse[i].observed(half, looked, ceilings[i])
+            state.floors[i] = counted(state.floors[i], half.rates[use], half.spread[use])
+            state.coarse[i] = state.coarse[i].observed(half, looked, ceilings[i])
 
     def _count(self, windows: Windows, codes: Codes, looked: Flags) -> None:
         """Enter the windows into the ledger."""
-        ledger, window = self._s.gathered.ledger, self.settings.window_s
+        ledger, window = self._state.gathered.ledger, self.settings.window_s
         width = windows.rows[:, K_END] - windows.rows[:, K]
         accel_n, gyro_n = windows.accel.rows[:, N], windows.gyro.rows[:, N]
         ledger.accel_samples += int(accel_n[looked].sum())
@@ -252,15 +252,15 @@ class StationaryDetector:
         ledger.accel_unasked += int(accel_n[~looked].sum())
         ledger.accel_on_s += float(width[looked].sum()) * window
         ledger.gyro_on_s += float(width[looked & (gyro_n > 0)].sum()) * window
-        for code, count in enumerate(np.bincount(codes[looked], minlength=len(FATES)).tolist()):
+        for code, count in enumerate(np.bincount(codes[looked], minlength=len(LABELS)).tolist()):
             if count:
-                ledger.windows[FATES[code]] = ledger.windows.get(FATES[code], 0) + count
+                ledger.windows[LABELS[code]] = ledger.windows.get(LABELS[code], 0) + count
 
     def _renew(self, cell: float) -> None:
         """Begin an epoch: use what the last one taught."""
-        s, k = self._s, self.settings
-        s.floors = [renewed(floor, k) for floor in s.floors]
-        s.coarse = [coarse.renewed(k) for coarse in s.coarse]
-        if math.isfinite(s.epoch_end):
-            s.epoch_cells = min(2 * s.epoch_cells, _LAST_EPOCH)
-        s.epoch_end = (math.floor(cell / s.epoch_cells) + 1.0) * s.epoch_cells
+        state, k = self._state, self.settings
+        state.floors = [renewed(floor, k) for floor in state.floors]
+        state.coarse = [coarse.renewed(k) for coarse in state.coarse]
+        if math.isfinite(state.epoch_end):
+            state.epoch_cells = min(2 * state.epoch_cells, _LAST_EPOCH)
+        state.epoch_end = (math.floor(cell / state.epoch_cells) + 1.0) * state.epoch_cells

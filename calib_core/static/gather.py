@@ -11,12 +11,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.static.classify import FATES, GAPPED, SPARSE, STILL, Codes, Flags
+from stillcal.calib_core.static.classify import GAPPED, LABELS, SPARSE, STILL, Codes, Flags
 from stillcal.calib_core.static.interval import judged
 from stillcal.calib_core.static.probe import Probe, cells_of, draw_probe
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.run import Run, absorb, contributions, drifted, trimmed
-from stillcal.calib_core.static.settings import DetectorSettings, Fate, Ledger, Sense, Sleep, Want
+from stillcal.calib_core.static.settings import DetectorSettings, Label, Ledger, Sense, Sleep, Want
 from stillcal.calib_core.static.windows import K_END, K
 
 Steps = tuple[float, float]
@@ -57,9 +57,9 @@ class Gatherer:
 
         rows: joint rows; codes: their fates; steps: what coarseness alone may move the two means by.
         """
-        s = self.state
+        state = self.state
         n = rows.shape[0]
-        apart = rows[:, K] != np.concatenate(([s.end_cell], rows[:-1, K_END]))
+        apart = rows[:, K] != np.concatenate(([state.end_cell], rows[:-1, K_END]))
         cuts = np.flatnonzero(np.concatenate(([True], (codes[1:] != codes[:-1]) | apart[1:])))
         own, short = contributions(rows), rows[:, K_END] - rows[:, K] < self._least
         parts = zip(
@@ -67,15 +67,16 @@ class Gatherer:
         )
         for first, last, broken, code in parts:
             if broken:
-                self._close(Fate.GAP)
+                self._close(Label.GAP)
             if code != STILL:
-                self._close(FATES[code])
-            elif last - first == 1 and last < n and short[first] and not s.run.rows.shape[0]:
-                s.ledger.rests[Fate.SHORT] = s.ledger.rests.get(Fate.SHORT, 0) + 1  # what comes next ends it
+                self._close(LABELS[code])
+            elif last - first == 1 and last < n and short[first] and not state.run.rows.shape[0]:
+                # A lone window, too short for a rest: what comes next ends it, so it is counted ungathered.
+                state.ledger.count_rest(Label.SHORT)
             else:
                 self._gather(rows[first:last], own[:, first:last], steps)
-        s.end_cell = float(rows[-1, K_END])
-        s.ledger.asked_s += float((rows[:, K_END] - rows[:, K]).sum()) * self.settings.window_s
+        state.end_cell = float(rows[-1, K_END])
+        state.ledger.asked_s += float((rows[:, K_END] - rows[:, K]).sum()) * self.settings.window_s
 
     def probed(self, rows: Array, codes: Codes, steps: Steps) -> Flags:
         """Look only at windows that a probe asks for (Algorithm 1, lines 8-29); say which those were."""
@@ -94,10 +95,10 @@ class Gatherer:
 
     def passes_over(self, end: float) -> bool:
         """Tell whether the probe due begins no earlier than cell `end`; what lies before it is then past."""
-        s = self.state
-        if s.probe is None or end > s.probe.start:
+        state = self.state
+        if state.probe is None or end > state.probe.start:
             return False
-        s.end_cell = end
+        state.end_cell = end
         return True
 
     def wants(self, now: float) -> Want:
@@ -114,70 +115,72 @@ class Gatherer:
         """
         probe, lag = self.due(cell), self.settings.max_lag_s / self.settings.window_s
         while not self.state.run.rows.shape[0] and cell > (last := self._asked_end(probe) + lag):
-            self._end_probe(Fate.GAP, last)
+            self._end_probe(Label.GAP, last)
             probe = self.due(last)
         return probe
 
     def due(self, cell: float) -> Probe:
         """Return the probe that is under way or due, drawing the first one after `cell`."""
-        s = self.state
-        if s.probe is None:
-            s.probe = draw_probe(cell, s.drawn, self.settings)
-            s.drawn = s.probe.drawn
-        return s.probe
+        state = self.state
+        if state.probe is None:
+            state.probe = draw_probe(cell, state.drawn, self.settings)
+            state.drawn = state.probe.drawn
+        return state.probe
 
     def stop(self) -> None:
         """Close what is open: a run, and the probe that gathers it."""
         if self.state.probe is not None and self.state.run.rows.shape[0]:
-            self._end_probe(Fate.STILL, self.state.end_cell)
-        self._close(Fate.STILL)
+            self._end_probe(Label.STILL, self.state.end_cell)
+        self._close(Label.STILL)
 
     def _gather(self, rows: Array, own: Array, steps: Steps) -> None:
         """Add still, adjoining windows to the open run, closing it where they step off or it is full."""
-        s = self.state
+        state = self.state
         ends = np.add.accumulate(rows[:, K_END] - rows[:, K])
         at, n, gone = 0, rows.shape[0], 0.0
         while at < n:
-            room = int(np.searchsorted(ends, self._most - s.run.cells + gone, side="right")) - at
-            if room <= 0 and s.run.rows.shape[0]:
-                self._close(Fate.STILL)
+            room = int(np.searchsorted(ends, self._most - state.run.cells + gone, side="right")) - at
+            if room <= 0 and state.run.rows.shape[0]:
+                self._close(Label.STILL)
                 continue
             end = at + max(room, 1)
-            s.run, taken = absorb(s.run, rows[at:end], own[:, at:end], steps, self.settings)
+            state.run, taken = absorb(state.run, rows[at:end], own[:, at:end], steps, self.settings)
             if at + taken < min(end, n):
-                self._close(Fate.STEPPED)
+                self._close(Label.STEPPED)
             at += taken
             gone = float(ends[at - 1]) if at else 0.0
 
-    def _close(self, ended_by: Fate) -> None:
+    def _close(self, ended_by: Label) -> None:
         """Close the open run: a rest joins `found`, a refusal the ledger."""
-        s, run = self.state, self.state.run
-        s.run = Run(after=ended_by)
+        state, run = self.state, self.state.run
+        state.run = Run(after=ended_by)
         if run.rows.shape[0]:
             rest = judged(trimmed(run, ended_by), drifted(run, ended_by), self.settings)
-            fate = rest if isinstance(rest, Fate) else Fate.STILL
-            s.ledger.rests[fate] = s.ledger.rests.get(fate, 0) + 1
-            if not isinstance(rest, Fate):
+            fate = rest if isinstance(rest, Label) else Label.STILL
+            state.ledger.count_rest(fate)
+            if not isinstance(rest, Label):
                 self.found.append(rest)
 
     def _read(self, rows: Array, codes: Codes, steps: Steps) -> int:
         """Read windows up to the probe's end or the first that is not still; return how many were read."""
-        s = self.state
-        first = 0 if s.run.rows.shape[0] else self._started(rows, codes)
+        state = self.state
+        first = 0 if state.run.rows.shape[0] else self._started(rows, codes)
         probe = self.due(rows[0, K])
         rows, codes = rows[first:], codes[first:]
-        expected = np.concatenate(([probe.start + s.run.cells], rows[:-1, K_END]))[: rows.shape[0]]
+        expected = np.concatenate(([probe.start + state.run.cells], rows[:-1, K_END]))[: rows.shape[0]]
         good = (codes == STILL) & (rows[:, K] == expected) & (rows[:, K_END] <= probe.end)
         still = int(good.argmin()) if not good.all() else good.size
-        s.run, taken = absorb(s.run, rows[:still], contributions(rows[:still]), steps, self.settings)
-        if taken == rows.shape[0] and s.run.cells < probe.full:
+        state.run, taken = absorb(state.run, rows[:still], contributions(rows[:still]), steps, self.settings)
+        if taken == rows.shape[0] and state.run.cells < probe.full:
             return first + taken
-        if s.run.cells >= probe.full:
-            self._end_probe(Fate.STILL, probe.end)
+        if state.run.cells >= probe.full:
+            self._end_probe(Label.STILL, probe.end)
             return first + taken
-        broken = Fate.STEPPED if taken < still else FATES[codes[taken]]
+        broken = Label.STEPPED if taken < still else LABELS[codes[taken]]
         inside = rows[taken, K_END] <= probe.end
-        self._end_probe(Fate.GAP if broken is Fate.STILL or not inside else broken, float(rows[taken, K_END]))
+        self._end_probe(
+            Label.GAP if broken is Label.STILL or not inside else broken, float(rows[taken, K_END])
+        )
         return first + taken + int(inside)
 
     def _started(self, rows: Array, codes: Codes) -> int:
@@ -198,15 +201,15 @@ class Gatherer:
         shortest = min(cells_of(self.settings.w_min_s, self.settings.window_s), probe.full)
         return probe.end if self.state.run.cells >= shortest else probe.start + shortest
 
-    def _end_probe(self, ended_by: Fate, cell: float) -> None:
+    def _end_probe(self, ended_by: Label, cell: float) -> None:
         """Close the probe, which ended at `cell`, and draw the next one after that."""
-        s, window = self.state, self.settings.window_s
+        state, window = self.state, self.settings.window_s
         probe = self.due(cell)
-        s.ledger.probes += 1
-        s.ledger.lapsed += int(s.run.rows.shape[0] == 0 and ended_by is Fate.GAP)
-        s.ledger.abandoned += int(s.run.cells < cells_of(self.settings.w_min_s, window))
+        state.ledger.probes += 1
+        state.ledger.lapsed += int(state.run.rows.shape[0] == 0 and ended_by is Label.GAP)
+        state.ledger.abandoned += int(state.run.cells < cells_of(self.settings.w_min_s, window))
         asked = min(max(cell, probe.start), self._asked_end(probe)) - probe.asked
-        s.ledger.asked_s += float(asked) * window
+        state.ledger.asked_s += float(asked) * window
         self._close(ended_by)
-        s.run, s.probe = Run(), None
+        state.run, state.probe = Run(), None
         self.due(max(cell, probe.start))

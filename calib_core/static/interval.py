@@ -12,7 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
-from stillcal.calib_core.static.settings import DetectorSettings, Fate
+from stillcal.calib_core.static.settings import DetectorSettings, Label
 from stillcal.calib_core.static.windows import (
     COLUMNS,
     D2,
@@ -73,23 +73,23 @@ class _Sums:
         return self.m2 / self.freedom
 
 
-def judged(rows: Array, drifted: bool, settings: DetectorSettings) -> RestState | Fate:
+def judged(rows: Array, drifted: bool, settings: DetectorSettings) -> RestState | Label:
     """Return the rest that these still windows make, or why they make none.
 
     rows: joint rows, shape (windows, 2 COLUMNS). drifted: no motion parts them from a neighbour.
     """
     length = float(np.add.reduce(rows[:, K_END] - rows[:, K])) * settings.window_s
     if length < settings.w_min_s * (1 - 1e-9):
-        return Fate.SHORT
+        return Label.SHORT
     if drifted and length < settings.settle_s:
-        return Fate.TILTING
+        return Label.TILTING
     accel = _Sums.of(rows[:, :COLUMNS])
     if np.count_nonzero(~accel.columns[D2].any(axis=0)) > _HELD_SHARE * rows.shape[0]:
-        return Fate.FROZEN
+        return Label.FROZEN
     bias = _quantisation(accel)
     slope, uncertainty = _tilt(accel, bias)
     if slope > max(settings.max_tilt_rate, 4.0 * uncertainty):
-        return Fate.TILTING
+        return Label.TILTING
     gyro = rows[rows[:, COLUMNS + N] > 0, COLUMNS:]
     seen = _Sums.of(gyro) if 2 * gyro.shape[0] >= rows.shape[0] else None
     return _rest(accel, bias, seen, slope + 2.0 * uncertainty)
@@ -122,7 +122,7 @@ def _rate_fields(gyro: _Sums, force: Array) -> dict[str, Any]:
         "rate_sd": frozen(np.sqrt(gyro.variance)),
         "rate_uncertainty": frozen(uncertainty),
         "rate_level": float(np.sqrt(gyro.variance.mean())),
-        "spin_admitted": float(abs(rate @ up) + 2.0 * np.linalg.norm(uncertainty * up)),
+        "undetected_rotation_bound": float(abs(rate @ up) + 2.0 * np.linalg.norm(uncertainty * up)),
     }
 
 

@@ -8,16 +8,15 @@ uncertainty is what weights it in every later fit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RestState:
+class RestState(msgspec.Struct, frozen=True, eq=False, rename={"undetected_rotation_bound": "spin_admitted"}):
     """One stretch of stillness. Forces are raw m/s^2, rates raw rad/s, times s of the sensor's stamp.
 
     specific_force, force_sd, force_uncertainty: (3,) mean, standard deviation of single samples, and
@@ -41,7 +40,7 @@ class RestState:
     rate_uncertainty: Array | None = None
     rate_level: float | None = None
     tilt_rate_limit: float | None = None
-    spin_admitted: float | None = None
+    undetected_rotation_bound: float | None = None
     temperature: float | None = None
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.static.settings import DetectorSettings, Fate
+from stillcal.calib_core.static.settings import DetectorSettings, Label
 from stillcal.calib_core.static.windows import (
     COLUMNS,
     D2,
@@ -29,7 +29,7 @@ from stillcal.calib_core.static.windows import (
 Flags = NDArray[np.bool_]
 
 _SUMS = 11  # per sensor: samples, degrees of freedom, samples x mean (3), squares (3), squared steps (3)
-_MOTION = (Fate.ACCEL_MOVING, Fate.GYRO_MOVING, Fate.STEPPED, Fate.IMPLAUSIBLE)
+_MOTION = (Label.ACCEL_MOVING, Label.GYRO_MOVING, Label.STEPPED, Label.IMPLAUSIBLE)
 _INFLATION = 10.0  # of a window mean's variance by correlated noise; more would be motion
 
 
@@ -42,7 +42,7 @@ class Run:
 
     rows: Array = field(default_factory=lambda: _NO_ROWS)
     sums: Array = field(default_factory=lambda: _NO_SUMS)
-    after: Fate = Fate.STILL
+    after: Label = Label.STILL
 
     @property
     def cells(self) -> int:
@@ -104,13 +104,13 @@ def absorb(
     return Run(gathered, frozen(running[:, taken].copy()), run.after), taken
 
 
-def trimmed(run: Run, ended_by: Fate) -> Array:
+def trimmed(run: Run, ended_by: Label) -> Array:
     """Return the rows without the windows that border on motion: its first samples may lie in them."""
     first = int(run.after in _MOTION)
     last = run.rows.shape[0] - int(ended_by in _MOTION)
     return run.rows[first : max(last, first)]
 
 
-def drifted(run: Run, ended_by: Fate) -> bool:
+def drifted(run: Run, ended_by: Label) -> bool:
     """Whether the run's mean drifted off at either end, rather than motion parting it from its neighbours."""
-    return Fate.STEPPED in (run.after, ended_by)
+    return Label.STEPPED in (run.after, ended_by)

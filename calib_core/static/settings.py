@@ -17,7 +17,7 @@ class Mode(StrEnum):
     PROBE = "probe"
 
 
-class Fate(StrEnum):
+class Label(StrEnum):
     """What became of one window, or of one candidate rest."""
 
     STILL = "still"
@@ -178,8 +178,12 @@ class Ledger:
     probes: int = 0
     abandoned: int = 0
     lapsed: int = 0
-    windows: dict[Fate, int] = field(default_factory=dict)
-    rests: dict[Fate, int] = field(default_factory=dict)
+    windows: dict[Label, int] = field(default_factory=dict)
+    rests: dict[Label, int] = field(default_factory=dict)
+
+    def count_rest(self, label: Label) -> None:
+        """Count one candidate rest more under its label."""
+        self.rests[label] = self.rests.get(label, 0) + 1
 
     def copy(self) -> Ledger:
         """Return a copy that counting on does not change."""

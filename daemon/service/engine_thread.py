@@ -74,7 +74,7 @@ class EngineThread:
     ) -> None:
         self._engine = Engine(settings, state)
         if _identity(record) != _identity(self._engine.present.record):
-            self._engine.hold(record)
+            self._engine.use_calibration(record)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="engine")
         self.view = _view(self._engine)
         self._jobs, self._since = 0, 0.0
@@ -90,11 +90,11 @@ class EngineThread:
 
     async def change(self, settings: EngineSettings) -> None:
         """Go on with other settings."""
-        await self._ask(lambda engine: engine.change(settings))
+        await self._ask(lambda engine: engine.change_settings(settings))
 
     async def hold(self, record: CalibrationRecord | None) -> None:
         """Take `record` for the current calibration, as after a rollback."""
-        await self._ask(lambda engine: engine.hold(record))
+        await self._ask(lambda engine: engine.use_calibration(record))
 
     async def calibrate(self) -> EngineReply:
         """Try a full calibration now."""
@@ -102,7 +102,7 @@ class EngineThread:
 
     async def zero(self) -> EngineReply:
         """Measure the gyroscope's bias now."""
-        return await self._ask(lambda engine: engine.zero())
+        return await self._ask(lambda engine: engine.update_bias())
 
     async def forget(self, reason: str) -> EngineReply:
         """Begin anew with another phone."""
@@ -130,7 +130,7 @@ class EngineThread:
             except SampleError as error:
                 refused.append(str(error))
             if isinstance(item, End):
-                self._engine.go_on(item.t)
+                self._engine.resume(item.t)
         return EngineReply(actions, _view(self._engine), tuple(refused))
 
     def _call_engine(self, ask: Callable[[Engine], list[Action] | None]) -> EngineReply:

@@ -14,8 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from stillcal.calib_core.engine.actions import Forget, Reject
-from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.calib_core.engine.actions import Forget, Publish, Reject
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.store.document import StoreDocument
 from stillcal.daemon.store.store import Outcome, Store, StoreError, StoreSettings
@@ -23,7 +22,7 @@ from stillcal.daemon.system import memory
 
 T = TypeVar("T")
 
-Change = Keep | Reject | Forget
+Change = Publish | Reject | Forget
 
 MAX_QUEUED = 64
 """Changes of the store that wait for a disk that refuses them; beyond this, the oldest rejected one goes."""

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.engine.actions import Forget, Reject
-from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.calib_core.engine.actions import Forget, Publish, Reject
 
 BACKLOG = 64
 
@@ -52,7 +51,7 @@ class Subscribers:
         self._subscribers.add(subscriber)
         return subscriber, lambda: self._subscribers.discard(subscriber)
 
-    def announce(self, action: Keep | Reject | Forget) -> None:
+    def announce(self, action: Publish | Reject | Forget) -> None:
         """Tell of what the engine decided."""
         names = {Reject: "rejected", Forget: "forgotten"}
         what = names.get(type(action)) or _kind(action.record)

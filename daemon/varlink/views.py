@@ -13,7 +13,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.calibration.terms import bias_terms
-from stillcal.calib_core.static.settings import Fate, Sense
+from stillcal.calib_core.static.settings import Label, Sense
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.energy_ledger import Day
 from stillcal.daemon.service.engine_thread import View
@@ -167,7 +167,7 @@ def stillness(daemon: Daemon, limit: int) -> api.Stillness:
     windows = view.ledger.windows
     return api.Stillness(
         windows=sum(windows.values()),
-        windows_still=windows.get(Fate.STILL, 0),
+        windows_still=windows.get(Label.STILL, 0),
         rests_held=view.rests_held,
         rests=[_rest(h, view.record, now) for h in held],
     )

@@ -15,7 +15,7 @@ from rich.console import Console
 from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.calibration.terms import correct, interpolated
 from stillcal.calib_core.codec import plain
-from stillcal.calib_core.engine.actions import Reject, Store
+from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.state import EngineSettings
 from stillcal.calib_core.gravity import given
@@ -85,7 +85,7 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     """
     refuse_collisions(_output_files(store_path, json_path), _input_files(trace, gyro))
     settings = load_settings(config)
-    calibrations: list[Store | Reject] = []
+    calibrations: list[Publish | Reject] = []
     if format_ == "rest":
         outcome = replay_rests(
             read_rest_table(trace), Engine(_engine_settings(settings, gravity, watch)), calibrations.append
@@ -195,7 +195,9 @@ def _known_gravity(gravity: float | None, settings: Settings, opened: Trace) -> 
     return opened.claimed_gravity() if chosen is None else chosen
 
 
-def _replayed(opened: Trace, engine: Engine, keep: Callable[[Store | Reject], None], quiet: bool) -> Outcome:
+def _replayed(
+    opened: Trace, engine: Engine, keep: Callable[[Publish | Reject], None], quiet: bool
+) -> Outcome:
     with progress(opened.path.name, opened.size_bytes, quiet) as step:
         outcome = replay(opened.chunks(), engine, keep, lambda: step(opened.bytes_read))
     if not quiet:
@@ -204,11 +206,13 @@ def _replayed(opened: Trace, engine: Engine, keep: Callable[[Store | Reject], No
     return outcome
 
 
-def _keep_in_store(path: Path, settings: Settings, calibrations: list[Store | Reject], source: Path) -> None:
+def _keep_in_store(
+    path: Path, settings: Settings, calibrations: list[Publish | Reject], source: Path
+) -> None:
     with storage.Store(path, settings.store) as opened:
         for action in calibrations:
             record = replace(action.record, provenance=replace(action.record.provenance, source=source.name))
-            if isinstance(action, Store):
+            if isinstance(action, Publish):
                 outcome = opened.publish(record, action.reason, action.t)
             else:
                 outcome = opened.reject(record, action.reason, action.t)

@@ -13,7 +13,7 @@ import numpy as np
 from stillcal.calib_core.accelerometer.observability import directions
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, StateRecord
-from stillcal.calib_core.engine.actions import Reject, Store
+from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.detector import StationaryDetector
@@ -116,9 +116,9 @@ def of_trace(trace: Trace, engine: Engine, progress: Callable[[], None], noise: 
 
     Where it supports no calibration its rests are drawn all the same.
     """
-    kept: list[Store | Reject] = []
+    kept: list[Publish | Reject] = []
     outcome = replay(trace.chunks(), engine, kept.append, progress)
-    history = tuple(Moment("accepted" if isinstance(k, Store) else "rejected", k.t, k.record) for k in kept)
+    history = tuple(Moment("accepted" if isinstance(k, Publish) else "rejected", k.t, k.record) for k in kept)
     record, state = outcome.record, outcome.state
     name = trace.path.name
     if record is not None and record.accelerometer is not None and record.states:

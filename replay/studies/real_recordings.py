@@ -24,7 +24,7 @@ from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.gyroscope import fit as gyroscope
-from stillcal.calib_core.gyroscope.rotation_segment import Turn
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import force_uncertainties, forces
 from stillcal.replay.formats.trace import open_trace
@@ -138,7 +138,7 @@ def split_rests(held: Sequence[HeldRest], parameters: int, folds: int) -> Split 
     return Split(_rms(np.concatenate(fitted)), _rms(np.concatenate(out)))
 
 
-def split_turns(turns: Sequence[Turn], accel: SensorModel) -> Split:
+def split_turns(turns: Sequence[RotationSegment], accel: SensorModel) -> Split:
     """Fit the odd turns and look at the even ones, and the other way round."""
     fitted, out = [], []
     for half in (0, 1):

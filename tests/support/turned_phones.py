@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gyroscope import fit as gyroscope
 from stillcal.calib_core.gyroscope.fit import GyroscopeFit
-from stillcal.calib_core.gyroscope.rotation_segment import Turn, make_turn
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment, cut_rotation_segment
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -45,7 +45,7 @@ class Recording:
 
     phone: Phone
     rests: list[RestState]
-    turns: list[Turn]
+    turns: list[RotationSegment]
 
     def fit(self, **options: object) -> GyroscopeFit:
         return gyroscope.fit(self.turns, ACCEL, G, **options)  # type: ignore[arg-type]
@@ -134,8 +134,8 @@ def sensed(rng: np.random.Generator, phone: Phone, rates: list[Array], up: list[
                 rate_uncertainty=np.full(3, sd / np.sqrt(n)),
             )
         )
-    cut = [make_turn(a, b, gyro) for a, b in pairwise(rests)]
-    return Recording(phone, rests, [turn for turn in cut if isinstance(turn, Turn)])
+    cut = [cut_rotation_segment(a, b, gyro) for a, b in pairwise(rests)]
+    return Recording(phone, rests, [turn for turn in cut if isinstance(turn, RotationSegment)])
 
 
 def recording(seed: int, n: int = 20, **changes: object) -> Recording:

@@ -11,7 +11,7 @@ import numpy as np
 from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.accelerometer.fit import AccelerometerSettings
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.engine.actions import Store
+from stillcal.calib_core.engine.actions import Publish
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.rest import attitude_labels
@@ -72,7 +72,7 @@ def live(phone: Phone, scenario: Scenario, seed: int) -> Life:
     for chunk in simulation.chunks():
         items = () if chunk.gyroscope is None else (chunk.gyroscope,)
         for action in engine.feed(*items, chunk.accelerometer, *chunk.events):
-            if isinstance(action, Store) and not np.isfinite(calibrated):
+            if isinstance(action, Publish) and not np.isfinite(calibrated):
                 fit = action.record.accelerometer
                 calibrated, iterations = action.t, 0 if fit is None else fit.iterations or 0
         if engine.present.attitudes >= STATES:

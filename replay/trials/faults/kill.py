@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
 from pathlib import Path
 
+import msgspec
+
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.engine.actions import Reject
-from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.static.rest import RestState
@@ -52,7 +53,7 @@ def example() -> tuple[CalibrationRecord, list[RestState]]:
     """Return a calibration of a real phone and the rests it stands on (ESGI'95, Table 1)."""
     with as_file(files("stillcal.config") / "esgi" / "dataset1.csv") as path:
         rests = read_rest_table(path)
-    kept: list[Keep | Reject] = []
+    kept: list[Publish | Reject] = []
     replay_rests(rests, Engine(), kept.append)
     return kept[-1].record, rests
 
@@ -122,10 +123,11 @@ async def _saving(path: Path, record: CalibrationRecord, rests: list[RestState],
         number += 1
         count = engine.state.counters.rests
         begin = REST_S * count
-        engine.adopt([replace(rests[count % len(rests)], t_start=begin, t_end=begin + REST_S)])
+        rest = rests[count % len(rests)]
+        engine.add_rests([msgspec.structs.replace(rest, t_start=begin, t_end=begin + REST_S)])
         newest = replace(record, fitted_at=float(number))
         engine.state.record = newest
-        storage.enqueue(Keep(begin, newest, "newer"))
+        storage.enqueue(Publish(begin, newest, "newer"))
         tell("writing")
         if await storage.flush():
             tell(f"published {number}")

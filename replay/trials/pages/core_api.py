@@ -104,9 +104,10 @@ def _module(title: str, module: ModuleType) -> Iterator[str]:
 def _class(name: str, value: type) -> Iterator[str]:
     """Yield a class and the methods that it has of its own."""
     yield f"### `{name}`\n\n{_prose(value)}\n"
-    if dataclasses.is_dataclass(value):
-        kept = ", ".join(f"`{field.name}`" for field in dataclasses.fields(value))
-        yield f"Fields: {kept}.\n"
+    fields = [field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+    fields += getattr(value, "__struct_fields__", ())
+    if fields:
+        yield "Fields: {}.\n".format(", ".join(f"`{field}`" for field in fields))
     if not issubclass(value, enum.Enum):
         for inner, method in vars(value).items():
             function = getattr(method, "__func__", method)

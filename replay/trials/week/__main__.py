@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.engine.actions import Action, Level, Log, Reject
-from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.calib_core.engine.actions import Action, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.state import Counters
 from stillcal.calib_core.gravity import STANDARD
@@ -133,7 +132,7 @@ def live(simulation: Simulation, every_s: float = HOUR_S, mishaps: Sequence[Mish
 def _kept(actions: list[Action], store: Store) -> list[Action]:
     """Write what is to be stored, and return what was to be done."""
     for action in actions:
-        if isinstance(action, Keep):
+        if isinstance(action, Publish):
             store.publish(action.record, action.reason, action.t)
         elif isinstance(action, Reject):
             store.reject(action.record, action.reason, action.t)

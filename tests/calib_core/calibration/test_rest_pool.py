@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillcal.calib_core.calibration.attitude_index import Crowd
+from stillcal.calib_core.calibration.attitude_index import AttitudeIndex
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool, PoolSettings
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.rest import RestState
@@ -20,9 +20,9 @@ def rest(direction: np.ndarray, t: float, uncertainty: float = 1e-3) -> HeldRest
 
 
 def filled(directions: np.ndarray, settings: PoolSettings, uncertainty: float = 1e-3) -> Pool:
-    pool, crowd = Pool(), Crowd(settings)
+    pool, index = Pool(), AttitudeIndex(settings)
     for i, direction in enumerate(directions):
-        pool = crowd.grown(pool, rest(direction, 100.0 * i, uncertainty))
+        pool = index.grown(pool, rest(direction, 100.0 * i, uncertainty))
     return pool
 
 
@@ -36,9 +36,9 @@ def test_one_attitude_does_not_crowd_out_the_others() -> None:
 
 def test_of_a_crowded_attitude_the_least_certain_goes_and_the_newest_stays() -> None:
     settings = PoolSettings(rests_per_attitude=3)
-    pool, crowd = Pool(), Crowd(settings)
+    pool, index = Pool(), AttitudeIndex(settings)
     for i, uncertainty in enumerate([1e-3, 5e-3, 2e-3, 1e-3, 9e-3]):
-        pool = crowd.grown(pool, rest(np.array([0, 0, 1.0]), 100.0 * i, uncertainty))
+        pool = index.grown(pool, rest(np.array([0, 0, 1.0]), 100.0 * i, uncertainty))
     assert [h.rest.t_start for h in pool.held] == [0.0, 300.0, 400.0]
 
 
@@ -55,14 +55,14 @@ def test_a_crowd_that_follows_a_pool_groups_as_one_that_comes_to_it_anew() -> No
     """Crowded, ageing, near one another: each of the ways in which a rest may go and free the others."""
     rng, seen = np.random.default_rng(2), 0
     settings = PoolSettings(attitude_angle=0.3, rests_per_attitude=4, attitudes=30, max_age_s=9000)
-    pool, crowd = Pool(), Crowd(settings)
+    pool, index = Pool(), AttitudeIndex(settings)
     for i in range(600):
         new = rest(rng.normal(size=3) * [1.0, 1.0, 0.3], 100.0 * i, float(rng.uniform(1e-3, 1e-2)))
-        fresh = Crowd(settings).grown(pool, new)
-        pool = crowd.grown(pool, new)
+        fresh = AttitudeIndex(settings).grown(pool, new)
+        pool = index.grown(pool, new)
         assert pool.held == fresh.held
         seen = max(seen, len(pool.attitudes(settings)))
-        assert crowd.attitudes(pool) == len(pool.attitudes(settings))
+        assert index.attitudes(pool) == len(pool.attitudes(settings))
     assert seen >= 30
 
 

@@ -16,7 +16,7 @@ from stillcal.calib_core.calibration import candidate as calibrate
 from stillcal.calib_core.calibration.candidate import CalibrateSettings
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
-from stillcal.calib_core.calibration.terms import carried, correct, with_terms
+from stillcal.calib_core.calibration.terms import correct, inherit_terms, with_terms
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
@@ -92,10 +92,10 @@ def test_it_counts_from_where_the_calibration_stands(record: CalibrationRecord) 
     assert 20.0 < term.reference["temperature"] < 24.0
     pool, _ = warm_rests(3, 34.0, 38.0)
     new = calibrate.candidate(pool, pool.held[0].gravity, 2e5, CalibrateSettings()).record
-    moved = carried(with_terms(record, [finding(SLOPE)]), new)
+    moved = inherit_terms(with_terms(record, [finding(SLOPE)]), new)
     assert 34.0 < moved.terms[0].reference["temperature"] < 38.0
     assert norm_error(moved, True) < norm_error(new, True)
-    assert carried(None, new).terms == ()
+    assert inherit_terms(None, new).terms == ()
 
 
 def test_a_gyroscope_that_feels_force_is_corrected(record: CalibrationRecord) -> None:

@@ -9,13 +9,12 @@ import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool, PoolSettings
-from stillcal.calib_core.engine.actions import Diagnose, Forget, Log, Reject, Store
+from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Publish, Reject
 from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.intake import Holding
+from stillcal.calib_core.engine.intake import Intake
 from stillcal.calib_core.engine.schedule import ScheduleSettings
 from stillcal.calib_core.engine.state import EngineSettings, EngineState
-from stillcal.calib_core.engine.telling import Telling
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState
@@ -43,10 +42,10 @@ def fed(lab: object, settings: EngineSettings | None = None) -> Engine:
 def test_who_asks_gets_a_calibration_now(lab: Samples) -> None:
     engine = fed(lab)
     assert engine.state.record is None
-    (stored,) = (a for a in engine.calibrate() if isinstance(a, Store))
+    (stored,) = (a for a in engine.calibrate() if isinstance(a, Publish))
     assert stored.record.acceptance.evidence["occasion"] == "asked for"
     assert engine.state.record is stored.record
-    again = [a for a in engine.calibrate() if isinstance(a, Store | Reject)]
+    again = [a for a in engine.calibrate() if isinstance(a, Publish | Reject)]
     assert [type(a) for a in again] == [Reject]
 
 
@@ -54,13 +53,13 @@ def test_who_asks_in_vain_is_told_why() -> None:
     engine = Engine()
     (line,) = engine.calibrate()
     assert isinstance(line, Log) and line.what == "refused"
-    assert engine.zero() == []
+    assert engine.update_bias() == []
 
 
 def test_who_asks_has_the_gyroscope_zeroed(lab: Samples) -> None:
     engine = fed(lab)
     engine.calibrate()
-    (stored,) = (a for a in engine.zero() if isinstance(a, Store))
+    (stored,) = (a for a in engine.update_bias() if isinstance(a, Publish))
     assert stored.record.acceptance.how == "zeroing"
 
 
@@ -131,19 +130,21 @@ def rest(begin: float, end: float) -> RestState:
 
 
 def test_a_rest_that_closes_after_two_moves_has_the_gravity_of_where_it_was() -> None:
-    settings, state, telling = EngineSettings(), EngineState(gravity=Gravity(9.80, 0.0, "given")), Telling()
-    holding = Holding(settings, state, StationaryDetector(settings.detector), telling)
+    settings, state = EngineSettings(), EngineState(gravity=Gravity(9.80, 0.0, "given"))
+    actions: list[Action] = []
+    intake = Intake(settings, state, StationaryDetector(settings.detector), actions)
     for t, latitude in ((100.0, 0.0), (200.0, 80.0)):
-        holding.move_to(Location(t, latitude, 0.0, 0.0))
-    holding.gather([rest(50.0, 90.0), rest(110.0, 190.0), rest(210.0, 290.0)])
+        intake.move_to(Location(t, latitude, 0.0, 0.0))
+    intake.gather([rest(50.0, 90.0), rest(110.0, 190.0), rest(210.0, 290.0)])
     assert [round(h.gravity.value, 2) for h in state.pool.held] == [9.80, 9.78, 9.83]
 
 
 def test_moves_are_remembered_no_longer_than_a_rest_may_last() -> None:
-    settings, state, telling = EngineSettings(), EngineState(gravity=Gravity(9.80, 0.0, "given")), Telling()
-    holding = Holding(settings, state, StationaryDetector(settings.detector), telling)
+    settings, state = EngineSettings(), EngineState(gravity=Gravity(9.80, 0.0, "given"))
+    actions: list[Action] = []
+    intake = Intake(settings, state, StationaryDetector(settings.detector), actions)
     for k in range(1000):
-        holding.move_to(Location(10.0 * k, 50.0 + k % 2, 0.0, 0.0))
+        intake.move_to(Location(10.0 * k, 50.0 + k % 2, 0.0, 0.0))
     assert len(state.moves) <= (settings.detector.max_rest_s + 60.0) / 10.0 + 2
 
 

@@ -14,7 +14,7 @@ from stillcal.calib_core.calibration import candidate as calibrate
 from stillcal.calib_core.calibration.candidate import CalibrateSettings
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
-from stillcal.calib_core.engine.actions import Action, Log, Reject, Store
+from stillcal.calib_core.engine.actions import Action, Log, Publish, Reject
 from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.schedule import ScheduleSettings
@@ -64,12 +64,12 @@ class Day:
         return [a for a in self.actions if isinstance(a, Log) and a.what == what]
 
     @property
-    def stored(self) -> list[Store]:
+    def stored(self) -> list[Publish]:
         """Full calibrations that were accepted."""
-        kept = [a for a in self.actions if isinstance(a, Store)]
+        kept = [a for a in self.actions if isinstance(a, Publish)]
         return [a for a in kept if a.record.acceptance.how == "calibration"]
 
-    def bias_error(self, store: Store, jump: Sequence[float] = (0.0, 0.0, 0.0)) -> float:
+    def bias_error(self, store: Publish, jump: Sequence[float] = (0.0, 0.0, 0.0)) -> float:
         assert store.record.accelerometer is not None
         truth = self.simulation.truth.accelerometer.bias + np.asarray(jump)
         return float(np.abs(store.record.accelerometer.bias - truth).max())
@@ -103,8 +103,8 @@ def test_checks_stay_on_their_grid_across_twelve_hours_without_samples() -> None
     ]
     asked: list[float] = []
     engine = Engine(QUICK)
-    check = engine._judging.check
-    engine._judging.check = lambda t: (asked.append(t), check(t))[1]  # type: ignore[method-assign, func-returns-value]
+    check = engine._policy.check
+    engine._policy.check = lambda t: (asked.append(t), check(t))[1]  # type: ignore[method-assign, func-returns-value]
     events = [msgspec.structs.replace(e, t=e.t + gap * (e.t >= 800.0)) for e in day.events]
     engine.feed(*later, *events, End(float(later[0].t[-1])))
     began, interval = engine.state.began, QUICK.schedule.check_interval_s
@@ -179,7 +179,7 @@ def test_a_changed_sensor_is_noticed_and_calibrated_anew_the_old_kept_meanwhile(
     (noticed,) = day.logged("degraded")
     assert all(entry.why == "recalibrate" for entry in day.logged("check") if noticed.t <= entry.t < last.t)
     assert jumped < noticed.t < jumped + 3 * QUICK.schedule.check_interval_s
-    between = [s for s in day.actions if isinstance(s, Store) and jumped < s.t < last.t]
+    between = [s for s in day.actions if isinstance(s, Publish) and jumped < s.t < last.t]
     assert all(s.record.accelerometer is first.record.accelerometer for s in between)
     assert day.bias_error(first) < 0.01
     assert day.bias_error(last, JUMP) < 0.01
@@ -271,7 +271,7 @@ def test_a_stream_that_runs_back_is_refused() -> None:
 def test_events_without_samples_bring_nothing_and_break_nothing(events: list[Event]) -> None:
     engine = Engine()
     actions = [a for event in events for a in engine.feed(event)]
-    assert not any(isinstance(a, Store | Reject) for a in actions)
+    assert not any(isinstance(a, Publish | Reject) for a in actions)
     assert engine.wants() == Sense(np.inf)
 
 

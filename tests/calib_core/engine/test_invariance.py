@@ -13,7 +13,7 @@ from hypothesis import Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from stillcal.calib_core.codec import packed, plain, unpacked
-from stillcal.calib_core.engine.actions import Action, Log, Reject, Store
+from stillcal.calib_core.engine.actions import Action, Log, Publish, Reject
 from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.schedule import ScheduleSettings
@@ -135,7 +135,7 @@ def test_the_recording_has_all_in_it_that_a_cut_could_spoil() -> None:
     life.feed(*whole.streams, *whole.events, End(whole.end))
     watched = {a.why.split()[-1] for a in life.actions if isinstance(a, Log) and a.what == "watch"}
     assert watched == {"continuous", "probing", "idle"}
-    assert {type(a) for a in life.actions} == {Log, Store, Reject}
+    assert {type(a) for a in life.actions} == {Log, Publish, Reject}
     counted = life.engine.state.counters
     assert min(counted.turns, counted.checks, counted.zeroings, counted.refused) > 0
     assert len({h.gravity.value for h in life.engine.state.pool.held}) > 1

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillcal.calib_core.engine.duty_cycle import Allowance, EnergySettings
+from stillcal.calib_core.engine.duty_cycle import DutyBudget, EnergySettings
 from stillcal.calib_core.engine.schedule import (
     Need,
     Occasion,
@@ -23,7 +23,7 @@ BOTH, RESTS, CHECK, NOTHING = Need(True, True), Need(True, False), Need(False, T
 
 
 @pytest.mark.parametrize(
-    ("need", "current", "lasts", "expected"),
+    ("need", "current", "remaining_s", "expected"),
     [
         (RESTS, Watch.IDLE, 3600, Watch.CONTINUOUS),
         (RESTS, Watch.IDLE, 1799, Watch.PROBING),
@@ -36,8 +36,10 @@ BOTH, RESTS, CHECK, NOTHING = Need(True, True), Need(True, False), Need(False, T
         (NOTHING, Watch.CONTINUOUS, 3600, Watch.IDLE),
     ],
 )
-def test_watch_follows_need_and_allowance(need: Need, current: Watch, lasts: float, expected: Watch) -> None:
-    assert watch_for(need, current, lasts, 3600, AUTO) is expected
+def test_watch_follows_need_and_budget(
+    need: Need, current: Watch, remaining_s: float, expected: Watch
+) -> None:
+    assert watch_for(need, current, remaining_s, 3600, AUTO) is expected
 
 
 @pytest.mark.parametrize("forced", ["continuous", "probing"])
@@ -69,10 +71,10 @@ def test_a_good_calibration_is_not_renewed_at_every_plug() -> None:
 
 def test_the_allowance_pays_for_a_burst_and_refills() -> None:
     settings = EnergySettings(burst_s=100, on_time_fraction=0.1)
-    start = Allowance(0, 100, 0)
-    assert start.lasts(settings) == pytest.approx(100 / 0.9)
+    start = DutyBudget(0, 100, 0)
+    assert start.remaining_s(settings) == pytest.approx(100 / 0.9)
     spent = start.at(100 / 0.9, 100 / 0.9, settings)
-    assert spent.saved == pytest.approx(0) and spent.lasts(settings) == pytest.approx(0, abs=1e-9)
+    assert spent.saved == pytest.approx(0) and spent.remaining_s(settings) == pytest.approx(0, abs=1e-9)
     assert spent.at(100 / 0.9 + 500, 100 / 0.9, settings).saved == pytest.approx(50)
     assert spent.at(1e6, 100 / 0.9, settings).saved == 100
 
@@ -80,10 +82,10 @@ def test_the_allowance_pays_for_a_burst_and_refills() -> None:
 @given(st.lists(st.tuples(st.floats(0, 1e4), st.floats(0, 1)), max_size=30))
 def test_on_time_never_exceeds_what_was_earned(steps: list[tuple[float, float]]) -> None:
     settings = EnergySettings(burst_s=600, on_time_fraction=0.05)
-    allowance = Allowance(0, 600, 0)
+    allowance = DutyBudget(0, 600, 0)
     t = used = 0.0
     for length, share in steps:
-        spend = min(length * share, allowance.lasts(settings))
+        spend = min(length * share, allowance.remaining_s(settings))
         t, used = t + length, used + spend
         allowance = allowance.at(t, used, settings)
     assert used <= 600 + 0.05 * t + 1e-6

@@ -17,7 +17,7 @@ from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gyroscope import fit as gyroscope
 from stillcal.calib_core.gyroscope.fit import GyroscopeFit, GyroscopeSettings, Parameters
-from stillcal.calib_core.gyroscope.rotation_segment import Turn, make_turn
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment, cut_rotation_segment
 from stillcal.calib_core.maths import rotation
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.detector import DetectorSettings, StationaryDetector
@@ -32,7 +32,7 @@ class Calibrated:
     """A recording's turns, its accelerometer, and its gyroscope fitted to all turns."""
 
     rests: list[RestState]
-    turns: list[Turn]
+    turns: list[RotationSegment]
     accel: SensorModel
     fitted: GyroscopeFit
 
@@ -41,8 +41,8 @@ def calibrated(force: Samples, rate: Samples) -> Calibrated:
     detector = StationaryDetector(DetectorSettings())
     rests = [*detector.feed(force, rate), *detector.finish()]
     accel = accelerometer.fit(forces(rests), force_uncertainties(rests), G, parameters=9).model
-    cut = [make_turn(a, b, rate) for a, b in pairwise(rests)]
-    turns = [turn for turn in cut if isinstance(turn, Turn)]
+    cut = [cut_rotation_segment(a, b, rate) for a, b in pairwise(rests)]
+    turns = [turn for turn in cut if isinstance(turn, RotationSegment)]
     return Calibrated(rests, turns, accel, gyroscope.fit(turns, accel, G, rests=rests))
 
 

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.codec import packed, plain, unpacked
 from stillcal.calib_core.gyroscope import fit as gyroscope
 from stillcal.calib_core.gyroscope.fit import GyroscopeFit, GyroscopeSettings, Parameters
-from stillcal.calib_core.gyroscope.rotation_segment import Turn
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.gyroscope.solver import Problem
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
@@ -109,7 +110,7 @@ def test_slopes_agree_with_numeric_differences() -> None:
     for i in range(12):
         step = np.zeros(12)
         step[i] = 1e-6
-        ahead, behind = (problem.at(theta + d, 0.0).carried.residuals for d in (step, -step))
+        ahead, behind = (problem.at(theta + d, 0.0).propagated.residuals for d in (step, -step))
         np.testing.assert_allclose(slopes[..., i], (ahead - behind) / 2e-6, atol=1e-3)
 
 
@@ -145,7 +146,9 @@ def test_rests_that_claim_no_noise_do_not_break_the_fit() -> None:
     none = np.zeros(3)
 
     def silent(rest: RestState) -> RestState:
-        return replace(rest, force_uncertainty=none, rate_uncertainty=none, force_sd=none, rate_sd=none)
+        return structs.replace(
+            rest, force_uncertainty=none, rate_uncertainty=none, force_sd=none, rate_sd=none
+        )
 
     turns = [replace(turn, before=silent(turn.before), after=silent(turn.after)) for turn in trip.turns]
     np.testing.assert_allclose(gyroscope.fit(turns, ACCEL, G).model.scale, trip.phone.scale, atol=2e-5)
@@ -153,7 +156,7 @@ def test_rests_that_claim_no_noise_do_not_break_the_fit() -> None:
 
 def test_turns_and_fits_survive_storing() -> None:
     trip = recording(21, n=12)
-    again = [unpacked(packed(turn), Turn) for turn in trip.turns]
+    again = [unpacked(packed(turn), RotationSegment) for turn in trip.turns]
     fitted = gyroscope.fit(again, ACCEL, G)
     assert plain(fitted) == plain(trip.fit())
     assert plain(unpacked(packed(fitted), GyroscopeFit)) == plain(fitted)

@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import NotSupported
-from stillcal.calib_core.gyroscope.bias import bias_from_rests, zeroing
-from stillcal.calib_core.gyroscope.rotation_segment import NoTurn, Turn, TurnSettings, excursion, make_turn
+from stillcal.calib_core.gyroscope.bias import bias_from_rests, update_bias
+from stillcal.calib_core.gyroscope.rotation_segment import (
+    NoSegment,
+    RotationSegment,
+    RotationSegmentSettings,
+    cut_rotation_segment,
+    excursion,
+)
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -65,7 +72,7 @@ def test_a_rest_that_spun_stands_out_against_the_others() -> None:
 def test_outliers_point_into_the_rests_given_even_where_some_have_no_rates() -> None:
     rng = np.random.default_rng(3)
     all_rests = rests(rng, 10)
-    all_rests[2] = replace(all_rests[2], rate=None, rate_uncertainty=None)
+    all_rests[2] = structs.replace(all_rests[2], rate=None, rate_uncertainty=None)
     all_rests[7] = rest(70.0, np.array([0, 0, 1.0]), BIAS + 0.05)
     found = bias_from_rests(all_rests)
     assert (found.outliers, found.n_rests) == ((7,), 9)
@@ -100,12 +107,12 @@ def test_bias_does_not_depend_on_the_order_of_rests(order: list[int]) -> None:
 
 def test_no_rates_no_bias() -> None:
     with pytest.raises(NotSupported, match="no rest has a gyroscope mean"):
-        bias_from_rests([replace(rest(0.0, np.array([0, 0, 1.0]), BIAS), rate=None)])
+        bias_from_rests([structs.replace(rest(0.0, np.array([0, 0, 1.0]), BIAS), rate=None)])
 
 
 def test_zeroing_renews_the_bias_and_keeps_the_scale() -> None:
     model = SensorModel.of(np.diag([1.02, 0.98, 1.01]), BIAS + 0.01)
-    renewed, estimate = zeroing(model, rests(np.random.default_rng(5), 3))
+    renewed, estimate = update_bias(model, rests(np.random.default_rng(5), 3))
     np.testing.assert_array_equal(renewed.scale, model.scale)
     np.testing.assert_allclose(renewed.bias, BIAS, atol=5e-5)
     assert estimate.n_rests == 3
@@ -115,12 +122,12 @@ def test_zeroing_against_a_known_bias_weighs_both() -> None:
     rng = np.random.default_rng(6)
     known = bias_from_rests(rests(rng, 40))
     poor = [rest(500.0, np.array([0, 0, 1.0]), known.bias + 1e-3, sd=1e-3)]
-    renewed, estimate = zeroing(SensorModel.identity(), poor, known)
+    renewed, estimate = update_bias(SensorModel.identity(), poor, known)
     assert (np.abs(renewed.bias - known.bias) < 1e-5).all()
     assert (np.diag(estimate.covariance) <= np.diag(known.covariance + np.diag(known.wander**2))).all()
     good = [rest(500.0, np.array([0, 0, 1.0]), known.bias + 1e-3, sd=1e-6)]
     drifting = replace(known, wander=np.full(3, 1e-3))
-    renewed, _ = zeroing(SensorModel.identity(), good, drifting)
+    renewed, _ = update_bias(SensorModel.identity(), good, drifting)
     np.testing.assert_allclose(renewed.bias, known.bias + 1e-3, atol=1e-5)
 
 
@@ -135,8 +142,8 @@ STAMPS = np.arange(0.0, 8.0, 0.01)
 
 
 def test_a_turn_reaches_from_within_one_rest_to_within_the_next() -> None:
-    turn = make_turn(BEFORE, AFTER, gyro(STAMPS))
-    assert isinstance(turn, Turn)
+    turn = cut_rotation_segment(BEFORE, AFTER, gyro(STAMPS))
+    assert isinstance(turn, RotationSegment)
     assert turn.t_start == pytest.approx(2.9, abs=0.011)
     assert turn.t_end == pytest.approx(5.1, abs=0.011)
     assert turn.rates.shape == (turn.t.size, 3)
@@ -146,25 +153,30 @@ def test_a_turn_reaches_from_within_one_rest_to_within_the_next() -> None:
 @pytest.mark.parametrize(
     ("before", "after", "samples", "why"),
     [
-        (AFTER, BEFORE, gyro(STAMPS), NoTurn.DISORDERED),
-        (replace(BEFORE, rate=None), AFTER, gyro(STAMPS), NoTurn.NO_RATES),
-        (BEFORE, AFTER, gyro(STAMPS[(STAMPS < 3.5) | (STAMPS > 3.7)]), NoTurn.GAP),
-        (BEFORE, AFTER, gyro(STAMPS[STAMPS > 3.5]), NoTurn.NOT_COVERED),
-        (BEFORE, AFTER, gyro(STAMPS[STAMPS < 4.5]), NoTurn.NOT_COVERED),
-        (BEFORE, AFTER, Samples.empty(Sensor.GYROSCOPE), NoTurn.NOT_COVERED),
-        (BEFORE, replace(AFTER, t_start=500.0, t_end=503.0), gyro(np.arange(0, 600, 0.01)), NoTurn.TOO_LONG),
-        (BEFORE, AFTER, gyro(STAMPS, rate=0.1), NoTurn.TOO_SMALL),
+        (AFTER, BEFORE, gyro(STAMPS), NoSegment.DISORDERED),
+        (structs.replace(BEFORE, rate=None), AFTER, gyro(STAMPS), NoSegment.NO_RATES),
+        (BEFORE, AFTER, gyro(STAMPS[(STAMPS < 3.5) | (STAMPS > 3.7)]), NoSegment.GAP),
+        (BEFORE, AFTER, gyro(STAMPS[STAMPS > 3.5]), NoSegment.NOT_COVERED),
+        (BEFORE, AFTER, gyro(STAMPS[STAMPS < 4.5]), NoSegment.NOT_COVERED),
+        (BEFORE, AFTER, Samples.empty(Sensor.GYROSCOPE), NoSegment.NOT_COVERED),
+        (
+            BEFORE,
+            structs.replace(AFTER, t_start=500.0, t_end=503.0),
+            gyro(np.arange(0, 600, 0.01)),
+            NoSegment.TOO_LONG,
+        ),
+        (BEFORE, AFTER, gyro(STAMPS, rate=0.1), NoSegment.TOO_SMALL),
     ],
-    ids=lambda v: v.name if isinstance(v, NoTurn) else "",
+    ids=lambda v: v.name if isinstance(v, NoSegment) else "",
 )
-def test_no_turn_says_why(before: RestState, after: RestState, samples: Samples, why: NoTurn) -> None:
-    assert make_turn(before, after, samples) is why
+def test_no_turn_says_why(before: RestState, after: RestState, samples: Samples, why: NoSegment) -> None:
+    assert cut_rotation_segment(before, after, samples) is why
 
 
 def test_turning_there_and_back_is_a_turn() -> None:
     rates = np.where(STAMPS < 4.0, 1.0, -1.0) * ((STAMPS > 3.0) & (STAMPS < 5.0))
     there_and_back = Samples.checked(Sensor.GYROSCOPE, STAMPS, BIAS + rates[:, None] * np.array([0, 1.0, 0]))
-    assert isinstance(make_turn(BEFORE, AFTER, there_and_back), Turn)
+    assert isinstance(cut_rotation_segment(BEFORE, AFTER, there_and_back), RotationSegment)
 
 
 @pytest.mark.parametrize(
@@ -172,4 +184,4 @@ def test_turning_there_and_back_is_a_turn() -> None:
 )
 def test_settings_out_of_range_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(change))):
-        TurnSettings(**change)
+        RotationSegmentSettings(**change)

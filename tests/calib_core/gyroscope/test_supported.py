@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array
@@ -75,7 +76,7 @@ def test_without_turns_there_is_the_bias() -> None:
     with pytest.raises(NotSupported, match="no turn"):
         gyroscope.fit([], ACCEL, G, rests=trip.rests, parameters=Parameters.SCALE3)
     with pytest.raises(NotSupported, match="gyroscope"):
-        gyroscope.fit([], ACCEL, G, rests=[replace(trip.rests[0], rate=None)])
+        gyroscope.fit([], ACCEL, G, rests=[structs.replace(trip.rests[0], rate=None)])
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_every_field_of_a_rest_is_filled(bench):
     np.testing.assert_allclose(rest.specific_force, [0, 0, 9.80665], atol=4 * 0.02 / math.sqrt(rest.n))
     np.testing.assert_allclose(rest.rate, b.gyro_bias, atol=4 * 0.002 / math.sqrt(rest.n))
     assert 0 < rest.tilt_rate_limit < 1e-4
-    assert rest.spin_admitted >= 0.005
+    assert rest.undetected_rotation_bound >= 0.005
     accel_floor, gyro_floor = detector.noise_floor(50.0)
     assert accel_floor == pytest.approx(0.02, rel=0.1)
     assert gyro_floor == pytest.approx(0.002, rel=0.1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from stillcal.calib_core.static.detector import Fate, StationaryDetector
+from stillcal.calib_core.static.detector import Label, StationaryDetector
 from stillcal.calib_core.static.rest import group_attitudes
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -98,7 +98,7 @@ def test_phones_at_rest_are_found_and_stuck_ones_are_not(data_dir):
         if not np.ptp(xyz, axis=0).any():
             stuck += 1
             assert rests == []
-            assert Fate.FROZEN in detector.ledger.windows
+            assert Label.FROZEN in detector.ledger.windows
         else:
             found += sum(r.duration for r in rests) > 0.8 * t[-1]
     print(f"\nhhar_still: {found} of {total - stuck} found at rest, {stuck} stuck and refused")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.static.detector import DetectorSettings, Fate, StationaryDetector
+from stillcal.calib_core.static.detector import DetectorSettings, Label, StationaryDetector
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.studies.grammenos2018.algorithm_1 import algorithm_1
 
@@ -40,7 +40,7 @@ def test_walking_from_the_start_is_not_taken_for_a_rest(bench):
     assert len(paper.states) == 5
     rests, detector = detect(b.accel, b.gyro)
     assert rests == []
-    assert detector.ledger.windows.keys() <= {Fate.ACCEL_MOVING, Fate.GYRO_MOVING, Fate.IMPLAUSIBLE}
+    assert detector.ledger.windows.keys() <= {Label.ACCEL_MOVING, Label.GYRO_MOVING, Label.IMPLAUSIBLE}
 
 
 def test_rests_taken_before_the_floor_was_known_are_withdrawn(bench):
@@ -93,7 +93,7 @@ def test_a_gap_inside_a_window_cuts_it(bench):
     rests, detector = detect(b.accel, b.gyro)
     assert len(rests) == 2
     assert not any(r.t_start < 10.3 < r.t_end for r in rests)
-    assert detector.ledger.windows[Fate.GAP] >= 1
+    assert detector.ledger.windows[Label.GAP] >= 1
     for r, up in zip(rests, ((0, 0, 1), (0.02, 0, 1)), strict=True):
         truth = G * np.asarray(up) / np.linalg.norm(up)
         assert np.all(np.abs(r.specific_force - truth) < 4 * r.force_uncertainty)
@@ -111,7 +111,7 @@ def test_a_stuck_sensor_is_no_rest(bench):
     assert algorithm_1(stuck, None, states=5, settings=EAGER).states
     rests, detector = detect(stuck, b.gyro)
     assert rests == []
-    assert detector.ledger.windows == {Fate.FROZEN: 120}
+    assert detector.ledger.windows == {Label.FROZEN: 120}
 
 
 def test_a_sensor_that_hangs_is_cut_off_there(bench):
@@ -120,7 +120,7 @@ def test_a_sensor_that_hangs_is_cut_off_there(bench):
     xyz[b.accel.t >= 30.0] = xyz[1500]
     rests, detector = detect(Samples.checked(Sensor.ACCELEROMETER, b.accel.t, xyz), b.gyro)
     assert max(r.t_end for r in rests) <= 30.5
-    assert detector.ledger.windows[Fate.FROZEN] >= 58
+    assert detector.ledger.windows[Label.FROZEN] >= 58
 
 
 def test_a_coarse_sensor_is_not_a_stuck_one(bench):
@@ -183,7 +183,7 @@ def test_slow_turning_about_a_horizontal_axis_is_rejected_or_admitted(bench, tur
     if turning >= 0.005:
         assert turned == []
         reasons = detector.ledger.windows | detector.ledger.rests
-        assert reasons.keys() & {Fate.TILTING, Fate.SHORT, Fate.ACCEL_MOVING}
+        assert reasons.keys() & {Label.TILTING, Label.SHORT, Label.ACCEL_MOVING}
 
 
 def test_turning_about_the_vertical_cannot_be_seen_and_is_admitted(bench):
@@ -195,7 +195,7 @@ def test_turning_about_the_vertical_cannot_be_seen_and_is_admitted(bench):
     )
     rests, _ = detect(b.accel, b.gyro)
     assert len(rests) == 1
-    assert rests[0].spin_admitted >= spin
+    assert rests[0].undetected_rotation_bound >= spin
     assert rests[0].tilt_rate_limit < 0.001
 
 
@@ -205,7 +205,7 @@ def test_accelerometer_alone(bench):
         b.shaking(3.0).still(10.0, up)
     rests, detector = detect(b.accel)
     assert len(rests) == len(UPS)
-    assert all(r.rate is None and r.spin_admitted is None and r.rate_level is None for r in rests)
+    assert all(r.rate is None and r.undetected_rotation_bound is None and r.rate_level is None for r in rests)
     assert detector.ledger.gyro_samples == 0
 
 
@@ -305,4 +305,4 @@ def test_what_is_not_gravity_is_implausible(bench):
     zeros = Samples.checked(Sensor.ACCELEROMETER, t, np.random.default_rng(0).normal(0, 0.01, (3000, 3)))
     rests, detector = detect(zeros)
     assert rests == []
-    assert detector.ledger.windows == {Fate.IMPLAUSIBLE: 120}
+    assert detector.ledger.windows == {Label.IMPLAUSIBLE: 120}

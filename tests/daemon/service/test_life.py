@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stillcal.calib_core.engine.actions import Reject
-from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.schedule import ScheduleSettings
 from stillcal.calib_core.engine.state import EngineSettings, EngineState
@@ -64,7 +63,7 @@ def test_lived_over_the_wire_and_replayed_give_the_same_store(
     found = Store(tmp_path / "store.json").load() or StoreDocument()
     assert [found.current.id if found.current else None] == [
         None,
-        *[a.record.id for a in kept if isinstance(a, Keep)],
+        *[a.record.id for a in kept if isinstance(a, Publish)],
     ][-1:]
     rejected = [e.calibration.id for e in found.history if e.what == "rejected"]
     assert rejected == [a.record.id for a in kept if isinstance(a, Reject)]

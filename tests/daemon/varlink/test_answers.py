@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 import varlink
 
-from stillcal.calib_core.engine.actions import Reject
-from stillcal.calib_core.engine.actions import Store as Keep
+from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.store.store import Store
 from stillcal.replay.trials.faults.kill import example
@@ -132,7 +131,7 @@ def test_changes_are_told_until_the_daemon_stops(folder: Path, make_record: Any)
             listening = asyncio.create_task(asyncio.to_thread(listen, told))
             while not len(service.subscribers):
                 await asyncio.sleep(0.001)
-            service.act([Keep(5.0, make_record(2), "better"), Reject(6.0, make_record(3), "not better")])
+            service.act([Publish(5.0, make_record(2), "better"), Reject(6.0, make_record(3), "not better")])
         await listening
         assert [e["what"] for e in told] == ["current", "calibrated", "rejected", "ended"]
         assert told[1]["calibration"]["id"] == make_record(2).id and told[1]["reason"] == "better"
@@ -183,7 +182,7 @@ def test_who_may_asks_for_a_calibration_and_for_zeroing(folder: Path) -> None:
         async with answering(folder) as service:
             with pytest.raises(varlink.VarlinkError, match="Refused"):
                 await asked(folder, lambda c: c.Calibrate())
-            service.engine_thread._engine.adopt(rests)
+            service.engine_thread._engine.add_rests(rests)
             found = await asked(folder, lambda c: c.Calibrate())
             assert found["calibration"]["accelerometer"]["n_rests"] == record.accelerometer.n_rests
             assert (

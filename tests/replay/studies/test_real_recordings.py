@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec import structs
 
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.engine.engine import Engine
@@ -72,7 +73,9 @@ def faultless(held: list[HeldRest], model: SensorModel, rng: np.random.Generator
     norms = np.array([h.gravity.value for h in held]) / np.linalg.norm(calibrated, axis=1)
     raw = (calibrated * norms[:, None]) @ np.linalg.inv(model.scale).T + model.bias
     raw += rng.normal(0, 0.1 * MG, raw.shape)
-    return [replace(h, rest=replace(h.rest, specific_force=f)) for h, f in zip(held, raw, strict=True)]
+    return [
+        replace(h, rest=structs.replace(h.rest, specific_force=f)) for h, f in zip(held, raw, strict=True)
+    ]
 
 
 def test_imu_tk_held_out(data_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
