@@ -21,13 +21,15 @@ from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisatio
 from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, Where, verdict_of
-from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Turn, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings, turn_findings
+from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
+from stillcal.calib_core.diagnosis.slow.rotation_effects import turn_scene
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
@@ -44,6 +46,33 @@ COARSEST = 1.6
 normal noise is then off by 0.001 (the first harmonic, exp(-2 pi^2 / 1.6^2))."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Examination:
+    """A recording with all that its diagnosis was read from.
+
+    bins: the static bins that slow effects are judged on; streams: each sensor's noise, steps and spectra;
+    scenes: each sensor's slow residuals; turns: the rotation between rests (None where there is too little);
+    aligned: both sensors' affine parameters (None without a gyroscope or rests); statements: the findings
+    with the hypotheses they state.
+    """
+
+    accelerometer: Samples
+    gyroscope: Samples | None
+    claims: Claims
+    bins: Bins
+    streams: list[Stream]
+    scenes: list[Scene]
+    aligned: Aligned | None
+    turns: tuple[Scene, list[Turn]] | None
+    statements: list[Stated]
+    limits: list[str]
+
+    def diagnosis(self, recording: str) -> Diagnosis:
+        """Return the findings with the verdict they stand for. recording: the name it is known by."""
+        findings = [s.finding for s in self.statements]
+        return Diagnosis(1, recording, verdict_of(findings), findings, self.limits)
+
+
 def diagnose(
     accelerometer: Samples,
     gyroscope: Samples | None,
@@ -53,18 +82,24 @@ def diagnose(
     *,
     without: Collection[str] = (),
 ) -> Diagnosis:
-    """Say where a recording and its simulated twin differ, and what physics was left out.
+    """Find where a recording differs from a simulated ideal sensor, and what physics was left out.
 
     without: effects of which the catalogue knows nothing, to try what their cases are then called.
     Raises NotSupported where not even the stamps can be judged (fewer than 200 samples, less than 10 s).
     """
-    if len(accelerometer) < LEAST_SAMPLES:
-        raise NotSupported(
-            f"{len(accelerometer)} samples of the accelerometer", (f"at least {LEAST_SAMPLES}",)
-        )
-    span = float(accelerometer.t[-1] - accelerometer.t[0])
-    if span < LEAST_SECONDS:
-        raise NotSupported(f"{span:.1f} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))
+    return examine(accelerometer, gyroscope, events, claims, without=without).diagnosis(recording)
+
+
+def examine(
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    events: Sequence[Charging] = (),
+    claims: Claims | None = None,
+    *,
+    without: Collection[str] = (),
+) -> Examination:
+    """Measure a recording and find its effects; parameters and errors are those of `diagnose`."""
+    _refuse_too_little(accelerometer)
     claims = claims or Claims()
     accelerometer, twice = repeats.without_doubles(accelerometer)
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
@@ -76,20 +111,46 @@ def diagnose(
     )
     gone = [*lost, spoiled] if spoiled else lost
     clear = _outside(bins, gone)
-    both = [_Stream.of(s, x, clear, claims) for s, x in sensors]
-    found = [*gone, repeats.doubled(accelerometer, twice), *direct_findings(both, claims)]
-    slow = _roughened(_unlimited(clear, [f for f in found if f], both[0]), {s.sensor: s.steps for s in both})
-    made = scenes(slow, claims.gravity) if len(slow) else []
-    found += [f for scene in made if not _is_of(spoiled, scene.sensor) for f in slow_findings(scene, without)]
+    streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
+    doubled = repeats.doubled(accelerometer, twice)
+    direct = [*gone, *([doubled] if doubled else []), *direct_findings(streams, claims)]
+    slow = _roughened(_unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
+    residuals = scenes(slow, claims.gravity) if len(slow) else []
+    stated = [Stated(f) for f in direct]
+    stated += [
+        s for scene in residuals if not _is_of(spoiled, scene.sensor) for s in slow_statements(scene, without)
+    ]
+    affine, turns = None, None
     if gyroscope is not None:
-        most = min(_limits_of("gyro_saturation", found), default=np.inf)
+        most = min(_limits_of("gyro_saturation", direct), default=np.inf)
         affine = aligned(gyroscope, slow, claims.gravity, most) if len(slow) else None
-        found += motion_findings(accelerometer, gyroscope, affine, claims.gravity, [f.where for f in gone])
+        windows = [f.where for f in gone]
+        stated += [
+            Stated(f) for f in motion_findings(accelerometer, gyroscope, affine, claims.gravity, windows)
+        ]
         if affine is not None and spoiled is None:
-            found += turn_findings(affine, slow, claims.gravity, without)
-    stated = [_named(f, without) for f in without_group_delay([f for f in found if f], claims.gravity)]
-    said = [*limits(bins, gyroscope is not None), *_hidden(both, claims), *_unjudged(spoiled)]
-    return Diagnosis(1, recording, verdict_of(stated), stated, said)
+            turns = turn_scene(affine, slow, claims.gravity)
+            stated += turn_statements(turns, without)
+    stated = [replace(s, finding=_named(s.finding, without)) for s in _without_delay(stated, claims.gravity)]
+    said = [*limits(bins, gyroscope is not None), *_hidden(streams, claims), *_unjudged(spoiled)]
+    return Examination(
+        accelerometer, gyroscope, claims, slow, streams, residuals, affine, turns, stated, said
+    )
+
+
+def _refuse_too_little(accelerometer: Samples) -> None:
+    if len(accelerometer) < LEAST_SAMPLES:
+        raise NotSupported(
+            f"{len(accelerometer)} samples of the accelerometer", (f"at least {LEAST_SAMPLES}",)
+        )
+    span = float(accelerometer.t[-1] - accelerometer.t[0])
+    if span < LEAST_SECONDS:
+        raise NotSupported(f"{span:.1f} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))
+
+
+def _without_delay(stated: list[Stated], gravity: float) -> list[Stated]:
+    kept = without_group_delay([s.finding for s in stated], gravity)
+    return [s for s in stated if any(s.finding is f for f in kept)]
 
 
 def still_bins(accelerometer: Samples, gyroscope: Samples | None, events: Sequence[Charging] = ()) -> Bins:
@@ -124,7 +185,7 @@ def _named(found: Finding, without: Collection[str]) -> Finding:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Stream:
+class Stream:
     """One sensor's samples with what its rests show: steps, spectra and levels (None: too few rests)."""
 
     sensor: str
@@ -136,7 +197,7 @@ class _Stream:
     levels: noise.Levels | None
 
     @classmethod
-    def of(cls, sensor: str, samples: Samples, bins: Bins, claims: Claims) -> _Stream:
+    def of(cls, sensor: str, samples: Samples, bins: Bins, claims: Claims) -> Stream:
         """Measure a sensor's rests; coarse steps hide its noise."""
         still = quiet(samples, bins)
         sd = (
@@ -150,7 +211,7 @@ class _Stream:
         )
 
 
-def direct_findings(streams: Sequence[_Stream], claims: Claims) -> list[Finding]:
+def direct_findings(streams: Sequence[Stream], claims: Claims) -> list[Finding]:
     """Return what stamps, values and spectra at rest show."""
     found = timing_findings(streams[0].samples, claims)
     levels = {s.sensor: s.levels for s in streams if s.levels is not None}
@@ -161,7 +222,7 @@ def direct_findings(streams: Sequence[_Stream], claims: Claims) -> list[Finding]
     return _one_tone(found)
 
 
-def _of_stream(stream: _Stream, claims: Claims, factor: float) -> list[Finding]:
+def _of_stream(stream: Stream, claims: Claims, factor: float) -> list[Finding]:
     """Return what one sensor's samples show; factor: between the claims' densities and one-sided ones."""
     sensor, samples = stream.sensor, stream.samples
     lsb, declared = (
@@ -178,7 +239,7 @@ def _of_stream(stream: _Stream, claims: Claims, factor: float) -> list[Finding]:
     return beside([f for f in found if f is not None], lost)
 
 
-def _at_rest(stream: _Stream, claims: Claims, factor: float) -> list[Finding | None]:
+def _at_rest(stream: Stream, claims: Claims, factor: float) -> list[Finding | None]:
     """Return what the noise at rest shows."""
     if stream.spectra is None or stream.levels is None:
         return []
@@ -216,7 +277,7 @@ def _limits_of(effect: str, found: Sequence[Finding | None]) -> list[float]:
     return [float(np.min(f.parameters["limit"].value)) for f in said]
 
 
-def _unlimited(bins: Bins, found: Sequence[Finding], force: _Stream) -> Bins:
+def _unlimited(bins: Bins, found: Sequence[Finding], force: Stream) -> Bins:
     """Return the bins whose force is clear of a limit that was found: what is cut off shifts the mean."""
     limits = _limits_of("accel_saturation", found)
     if not limits or not len(bins):
@@ -286,7 +347,7 @@ def limits(bins: Bins, gyroscope: bool) -> list[str]:
     return said
 
 
-def _hidden(streams: Sequence[_Stream], claims: Claims) -> list[str]:
+def _hidden(streams: Sequence[Stream], claims: Claims) -> list[str]:
     """Say what hides the noise, or what it cannot be held against."""
     said = []
     for stream in streams:

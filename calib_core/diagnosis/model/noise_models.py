@@ -8,7 +8,6 @@ diagonals.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -39,9 +38,6 @@ MIXTURES = (
 
 FAINTEST = 1e-12
 """Part of the largest variance in a view that every bin has, lest rounding make the covariance singular."""
-
-KEPT = 6
-"""Views whose families are kept diagonalised: one recording's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,9 +85,15 @@ class Family:
         return np.asarray((back * self.diagonals[g]) @ back.T)
 
 
-@lru_cache(maxsize=KEPT)
 def families(view: View) -> list[Family]:
     """Return every family of a view; they weigh alike, white alone as one of them."""
+    if "families" not in view.memo:
+        view.memo["families"] = _diagonalised(view)
+    made: list[Family] = view.memo["families"]
+    return made
+
+
+def _diagonalised(view: View) -> list[Family]:
     whiten = np.linalg.inv(np.linalg.cholesky(_base(view)))
     made = kinds(view)
     n, weight = view.t.size, 1.0 / (len(made) + 1)

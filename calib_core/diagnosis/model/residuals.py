@@ -6,7 +6,8 @@ effect would do in each view is the catalogue's business; how noise looks is `sh
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,8 @@ class View:
     sensor in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,);
     shared: errors that groups of bins share, each the group (n,) of the bins and its sd (n,); absorbed:
     (n, q) what parameters of the baseline do at one standard deviation of what is known of them, None for
-    none; known: degrees of freedom with which `variance` is known.
+    none; known: degrees of freedom with which `variance` is known; memo: what was computed from this view and
+    is asked for again.
     """
 
     name: str
@@ -52,6 +54,7 @@ class View:
     shared: tuple[tuple[Index, Array], ...] = ()
     absorbed: Array | None = None
     known: float = WITHIN_BINS
+    memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def parameters(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import takewhile
 
 import numpy as np
@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, HeldOut,
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.model.likelihood import Reduced, fit_hypothesis
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Turn
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
 from stillcal.calib_core.diagnosis.slow.effects import nameless, slow_entries
@@ -50,7 +50,20 @@ ALTERNATIVES = 3
 """How many other effects are reported beside a finding."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Stated:
+    """A finding with the hypothesis it states; None where it is a property of the noise."""
+
+    finding: Finding
+    hypothesis: Hypothesis | None = None
+
+
 def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
+    """Return what the still bins of one sensor show, as `slow_statements` does, as findings only."""
+    return [s.finding for s in slow_statements(scene, without)]
+
+
+def slow_statements(scene: Scene, without: Collection[str] = ()) -> list[Stated]:
     """Return what the still bins of one sensor show, in the order it was found.
 
     without: effects that are left out of the catalogue. What jumps from rest to rest leaves is not called a
@@ -66,8 +79,8 @@ def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
         found, left = _jumps(scene, steps)
     beside = [jumps.finding(scene, found)] if found else random_walk(scene, left)
     return [
-        *findings_of(scene, steps),
-        *(replace(f, effect="unknown") if f.effect in without else f for f in beside),
+        *statements_of(scene, steps),
+        *(Stated(replace(f, effect="unknown") if f.effect in without else f) for f in beside),
     ]
 
 
@@ -79,19 +92,29 @@ def _jumps(scene: Scene, steps: Sequence[Step]) -> tuple[jumps.Jumps | None, lis
 
 
 def turn_findings(made: Aligned, bins: Bins, gravity: float, without: Collection[str] = ()) -> list[Finding]:
+    """Return what the turns between rests show, as `turn_statements` does, as findings only."""
+    return [s.finding for s in turn_statements(turn_scene(made, bins, gravity), without)]
+
+
+def turn_statements(seen: tuple[Scene, list[Turn]] | None, without: Collection[str] = ()) -> list[Stated]:
     """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out.
 
-    Where rests are too few to judge the accelerometer, its errors would be taken for the gyroscope's.
+    seen: the turns as a scene, and one by one (`turn_scene`). Where rests are too few to judge the
+    accelerometer, its errors would be taken for the gyroscope's.
     """
-    seen = turn_scene(made, bins, gravity)
-    if seen is None or len(bins) < thresholds.LEAST_BINS:
+    if seen is None or len(seen[0].bins) < thresholds.LEAST_BINS:
         return []
     scene, found = seen
     entries = [nameless(e) if e.effect in without else e for e in turn_entries(found, scene)]
-    return findings_of(scene, forward(scene, entries))
+    return statements_of(scene, forward(scene, entries))
 
 
 def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
+    """Turn forward steps into findings, as `statements_of` does, as findings only."""
+    return [s.finding for s in statements_of(scene, steps)]
+
+
+def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
@@ -115,12 +138,12 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
         least = [LEAST_GAIN * (f.effect == "unknown" or len(made) > 1) for f in made]
         gains = [f.evidence.heldout_log_score_gain - x for f, x in zip(made, least, strict=True)]
         if min(gains) > 0.0:
-            return made
+            return [Stated(f, h) for f, h in zip(made, found, strict=True)]
         steps = _without(steps, kept[int(np.argmin(gains))])
     passed_over = first.others[0] if first and first.others else None
     if first is None or passed_over is None or passed_over.score <= first.winner.score:
         return []
-    return findings_of(scene, [Step(passed_over, ())])
+    return statements_of(scene, [Step(passed_over, ())])
 
 
 def _stands_alone(found: Scored) -> bool:
