@@ -4,14 +4,22 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+PYTEST := $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist worksteal
 
-.PHONY: run test check faults week evaluate bench clean
+.PHONY: run test test-fast mutants check faults week evaluate bench clean
 
 run: $(READY)
 	$(BIN)/python -m stillcal.replay.trials.demo.tour
 
 test: $(READY)
-	$(BIN)/python -m pytest -q
+	$(PYTEST)
+
+test-fast: $(READY)
+	$(PYTEST) -m 'not slow'
+
+mutants: $(READY)
+	$(BIN)/python -m pip install --quiet --editable '.[mutation]'
+	$(BIN)/python -m tests.mutation $(MUTANTS)
 
 check: $(READY)
 	$(BIN)/ruff check .

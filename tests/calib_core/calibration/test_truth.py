@@ -141,6 +141,7 @@ def some_phone(number: int) -> Phone:
     return msgspec.structs.replace(PHONE, accel=accel)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rests", [16, 40])
 def test_intervals_of_500_phones_hold_the_truth(rests: int, capsys: pytest.CaptureFixture[str]) -> None:
     """95 % intervals, 93 to 97 % wanted; the uncertainties declared are of the white noise only.

@@ -35,6 +35,7 @@ def test_a_sound_phone_is_adequate() -> None:
     assert plain(answer)["schema"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "parameter", "truth", "tolerance"),
     [

@@ -57,6 +57,7 @@ def interrupted(call: list[str], out: Path) -> str:
     return said
 
 
+@pytest.mark.slow
 def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp_path: Path) -> None:
     out = tmp_path / "results"
     said = interrupted(command("fleet", phones, "--out", out, "--workers", "1"), out)

@@ -52,6 +52,7 @@ def test_what_towers_above_the_jumps_keeps_its_name_and_what_does_not_loses_it()
     assert {f.where.driver for f in small} == {DRIVER}
 
 
+@pytest.mark.slow
 def test_the_earth_and_all_wander_are_no_jumps() -> None:
     for family in nulls.FAMILIES:
         for seed in range(3):

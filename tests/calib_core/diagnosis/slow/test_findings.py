@@ -46,6 +46,7 @@ def found(sensor: str, seed: int, family: str = "white", **kind: object) -> list
     return slow_findings(next(s for s in scenes(bins, nulls.G) if s.sensor == sensor))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", nulls.FAMILIES)
 def test_silent_where_nothing_is_wrong(family: str) -> None:
     for seed in range(2):
@@ -62,6 +63,7 @@ def linear(finding: Finding) -> Iterator[tuple[float, float, float]]:
         yield value, low, high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "driver", "size", "effect"),
     [

@@ -58,6 +58,7 @@ def test_an_effect_taken_out_of_the_catalogue_is_unknown_and_says_what_it_follow
     assert "temperature" in found[0].where.driver
 
 
+@pytest.mark.slow
 def test_a_step_within_a_bin_is_timed_within_it() -> None:
     """A jump of a hundred times a bin's noise leaves no doubt of a time to a tenth of a bin of 18 s."""
     _, day = day_of(6)

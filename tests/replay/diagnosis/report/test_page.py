@@ -92,6 +92,7 @@ def beside_its_like(sound: tuple[Path, Path]) -> Any:
     return json.loads(run(real, "--simulated", alike, "--json", "-"))
 
 
+@pytest.mark.slow
 def test_a_simulated_recording_is_compared(
     recording: Maker, written: Writer, sound: tuple[Path, Path], beside_its_like: Any
 ) -> None:

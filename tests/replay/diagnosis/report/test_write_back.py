@@ -27,6 +27,7 @@ from tests.support.report_days import THERMAL, TONE, phone_with, recorded
 Maker = Callable[..., Recording]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", [THERMAL, TONE], ids=lambda e: e["name"])
 def test_a_recording_with_the_written_phone_is_accepted_and_one_without_its_terms_is_not(
     effect: dict[str, object], case_with: Callable[..., Case], tmp_path: Path
@@ -63,6 +64,7 @@ def test_before_and_after_on_the_recordings_own_day(case_with: Callable[..., Cas
     assert after.comparison.accepted, after.comparison.tests[:3]
 
 
+@pytest.mark.slow
 def test_what_has_no_place_in_a_phone_file_is_a_comment(recording: Maker) -> None:
     hidden = {"name": "accel_thermal_hysteresis", "coefficient": [0.03, 0.03, 0.03], "tau_s": 300.0}
     real = recording(hidden)
@@ -74,6 +76,7 @@ def test_what_has_no_place_in_a_phone_file_is_a_comment(recording: Maker) -> Non
     assert text.startswith("# The phone of a name, as")
 
 
+@pytest.mark.slow
 def test_what_the_judged_phone_has_is_no_news_and_what_it_has_wrong_is(recording: Maker) -> None:
     real = recording(THERMAL)
     right = judge_phone(real, "r", phone_with(THERMAL))
