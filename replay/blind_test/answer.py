@@ -116,11 +116,11 @@ def answer_all(
     out = out.resolve()
     out.mkdir(parents=True, exist_ok=True)
     shares = [list(names[i::jobs]) for i in range(jobs) if names[i::jobs]]
-    with tempfile.TemporaryFile() as said:
-        running = [_started(recordings, out, share, solver, said) for share in shares]
+    with tempfile.TemporaryFile() as errors:
+        running = [_started(recordings, out, share, solver, errors) for share in shares]
         _awaited(running, lambda: tick(len(list(out.glob("r*.json")))))
-        said.seek(0)
-        last = (said.read().decode(errors="replace").strip().splitlines() or ["no word"])[-1]
+        errors.seek(0)
+        last = (errors.read().decode(errors="replace").strip().splitlines() or ["no word"])[-1]
     if any(process.returncode != 0 for process in running):
         raise AnswerError(f"an answering process failed: {last}")
     tick(len(names))
@@ -139,23 +139,23 @@ def _awaited(running: list[subprocess.Popen[bytes]], tick: Callable[[], None]) -
 
 
 def _started(
-    recordings: Path, out: Path, names: list[str], solver: str, said: IO[bytes]
+    recordings: Path, out: Path, names: list[str], solver: str, errors: IO[bytes]
 ) -> subprocess.Popen[bytes]:
-    kept = {
+    environment = {
         k: v for k, v in os.environ.items() if k in ("PATH", "LANG", "VIRTUAL_ENV", "OPENBLAS_NUM_THREADS")
     }
     command = [sys.executable, "-P", "-m", _MODULE, solver, str(out), *names]
-    return subprocess.Popen(command, cwd=recordings, env=kept, stderr=said)
+    return subprocess.Popen(command, cwd=recordings, env=environment, stderr=errors)
 
 
 def read_answers(folder: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Read answers NAME.json; a recording without one is left out."""
-    found = {}
+    answers = {}
     for name in names:
         path = folder / f"{name}.json"
         if path.is_file():
-            found[name] = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
-    return found
+            answers[name] = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    return answers
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """Two baselines that answer in the same layout: affine + white noise with BIC, and sparse regression.
 
-Both see slow biases only; noise, stamps, values and motion they leave alone.
+Both use ten-second means of rests, with the affine errors taken off, and covariates. They fit by plain least
+squares on purpose: this is what a competent engineer would try first. They find slow biases only; noise,
+values, stamps and motion are not examined.
 """
 
 from __future__ import annotations
@@ -10,10 +12,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.blind_test.baseline_views import Candidate, Seen, candidates, seen
+from stillcal.calib_core.streams.events import Charging
 from stillcal.replay.formats.trace import Recording
+
+Rows = NDArray[np.intp]
+
+WINDOW_S = 10.0
+TAUS_S = (100.0, 300.0, 1000.0)
+STEPS = 15
+"""Times at which a step is tried."""
+
+LEAST_WINDOWS = 16
 
 MOST = 3
 """Forward steps a sensor."""
@@ -28,6 +40,126 @@ best in cross-validation (Hastie, Tibshirani and Friedman 2009, 7.10). Infinity 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class StillWindows:
+    """Still windows. t: (m,) s. up: (m, 3). norm: (m,) m/s^2 over gravity. rate: (m, 3) rad/s or None.
+
+    g: m/s^2. baseline: (m, 9) columns of bias, scale and misalignment in the norm. drivers: courses by name.
+    """
+
+    t: Array
+    up: Array
+    norm: Array
+    rate: Array | None
+    g: float
+    baseline: Array
+    drivers: dict[str, Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A hypothesis: columns (m, k) of one sensor, and how its coefficients are told.
+
+    own: sizes by which coefficients are multiplied to be the parameter; told: further fixed parameters.
+    """
+
+    effect: str
+    sensor: str
+    driver: str
+    parameter: str
+    unit: str
+    columns: Array
+    fixed: dict[str, float]
+
+
+def still_windows(recording: Recording) -> StillWindows | None:
+    """Return the still windows of a recording, None where there are too few."""
+    accel, gyro = recording.accelerometer, recording.gyroscope
+    window = np.floor(accel.t / WINDOW_S).astype(np.int64)
+    kinds, first, counts = np.unique(window, return_index=True, return_counts=True)
+    mean, spread = _moments(accel.xyz, first, counts)
+    rate = _moments(gyro.xyz, first, counts)[0] if gyro is not None and len(gyro) == len(accel) else None
+    still = (spread < 2.0 * np.quantile(spread, 0.2)) & (counts > 0.8 * np.median(counts))
+    if still.sum() < LEAST_WINDOWS:
+        return None
+    t, mean = np.asarray(kinds[still] + 0.5, dtype=np.float64) * WINDOW_S, mean[still]
+    g = recording.claims.gravity or 9.80665
+    length = np.linalg.norm(mean, axis=1)
+    up = mean / length[:, None]
+    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+    baseline = np.column_stack([up, *(up[:, i] * up[:, j] for i, j in pairs)])
+    warmth = None if accel.temperature is None else _moments(accel.temperature[:, None], first, counts)[0]
+    temperature = None if warmth is None else warmth[still][:, 0]
+    return StillWindows(
+        t,
+        up,
+        length - g,
+        None if rate is None else rate[still],
+        g,
+        baseline,
+        _drivers(t, temperature, [e for e in recording.events if isinstance(e, Charging)]),
+    )
+
+
+def _moments(values: Array, first: Rows, counts: Rows) -> tuple[Array, Array]:
+    """Return means (w, k) and the largest standard deviation (w,) of consecutive groups of rows."""
+    mean = np.add.reduceat(values, first, axis=0) / counts[:, None]
+    square = np.add.reduceat(values**2, first, axis=0) / counts[:, None]
+    return mean, np.sqrt(np.maximum(square - mean**2, 0.0)).max(axis=1)
+
+
+def _drivers(t: Array, temperature: Array | None, charging: list[Charging]) -> dict[str, Array]:
+    drivers = {"time": t, **{f"warmup {tau:g}": -np.expm1(-t / tau) for tau in TAUS_S}}
+    if temperature is not None and np.ptp(temperature) > 0.2:
+        drivers["temperature"] = temperature - temperature.mean()
+    if charging:
+        times, on = np.array([e.t for e in charging]), np.array([float(e.on) for e in charging])
+        index = np.searchsorted(times, t, side="right") - 1
+        drivers["charging"] = np.where(index >= 0, on[np.maximum(index, 0)], 1.0 - on[0])
+    for at in np.quantile(t, np.linspace(0.1, 0.9, STEPS)):
+        drivers[f"step {at:g}"] = (t >= at).astype(np.float64)
+    return {name: course for name, course in drivers.items() if np.ptp(course) > 0.0}
+
+
+_NAMES = {
+    "temperature": ("bias_temperature", "slope", "/K"),
+    "time": ("bias_drift", "rate", "/s"),
+    "charging": ("charging_bias", "step", ""),
+    "warmup": ("warmup", "amplitude", ""),
+    "step": ("bias_step", "step", ""),
+}
+
+
+def candidates(windows: StillWindows, sensor: str) -> list[Candidate]:
+    """Return all hypotheses about a sensor; a gyroscope's columns are those of one axis."""
+    unit = "m/s^2" if sensor == "accel" else "rad/s"
+    hypotheses = []
+    for driver, course in windows.drivers.items():
+        kind, _, shape = driver.partition(" ")
+        name, parameter, per = _NAMES[kind]
+        columns = windows.up * course[:, None] if sensor == "accel" else course[:, None]
+        fixed = (
+            {"tau_s": float(shape)} if kind == "warmup" else {"at_s": float(shape)} if kind == "step" else {}
+        )
+        hypotheses.append(Candidate(f"{sensor}_{name}", sensor, kind, parameter, unit + per, columns, fixed))
+    if sensor == "gyro":
+        matrix = windows.g * windows.up
+        return [
+            *hypotheses,
+            Candidate("gyro_g_sensitivity", "gyro", "gravity", "matrix", "(rad/s)/(m/s^2)", matrix, {}),
+        ]
+    if "temperature" in windows.drivers:
+        columns = windows.g * windows.up**2 * windows.drivers["temperature"][:, None]
+        hypotheses.append(
+            Candidate("accel_scale_temperature", "accel", "temperature", "slope", "1/K", columns, {})
+        )
+    cube = windows.up * (windows.g * windows.up) ** 2
+    return [
+        *hypotheses,
+        Candidate("accel_nonlinearity", "accel", "gravity", "quadratic", "1/(m/s^2)", cube, {}),
+    ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
     """A candidate's coefficients (k, channels) with their standard errors, and the rms before and after."""
 
@@ -38,12 +170,12 @@ class Fitted:
     after: float
 
 
-def _channels(view: Seen, sensor: str) -> tuple[Array, Array]:
+def _channels(windows: StillWindows, sensor: str) -> tuple[Array, Array]:
     """Return a sensor's values (m, channels) and what calibration takes off (m, p)."""
     if sensor == "accel":
-        return view.norm[:, None], view.baseline
-    assert view.rate is not None, "a gyroscope is only asked about where there is one"
-    return view.rate, np.ones((view.t.size, 1))
+        return windows.norm[:, None], windows.baseline
+    assert windows.rate is not None, "a gyroscope is only asked about where there is one"
+    return windows.rate, np.ones((windows.t.size, 1))
 
 
 def _solved(design: Array, values: Array) -> tuple[Array, float]:
@@ -62,14 +194,14 @@ def by_bic(recording: Recording, name: str) -> dict[str, Any]:
     return _answer(recording, name, _forward)
 
 
-def _forward(view: Seen, sensor: str) -> list[Fitted]:
-    values, base = _channels(view, sensor)
+def _forward(windows: StillWindows, sensor: str) -> list[Fitted]:
+    values, base = _channels(windows, sensor)
     n, design = values.size, base
     chosen: list[Candidate] = []
     score = _bic(_solved(design, values)[1], n, _rank(design) * values.shape[1])
-    pool = candidates(view, sensor)
+    pool = candidates(windows, sensor)
     while pool and len(chosen) < MOST:
-        scores = [_judged(np.hstack([design, c.columns]), values, bool(c.told)) for c in pool]
+        scores = [_candidate_bic(np.hstack([design, c.columns]), values, bool(c.fixed)) for c in pool]
         best = int(np.argmin(scores))
         if scores[best] >= score:
             break
@@ -79,7 +211,7 @@ def _forward(view: Seen, sensor: str) -> list[Fitted]:
     return _fits(chosen, base, values)
 
 
-def _judged(design: Array, values: Array, shaped: bool) -> float:
+def _candidate_bic(design: Array, values: Array, shaped: bool) -> float:
     rss = _solved(design, values)[1]
     return _bic(rss, values.size, _rank(design) * values.shape[1] + shaped)
 
@@ -110,20 +242,20 @@ def by_sparse_regression(recording: Recording, name: str) -> dict[str, Any]:
     return _answer(recording, name, _sparse)
 
 
-def _sparse(view: Seen, sensor: str) -> list[Fitted]:
-    values, base = _channels(view, sensor)
-    pool = candidates(view, sensor)
+def _sparse(windows: StillWindows, sensor: str) -> list[Fitted]:
+    values, base = _channels(windows, sensor)
+    pool = candidates(windows, sensor)
     columns = np.hstack([c.columns for c in pool])
     owner = np.repeat(np.arange(len(pool)), [c.columns.shape[1] for c in pool])
     free = _without(base, columns)
     target = _without(base, values)
     free, target = free / (free.std(axis=0) + 1e-12), target / (target.std(axis=0) + 1e-12)
-    losses = np.array([_crossed(free, target, threshold) for threshold in THRESHOLDS])
+    losses = np.array([_cross_validated_losses(free, target, threshold) for threshold in THRESHOLDS])
     best = int(np.argmin(losses.mean(axis=1)))
     bound = losses[best].mean() + losses[best].std(ddof=1) / np.sqrt(FOLDS)
     sparsest = int(np.flatnonzero(losses.mean(axis=1) <= bound)[-1])
-    kept = _thresholded(free, target, THRESHOLDS[sparsest])
-    names = {pool[i].effect: pool[i] for i in owner[kept.any(axis=1)]}
+    selected = _thresholded(free, target, THRESHOLDS[sparsest])
+    names = {pool[i].effect: pool[i] for i in owner[selected.any(axis=1)]}
     return _fits(list(names.values()), base, values)
 
 
@@ -139,33 +271,35 @@ def _ridged(design: Array, target: Array) -> Array:
 
 def _thresholded(design: Array, target: Array, threshold: float) -> Array:
     """Return which coefficients (k, channels) outlive ten rounds of least squares and thresholding."""
-    kept = np.ones((design.shape[1], target.shape[1]), dtype=np.bool_)
+    selected = np.ones((design.shape[1], target.shape[1]), dtype=np.bool_)
     for _ in range(10):
         for channel in range(target.shape[1]):
-            rows = np.flatnonzero(kept[:, channel])
-            kept[rows, channel] = np.abs(_ridged(design[:, rows], target[:, channel])) >= threshold
-    return np.asarray(kept)
+            rows = np.flatnonzero(selected[:, channel])
+            selected[rows, channel] = np.abs(_ridged(design[:, rows], target[:, channel])) >= threshold
+    return np.asarray(selected)
 
 
-def _crossed(design: Array, target: Array, threshold: float) -> Array:
+def _cross_validated_losses(design: Array, target: Array, threshold: float) -> Array:
     """Return the mean square left on each left-out block, in units of what there was on average."""
-    left = []
+    losses = []
     for block in np.array_split(np.arange(len(target)), FOLDS):
         inside = np.delete(np.arange(len(target)), block)
-        kept = _thresholded(design[inside], target[inside], threshold)
-        rest = target[block].copy()
+        selected = _thresholded(design[inside], target[inside], threshold)
+        residual = target[block].copy()
         for channel in range(target.shape[1]):
-            rows = np.flatnonzero(kept[:, channel])
+            rows = np.flatnonzero(selected[:, channel])
             solved = _ridged(design[np.ix_(inside, rows)], target[inside, channel])
-            rest[:, channel] -= design[np.ix_(block, rows)] @ solved
-        left.append(float((rest**2).mean() / (target**2).mean()))
-    return np.array(left)
+            residual[:, channel] -= design[np.ix_(block, rows)] @ solved
+        losses.append(float((residual**2).mean() / (target**2).mean()))
+    return np.array(losses)
 
 
-def _answer(recording: Recording, name: str, select: Callable[[Seen, str], list[Fitted]]) -> dict[str, Any]:
-    view = seen(recording)
-    sensors = [] if view is None else ["accel"] + (["gyro"] if view.rate is not None else [])
-    findings = [_finding(f, view) for s in sensors if view is not None for f in select(view, s)]
+def _answer(
+    recording: Recording, name: str, select: Callable[[StillWindows, str], list[Fitted]]
+) -> dict[str, Any]:
+    windows = still_windows(recording)
+    sensors = [] if windows is None else ["accel"] + (["gyro"] if windows.rate is not None else [])
+    findings = [_finding(f, windows) for s in sensors if windows is not None for f in select(windows, s)]
     return {
         "schema": 1,
         "recording": name,
@@ -174,7 +308,7 @@ def _answer(recording: Recording, name: str, select: Callable[[Seen, str], list[
     }
 
 
-def _finding(fitted: Fitted, view: Seen) -> dict[str, Any]:
+def _finding(fitted: Fitted, windows: StillWindows) -> dict[str, Any]:
     c = fitted.candidate
     values, errors = fitted.values, fitted.errors
     if c.parameter == "matrix":
@@ -186,15 +320,15 @@ def _finding(fitted: Fitted, view: Seen) -> dict[str, Any]:
     interval = np.stack([values - spread, values + spread], axis=-1)
     parameters: dict[str, Any] = {
         c.parameter: {"value": values.tolist(), "ci95": interval.tolist(), "unit": c.unit},
-        **{key: {"value": value, "ci95": None, "unit": "s"} for key, value in c.told.items()},
+        **{key: {"value": value, "ci95": None, "unit": "s"} for key, value in c.fixed.items()},
     }
     return {
         "effect": c.effect,
         "sensor": c.sensor,
         "axes": [axis for axis, s in zip("xyz", size, strict=True) if s > 2.6],
         "where": {
-            "t_start": c.told.get("at_s", float(view.t[0])),
-            "t_end": float(view.t[-1]),
+            "t_start": c.fixed.get("at_s", float(windows.t[0])),
+            "t_end": float(windows.t[-1]),
             "band_hz": [0.0, 0.05],
             "driver": c.driver,
         },

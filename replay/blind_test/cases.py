@@ -16,9 +16,9 @@ from stillcal.replay.blind_test import simulator_cases as simulated
 from stillcal.replay.blind_test.days import Day, play
 from stillcal.replay.blind_test.keys import Exam, Key, TrueEffect
 from stillcal.replay.blind_test.noise import FAMILIES, log_uniform
-from stillcal.replay.blind_test.off_catalogue import STRANGERS, drawn_span
-from stillcal.replay.blind_test.phones import Additions, Made, Phone
-from stillcal.replay.blind_test.sizing import NAMES, Stage, as_told, drawn_effect, put_in
+from stillcal.replay.blind_test.off_catalogue import OFF_CATALOGUE, drawn_span
+from stillcal.replay.blind_test.phones import Additions, MadeRecording, Phone
+from stillcal.replay.blind_test.sizing import NAMES, Stage, as_recorded, drawn_effect, put_in
 from stillcal.replay.blind_test.world import World, binned, over_bins
 
 SHARES = {"null": 0.32, "decoy": 0.14, "single": 0.36, "pair": 0.06, "off_catalogue": 0.12}
@@ -91,7 +91,7 @@ def _of_kind(kind: str, count: int, rng: np.random.Generator) -> list[Design]:
         "decoy": [(d,) for d in DECOYS],
         "single": [(n,) for n in NAMES],
         "pair": [*PAIRS],
-        "off_catalogue": [(n,) for n in STRANGERS],
+        "off_catalogue": [(n,) for n in OFF_CATALOGUE],
     }
     names = cycle([variants[kind][i] for i in rng.permutation(len(variants[kind]))])
     ladder = LADDER if kind == "single" else CLEAR
@@ -109,7 +109,7 @@ def _design(kind: str, names: tuple[str, ...], d: float, i: int, rng: np.random.
     return Design(kind, FAMILIES[i % len(FAMILIES)], maker, names, d, i % FULL_EVERY == FULL_EVERY - 1)
 
 
-def made(design: Design, seed: int, index: int) -> tuple[Made, Key]:
+def make_case(design: Design, seed: int, index: int) -> tuple[MadeRecording, Key]:
     """Make a case: the recording, and the key to it. Depends on the design, seed and index alone."""
     rng = np.random.default_rng([seed, 1, index])
     rate = float(rng.choice([25.0, 50.0]))
@@ -132,7 +132,9 @@ def _plausible(key: Key) -> bool:
     return all(sizes[name] <= LARGEST[name] for name in LARGEST) and bool(scale <= 5e-3)
 
 
-def _by_simulator(design: Design, rate: float, duration: float, rng: np.random.Generator) -> tuple[Made, Key]:
+def _by_simulator(
+    design: Design, rate: float, duration: float, rng: np.random.Generator
+) -> tuple[MadeRecording, Key]:
     phone = phones.drawn_phone(design.family, rate, STANDARD, rng)
     phone = replace(phone, thermometer=_thermometer(design, rng))
     day, seed = simulated.drawn_day(duration, rng), int(rng.integers(2**31))
@@ -147,11 +149,13 @@ def _by_simulator(design: Design, rate: float, duration: float, rng: np.random.G
     return recording, _key(design, stage, added, effects)
 
 
-def _by_examiner(design: Design, rate: float, duration: float, rng: np.random.Generator) -> tuple[Made, Key]:
+def _by_examiner(
+    design: Design, rate: float, duration: float, rng: np.random.Generator
+) -> tuple[MadeRecording, Key]:
     world, phone = _scene(design, rate, duration, rng)
     stage, added = Stage(world, binned(world), phone, rng), Additions.none(world)
     if design.kind == "off_catalogue":
-        return _with_stranger(design, stage, added)
+        return _with_off_catalogue(design, stage, added)
     effects = [] if design.kind == "decoy" else [drawn_effect(stage, n, design.d_prime) for n in design.names]
     for effect in effects:
         put_in(stage, effect, added)
@@ -192,23 +196,23 @@ def _thermometer(design: Design, rng: np.random.Generator) -> bool:
     return needed or bool(rng.random() < 0.6)
 
 
-def _with_stranger(design: Design, stage: Stage, added: Additions) -> tuple[Made, Key]:
+def _with_off_catalogue(design: Design, stage: Stage, added: Additions) -> tuple[MadeRecording, Key]:
     """Make a recording with an effect outside the catalogue."""
-    stranger, world, rng = STRANGERS[design.names[0]], stage.world, stage.rng
+    effect, world, rng = OFF_CATALOGUE[design.names[0]], stage.world, stage.rng
     begin, end, reached = 0.0, world.duration, None
-    if stranger.course is not None:
-        course = stranger.course(world, rng)[:, None] * stage.direction()
-        unit = power.d_prime(stage.weight(stranger.sensor), over_bins(world, stage.bins, course))
-        getattr(added, stranger.sensor)[:] += course * (design.d_prime / unit)
+    if effect.course is not None:
+        course = effect.course(world, rng)[:, None] * stage.direction()
+        unit = power.d_prime(stage.weight(effect.sensor), over_bins(world, stage.bins, course))
+        getattr(added, effect.sensor)[:] += course * (design.d_prime / unit)
         reached = design.d_prime
     recording = phones.recorded(world, stage.phone, added, rng)
-    garble = stranger.garble
-    if garble is not None:
+    corrupt = effect.corrupt
+    if corrupt is not None:
         span = drawn_span(world, rng)
         begin, end = span.t_start, span.t_end
-        recording = phones.garbled(recording, stranger.sensor, lambda values: garble(values, span, rng))
-    truth = TrueEffect(design.names[0], stranger.sensor, ["x", "y", "z"], {}, reached, begin, end)
-    return recording, _key(design, stage, added, [truth], list(stranger.entailed))
+        recording = phones.with_corrupted(recording, effect.sensor, lambda values: corrupt(values, span, rng))
+    truth = TrueEffect(design.names[0], effect.sensor, ["x", "y", "z"], {}, reached, begin, end)
+    return recording, _key(design, stage, added, [truth], list(effect.entailed))
 
 
 def _key(
@@ -225,7 +229,7 @@ def _key(
         design.maker,
         design.full_length,
         variant,
-        [as_told(stage.phone, effect) for effect in effects],
+        [as_recorded(stage.phone, effect) for effect in effects],
         entailed or [],
         exam_of(stage, added),
     )

@@ -70,11 +70,11 @@ SLOPES = np.geomspace(0.5, 20.0, 25)
 """The power curves among which the likeliest is taken."""
 
 
-def power(d: list[float], found: list[bool], false_alarm: float, seed: int = 0) -> Power | None:
+def power(d: list[float], detected: list[bool], false_alarm: float, seed: int = 0) -> Power | None:
     """Fit the power curve by maximum likelihood; None for fewer than ten cases."""
     if len(d) < 10:
         return None
-    x, y, rng = np.array(d), np.array(found, dtype=np.float64)[:, None], np.random.default_rng(seed)
+    x, y, rng = np.array(d), np.array(detected, dtype=np.float64)[:, None], np.random.default_rng(seed)
     d50, slope = (grid.ravel() for grid in np.meshgrid(D50, SLOPES))
     chance = false_alarm + (1.0 - false_alarm) / (1.0 + (d50 / x[:, None]) ** slope)
     chance = np.clip(chance, 1e-6, 1.0 - 1e-6)
@@ -83,8 +83,8 @@ def power(d: list[float], found: list[bool], false_alarm: float, seed: int = 0) 
     best = np.argmax(np.vstack([np.ones(x.size), counts]) @ likelihood, axis=1)
     ninety = _ninety(d50[best], slope[best], false_alarm, float(x.max()))
     low, high = np.quantile(ninety[1:], (0.025, 0.975), method="nearest")
-    told = [float(v) if np.isfinite(v) else None for v in (ninety[0], low, high)]
-    return Power(float(d50[best[0]]), float(slope[best[0]]), false_alarm, *told)
+    values = [float(v) if np.isfinite(v) else None for v in (ninety[0], low, high)]
+    return Power(float(d50[best[0]]), float(slope[best[0]]), false_alarm, *values)
 
 
 def _ninety(d50: Array, slope: Array, false_alarm: float, largest: float) -> Array:

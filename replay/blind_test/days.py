@@ -62,7 +62,7 @@ def play(day: Day, rng: np.random.Generator) -> World:
         rate + earth,
         rate_dot,
         _warmth(day, t, drive, rng),
-        _held(drive, t),
+        _charging_at(drive, t),
         drive,
         rests,
         turns,
@@ -99,8 +99,8 @@ def _attitudes(day: Day, rng: np.random.Generator) -> Array:
     faces = np.concatenate([np.eye(3), -np.eye(3)])[rng.permutation(6)]
     anywhere = rng.standard_normal((day.attitudes, 3))
     near = faces[np.arange(day.attitudes) % 6] + 0.06 * rng.standard_normal((day.attitudes, 3))
-    drawn = np.where((np.arange(day.attitudes) % 2 == 0)[:, None], near, anywhere)
-    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+    directions = np.where((np.arange(day.attitudes) % 2 == 0)[:, None], near, anywhere)
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
 def _turned(
@@ -238,8 +238,8 @@ def _driven(t: Array, rests: Array, rate: Array, push: Array, rng: np.random.Gen
     road = rng.standard_normal((count, 3)) * rng.uniform(0.05, 0.3)
     push[rows] += road + 0.6 * _tones(t[rows], rng, (0.02, 0.2), 5)
     rate[rows] += 0.01 * rng.standard_normal((count, 3))
-    kept = (rests[:, 1] < begin) | (rests[:, 0] > end)
-    return np.asarray(rests[kept])
+    outside = (rests[:, 1] < begin) | (rests[:, 0] > end)
+    return np.asarray(rests[outside])
 
 
 def _drive(day: Day, rng: np.random.Generator) -> Array:
@@ -251,7 +251,7 @@ def _drive(day: Day, rng: np.random.Generator) -> Array:
     return np.concatenate([[[0.0, 0.0]], np.column_stack([cuts, values])])
 
 
-def _held(drive: Array, t: Array) -> Array:
+def _charging_at(drive: Array, t: Array) -> Array:
     return np.asarray(drive[np.searchsorted(drive[:, 0], t, side="right") - 1, 1])
 
 

@@ -43,10 +43,10 @@ def excess_kurtosis(ratio: float, fraction: float) -> float:
 
 def tail_ratio(d: float, n: int, fraction: float = 0.02) -> float:
     """Return the ratio of heavy-tailed samples, by bisection on the kurtosis (error sqrt(24 / n) an axis)."""
-    wanted, low, high = d * math.hypot(KURTOSIS_SPREAD, math.sqrt(8.0 / n)), 1.0, 7.0
+    target, low, high = d * math.hypot(KURTOSIS_SPREAD, math.sqrt(8.0 / n)), 1.0, 7.0
     for _ in range(50):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if excess_kurtosis(middle, fraction) < wanted else (low, middle)
+        low, high = (middle, high) if excess_kurtosis(middle, fraction) < target else (low, middle)
     return high
 
 

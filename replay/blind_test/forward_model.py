@@ -101,9 +101,11 @@ FORWARD: dict[str, Forward] = {
 """What each slow effect adds to its sensor's readings, (n, 3), by name."""
 
 
-def sensor_of(effect: str, told: str = "accel") -> str:
-    """Return the sensor that an effect's name tells of, else `told`."""
-    return next((s for s in ("accel", "gyro") if effect.startswith(s + "_") and "_gyro_" not in effect), told)
+def sensor_of(effect: str, otherwise: str = "accel") -> str:
+    """Return the sensor that an effect's name tells of, else `otherwise`."""
+    return next(
+        (s for s in ("accel", "gyro") if effect.startswith(s + "_") and "_gyro_" not in effect), otherwise
+    )
 
 
 def played(felt: Felt, effect: str, parameters: Parameters) -> Array:

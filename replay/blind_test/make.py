@@ -12,9 +12,9 @@ import msgspec
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.blind_test.cases import Design, made, planned
+from stillcal.replay.blind_test.cases import Design, make_case, planned
 from stillcal.replay.blind_test.keys import key_of, seal_of, sealed
-from stillcal.replay.blind_test.phones import Made
+from stillcal.replay.blind_test.phones import MadeRecording
 from stillcal.replay.formats.writer import TraceWriter
 
 
@@ -49,7 +49,7 @@ def make(
         folder.mkdir(parents=True, exist_ok=True)
     designs, seals = planned(trials, seed), {}
     work = [(design, seed, i, recordings, keys) for i, design in enumerate(designs)]
-    with _mapped(jobs) as run:
+    with _case_mapper(jobs) as run:
         for name, seal in run(_write_case, work):
             seals[name] = seal
             tick()
@@ -87,7 +87,7 @@ Runner = Callable[..., Iterator[tuple[str, str]]]
 
 
 @contextmanager
-def _mapped(jobs: int) -> Iterator[Runner]:
+def _case_mapper(jobs: int) -> Iterator[Runner]:
     if jobs <= 1:
         yield map
         return
@@ -98,14 +98,14 @@ def _mapped(jobs: int) -> Iterator[Runner]:
 def _write_case(work: tuple[Design, int, int, Path, Path]) -> tuple[str, str]:
     design, seed, index, recordings, keys = work
     name = f"r{index + 1:04d}"
-    recording, key = made(design, seed, index)
+    recording, key = make_case(design, seed, index)
     write_recording(recordings / f"{name}.csv", recording)
     file = sealed(key)
     (keys / f"{name}.key").write_bytes(file)
     return name, seal_of(file)
 
 
-def write_recording(path: Path, recording: Made) -> None:
+def write_recording(path: Path, recording: MadeRecording) -> None:
     """Write a recording in the documented layout, with the digits that loggers write."""
     accel = _shortened(recording.accelerometer)
     gyro = None if recording.gyroscope is None else _shortened(recording.gyroscope)

@@ -111,47 +111,47 @@ def _true_names(key: Key) -> set[str]:
 
 def _members(finding: Finding) -> set[str]:
     """Return the names of the set that a finding stands for."""
-    alike = [a for a in finding.get("alternatives") or [] if a.get("indistinguishable")]
-    return {finding["effect"], *(a["effect"] for a in alike)}
+    indistinguishable = [a for a in finding.get("alternatives") or [] if a.get("indistinguishable")]
+    return {finding["effect"], *(a["effect"] for a in indistinguishable)}
 
 
 def _effect_marked(truth: TrueEffect, key: Key, findings: list[Finding]) -> EffectMark:
-    mine = _about(truth, findings)
-    alone = mine is not None and mine["effect"] == truth.effect
-    gain, oracle = _worth(truth, key, findings)
-    place = mine or next(
+    match = _matching_finding(truth, findings)
+    named_alone = match is not None and match["effect"] == truth.effect
+    gain, oracle = _score_gain(truth, key, findings)
+    place = match or next(
         (f for f in findings if key.kind == "off_catalogue" and f["effect"] == "unknown"), None
     )
-    overlap, apart, axes = (None, None, None) if place is None else _placed(truth, place)
+    overlap, time_error, axes = (None, None, None) if place is None else _where_scores(truth, place)
     return EffectMark(
         truth.effect,
         truth.d_prime,
-        ("alone" if alone else "set") if mine is not None else _otherwise(findings),
-        _given(truth, mine, findings),
-        _covered(truth, mine) if mine is not None and alone else [],
+        ("alone" if named_alone else "set") if match is not None else _outcome_of_unnamed(findings),
+        _first_name(truth, match, findings),
+        _covered(truth, match) if match is not None and named_alone else [],
         gain,
         oracle,
         overlap,
-        apart,
+        time_error,
         axes,
     )
 
 
-def _about(truth: TrueEffect, findings: list[Finding]) -> Finding | None:
+def _matching_finding(truth: TrueEffect, findings: list[Finding]) -> Finding | None:
     """Return the finding that names an effect, or else one whose set has it."""
     fitting = [f for f in findings if truth.effect not in SENSOR_IS_PART or f.get("sensor") == truth.sensor]
     by_name = [f for f in fitting if f["effect"] == truth.effect]
     return next(iter([*by_name, *(f for f in fitting if truth.effect in _members(f))]), None)
 
 
-def _otherwise(findings: list[Finding]) -> str:
+def _outcome_of_unnamed(findings: list[Finding]) -> str:
     if not findings:
         return "missed"
     return "unknown" if all(f["effect"] == "unknown" for f in findings) else "other"
 
 
-def _given(truth: TrueEffect, mine: Finding | None, findings: list[Finding]) -> str:
-    if mine is not None:
+def _first_name(truth: TrueEffect, match: Finding | None, findings: list[Finding]) -> str:
+    if match is not None:
         return truth.effect
     return str(findings[0]["effect"]) if findings else "nothing"
 
@@ -161,8 +161,11 @@ def _covered(truth: TrueEffect, finding: Finding) -> list[bool]:
     if truth.effect in NOT_COMPARED:
         return []
     covered: list[bool] = []
-    for name, told in (finding.get("parameters") or {}).items():
-        true, interval = truth.parameters.get(name), told.get("ci95") if isinstance(told, dict) else None
+    for name, parameter in (finding.get("parameters") or {}).items():
+        true, interval = (
+            truth.parameters.get(name),
+            parameter.get("ci95") if isinstance(parameter, dict) else None,
+        )
         if true is None or interval is None:
             continue
         bounds = np.asarray(interval, dtype=np.float64)
@@ -172,16 +175,16 @@ def _covered(truth: TrueEffect, finding: Finding) -> list[bool]:
     return covered
 
 
-def _placed(truth: TrueEffect, finding: Finding) -> tuple[float | None, float | None, float | None]:
-    where, told = finding.get("where") or {}, set(finding.get("axes") or [])
+def _where_scores(truth: TrueEffect, finding: Finding) -> tuple[float | None, float | None, float | None]:
+    where, axes = finding.get("where") or {}, set(finding.get("axes") or [])
     begin, end = where.get("t_start"), where.get("t_end")
-    overlap = apart = None
+    overlap = time_error = None
     if begin is not None and end is not None:
         common = min(end, truth.t_end) - max(begin, truth.t_start)
         overlap = max(common, 0.0) / max(max(end, truth.t_end) - min(begin, truth.t_start), 1e-9)
-        apart = abs(begin - truth.t_start) if truth.effect.endswith("_bias_step") else None
+        time_error = abs(begin - truth.t_start) if truth.effect.endswith("_bias_step") else None
     true = set(truth.axes)
-    return overlap, apart, len(true & told) / len(true | told) if told else None
+    return overlap, time_error, len(true & axes) / len(true | axes) if axes else None
 
 
 def bins_of(exam: Exam) -> Bins:
@@ -192,7 +195,7 @@ def bins_of(exam: Exam) -> Bins:
     return Bins(exam.width, **table, since=np.asarray(exam.since))
 
 
-def _worth(truth: TrueEffect, key: Key, findings: list[Finding]) -> tuple[float | None, float | None]:
+def _score_gain(truth: TrueEffect, key: Key, findings: list[Finding]) -> tuple[float | None, float | None]:
     """Return what the answer's model gains on fresh noise of the same day, and what the oracle gains."""
     if key.exam is None or key.kind != "single" or truth.effect not in FORWARD or truth.d_prime is None:
         return None, None

@@ -1,6 +1,6 @@
 """Real things that no catalogue of the tool lists: a right answer calls them unknown, and says where.
 
-Slow ones are courses of unit size along a drawn direction, sized by d'; sudden ones garble the readings.
+Slow ones are courses of unit size along a drawn direction, sized by d'; sudden ones corrupt the readings.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.replay.blind_test.world import World
 
 Course = Callable[[World, np.random.Generator], Array]
-Garble = Callable[[Array, "Span", np.random.Generator], None]
+Corruption = Callable[[Array, "Span", np.random.Generator], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,15 +28,16 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True)
-class Stranger:
-    """An effect outside the catalogue. course: (n,) of a slow one; garble: changes (n, 3) of a sudden one.
+class OffCatalogueEffect:
+    """An effect outside the catalogue.
 
-    entailed: catalogue names that are true besides, and no misnaming.
+    course: gives the course in time (n,) of a slow one; corrupt: changes readings (n, 3) of a sudden one in
+    place. entailed: catalogue names that are true besides, and no misnaming.
     """
 
     sensor: str
     course: Course | None = None
-    garble: Garble | None = None
+    corrupt: Corruption | None = None
     entailed: tuple[str, ...] = ()
 
 
@@ -116,18 +117,18 @@ def _regained(values: Array, span: Span, rng: np.random.Generator) -> None:
     values[span.rows] *= 1.0 + float(rng.choice([-1.0, 1.0]) * rng.uniform(0.004, 0.012))
 
 
-STRANGERS: dict[str, Stranger] = {
-    "light_switch_bias": Stranger("accel", _light),
-    "stress_after_moves": Stranger("accel", _stress),
-    "temperature_hysteresis": Stranger("accel", _hysteresis),
-    "rate_bursts": Stranger("gyro", _bursts),
-    "sawtooth_reset": Stranger("gyro", _sawtooth),
-    "autozero_in_rests": Stranger("gyro", _autozero),
-    "cyclic_bias": Stranger("accel", _cyclic),
-    "axes_swapped": Stranger("accel", garble=_swapped),
-    "sign_flipped": Stranger("gyro", garble=_flipped),
-    "sample_and_hold": Stranger("accel", garble=_frozen),
-    "gain_by_power_mode": Stranger("accel", garble=_regained),
+OFF_CATALOGUE: dict[str, OffCatalogueEffect] = {
+    "light_switch_bias": OffCatalogueEffect("accel", _light),
+    "stress_after_moves": OffCatalogueEffect("accel", _stress),
+    "temperature_hysteresis": OffCatalogueEffect("accel", _hysteresis),
+    "rate_bursts": OffCatalogueEffect("gyro", _bursts),
+    "sawtooth_reset": OffCatalogueEffect("gyro", _sawtooth),
+    "autozero_in_rests": OffCatalogueEffect("gyro", _autozero),
+    "cyclic_bias": OffCatalogueEffect("accel", _cyclic),
+    "axes_swapped": OffCatalogueEffect("accel", corrupt=_swapped),
+    "sign_flipped": OffCatalogueEffect("gyro", corrupt=_flipped),
+    "sample_and_hold": OffCatalogueEffect("accel", corrupt=_frozen),
+    "gain_by_power_mode": OffCatalogueEffect("accel", corrupt=_regained),
 }
 """Off-catalogue effects by the names that only keys know."""
 

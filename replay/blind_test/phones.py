@@ -92,7 +92,7 @@ class Additions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Made:
+class MadeRecording:
     """A recording in memory."""
 
     accelerometer: Samples
@@ -149,7 +149,7 @@ def _own_level(part: Part, rng: np.random.Generator) -> Part:
     return replace(part, ratio=tuple(float(v) for v in level * axes))
 
 
-def recorded(world: World, phone: Phone, added: Additions, rng: np.random.Generator) -> Made:
+def recorded(world: World, phone: Phone, added: Additions, rng: np.random.Generator) -> MadeRecording:
     """Return what a phone records of a world, whose times are taken for the phone's own.
 
     A clock that runs fast by `skew` makes t seconds of t / (1 + skew), in which the same turn is faster.
@@ -160,11 +160,11 @@ def recorded(world: World, phone: Phone, added: Additions, rng: np.random.Genera
     rate = _late(world.t, world.rate, phone.clock.gyro_late_s) * (1.0 + phone.clock.skew)
     accel = _read(world, phone.accel, force, added.accel, rng)
     gyro = _read(world, phone.gyro, rate, added.gyro, rng)
-    stamp, arrival, kept = _timed(world.t, phone.clock, rng)
-    temperature = frozen(_thermometer(world.temperature, rng)[kept]) if phone.thermometer else None
-    return Made(
-        Samples(Sensor.ACCELEROMETER, stamp, frozen(accel[kept]), temperature, arrival),
-        Samples(Sensor.GYROSCOPE, stamp, frozen(gyro[kept]), None, arrival),
+    stamp, arrival, delivered = _timed(world.t, phone.clock, rng)
+    temperature = frozen(_thermometer(world.temperature, rng)[delivered]) if phone.thermometer else None
+    return MadeRecording(
+        Samples(Sensor.ACCELEROMETER, stamp, frozen(accel[delivered]), temperature, arrival),
+        Samples(Sensor.GYROSCOPE, stamp, frozen(gyro[delivered]), None, arrival),
         [Charging(float(t), bool(on)) for t, on in world.drive[1:]],
         phone.claims,
     )
@@ -211,9 +211,9 @@ def _timed(t: Array, clock: Clock, rng: np.random.Generator) -> tuple[Array, Arr
     for begin in slot * np.arange(stalls) + rng.uniform(0.0, slot - STALL_S, stalls):
         rows = slice(*np.searchsorted(true, (begin, begin + STALL_S)))
         arrival[rows] = np.maximum(arrival[rows], begin + STALL_S)
-    kept = np.flatnonzero(rng.random(t.size) >= clock.dropped)
+    delivered = np.flatnonzero(rng.random(t.size) >= clock.dropped)
     stamp = np.maximum(t + scatter, 0.0)
-    return frozen(stamp[kept]), frozen(np.maximum.accumulate(arrival)[kept]), kept
+    return frozen(stamp[delivered]), frozen(np.maximum.accumulate(arrival)[delivered]), delivered
 
 
 def _thermometer(temperature: Array, rng: np.random.Generator) -> Array:
@@ -221,12 +221,12 @@ def _thermometer(temperature: Array, rng: np.random.Generator) -> Array:
     return np.asarray(np.round(noisy / 0.05) * 0.05)
 
 
-def garbled(made: Made, sensor: str, change: Callable[[Array], None]) -> Made:
+def with_corrupted(recording: MadeRecording, sensor: str, change: Callable[[Array], None]) -> MadeRecording:
     """Return a recording of which `change` altered one sensor's readings in place."""
     name = "accelerometer" if sensor == "accel" else "gyroscope"
-    values = getattr(made, name).xyz.copy()
+    values = getattr(recording, name).xyz.copy()
     change(values)
-    return replace(made, **{name: replace(getattr(made, name), xyz=frozen(values))})
+    return replace(recording, **{name: replace(getattr(recording, name), xyz=frozen(values))})
 
 
 def without_gravity(claims: Claims) -> Claims:

@@ -15,13 +15,13 @@ from stillcal.replay.blind_test.scores import NAMING_D
 
 def open_keys(manifest: Manifest, keys: Path) -> dict[str, Key]:
     """Open all keys of a manifest. Raises ChallengeError on a missing key, SealError on a changed one."""
-    found = {}
+    opened_keys = {}
     for name, seal in manifest.seals.items():
         path = keys / f"{name}.key"
         if not path.is_file():
             raise ChallengeError(f"{path}: not found; name the folder of the challenge's keys")
-        found[name] = opened(path.read_bytes(), seal, path.name)
-    return found
+        opened_keys[name] = opened(path.read_bytes(), seal, path.name)
+    return opened_keys
 
 
 def marks_of(keys: Mapping[str, Key], answers: Mapping[str, dict[str, Any]]) -> list[Mark]:

@@ -28,8 +28,8 @@ def turn_d_prime(world: World, delta: Array, colour: Colour) -> float:
     for turn in world.turns:
         first, last = np.searchsorted(world.t, turn[:2])
         rows = slice(int(first), int(last) + 1)
-        seen = _seen(world, rows, turn)
-        errors.append(seen @ np.column_stack([_flat(delta[rows]), *(_flat(b[rows]) for b in basis)]))
+        tilt_map = _tilt_map(world, rows, turn)
+        errors.append(tilt_map @ np.column_stack([_flat(delta[rows]), *(_flat(b[rows]) for b in basis)]))
         variances += [colour.white**2 / 2.0 * (turn[1] - turn[0]) + 2.0 * LEVEL_RAD**2] * 2
     stacked = np.concatenate(errors)
     free = stacked[:, 1:] * np.array([GYRO_BIAS] * 3 + [SCALE] * 9)
@@ -47,12 +47,12 @@ def _nuisances(world: World) -> list[Array]:
     return constant + [world.rate[:, b : b + 1] * eye[a] for a in range(3) for b in range(3)]
 
 
-def _seen(world: World, rows: slice, turn: Array) -> Array:
+def _tilt_map(world: World, rows: slice, turn: Array) -> Array:
     """Return the map (2, 3n) from an error of the rate to the tilt error at the turn's end."""
     axis, speed = turn[2:5], world.rate[rows] @ turn[2:5]
     step = float(world.t[1] - world.t[0])
     ahead = np.cumsum(speed[::-1])[::-1] * step  # angle still to turn
-    carried = np.stack([rotated(e, axis, -ahead) for e in np.eye(3)], axis=2)
+    propagated = np.stack([rotated(e, axis, -ahead) for e in np.eye(3)], axis=2)
     up = world.force[min(rows.stop + 1, len(world.force) - 1)]
     _, _, directions = np.linalg.svd(up[None, :])
-    return np.asarray(step * np.einsum("kj,nji->kni", directions[1:], carried).reshape(2, -1))
+    return np.asarray(step * np.einsum("kj,nji->kni", directions[1:], propagated).reshape(2, -1))

@@ -42,26 +42,30 @@ def prove(
     recordings, sealed = folder / "recordings", folder / "keys"
     done = [0]
 
-    def made() -> None:
+    def count() -> None:
         done[0] += 1
         tick("making", done[0], trials)
 
     with tempfile.TemporaryDirectory() as withheld:
-        manifest = make(recordings, Path(withheld) / "keys", trials, seed, jobs=jobs, tick=made)
+        manifest = make(recordings, Path(withheld) / "keys", trials, seed, jobs=jobs, tick=count)
         for solver in SOLVERS:
-            told = _told(tick, solver, trials)
-            answer_all(recordings, folder / solver, list(manifest.seals), solver, jobs=jobs, tick=told)
+            show_answers = _progress_of(tick, solver, trials)
+            answer_all(
+                recordings, folder / solver, list(manifest.seals), solver, jobs=jobs, tick=show_answers
+            )
         shutil.move(Path(withheld) / "keys", sealed)
     keys = open_keys(manifest, sealed)
-    left_out = _left_out(folder, manifest, keys, jobs, tick) if can_leave_out() else []
+    left_out = _answers_without_entry(folder, manifest, keys, jobs, tick) if can_leave_out() else []
     return judged(keys, {solver: folder / solver for solver in SOLVERS}, left_out)
 
 
-def _told(tick: Tick, stage: str, of: int) -> Callable[[int], None]:
+def _progress_of(tick: Tick, stage: str, of: int) -> Callable[[int], None]:
     return lambda done: tick(stage, done, of)
 
 
-def _left_out(folder: Path, manifest: Manifest, keys: dict[str, Key], jobs: int, tick: Tick) -> list[Mark]:
+def _answers_without_entry(
+    folder: Path, manifest: Manifest, keys: dict[str, Key], jobs: int, tick: Tick
+) -> list[Mark]:
     """Diagnose some clear cases again, with a catalogue that lacks what is in them."""
     chosen = to_leave_out(keys, max(round(LEFT_OUT_SHARE * len(manifest.seals)), 1))
     items = [f"{name}={effect}" for name, effect in chosen.items()]

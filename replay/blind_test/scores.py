@@ -54,12 +54,12 @@ def scored(solver: str, marks: Sequence[Mark], left_out: Sequence[Mark] | None =
     nulls = [m for m in marks if m.kind == "null"]
     alarms = rate(sum(m.alarmed for m in nulls), len(nulls))
     scaled = [(e.d_prime, m.alarmed) for m, e in singles if e.d_prime is not None]
-    curve = power([d for d, _ in scaled], [found for _, found in scaled], alarms.value or 0.0)
+    curve = power([d for d, _ in scaled], [detected for _, detected in scaled], alarms.value or 0.0)
     lines = [
         *_false_alarms(marks),
         *_detection(scaled, curve),
         *_naming(clear),
-        *_strangers(marks),
+        *_off_catalogue(marks),
         *_models(marks, clear),
         *_places(marks, clear),
         _pairs(marks),
@@ -69,27 +69,33 @@ def scored(solver: str, marks: Sequence[Mark], left_out: Sequence[Mark] | None =
     confusion: dict[str, Counter[str]] = {}
     for _, e in clear:
         confusion.setdefault(e.effect, Counter())[e.given] += 1
-    table = {effect: dict(given) for effect, given in sorted(confusion.items())}
-    return Score(solver, lines, curve, table, rate(sum(m.right for m in _judged(marks)), len(_judged(marks))))
+    table = {effect: dict(names) for effect, names in sorted(confusion.items())}
+    return Score(
+        solver,
+        lines,
+        curve,
+        table,
+        rate(sum(m.right for m in _judged_marks(marks)), len(_judged_marks(marks))),
+    )
 
 
-def _judged(marks: Sequence[Mark]) -> list[Mark]:
+def _judged_marks(marks: Sequence[Mark]) -> list[Mark]:
     """Return the marks that one can be right or wrong about: hidden effects aside."""
     return [m for m in marks if m.kind != "single" or (m.effects[0].d_prime or NAMING_D) >= NAMING_D]
 
 
-def _at_most(what: str, found: Rate, bar: float) -> Line:
-    holds = found.value is not None and found.value <= bar
-    return Line(what, found.value, found.low, found.high, found.n, f"<= {bar:.0%}", holds)
+def _at_most(what: str, share: Rate, bar: float) -> Line:
+    holds = share.value is not None and share.value <= bar
+    return Line(what, share.value, share.low, share.high, share.n, f"<= {bar:.0%}", holds)
 
 
-def _at_least(what: str, found: Rate | Mean, bar: float) -> Line:
-    holds = found.value is not None and found.value >= bar
-    return Line(what, found.value, found.low, found.high, found.n, f">= {bar:.0%}", holds)
+def _at_least(what: str, share: Rate | Mean, bar: float) -> Line:
+    holds = share.value is not None and share.value >= bar
+    return Line(what, share.value, share.low, share.high, share.n, f">= {bar:.0%}", holds)
 
 
-def _told(what: str, found: Rate | Mean) -> Line:
-    return Line(what, found.value, found.low, found.high, found.n)
+def _without_bar(what: str, share: Rate | Mean) -> Line:
+    return Line(what, share.value, share.low, share.high, share.n)
 
 
 def _share(marks: Sequence[Mark], true: Callable[[Mark], bool]) -> Rate:
@@ -117,7 +123,7 @@ def _false_alarms(marks: Sequence[Mark]) -> list[Line]:
     ]
     makers = sorted({m.maker for m in nulls})
     return lines + [
-        _told(
+        _without_bar(
             f"false alarms, made by the {k}", _share([m for m in nulls if m.maker == k], lambda m: m.alarmed)
         )
         for k in makers
@@ -131,9 +137,9 @@ def _detection(scaled: list[tuple[float, bool]], curve: Power | None) -> list[Li
     lines = [Line("d' of 90 % detection", value, low, high, len(scaled), f"<= {DETECTION_D:g}", holds)]
     edges = (0.0, 3.0, 5.0, 7.0, 10.0, 15.0, np.inf)
     for low_edge, high_edge in pairwise(edges):
-        inside = [found for d, found in scaled if low_edge <= d < high_edge]
+        inside = [detected for d, detected in scaled if low_edge <= d < high_edge]
         span = f"{low_edge:g} to {high_edge:g}" if np.isfinite(high_edge) else f"over {low_edge:g}"
-        lines.append(_told(f"detected, d' {span}", rate(sum(inside), len(inside))))
+        lines.append(_without_bar(f"detected, d' {span}", rate(sum(inside), len(inside))))
     return lines
 
 
@@ -151,18 +157,20 @@ def _naming(clear: list[tuple[Mark, EffectMark]]) -> list[Line]:
         ("other", "given another name"),
         ("missed", "missed"),
     ):
-        lines.append(_told(f"  {text}", rate(sum(e.named == named for _, e in clear), len(clear))))
+        lines.append(_without_bar(f"  {text}", rate(sum(e.named == named for _, e in clear), len(clear))))
     lines.append(
-        _told("  with a false name beside", rate(sum(bool(m.false_names) for m, _ in clear), len(clear)))
+        _without_bar(
+            "  with a false name beside", rate(sum(bool(m.false_names) for m, _ in clear), len(clear))
+        )
     )
     return lines
 
 
-def _strangers(marks: Sequence[Mark]) -> list[Line]:
-    strange = [m for m in marks if m.kind == "off_catalogue"]
+def _off_catalogue(marks: Sequence[Mark]) -> list[Line]:
+    off_catalogue = [m for m in marks if m.kind == "off_catalogue"]
     return [
-        _at_least("off-catalogue called unknown", _share(strange, lambda m: m.unknown), UNKNOWN),
-        _at_most("off-catalogue misnamed", _share(strange, lambda m: bool(m.false_names)), MISNAMED),
+        _at_least("off-catalogue called unknown", _share(off_catalogue, lambda m: m.unknown), UNKNOWN),
+        _at_most("off-catalogue misnamed", _share(off_catalogue, lambda m: bool(m.false_names)), MISNAMED),
     ]
 
 
@@ -181,17 +189,17 @@ def _models(marks: Sequence[Mark], clear: list[tuple[Mark, EffectMark]]) -> list
 
 
 def _places(marks: Sequence[Mark], clear: list[tuple[Mark, EffectMark]]) -> list[Line]:
-    strange = [e for m in marks if m.kind == "off_catalogue" for e in m.effects]
+    off_catalogue = [e for m in marks if m.kind == "off_catalogue" for e in m.effects]
     lines = [
-        _told("overlap of time spans", mean([e.overlap for _, e in clear if e.overlap is not None])),
-        _told(
+        _without_bar("overlap of time spans", mean([e.overlap for _, e in clear if e.overlap is not None])),
+        _without_bar(
             "overlap of time spans, off-catalogue",
-            mean([e.overlap for e in strange if e.overlap is not None]),
+            mean([e.overlap for e in off_catalogue if e.overlap is not None]),
         ),
-        _told("overlap of axes", mean([e.axes for _, e in clear if e.axes is not None])),
+        _without_bar("overlap of axes", mean([e.axes for _, e in clear if e.axes is not None])),
     ]
-    apart = [e.apart_s for _, e in clear if e.apart_s is not None]
-    return [*lines, _told("steps' time off by, s", mean(apart))]
+    time_errors = [e.apart_s for _, e in clear if e.apart_s is not None]
+    return [*lines, _without_bar("steps' time off by, s", mean(time_errors))]
 
 
 def _pairs(marks: Sequence[Mark]) -> Line:
@@ -223,17 +231,17 @@ def compared(scores: Sequence[Score]) -> list[Line]:
     first, lines = scores[0].right, []
     assert first is not None, "scored() always tells how often the solver was right"
     for index, score in enumerate(scores):
-        found = score.right
-        assert found is not None, "scored() always tells how often the solver was right"
-        beaten = None if index == 0 else (first.value or 0.0) > (found.value or 0.0)
+        share = score.right
+        assert share is not None, "scored() always tells how often the solver was right"
+        beaten = None if index == 0 else (first.value or 0.0) > (share.value or 0.0)
         bar = "" if beaten is None else f"below {scores[0].solver}"
         lines.append(
             Line(
                 f"whole answer right: {score.solver}",
-                found.value,
-                found.low,
-                found.high,
-                found.n,
+                share.value,
+                share.low,
+                share.high,
+                share.n,
                 bar,
                 beaten,
             )

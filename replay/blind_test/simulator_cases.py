@@ -11,7 +11,7 @@ import numpy as np
 from stillcal.calib_core.streams.events import Charging
 from stillcal.replay.blind_test.forward_model import FORWARD
 from stillcal.replay.blind_test.keys import TrueEffect
-from stillcal.replay.blind_test.phones import Made, Part, Phone
+from stillcal.replay.blind_test.phones import MadeRecording, Part, Phone
 from stillcal.replay.blind_test.sizing import EITHER
 from stillcal.replay.blind_test.world import World
 from stillcal.replay.phone import Simulation, simulate
@@ -68,8 +68,8 @@ def drawn_day(duration: float, rng: np.random.Generator) -> Scenario:
         "longitude": 0.0,
         "altitude": float(rng.uniform(0.0, 800.0)),
     }
-    told = {"segment": segments, "duration_s": duration, "place": place, "earth_rotation": True}
-    return msgspec.convert(told, type=Scenario)
+    settings = {"segment": segments, "duration_s": duration, "place": place, "earth_rotation": True}
+    return msgspec.convert(settings, type=Scenario)
 
 
 def world_of(simulation: Simulation) -> World:
@@ -145,9 +145,9 @@ def _entry(phone: Phone, truth: TrueEffect) -> dict[str, Any]:
     return entry
 
 
-def recorded(simulation: Simulation, phone: Phone) -> Made:
+def recorded(simulation: Simulation, phone: Phone) -> MadeRecording:
     """Return the recording, with the claims of the phone as it was drawn and of the place where it is."""
     whole = simulation.whole()
     charging = [e for e in whole.events if isinstance(e, Charging)]
     claims = msgspec.structs.replace(phone.claims, gravity=round(simulation.truth.intervals[0].gravity, 5))
-    return Made(whole.accelerometer, whole.gyroscope, charging, claims)
+    return MadeRecording(whole.accelerometer, whole.gyroscope, charging, claims)

@@ -125,9 +125,9 @@ def _clipped(stage: Stage, sensor: str, d: float) -> Drawn:
 
 def _offset(stage: Stage, sensor: str, d: float) -> Drawn:
     swept = np.cross(stage.world.rate, stage.world.force)
-    told = float((swept**2).sum()) / stage.phone.clock.rate_hz / HAND_S / HAND_M_S2**2
+    information = float((swept**2).sum()) / stage.phone.clock.rate_hz / HAND_S / HAND_M_S2**2
     sign = float(stage.rng.choice([-1.0, 1.0]))
-    return {"delay": sign * sizes.delay(d, told)}, d
+    return {"delay": sign * sizes.delay(d, information)}, d
 
 
 def _lever(stage: Stage, sensor: str, d: float) -> Drawn:
@@ -185,9 +185,11 @@ def drawn_effect(stage: Stage, effect: str, d: float) -> TrueEffect:
         parameters, reached = _slow(stage, effect, sensor, d)
     else:
         parameters, reached = SUDDEN[effect](stage, sensor, d)
-    told = "timing" if effect in TIMING else sensor
+    reported_sensor = "timing" if effect in TIMING else sensor
     begin = parameters["at_s"] if effect.endswith("_bias_step") else 0.0
-    return TrueEffect(effect, told, _axes(parameters), parameters, reached, begin, stage.world.duration)
+    return TrueEffect(
+        effect, reported_sensor, _axes(parameters), parameters, reached, begin, stage.world.duration
+    )
 
 
 def _axes(parameters: dict[str, Any]) -> list[str]:
@@ -228,7 +230,7 @@ def _retimed(phone: Phone, effect: str, p: dict[str, Any]) -> Any:
     return replace(phone.clock, **{name: own + p[parameter]})
 
 
-def as_told(phone: Phone, truth: TrueEffect) -> TrueEffect:
+def as_recorded(phone: Phone, truth: TrueEffect) -> TrueEffect:
     """Return an effect with what the recording shows of it: what the sound phone had of it is in it too."""
     part = phone.accel if truth.sensor == "accel" else phone.gyro
     total = {

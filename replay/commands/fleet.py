@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
+from rich.table import Table
 
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
@@ -23,6 +25,7 @@ from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_f
 if TYPE_CHECKING:
     from distributed import Client
 
+    from stillcal.replay.fleet.report import Report
     from stillcal.replay.fleet.worker import Task
 
 _BAD, _NAMED = ("error", "lost"), 3
@@ -161,8 +164,7 @@ def report_command(results: Path, json_path: Path | None) -> None:
     device was calibrated.
     """
     try:
-        from stillcal.replay.commands.fleet_tables import tables  # noqa: PLC0415 - an extra
-        from stillcal.replay.fleet.report import report  # noqa: PLC0415
+        from stillcal.replay.fleet.report import report  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise click.UsageError(_LACKING.format(error)) from error
     refuse_collisions(files(json_path), results.rglob("*.parquet"))
@@ -174,13 +176,98 @@ def report_command(results: Path, json_path: Path | None) -> None:
         if json_path is not None:
             write_atomically(json_path, text.encode())
         click.echo(", ".join(f"{n} {status}" for status, n in fleet.recordings.items()) or "no recordings")
-        for table in tables(fleet):
+        for table in _tables(fleet):
             Console().print(table)
         for limit in fleet.limits:
             click.echo(f"not seen: {limit}")
     if not fleet.spreads:
         click.echo(f"stillcal: {results}: no device was calibrated", err=True)
         sys.exit(TOO_LITTLE)
+
+
+def _tables(report: Report) -> Iterator[Table]:
+    """Yield the tables that have rows."""
+    for title, columns, rows in (
+        ("All devices", ("quantity", "unit", "devices", "median", "middle half"), _spreads(report)),
+        ("Bias by model, m/s²", ("model", "devices", "x", "y", "z"), _biases(report)),
+        ("Effects found", ("model", "effect", "sensor", "recordings", "size"), _effects(report)),
+        ("Outlier devices", ("device", "model", "distance", "limit", "most"), _outliers(report)),
+        ("Clusters", ("exemplar", "devices", "bias, m/s²", "rate, Hz", "models"), _clusters(report)),
+        ("Priors: bias, m/s²", ("model", "x", "y", "z", "± each"), _priors(report)),
+    ):
+        if rows:
+            table = Table(*columns, title=title, title_justify="left", box=None, pad_edge=False)
+            for row in rows:
+                table.add_row(*row)
+            yield table
+
+
+def _spreads(report: Report) -> list[tuple[str, ...]]:
+    return [
+        (s.quantity, s.unit, str(s.devices), f"{s.median:.3g}", f"{s.low:.3g} to {s.high:.3g}")
+        for s in report.spreads
+        if s.of_all_models
+    ]
+
+
+def _biases(report: Report) -> list[tuple[str, ...]]:
+    models = dict.fromkeys(s.model for s in report.spreads if not s.of_all_models)
+    rows = []
+    for model in models:
+        own = [s for s in report.spreads if s.model == model and s.quantity.startswith("accelerometer bias")]
+        cells = (f"{s.median:+.3f} ({s.low:+.3f} to {s.high:+.3f})" for s in own)
+        rows.append((model, str(own[0].devices), *cells))
+    return rows
+
+
+def _effects(report: Report) -> list[tuple[str, ...]]:
+    return [
+        (
+            e.model,
+            e.effect,
+            e.sensor,
+            f"{e.found} of {e.diagnosed}",
+            f"{e.parameter} {e.median:.3g} ({e.low:.3g} to {e.high:.3g}) {e.unit}",
+        )
+        for e in report.effects
+    ]
+
+
+def _outliers(report: Report) -> list[tuple[str, ...]]:
+    return [
+        (
+            o.device,
+            o.model,
+            f"{o.distance:.1f}",
+            f"{o.limit:.1f}",
+            f"{o.parameter} {o.value:+.4g}, the others {o.median:+.4g}",
+        )
+        for o in report.outliers
+    ]
+
+
+def _clusters(report: Report) -> list[tuple[str, ...]]:
+    return [
+        (
+            c.exemplar,
+            str(c.devices),
+            f"{c.bias:.3f}",
+            f"{c.rate_hz:.1f}",
+            ", ".join(f"{n} {model}" for model, n in c.models.items()),
+        )
+        for c in report.clusters
+    ]
+
+
+def _priors(report: Report) -> list[tuple[str, ...]]:
+    return [
+        (
+            p.model or "any",
+            *(f"{m:+.3f}" for m in p.mean[:3]),
+            ", ".join(f"{v**0.5:.3f}" for v in p.covariance.diagonal()[:3]),
+        )
+        for p in report.priors
+    ]
 
 
 @click.command(

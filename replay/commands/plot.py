@@ -24,7 +24,7 @@ from stillcal.daemon.store.store import Store, StoreError
 from stillcal.replay.commands.outputs import refuse_collisions
 from stillcal.replay.formats.trace import Trace, open_trace
 from stillcal.replay.plots import style
-from stillcal.replay.plots.drawing import ALL, FIGURES, drawn
+from stillcal.replay.plots.drawing import ALL, FIGURES, draw_figure
 from stillcal.replay.plots.inputs import Material, Moment, of_record, of_trace
 
 ENDINGS = (".png", ".svg", ".pdf")
@@ -75,7 +75,7 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
         else:
             settings = load_settings(config).engine
             material = _replayed(open_trace(source, format_, gyro), settings, what in NOISE, quiet)
-        figure, omitted = drawn(what, material)
+        figure, omitted = draw_figure(what, material)
     except NotSupported as refusal:
         click.echo(f"stillcal: {source}: {refusal}", err=True)
         sys.exit(TOO_LITTLE)

@@ -1,6 +1,7 @@
 """Thousands of recordings at once: calibrated and diagnosed on Dask, kept as Parquet, read as one fleet.
 
-listing.py finds recordings, work.py is what a worker does with one, running.py hands them out, kept.py keeps
-what came of them. devices.py, spread.py, outliers.py and clusters.py read the fleet; shorten.py shows what a
-prior from it is worth to a new phone. Needs the extra `fleet`.
+discovery.py finds recordings, worker.py is what a worker does with one, dask_jobs.py hands them out,
+results_folder.py and parquet.py keep the results. devices.py, spread.py, outliers.py, clusters.py and
+report.py describe the fleet; prior_file.py and first_calibration.py give a new phone its first calibration
+from the fleet's prior. Needs the extra `fleet`.
 """

@@ -17,7 +17,7 @@ from typing import Any
 import dask
 from distributed import Client, Future, LocalCluster, as_completed
 
-from stillcal.replay.fleet.worker import LOST, Examined, Task, examined, identity
+from stillcal.replay.fleet.worker import LOST, Examined, Task, examine, identity
 
 AHEAD = 4
 """Recordings handed out per worker thread: enough that none waits, few enough that little is lost."""
@@ -79,7 +79,7 @@ def run(client: Client, tasks: Sequence[Task], keep: Keep) -> None:
 
     def submitted(most: int) -> Iterator[Future[Examined]]:
         for task in islice(waiting, most):
-            future = client.submit(examined, task, pure=False)
+            future = client.submit(examine, task, pure=False)
             under_way[future.key] = task, future
             yield future
 

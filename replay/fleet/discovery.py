@@ -21,7 +21,7 @@ class NoRecordingsError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundRecording:
     """A recording and where it lies. name: its path below the folder that was looked through.
 
     device, model: by its folders; what the maker claims of the model comes before the folder's name. Below
@@ -50,7 +50,7 @@ class Found:
         return sum(s.st_size for s in stats), max(s.st_mtime_ns for s in stats)
 
 
-def find(where: str, format: str = "csv") -> list[Found]:
+def find(where: str, format: str = "csv") -> list[FoundRecording]:
     """Return the recordings below the folder `where`, or those that the pattern `where` fits, by name.
 
     A pattern may hold ** for any depth. A folder is searched for .csv and .csv.gz; formats of other names
@@ -58,16 +58,16 @@ def find(where: str, format: str = "csv") -> list[Found]:
     """
     wild = bool(_WILD & set(where)) and not Path(where).exists()
     root = _root(where) if wild else Path(where)
-    paths = root.glob(str(Path(where).relative_to(root))) if wild else _below(root)
+    paths = root.glob(str(Path(where).relative_to(root))) if wild else _recordings_in(root)
     rules = () if format == "rest" else _rules(format)
     recordings = sorted(p for p in paths if p.is_file() and not p.name.startswith("."))
     others = {other for p in recordings if (other := other_file(p, rules)) is not None}
-    found = [_found(p, root, rules) for p in recordings if p not in others]
-    if not found:
+    recordings_found = [_found_recording(p, root, rules) for p in recordings if p not in others]
+    if not recordings_found:
         there = f"no {' or '.join(PLAIN)} below" if root.exists() else "no file or folder"
         what = "no file fits" if wild else there
         raise NoRecordingsError(f"{what} {where}: name a folder of recordings or a pattern in quotes")
-    return found
+    return recordings_found
 
 
 def _rules(format: str) -> tuple[tuple[str, str], ...]:
@@ -75,7 +75,7 @@ def _rules(format: str) -> tuple[tuple[str, str], ...]:
     return gyroscope.other_file if gyroscope else ()
 
 
-def _below(root: Path) -> Iterable[Path]:
+def _recordings_in(root: Path) -> Iterable[Path]:
     if not root.is_dir():
         return [root]
     return (p for p in root.rglob("*") if p.name.endswith(PLAIN))
@@ -88,8 +88,8 @@ def _root(pattern: str) -> Path:
     return Path(*parts[:first])
 
 
-def _found(path: Path, root: Path, rules: tuple[tuple[str, str], ...]) -> Found:
+def _found_recording(path: Path, root: Path, rules: tuple[tuple[str, str], ...]) -> FoundRecording:
     inside = path.relative_to(root) if path != root else Path(path.name)
     other = other_file(path, rules)
     around = (beside(path, ".json"), beside(path, ".events.jsonl"), *([other] if other else []))
-    return Found(path, str(inside), inside.parts[:-1], (path, *(p for p in around if p.is_file())))
+    return FoundRecording(path, str(inside), inside.parts[:-1], (path, *(p for p in around if p.is_file())))

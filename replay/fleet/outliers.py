@@ -29,8 +29,8 @@ class Distances:
     @property
     def outliers(self) -> Array:
         """Rows beyond the limit, farthest first."""
-        beyond = np.flatnonzero(self.squared > self.limit)
-        return np.asarray(beyond[np.argsort(-self.squared[beyond])])
+        outside = np.flatnonzero(self.squared > self.limit)
+        return np.asarray(outside[np.argsort(-self.squared[outside])])
 
 
 def distances(values: Array, covariances: Array, level: float = LEVEL) -> Distances:
@@ -47,10 +47,10 @@ def distances(values: Array, covariances: Array, level: float = LEVEL) -> Distan
     if n >= _LEAST * p:
         from sklearn.covariance import MinCovDet  # noqa: PLC0415 - an extra
 
-        found = MinCovDet(random_state=0).fit(values)
+        estimate = MinCovDet(random_state=0).fit(values)
         freedom = max(_degrees_of_freedom(n, p), p + 1.0)
         limit = p * freedom / (freedom - p + 1.0) * float(f.isf(tail, p, freedom - p + 1.0))
-        return Distances(_against(values, found.location_, found.covariance_, covariances), limit, True)
+        return Distances(_against(values, estimate.location_, estimate.covariance_, covariances), limit, True)
     centre = np.median(values, axis=0)
     sd = 1.4826 * np.median(np.abs(values - centre), axis=0)
     squared = _against(values, centre, np.diag(np.maximum(sd, 1e-9) ** 2), covariances)

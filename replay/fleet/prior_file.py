@@ -66,22 +66,22 @@ def read_prior(path: Path, model: str | None = None, claimed: str | None = None)
 
 def _chosen(path: Path, priors: list[_Written], model: str | None, claimed: str | None) -> _Written:
     """Return the one prior that is meant. Raises TraceError where there is none, or more than one."""
-    held = [p.model for p in priors]
-    twice = next((m for m in held if held.count(m) > 1), None)
+    models = [p.model for p in priors]
+    twice = next((m for m in models if models.count(m) > 1), None)
     if twice is not None:
         raise TraceError(path, f"holds more than one prior of {twice or 'any model'}", _REMEDY)
     by_model = {p.model: p for p in priors}
-    known = ", ".join(repr(m) for m in held if m) or "none"
+    known = ", ".join(repr(m) for m in models if m) or "none"
     if model:
         if model not in by_model:
             remedy = f"give one of its models ({known}) or leave --model out"
             raise TraceError(path, f"holds no prior of {model!r}", remedy)
         return by_model[model]
-    found = by_model.get(claimed or "", by_model.get(""))
-    if found is None:
+    prior = by_model.get(claimed or "", by_model.get(""))
+    if prior is None:
         which = f"of {claimed!r} nor of any model" if claimed else "of any model"
         raise TraceError(path, f"holds no prior {which}", f"say which of its models it is, --model: {known}")
-    return found
+    return prior
 
 
 def _wrong(prior: _Written) -> str | None:

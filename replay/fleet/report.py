@@ -12,7 +12,7 @@ from stillcal.calib_core.accelerometer import prior as fleet_prior
 from stillcal.calib_core.accelerometer.prior import FleetPrior
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import NotSupported
-from stillcal.replay.fleet import results_folder as kept
+from stillcal.replay.fleet import results_folder
 from stillcal.replay.fleet.clusters import clusters
 from stillcal.replay.fleet.devices import Devices, devices
 from stillcal.replay.fleet.outliers import Distances, distances
@@ -85,7 +85,7 @@ def prior_document(prior: FleetPrior) -> dict[str, Any]:
 
 def report(folder: Path) -> Report:
     """Read the results in `folder`, finished or not, and say what they show."""
-    rows, findings = kept.read(folder)
+    rows, findings = results_folder.read(folder)
     counts: dict[str, int] = {}
     for row in rows:
         counts[row["status"]] = counts.get(row["status"], 0) + 1
@@ -99,7 +99,7 @@ def report(folder: Path) -> Report:
         spreads(fleet) if len(fleet) else [],
         effects(rows, findings),
         outliers(fleet, limits) if enough else [],
-        grouped(fleet, limits) if enough else [],
+        cluster_devices(fleet, limits) if enough else [],
         priors(fleet, limits) if enough else [],
         limits,
     )
@@ -108,28 +108,28 @@ def report(folder: Path) -> Report:
 def outliers(fleet: Devices, limits: list[str]) -> list[Outlier]:
     """Return the devices whose biases and scales do not belong, farthest first."""
     values = fleet.values[:, :_PARAMETERS]
-    found = distances(values, fleet.covariances[:, :_PARAMETERS, :_PARAMETERS])
-    if not found.robust:
+    judged_distances = distances(values, fleet.covariances[:, :_PARAMETERS, :_PARAMETERS])
+    if not judged_distances.robust:
         limits.append(f"{len(fleet)} devices: outliers judged by each parameter alone")
-    return [_outlier(fleet, values, found, int(row)) for row in found.outliers]
+    return [_outlier(fleet, values, judged_distances, int(row)) for row in judged_distances.outliers]
 
 
-def _outlier(fleet: Devices, values: Array, found: Distances, row: int) -> Outlier:
+def _outlier(fleet: Devices, values: Array, judged_distances: Distances, row: int) -> Outlier:
     median = np.median(values, axis=0)
     spread = np.median(np.abs(values - median), axis=0)
     worst = int(np.argmax(np.abs(values[row] - median) / np.maximum(spread, 1e-12)))
     return Outlier(
         fleet.names[row],
         fleet.models[fleet.model[row]],
-        float(np.sqrt(found.squared[row])),
-        float(np.sqrt(found.limit)),
+        float(np.sqrt(judged_distances.squared[row])),
+        float(np.sqrt(judged_distances.limit)),
         _NAMES[worst],
         float(values[row, worst]),
         float(median[worst]),
     )
 
 
-def grouped(fleet: Devices, limits: list[str]) -> list[Cluster]:
+def cluster_devices(fleet: Devices, limits: list[str]) -> list[Cluster]:
     """Cluster devices by what Stisen et al. 2015 did (5.1): bias, rate, and how steady that is."""
     bias = np.linalg.norm(fleet.values[:, :3], axis=1)
     features = np.column_stack((bias, fleet.rate_hz, fleet.rate_jitter))
@@ -140,8 +140,8 @@ def grouped(fleet: Devices, limits: list[str]) -> list[Cluster]:
         return []
     labels, exemplars = clusters(features, 0)
     rows = np.flatnonzero(known)
-    found = [_cluster(fleet, bias, rows[labels == k], int(rows[e])) for k, e in enumerate(exemplars)]
-    return sorted(found, key=lambda c: -c.devices)
+    groups = [_cluster(fleet, bias, rows[labels == k], int(rows[e])) for k, e in enumerate(exemplars)]
+    return sorted(groups, key=lambda c: -c.devices)
 
 
 def _cluster(fleet: Devices, bias: Array, members: Array, exemplar: int) -> Cluster:

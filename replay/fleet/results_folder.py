@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stillcal.replay.fleet import parquet as tables
+from stillcal.replay.fleet import parquet
 from stillcal.replay.fleet.parquet import FINDINGS, RECORDINGS, Rows
 from stillcal.replay.fleet.worker import LOST, Examined, Task, content
 
@@ -45,7 +45,7 @@ class Results:
 
     def keep(self, task: Task, outcome: Examined) -> None:
         """Keep what came of a task; it is on the disk within FLUSH_S or FLUSH_ROWS."""
-        size, mtime = task.found.stat if task.found.path.exists() else (None, None)
+        size, mtime = task.recording.stat if task.recording.path.exists() else (None, None)
         outcome.row |= {"made_by": self.made_by, "size_bytes": size, "mtime_ns": mtime}
         self._fresh.append(outcome)
         if len(self._fresh) >= FLUSH_ROWS or time.monotonic() - self._flushed > FLUSH_S:
@@ -57,26 +57,28 @@ class Results:
         if not self._fresh:
             return
         stem = self._parts / f"{self._next:06d}"
-        tables.write(Path(f"{stem}.findings.parquet"), [f for e in self._fresh for f in e.findings], FINDINGS)
-        tables.write(Path(f"{stem}.recordings.parquet"), [e.row for e in self._fresh], RECORDINGS)
+        parquet.write(
+            Path(f"{stem}.findings.parquet"), [f for e in self._fresh for f in e.findings], FINDINGS
+        )
+        parquet.write(Path(f"{stem}.recordings.parquet"), [e.row for e in self._fresh], RECORDINGS)
         self._next, self._fresh = self._next + 1, []
 
     def finish(self) -> tuple[Rows, Rows]:
         """Write both tables, the newest outcome of each recording, and clear the parts away."""
         self.flush()
         recordings, findings = read(self.folder)
-        tables.write(self.folder / NAMES[1], findings, FINDINGS)
-        tables.write(self.folder / NAMES[0], recordings, RECORDINGS)
+        parquet.write(self.folder / NAMES[1], findings, FINDINGS)
+        parquet.write(self.folder / NAMES[0], recordings, RECORDINGS)
         for part in sorted(self._parts.glob("*.parquet"), reverse=True):  # recordings before their findings
             part.unlink()
         return recordings, findings
 
     def _done(self, task: Task) -> bool:
-        row = self._rows.get(task.found.name)
+        row = self._rows.get(task.recording.name)
         if row is None or row["made_by"] != self.made_by or row["status"] == LOST:
             return False
-        return (row["size_bytes"], row["mtime_ns"]) == task.found.stat or row["content"] == content(
-            task.found
+        return (row["size_bytes"], row["mtime_ns"]) == task.recording.stat or row["content"] == content(
+            task.recording
         )
 
 
@@ -84,12 +86,16 @@ def read(folder: Path) -> tuple[Rows, Rows]:
     """Return the rows of recordings and of findings in `folder`, the newest of each recording, by name."""
     newest: dict[str, tuple[dict[str, Any], int]] = {}
     findings: list[Rows] = []
-    for number, (recordings, found) in enumerate(zip(_sources(folder, 0), _sources(folder, 1), strict=True)):
-        findings.append(tables.read(found))
-        newest |= {row["name"]: (row, number) for row in tables.read(recordings)}
+    for number, (recordings, findings_path) in enumerate(
+        zip(_sources(folder, 0), _sources(folder, 1), strict=True)
+    ):
+        findings.append(parquet.read(findings_path))
+        newest |= {row["name"]: (row, number) for row in parquet.read(recordings)}
     rows = [newest[name][0] for name in sorted(newest)]
-    kept = [f for n, part in enumerate(findings) for f in part if newest.get(f["name"], (None, -1))[1] == n]
-    return rows, sorted(kept, key=lambda f: (f["name"], f["effect"]))
+    current = [
+        f for n, part in enumerate(findings) for f in part if newest.get(f["name"], (None, -1))[1] == n
+    ]
+    return rows, sorted(current, key=lambda f: (f["name"], f["effect"]))
 
 
 def _sources(folder: Path, which: int) -> list[Path]:
@@ -100,4 +106,4 @@ def _sources(folder: Path, which: int) -> list[Path]:
 
 
 def _all(folder: Path, which: int) -> Rows:
-    return [row for path in _sources(folder, which) for row in tables.read(path)]
+    return [row for path in _sources(folder, which) for row in parquet.read(path)]

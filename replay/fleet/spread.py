@@ -28,6 +28,11 @@ class Spread:
     low: float
     high: float
 
+    @property
+    def of_all_models(self) -> bool:
+        """Whether this is the spread over the devices of all models."""
+        return self.model == ALL
+
 
 @dataclass(frozen=True, slots=True)
 class Effect:
@@ -88,8 +93,8 @@ def effects(rows: Sequence[dict[str, Any]], findings: Sequence[dict[str, Any]]) 
     for finding in findings:
         for model in (ALL, finding["model"]):
             groups[model, finding["effect"], finding["sensor"]].append(finding)
-    found = [_effect(*key, group, diagnosed[key[0]]) for key, group in groups.items()]
-    return sorted(found, key=lambda e: (e.model != ALL, e.model, -e.found, e.effect))
+    all_effects = [_effect(*key, group, diagnosed[key[0]]) for key, group in groups.items()]
+    return sorted(all_effects, key=lambda e: (e.model != ALL, e.model, -e.found, e.effect))
 
 
 def _effect(model: str, effect: str, sensor: str, group: list[dict[str, Any]], diagnosed: int) -> Effect:

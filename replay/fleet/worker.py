@@ -20,7 +20,7 @@ from stillcal.calib_core.engine.state import EngineSettings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.diagnose import diagnose_recording
-from stillcal.replay.fleet.discovery import Found
+from stillcal.replay.fleet.discovery import FoundRecording
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.trace import Recording, Trace, open_trace
 from stillcal.replay.runner import Outcome, replay, replay_rests
@@ -35,7 +35,7 @@ _UNMIRRORED = {low: high for high, low in LOWER.items()}
 class Task:
     """A recording to be examined. format: as for `stillcal replay`; watch: how the engine looks."""
 
-    found: Found
+    recording: FoundRecording
     format: str = "csv"
     watch: str = "continuous"
     diagnose: bool = True
@@ -49,11 +49,11 @@ class Examined:
     findings: list[dict[str, Any]] = field(default_factory=list)
 
 
-def examined(task: Task) -> Examined:
+def examine(task: Task) -> Examined:
     """Calibrate and diagnose one recording; whatever is wrong with it becomes its row."""
     outcome = Examined(identity(task))
     try:
-        outcome.row["content"] = content(task.found)
+        outcome.row["content"] = content(task.recording)
         with np.errstate(all="ignore"):  # of a bad recording; its row says what matters
             _examine(task, outcome)
     except Exception as error:  # one bad recording must not stop thousands of others
@@ -63,14 +63,14 @@ def examined(task: Task) -> Examined:
 
 def identity(task: Task) -> dict[str, Any]:
     """Return the columns known before a recording is opened."""
-    model, device = task.found.owner(None)
-    return {"name": task.found.name, "model": model, "device": device, "format": task.format}
+    model, device = task.recording.owner(None)
+    return {"name": task.recording.name, "model": model, "device": device, "format": task.format}
 
 
-def content(found: Found) -> str:
+def content(recording: FoundRecording) -> str:
     """Return a digest of all files of a recording."""
     digest = hashlib.blake2b(digest_size=16)
-    for file in found.files:
+    for file in recording.files:
         with file.open("rb") as opened:
             while block := opened.read(1 << 20):
                 digest.update(block)
@@ -81,11 +81,11 @@ def content(found: Found) -> str:
 def _examine(task: Task, outcome: Examined) -> None:
     row, began = outcome.row, time.perf_counter()
     if task.format == "rest":
-        row |= _calibration(replay_rests(read_rest_table(task.found.path), _engine(task, None), _ignore))
+        row |= _calibration(replay_rests(read_rest_table(task.recording.path), _engine(task, None), _ignore))
         row["calibrate_s"] = time.perf_counter() - began
         return
-    trace = open_trace(task.found.path, task.format)
-    row["model"], row["device"] = task.found.owner(trace.claims.device)
+    trace = open_trace(task.recording.path, task.format)
+    row["model"], row["device"] = task.recording.owner(trace.claims.device)
     chunks = list(trace.chunks())
     row |= _stamps(Samples.joined(c.accelerometer for c in chunks).t)
     row |= _calibration(replay(chunks, _engine(task, trace), _ignore))
@@ -113,11 +113,11 @@ def _engine(task: Task, trace: Trace | None) -> Engine:
 def _stamps(t: np.ndarray) -> dict[str, Any]:
     """Return the sampling rate and how it scatters: sd of the steps over their median, gaps left out."""
     steps = np.diff(t)
-    usual = float(np.median(steps))
-    kept = steps[(steps > 0) & (steps < 3 * usual)]
-    if usual <= 0 or kept.size == 0:
+    period = float(np.median(steps))
+    steps_without_gaps = steps[(steps > 0) & (steps < 3 * period)]
+    if period <= 0 or steps_without_gaps.size == 0:
         return {}
-    return {"rate_hz": 1.0 / usual, "rate_jitter": float(kept.std()) / usual}
+    return {"rate_hz": 1.0 / period, "rate_jitter": float(steps_without_gaps.std()) / period}
 
 
 def _calibration(outcome: Outcome) -> dict[str, Any]:
@@ -179,23 +179,23 @@ def _diagnosis(recording: Recording, outcome: Examined) -> None:
     except NotSupported as refusal:
         row["verdict"] = f"too little data: {refusal}"
         return
-    outcome.findings = [_finding(row, found) for found in answer["findings"]]
+    outcome.findings = [_finding(row, finding) for finding in answer["findings"]]
     row |= {"verdict": answer["verdict"], "findings": len(outcome.findings), "limits": answer["limits"]}
 
 
-def _finding(row: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
+def _finding(row: dict[str, Any], finding: dict[str, Any]) -> dict[str, Any]:
     """Return a finding's row: its first parameter in columns of its own."""
-    parameters: dict[str, dict[str, Any]] = found["parameters"]
+    parameters: dict[str, dict[str, Any]] = finding["parameters"]
     name = next(iter(parameters), None)
     first = {} if name is None else parameters[name]
-    where, evidence = found["where"], found["evidence"]
+    where, evidence = finding["where"], finding["evidence"]
     return {
         **{k: row[k] for k in ("name", "model", "device")},
-        **{k: found[k] for k in ("effect", "sensor", "axes", "statement")},
+        **{k: finding[k] for k in ("effect", "sensor", "axes", "statement")},
         **{k: where[k] for k in ("t_start", "t_end", "driver")},
         **{k: evidence[k] for k in ("p_value", "heldout_log_score_gain")},
         "parameter": name,
         "value": None if name is None else np.ravel(first["value"]).astype(float).tolist(),
         "unit": first.get("unit"),
-        "indistinguishable": [a["effect"] for a in found["alternatives"] if a["indistinguishable"]],
+        "indistinguishable": [a["effect"] for a in finding["alternatives"] if a["indistinguishable"]],
     }

@@ -25,8 +25,8 @@ def blanks_to_commas(text: bytes) -> bytes:
     line_end = characters == _NEWLINE
     run_ends = blank & ~(blank | line_end)[np.r_[1 : len(blank), 0]]
     before = np.maximum.accumulate(np.where(blank, 0, np.arange(len(blank))))
-    kept = ~blank | (run_ends & ~line_end[before])
-    return bytes(np.where(blank, np.uint8(_COMMA), characters)[kept][1:].tobytes())
+    selected = ~blank | (run_ends & ~line_end[before])
+    return bytes(np.where(blank, np.uint8(_COMMA), characters)[selected][1:].tobytes())
 
 
 def cell_ends(text: bytes, width: int) -> NDArray[np.intp] | None:
@@ -44,8 +44,8 @@ def holding(text: bytes, ends: NDArray[np.intp], key: Sequence[tuple[int, str]])
     """Return which rows hold the key's texts at the key's places."""
     characters = np.frombuffer(text, dtype=np.uint8)
     rows = np.ones(len(ends), dtype=np.bool_)
-    for place, wanted in key:
-        value = np.frombuffer(wanted.encode(), dtype=np.uint8)
+    for place, expected in key:
+        value = np.frombuffer(expected.encode(), dtype=np.uint8)
         first = ends[:, place] - value.size
         before = characters[np.maximum(first - 1, 0)]
         rows &= (first == 0) | (before == _COMMA) | (before == _NEWLINE)
@@ -63,11 +63,11 @@ def cut_out(
     """
     lengths = np.diff(ends.ravel(), prepend=-1)
     filled = (lengths > 1).reshape(ends.shape)
-    wanted = np.zeros(ends.shape, dtype=np.bool_)
-    wanted[:, columns] = rows[:, None]
-    wanted &= filled
-    if not wanted.all():
-        mask = np.repeat(wanted.ravel(), lengths)
+    selected = np.zeros(ends.shape, dtype=np.bool_)
+    selected[:, columns] = rows[:, None]
+    selected &= filled
+    if not selected.all():
+        mask = np.repeat(selected.ravel(), lengths)
         text = np.frombuffer(text, dtype=np.uint8)[: mask.size][mask].tobytes()
     return text[:-1].replace(b"\n", b","), filled[rows][:, columns]
 

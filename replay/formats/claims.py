@@ -95,8 +95,8 @@ def read_events(path: Path) -> list[Event]:
     text = _bytes_of(file)
     if text is None:
         return []
-    found = [_event(file, number, line) for number, line in enumerate(text.split(b"\n"), 1) if line.strip()]
-    return sorted((event for event in found if event is not None), key=lambda event: event.t)
+    events = [_event(file, number, line) for number, line in enumerate(text.split(b"\n"), 1) if line.strip()]
+    return sorted((event for event in events if event is not None), key=lambda event: event.t)
 
 
 def event_line(event: Event) -> bytes:

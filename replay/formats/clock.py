@@ -38,7 +38,7 @@ class Rows:
     def __len__(self) -> int:
         return int(self.t.size)
 
-    def taken(self, which: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Rows:
+    def chosen(self, which: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Rows:
         """Return the rows chosen by a mask, an order or a slice."""
         return Rows(self.t[which], self.values[which], self.lines[which])
 
@@ -73,7 +73,7 @@ class Clock:
     path: Path
     column_map: ColumnMap
     tally: Tally = field(default_factory=Tally)
-    _held: Rows | None = None
+    _held_back: Rows | None = None
     _last: float = -np.inf
 
     def ordered(self, rows: Rows) -> Rows:
@@ -81,8 +81,8 @@ class Clock:
         window = self.column_map.reorder
         if window:
             self.tally.reordered += int(np.count_nonzero(np.diff(rows.t) < 0))
-            rows = self._sorted(rows.after(self._held), window)
-            rows, self._held = rows.taken(slice(None, -window)), rows.taken(slice(-window, None))
+            rows = self._sorted(rows.after(self._held_back), window)
+            rows, self._held_back = rows.chosen(slice(None, -window)), rows.chosen(slice(-window, None))
         return self._accepted(rows)
 
     def _sorted(self, rows: Rows, window: int) -> Rows:
@@ -92,12 +92,12 @@ class Clock:
         if late.size:
             first = int(late.min())
             self._refuse(rows, first, float(rows.t[:first].max() - rows.t[first]))
-        return rows.taken(order)
+        return rows.chosen(order)
 
     def rest(self) -> Rows | None:
         """Return the rows still held back at the end of the file, None where there are none."""
-        held, self._held = self._held, None
-        return None if held is None or not len(held) else self._accepted(held)
+        held_back, self._held_back = self._held_back, None
+        return None if held_back is None or not len(held_back) else self._accepted(held_back)
 
     def _accepted(self, rows: Rows) -> Rows:
         if not len(rows):
@@ -135,7 +135,7 @@ class Clock:
             what = f"{tally.repeats} of {tally.samples} time stamps repeat the one before"
             remedy = "record with finer stamps, or read it by a column map with repeats = 'keep'"
             raise TraceError(self.path, what, remedy, tally.first_repeat)
-        return rows.taken(~repeated)
+        return rows.chosen(~repeated)
 
     def _count_gaps(self, rows: Rows, step: Array) -> None:
         known = step[np.isfinite(step)]

@@ -26,12 +26,12 @@ class Layout:
 
 def lay_out(table: TextTable, column_map: ColumnMap, sensors: Sequence[Sensor]) -> Layout:
     """Find the columns of `sensors`. Raises TraceError where one that must be there is missing."""
-    wanted: list[int] = []
+    places_to_read: list[int] = []
 
     def single(column: Column | None) -> int | None:
-        found = None if column is None else find_columns([column], table.names, table.width)
-        wanted.extend(found or [])
-        return len(wanted) - 1 if found else None
+        places = None if column is None else find_columns([column], table.names, table.width)
+        places_to_read.extend(places or [])
+        return len(places_to_read) - 1 if places else None
 
     time = single(column_map.time.column)
     if time is None and column_map.time.column is not None:
@@ -41,13 +41,13 @@ def lay_out(table: TextTable, column_map: ColumnMap, sensors: Sequence[Sensor]) 
     axes: dict[Sensor, slice] = {}
     for sensor in sensors:
         sensor_map = column_map.sensor(sensor)
-        found = find_columns(sensor_map.columns, table.names, table.width)
-        if found is not None:
-            axes[sensor] = slice(len(wanted), len(wanted) + 3)
-            wanted.extend(found)
+        places = find_columns(sensor_map.columns, table.names, table.width)
+        if places is not None:
+            axes[sensor] = slice(len(places_to_read), len(places_to_read) + 3)
+            places_to_read.extend(places)
         elif not _may_be_missing(table, column_map, sensor):
             raise missing(table, sensor_map.columns)
-    return Layout(wanted, time, arrival, temperature, axes)
+    return Layout(places_to_read, time, arrival, temperature, axes)
 
 
 def _may_be_missing(table: TextTable, column_map: ColumnMap, sensor: Sensor) -> bool:
@@ -74,17 +74,17 @@ def selection(
     return list(zip(places, values, strict=True))
 
 
-def missing(table: TextTable, wanted: Sequence[Column]) -> TraceError:
+def missing(table: TextTable, columns: Sequence[Column]) -> TraceError:
     """Return the error that names the columns not found and what stands in the file instead."""
-    lost = [c for c in wanted if find_columns([c], table.names, table.width) is None]
-    what = f"no column {', '.join(repr(c) for c in lost)}"
+    absent = [c for c in columns if find_columns([c], table.names, table.width) is None]
+    what = f"no column {', '.join(repr(c) for c in absent)}"
     if table.names is None:
         return TraceError(table.path, f"{what} in rows of {table.width} cells", MAP_REMEDY, table.header_line)
     if all(map(_is_float, table.names)):
         remedy = "name the columns in its first line, or count them in a column map (docs/formats.md)"
         return TraceError(table.path, f"{what}: the first line is not a header", remedy, table.header_line)
-    seen = ", ".join(table.names)
-    what = f"{what}; the header has: {seen if len(seen) <= 120 else seen[:117] + '...'}"
+    header = ", ".join(table.names)
+    what = f"{what}; the header has: {header if len(header) <= 120 else header[:117] + '...'}"
     return TraceError(table.path, what, _other_delimiter(table) or MAP_REMEDY, table.header_line)
 
 

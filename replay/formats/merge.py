@@ -71,11 +71,11 @@ class _Side:
             self.first = min(self.first, float(self.samples.t[0]))
             self.last = float(self.samples.t[-1])
 
-    def taken(self, end: float) -> Samples:
+    def take_until(self, end: float) -> Samples:
         """Pass on what is no later than `end`."""
         n = _upto(self.samples, end)
-        out, self.samples = self.samples[:n], self.samples[n:]
-        return out
+        passed, self.samples = self.samples[:n], self.samples[n:]
+        return passed
 
 
 def _joined(first: Samples, second: Samples) -> Samples:
@@ -88,7 +88,7 @@ def _two(accelerometer: SampleFile, gyroscope: SampleFile) -> Iterator[Run]:
         behind = min(sides, key=lambda side: side.end)
         behind.read_on()
         end = min(side.end for side in sides)
-        yield {side.sensor: side.taken(end) for side in sides}
+        yield {side.sensor: side.take_until(end) for side in sides}
     _refuse_apart(*sides)
 
 

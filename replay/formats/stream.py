@@ -91,18 +91,18 @@ class SampleFile:
     @property
     def notes(self) -> list[str]:
         """What was tolerated or chosen so far, one line each."""
-        said = []
-        if self._table.left_out:
+        lines = []
+        if self._table.skipped_rows:
             chosen = " ".join(self.selected)
-            said.append(f"only the rows of {chosen} are read, {self._table.left_out} others left out")
+            lines.append(f"only the rows of {chosen} are read, {self._table.skipped_rows} others left out")
         if self._by_arrival:
-            said.append("the sensor's own stamps make no clock: arrival times are used")
+            lines.append("the sensor's own stamps make no clock: arrival times are used")
         if self._without_cells:
-            said.append(f"{self._without_cells} rows have no sample of one sensor (empty cells)")
+            lines.append(f"{self._without_cells} rows have no sample of one sensor (empty cells)")
         own, arrival = self._spans
         if own and abs(arrival / own - 1) > CLOCKS_AGREE:
-            said.append(f"the sensor's clock went {own:.6g} s while {arrival:.6g} s passed by arrival times")
-        return [f"{self.path.name}: {line}" for line in [*said, *self._clock.notes()]]
+            lines.append(f"the sensor's clock went {own:.6g} s while {arrival:.6g} s passed by arrival times")
+        return [f"{self.path.name}: {line}" for line in [*lines, *self._clock.notes()]]
 
     def runs(self) -> Iterator[Run]:
         """Yield the file's samples in time order. Raises TraceError at the first row that cannot be used."""
@@ -113,9 +113,9 @@ class SampleFile:
             t = self._stamps(block.values, row)
             row += len(t)
             yield self._run(self._clock.ordered(Rows(t, block.values, block.lines)))
-        held = self._clock.rest()
-        if held is not None:
-            yield self._run(held)
+        held_back = self._clock.rest()
+        if held_back is not None:
+            yield self._run(held_back)
 
     def _check_finite(self, values: Array, lines: NDArray[np.int64]) -> None:
         """Refuse what is not finite, and empty cells where there must be a number."""
@@ -167,7 +167,7 @@ class SampleFile:
             samples = Samples(sensor, frozen(rows.t), frozen(self._si(sensor, xyz)), temperature, arrival)
             if not there.all():
                 self._without_cells += int(np.count_nonzero(~there))
-                samples = _taken(samples, there)
+                samples = _selected(samples, there)
             run[sensor] = samples
         return run
 
@@ -181,7 +181,7 @@ class SampleFile:
     def _temperatures(self, rows: Rows) -> Array | None:
         if self._layout.temperature is None or self._map.temperature is None:
             return None
-        filled = _carried(rows.values[:, self._layout.temperature], self._temperature)
+        filled = _filled_forward(rows.values[:, self._layout.temperature], self._temperature)
         if filled is None or not len(filled):
             return None
         self._temperature = float(filled[-1])
@@ -198,7 +198,7 @@ class SampleFile:
         if not empty.any():
             self._compare_clocks(rows.t, seconds)
             return frozen(seconds)
-        delay = _carried(np.where(empty, EMPTY, seconds - rows.t), self._delay)
+        delay = _filled_forward(np.where(empty, EMPTY, seconds - rows.t), self._delay)
         if delay is None:
             return None
         self._delay = float(delay[-1])
@@ -217,7 +217,7 @@ def _refuse_by_name(path: Path, sensor_map: SensorMap) -> None:
         raise TraceError(path, what, remedy)
 
 
-def _taken(samples: Samples, which: NDArray[np.bool_]) -> Samples:
+def _selected(samples: Samples, which: NDArray[np.bool_]) -> Samples:
     temperature, arrival = samples.temperature, samples.t_arrival
     return Samples(
         samples.sensor,
@@ -228,7 +228,7 @@ def _taken(samples: Samples, which: NDArray[np.bool_]) -> Samples:
     )
 
 
-def _carried(column: Array, last: float) -> Array | None:
+def _filled_forward(column: Array, last: float) -> Array | None:
     """Fill EMPTY cells with the value before, leading ones with the first that follows; None if all are."""
     known = column != EMPTY
     if known.all():

@@ -60,7 +60,7 @@ class TextTable:
 
     def __init__(self, path: Path, column_map: ColumnMap) -> None:
         self.path = path
-        self.left_out = 0
+        self.skipped_rows = 0
         self.bytes_read = 0
         self._map = column_map
         head = _read_head(path)
@@ -85,18 +85,18 @@ class TextTable:
         key: (place, text) pairs; rows that differ are left out and counted in `left_out`. Raises
         TraceError naming file and line for a row that is not numbers or not whole.
         """
-        self.left_out = 0
-        for read, first_line, unfinished in self._line_blocks(size):
-            text = self._normal(read)
+        self.skipped_rows = 0
+        for data, first_line, unfinished in self._line_blocks(size):
+            text = self._normal(data)
             ends = cell_ends(text, self.width)
             lines = np.arange(first_line, first_line + (0 if ends is None else len(ends)))
             if ends is None:
-                text, lines = self._walked(read, first_line, unfinished)
+                text, lines = self._walked(data, first_line, unfinished)
                 ends = cell_ends(text, self.width)
             if ends is None:
                 continue  # blank lines only
             rows = holding(text, ends, key)
-            self.left_out += int(np.count_nonzero(~rows))
+            self.skipped_rows += int(np.count_nonzero(~rows))
             yield Block(self._numbers(text, ends, rows, lines, places), lines[rows])
 
     def _header(self, lines: list[str]) -> list[str]:
@@ -120,15 +120,15 @@ class TextTable:
             for _ in range(self._skip):
                 stream.readline()
                 line += 1
-            while read := self._read(stream, size):
+            while data := self._read(stream, size):
                 self.bytes_read = file.tell()
-                cut = read.rfind(b"\n") + 1
+                cut = data.rfind(b"\n") + 1
                 if not cut:
-                    tail += read
+                    tail += data
                     if len(tail) > _LONGEST_LINE:
                         raise TraceError(self.path, "a line does not end", _TEXT_REMEDY, line)
                     continue
-                text, tail = tail + read[:cut], read[cut:]
+                text, tail = tail + data[:cut], data[cut:]
                 yield text, line, False
                 line += text.count(b"\n")
             if tail:
@@ -160,7 +160,7 @@ class TextTable:
     def _walked(self, text: bytes, first_line: int, unfinished: bool) -> tuple[bytes, NDArray[np.int64]]:
         """Return `text` without blank lines and delimiters within quotes, and its rows' line numbers."""
         rows = text.decode("utf-8", "backslashreplace").split("\n")[:-1]
-        kept, lines = [], []
+        rows_kept, lines = [], []
         for number, row in enumerate(rows, first_line):
             cells = self._cells(row)
             if not row.strip():
@@ -169,9 +169,9 @@ class TextTable:
                 cut = unfinished and number == first_line + len(rows) - 1
                 what = f"{len(cells)} cells where {self.width} are due"
                 raise TraceError(self.path, what, _CUT_REMEDY if cut else _ROW_REMEDY, number)
-            kept.append(",".join(cell.replace(",", self.decimal) for cell in cells) + "\n")
+            rows_kept.append(",".join(cell.replace(",", self.decimal) for cell in cells) + "\n")
             lines.append(number)
-        return "".join(kept).encode(), np.array(lines, dtype=np.int64)
+        return "".join(rows_kept).encode(), np.array(lines, dtype=np.int64)
 
     def _numbers(
         self,

@@ -32,7 +32,7 @@ _CLEARLY = 10.0
 """One unit must leave this many times the squared misfit of another to be ruled out: more than the 4 that
 a gyroscope turned against the accelerometer's axes gives (residual twice the turning)."""
 
-_SEEN = 2e-3
+_LEAST_TURNING = 2e-3
 """rad, rms over pairs of bins: smaller turning shows nothing."""
 
 _TILT = 0.2
@@ -51,20 +51,20 @@ class UnitCheck:
 
     path: Path
     _norms: list[Array] = field(default_factory=list)
-    _seen: int = 0
+    _samples: int = 0
     _votes: Counter[str] = field(default_factory=Counter)
     _settled: bool = False
 
     def see(self, accelerometer: Samples, gyroscope: Samples) -> None:
         """Take in the next stretch of the recording. Raises TraceError."""
-        before, self._seen = self._seen, self._seen + len(accelerometer)
+        before, self._samples = self._samples, self._samples + len(accelerometer)
         if before == 0:
             self._judge_time(accelerometer.t)
         if before < ENOUGH:
             self._norms.append(np.linalg.norm(accelerometer.xyz, axis=1))
-        if before < OPENING <= self._seen:
+        if before < OPENING <= self._samples:
             self._judge_size(np.concatenate(self._norms)[:OPENING])
-        if before < ENOUGH <= self._seen:
+        if before < ENOUGH <= self._samples:
             self.finish()
         if not self._settled:
             self._votes.update(map(shown_unit, turnings(accelerometer, gyroscope)))
@@ -72,7 +72,7 @@ class UnitCheck:
 
     def finish(self) -> None:
         """Judge the acceleration by what was seen; called again at the end it has nothing left to say."""
-        if self._norms and self._seen >= FEWEST:
+        if self._norms and self._samples >= FEWEST:
             norms = np.concatenate(self._norms)[:ENOUGH]
             if not norms.any():
                 what = f"the accelerometer reads zero in all of the first {norms.size} samples"
@@ -89,21 +89,21 @@ class UnitCheck:
 
     def _judge_size(self, norms: Array) -> None:
         low, middle, high = np.quantile(norms, (0.05, 0.5, 0.95))
-        seen = f"the acceleration is about {middle:.4g} in size where m/s^2 would give 9.8"
+        description = f"the acceleration is about {middle:.4g} in size where m/s^2 would give 9.8"
         for unit, one in (("g", 1.0), ("mg", 1000.0)):
             if 0.7 * one < middle < 1.4 * one and 0.2 * one < low and high < 4 * one:
-                what = f"{seen}: it seems to be {unit}"
+                what = f"{description}: it seems to be {unit}"
                 raise TraceError(self.path, what, f'give m/s^2, or set unit = "{unit}" {_MAP}')
         if low > 60:
-            what = f"{seen}: raw counts?"
+            what = f"{description}: raw counts?"
             remedy = f'say accel_unit (m/s^2 in one count) in NAME.json, or unit = "counts" {_MAP}'
             raise TraceError(self.path, what, remedy)
 
     def _judge_rates(self) -> None:
         votes = self._votes
-        for unit, stated in (("deg/s", "rad/s"), ("rad/s", "deg/s")):
+        for unit, assumed in (("deg/s", "rad/s"), ("rad/s", "deg/s")):
             if votes[unit] >= _VOTES and votes[unit] > votes["as stated"] + votes["unclear"]:
-                what = f"the rates are not {stated}: gravity's direction turns as if they were {unit}"
+                what = f"the rates are not {assumed}: gravity's direction turns as if they were {unit}"
                 raise TraceError(self.path, what, f'give rad/s, or set unit = "{unit}" {_MAP}')
         self._settled = votes["as stated"] >= _VOTES
 
@@ -114,12 +114,12 @@ def shown_unit(turning: Turning) -> str:
     "deg/s" where they were read as rad/s, "rad/s" where they were read as deg/s, else "as stated",
     "unclear", or "silent" where too little turns.
     """
-    right, degrees, radians = (turning.misfit(k) for k in (1.0, DEGREE, 1 / DEGREE))
-    seen = turning.pairs * _SEEN**2
-    if right > max(_CLEARLY * degrees, seen, _TILT**2 * turning.spread):
+    as_stated, degrees, radians = (turning.misfit(k) for k in (1.0, DEGREE, 1 / DEGREE))
+    least = turning.pairs * _LEAST_TURNING**2
+    if as_stated > max(_CLEARLY * degrees, least, _TILT**2 * turning.spread):
         return "deg/s"
-    if right > max(_CLEARLY * radians, seen):
+    if as_stated > max(_CLEARLY * radians, least):
         return "rad/s"
-    if degrees > max(_CLEARLY * right, seen):
+    if degrees > max(_CLEARLY * as_stated, least):
         return "as stated"
-    return "silent" if max(right, degrees) < seen else "unclear"
+    return "silent" if max(as_stated, degrees) < least else "unclear"

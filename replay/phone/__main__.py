@@ -21,11 +21,11 @@ APART = math.radians(8.0)
 
 def distinct(ups: Array) -> Array:
     """Return those of the directions (n, 3) that lie more than APART from all returned before them."""
-    kept: list[Array] = []
+    distinct_ups: list[Array] = []
     for up in ups:
-        if all(up @ other <= math.cos(APART) for other in kept):
-            kept.append(up)
-    return np.array(kept).reshape(-1, 3)
+        if all(up @ other <= math.cos(APART) for other in distinct_ups):
+            distinct_ups.append(up)
+    return np.array(distinct_ups).reshape(-1, 3)
 
 
 def determination(ups: Array) -> float:

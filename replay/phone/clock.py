@@ -102,10 +102,12 @@ class StreamClock:
         t: Array = (np.arange(first, last, dtype=np.float64) + self._phase) / self._rate
         busy = inside(t, self._stressed)
         stamp = self._stamps(t, busy, rng)
-        kept = self._kept(t, busy, rng) & ~inside(t, self._suspended) & ~self._outages(t, busy, index)
-        arrival = self._arrivals(t, busy, kept, rng)
-        times = 1 + (rng.random(int(kept.sum())) < self._clock.double_fraction)
-        return Ticks(t, stamp, arrival, np.repeat(np.flatnonzero(kept), times))
+        delivered = (
+            self._delivered(t, busy, rng) & ~inside(t, self._suspended) & ~self._outages(t, busy, index)
+        )
+        arrival = self._arrivals(t, busy, delivered, rng)
+        times = 1 + (rng.random(int(delivered.sum())) < self._clock.double_fraction)
+        return Ticks(t, stamp, arrival, np.repeat(np.flatnonzero(delivered), times))
 
     def _stamps(self, t: Array, busy: Flags, rng: np.random.Generator) -> Array:
         period = 1.0 / self._rate
@@ -116,16 +118,16 @@ class StreamClock:
         )
         return stamps
 
-    def _kept(self, t: Array, busy: Flags, rng: np.random.Generator) -> Flags:
-        kept = np.ones(t.size, dtype=bool)
+    def _delivered(self, t: Array, busy: Flags, rng: np.random.Generator) -> Flags:
+        delivered = np.ones(t.size, dtype=bool)
         if self._clock.drop_fraction > 0.0:
-            kept &= rng.random(t.size) >= self._clock.drop_fraction
+            delivered &= rng.random(t.size) >= self._clock.drop_fraction
         if busy.any():
             hops = np.cumsum(np.where(rng.random(t.size) < LOAD.single, 1, 2))
             served = np.zeros(t.size, dtype=bool)
             served[hops[hops < t.size]] = True
-            kept &= ~busy | served
-        return kept
+            delivered &= ~busy | served
+        return delivered
 
     def _outages(self, t: Array, busy: Flags, index: int) -> Flags:
         """Return where nothing is sampled: the same for both streams, because the phone is to blame."""
@@ -134,7 +136,7 @@ class StreamClock:
         starving = drawn_outages(1.0 / LOAD.outage_every_s, LOAD.outage_s, start, rng)
         return inside(t, now_and_then) | (busy & inside(t, starving))
 
-    def _arrivals(self, t: Array, busy: Flags, kept: Flags, rng: np.random.Generator) -> Array:
+    def _arrivals(self, t: Array, busy: Flags, delivered: Flags, rng: np.random.Generator) -> Array:
         clock = self._clock
         arrival = t + clock.latency_s
         if clock.latency_jitter_s > 0.0:
@@ -142,11 +144,13 @@ class StreamClock:
         fraction = np.where(busy, max(LOAD.burst_fraction, clock.burst_fraction), clock.burst_fraction)
         if fraction.any():
             stall = np.floor(t / clock.burst_s).astype(np.int64)
-            held = rng.random(int(np.ptp(stall)) + 1)[stall - stall[0]] < fraction
+            stalled = rng.random(int(np.ptp(stall)) + 1)[stall - stall[0]] < fraction
             arrival = np.where(
-                held, np.maximum(arrival, (stall + 1) * clock.burst_s + clock.latency_s), arrival
+                stalled, np.maximum(arrival, (stall + 1) * clock.burst_s + clock.latency_s), arrival
             )
-        arrival = np.maximum.accumulate(np.maximum(np.where(kept, arrival, -math.inf), self._last_arrival))
+        arrival = np.maximum.accumulate(
+            np.maximum(np.where(delivered, arrival, -math.inf), self._last_arrival)
+        )
         self._last_arrival = float(arrival[-1]) if arrival.size else self._last_arrival
         return arrival
 

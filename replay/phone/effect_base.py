@@ -94,11 +94,11 @@ class Effect(Settings, frozen=True, kw_only=True, tag_field="name"):
         """Return the clock's settings with the effect in them."""
         return clock
 
-    def input_term(self, about: Circumstances) -> Term | None:
+    def input_term(self, circumstances: Circumstances) -> Term | None:
         """Return what the effect adds to the true input, None for nothing."""
         return None
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term | None:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term | None:
         """Return what the effect adds to the output, None for nothing."""
         return None
 

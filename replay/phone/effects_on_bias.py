@@ -30,7 +30,7 @@ class _BiasTemperature(Effect, frozen=True, kw_only=True):
 
     slope: Vector
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Slope times warmth."""
         return lambda m: stretch(m.warmth, self.slope)
 
@@ -50,7 +50,7 @@ class _ScaleTemperature(Effect, frozen=True, kw_only=True):
 
     slope: Vector
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Slope times warmth times the true input."""
         return lambda m: stretch(m.warmth, self.slope) * m.felt_by(sensor)
 
@@ -73,7 +73,7 @@ class _Warmup(Effect, frozen=True, kw_only=True):
     amplitude: Vector
     tau_s: float
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Approach exponentially."""
         return lambda m: stretch(-np.expm1(-m.t / self.tau_s), self.amplitude)
 
@@ -92,9 +92,9 @@ class ThermalLatent(OnEither, frozen=True, kw_only=True, tag="thermal_latent"):
     amplitude: Vector
     tau_s: float
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Amplitude times the lagged heating."""
-        hidden = about.surroundings.heating().lagged(self.tau_s)
+        hidden = circumstances.surroundings.heating().lagged(self.tau_s)
         return lambda m: stretch(hidden.at(m.t), self.amplitude)
 
 
@@ -104,7 +104,7 @@ class _BiasStep(Effect, frozen=True, kw_only=True):
     step: Vector
     at_s: float
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Jump."""
         return lambda m: stretch((m.t >= self.at_s).astype(float), self.step)
 
@@ -122,7 +122,7 @@ class _BiasDrift(Effect, frozen=True, kw_only=True):
 
     rate: Vector
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Rate times time."""
         return lambda m: stretch(m.t, self.rate)
 
@@ -140,7 +140,7 @@ class _ChargingBias(Effect, frozen=True, kw_only=True):
 
     step: Vector
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Add the step while the plug is in."""
         return lambda m: stretch(m.charging, self.step)
 
@@ -160,9 +160,9 @@ class _ThermalHysteresis(Effect, frozen=True, kw_only=True):
     coefficient: Vector
     tau_s: float = 900.0
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Multiply coefficient and the lead of temperature over its lagged self."""
-        lagging = Smoother(self.tau_s, about.rate_hz)
+        lagging = Smoother(self.tau_s, circumstances.rate_hz)
 
         def term(m: Moment) -> Array:
             warmth = m.warmth[:, None]

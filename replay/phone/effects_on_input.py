@@ -34,7 +34,7 @@ class _Nonlinearity(Effect, frozen=True, kw_only=True):
     quadratic: Vector = (0.0, 0.0, 0.0)
     cubic: Vector = (0.0, 0.0, 0.0)
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Add the even and the odd term."""
         k2, k3 = per_axis(self.quadratic), per_axis(self.cubic)
 
@@ -58,7 +58,7 @@ class GyroGSensitivity(OnGyro, frozen=True, kw_only=True, tag="gyro_g_sensitivit
 
     matrix: Matrix
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Multiply matrix and force."""
         G = np.asarray(self.matrix)
         return lambda m: m.force @ G.T
@@ -74,9 +74,9 @@ class _VibrationRectification(Effect, frozen=True, kw_only=True):
     coefficient: Vector
     lag_s: float = 0.5
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Multiply coefficient and smoothed power."""
-        slow, power = Smoother(self.lag_s, about.rate_hz), Smoother(self.lag_s, about.rate_hz)
+        slow, power = Smoother(self.lag_s, circumstances.rate_hz), Smoother(self.lag_s, circumstances.rate_hz)
         coefficient = per_axis(self.coefficient)
 
         def term(m: Moment) -> Array:
@@ -105,12 +105,12 @@ class Spikes(OnEither, frozen=True, kw_only=True, tag="spikes"):
     amplitude: Vector
     per_hour: float
 
-    def output_term(self, sensor: Sensor, about: Circumstances) -> Term:
+    def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
         """Add rare signed impulses."""
-        chance = self.per_hour / 3600.0 / about.rate_hz
+        chance = self.per_hour / 3600.0 / circumstances.rate_hz
 
         def term(m: Moment) -> Array:
-            hit = about.rng.random((m.t.size, 2))
+            hit = circumstances.rng.random((m.t.size, 2))
             sign = np.where(hit[:, 0] < chance, np.where(hit[:, 1] < 0.5, -1.0, 1.0), 0.0)
             return stretch(sign, self.amplitude)
 
@@ -122,13 +122,13 @@ class LeverArm(OnAccel, frozen=True, kw_only=True, tag="lever_arm"):
 
     position: Vector
 
-    def input_term(self, about: Circumstances) -> Term:
+    def input_term(self, circumstances: Circumstances) -> Term:
         """Add rate_dot x r + rate x (rate x r)."""
         r = np.asarray(self.position)
 
         def term(m: Moment) -> Array:
-            carried: Array = np.cross(m.rate_dot, r) + np.cross(m.rate, np.cross(m.rate, r))
-            return carried
+            acceleration: Array = np.cross(m.rate_dot, r) + np.cross(m.rate, np.cross(m.rate, r))
+            return acceleration
 
         return term
 
@@ -143,7 +143,7 @@ class VibrationTone(OnEither, frozen=True, kw_only=True, tag="vibration_tone"):
     start_s: float = 0.0
     duration_s: float = math.inf
 
-    def input_term(self, about: Circumstances) -> Term:
+    def input_term(self, circumstances: Circumstances) -> Term:
         """Add the sinusoid while it lasts."""
 
         def term(m: Moment) -> Array:

@@ -170,8 +170,8 @@ class DroppedSamples(Effect, frozen=True, kw_only=True, tag="dropped_samples"):
 
     def on_clock(self, clock: ClockSettings) -> ClockSettings:
         """Drop more."""
-        kept = (1.0 - clock.drop_fraction) * (1.0 - self.fraction)
-        return msgspec.structs.replace(clock, drop_fraction=1.0 - kept)
+        delivered = (1.0 - clock.drop_fraction) * (1.0 - self.fraction)
+        return msgspec.structs.replace(clock, drop_fraction=1.0 - delivered)
 
 
 class DoubledSamples(Effect, frozen=True, kw_only=True, tag="doubled_samples"):

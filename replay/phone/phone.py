@@ -53,14 +53,14 @@ class Phone(Settings, frozen=True, kw_only=True, rename={"effects": "effect"}):
 
     def claimed(self) -> dict[str, Any]:
         """Return what the maker says, as `NAME.json` holds it; unsaid figures come from the settings."""
-        told: dict[str, Any] = {"device": self.description, "nominal_rate_hz": self.accel.rate_hz}
+        claims: dict[str, Any] = {"device": self.description, "nominal_rate_hz": self.accel.rate_hz}
         for name, settings in (("accel", self.accel), ("gyro", self.gyro)):
             if settings is not None:
-                told[f"{name}_range"] = settings.range
-                told[f"{name}_lsb"] = settings.lsb or None
-                told[f"{name}_noise_density"] = float(per_axis(settings.noise.white).max()) or None
-        told |= msgspec.to_builtins(self.claims)
-        return {key: value for key, value in told.items() if value is not None}
+                claims[f"{name}_range"] = settings.range
+                claims[f"{name}_lsb"] = settings.lsb or None
+                claims[f"{name}_noise_density"] = float(per_axis(settings.noise.white).max()) or None
+        claims |= msgspec.to_builtins(self.claims)
+        return {key: value for key, value in claims.items() if value is not None}
 
 
 def load_phone(name: str | Path) -> Phone:

@@ -145,20 +145,20 @@ def _attitudes(n: int, how: str | Array, rng: np.random.Generator) -> Array:
 def _terms(phone: Phone, settings: SensorSettings, true: Array, t: Array, warmth: Array) -> Array:
     n, quiet = t.size, Steps.of([0.0], [0.0])
     moment = Moment(t, true, np.zeros((n, 3)), np.zeros((n, 3)), warmth, np.zeros(n))
-    about = Circumstances(settings.rate_hz, Surroundings(quiet, quiet, quiet), seeded(0))
+    circumstances = Circumstances(settings.rate_hz, Surroundings(quiet, quiet, quiet), seeded(0))
     total = np.zeros((n, 3))
     for effect in phone.effects:
-        term = _mean_term(effect, about)
+        term = _mean_term(effect, circumstances)
         total = total if term is None else total + term(moment)
     return total
 
 
-def _mean_term(effect: Effect, about: Circumstances) -> Term | None:
+def _mean_term(effect: Effect, circumstances: Circumstances) -> Term | None:
     if not effect.concerns(Sensor.ACCELEROMETER):
         return None
     if effect.needs_samples:
         raise ValueError(f"effect {effect.name} lives on single samples: simulate the phone to see it")
-    return effect.output_term(Sensor.ACCELEROMETER, about)
+    return effect.output_term(Sensor.ACCELEROMETER, circumstances)
 
 
 def draw_rests(

@@ -149,8 +149,8 @@ class Poses(Activity, frozen=True, kw_only=True, tag="poses"):
     def perform(self, planner: Planner) -> None:
         """Turn and hold, attitude after attitude; ends when all are done, whatever duration_s says."""
         rng = planner.rng
-        given = [attitude_with(np.array(up), rng.uniform(-math.pi, math.pi)) for up in self.ups]
-        for attitude in given or poses(self.count, rng):
+        chosen = [attitude_with(np.array(up), rng.uniform(-math.pi, math.pi)) for up in self.ups]
+        for attitude in chosen or poses(self.count, rng):
             planner.put_down(attitude)
             planner.rest(drawn(self.rest_s, planner.rng), self.name)
 

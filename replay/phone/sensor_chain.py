@@ -65,10 +65,10 @@ class SensorChain:
         self._filter = None if settings.cutoff_hz is None else LowPass(settings.cutoff_hz, rate)
         self._hold = seeded(seed, sensor, "hold")
         self._last: Array | None = None
-        about = [
+        circumstances = [
             Circumstances(rate, surroundings, seeded(seed, sensor, e.name, i)) for i, e in enumerate(effects)
         ]
-        pairs = list(zip(effects, about, strict=True))
+        pairs = list(zip(effects, circumstances, strict=True))
         self._inputs = {felt: self._input_terms(felt, pairs) for felt in Sensor}
         outputs = (e.output_term(sensor, a) for e, a in pairs if e.concerns(sensor))
         self._outputs = [term for term in outputs if term is not None]
@@ -88,7 +88,7 @@ class SensorChain:
             raw = raw + self._wander.at(moment.t)
         if self._white is not None:
             raw = raw + self._white.draw(moment.t.size)
-        return self._held(self._digitised(raw if self._filter is None else self._filter(raw)))
+        return self._with_held_samples(self._digitised(raw if self._filter is None else self._filter(raw)))
 
     def _input_terms(self, felt: Sensor, pairs: Sequence[tuple[Effect, Circumstances]]) -> list[Term]:
         """Return what disturbs force or rate here: what is this sensor's own, and what shakes the phone."""
@@ -107,12 +107,12 @@ class SensorChain:
         raw = raw if limit is None else np.clip(raw, -limit, limit)
         return raw if lsb == 0.0 else np.rint(raw / lsb) * lsb
 
-    def _held(self, raw: Array) -> Array:
+    def _with_held_samples(self, raw: Array) -> Array:
         if self._settings.held_fraction == 0.0:
             return raw
         fresh = self._hold.random(len(raw)) >= self._settings.held_fraction
         source = np.maximum.accumulate(np.where(fresh, np.arange(len(raw)), -1))
         before = raw[0] if self._last is None else self._last
-        held: Array = np.where((source >= 0)[:, None], raw[source], before)
-        self._last = held[-1]
-        return held
+        with_held: Array = np.where((source >= 0)[:, None], raw[source], before)
+        self._last = with_held[-1]
+        return with_held

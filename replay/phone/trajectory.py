@@ -37,10 +37,10 @@ class Glide:
     def at(self, t: Array) -> tuple[Array, Array, Array]:
         """Return value, first and second derivative at times (n,) s."""
         x = np.clip((t - self.start) / self.duration, 0.0, 1.0)
-        rest = 1.0 - x
+        remaining = 1.0 - x
         value = self.change * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-        rate = self.change / self.duration * 30.0 * (x * rest) ** 2
-        acceleration = self.change / self.duration**2 * 60.0 * x * rest * (1.0 - 2.0 * x)
+        rate = self.change / self.duration * 30.0 * (x * remaining) ** 2
+        acceleration = self.change / self.duration**2 * 60.0 * x * remaining * (1.0 - 2.0 * x)
         return value, rate, acceleration
 
 
@@ -84,8 +84,8 @@ class Creep:
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
         """Return value, first and second derivative at times (n,) s."""
-        left = self.amplitude * np.exp(-t / self.tau)
-        return self.amplitude - left, left / self.tau, -left / self.tau**2
+        remaining = self.amplitude * np.exp(-t / self.tau)
+        return self.amplitude - remaining, remaining / self.tau, -remaining / self.tau**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,7 @@ FIGURES: dict[str, tuple[Callable[[FigureBase, Material], None], float, float]] 
 ALL = "all"
 
 
-def drawn(what: str, material: Material) -> tuple[Figure, list[str]]:
+def draw_figure(what: str, material: Material) -> tuple[Figure, list[str]]:
     """Return the figure called `what`, and why parts of `all` are not in it.
 
     Raises NotSupported where there is nothing to draw it from.

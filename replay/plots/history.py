@@ -79,8 +79,8 @@ def _panel(
     span = np.ptp([m.at or 0.0 for m in moments]) / length or 1.0
     last = [sensor(m.record) for m in moments if m.what != "rejected" and sensor(m.record) is not None]
     zero = _values(last[-1], names)[0] if last else np.zeros(3)
-    for taken in (True, False):
-        chosen = [m for m in moments if (m.what != "rejected") == taken and sensor(m.record) is not None]
+    for accepted in (True, False):
+        chosen = [m for m in moments if (m.what != "rejected") == accepted and sensor(m.record) is not None]
         if not chosen:
             continue
         when = np.array([m.at or 0.0 for m in chosen]) / length
@@ -94,9 +94,9 @@ def _panel(
                 ms=4,
                 color=colour,
                 elinewidth=1,
-                label=f"{name}: {gain * zero[k]:.5g}" if taken else None,
-                mfc=colour if taken else "none",
-                alpha=1.0 if taken else 0.5,
+                label=f"{name}: {gain * zero[k]:.5g}" if accepted else None,
+                mfc=colour if accepted else "none",
+                alpha=1.0 if accepted else 0.5,
             )
 
 

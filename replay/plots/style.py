@@ -35,31 +35,31 @@ def figure(columns: float = 1, rows: float = 1) -> Figure:
 
 def dressed(axes: Iterable[Axes]) -> list[Axes]:
     """Give panels their grid and colours, and take off two sides of their frame."""
-    found = list(axes)
-    for axis in found:
+    styled = list(axes)
+    for axis in styled:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(color=GRID, zorder=0)
         axis.set_axisbelow(True)
         axis.set_prop_cycle(color=COLOURS)
-    return found
+    return styled
 
 
 def within(part: FigureBase, columns: int = 1, rows: int = 1, **options: Any) -> list[Axes]:
     """Return panels in a figure or a part of one, row by row; options as for matplotlib's `subplots`."""
-    found = part.subplots(rows, columns, squeeze=False, **options)
-    return dressed(axis for row in found for axis in row)
+    grid = part.subplots(rows, columns, squeeze=False, **options)
+    return dressed(axis for row in grid for axis in row)
 
 
 def panels(columns: int = 1, rows: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
     """Return a figure and its panels, row by row; options as for matplotlib's `subplots`."""
-    made = figure(columns, rows)
-    return made, within(made, columns, rows, **options)
+    picture = figure(columns, rows)
+    return picture, within(picture, columns, rows, **options)
 
 
-def save(made: Figure, path: Path) -> None:
+def save(picture: Figure, path: Path) -> None:
     """Write a figure in the format that the name ends in; two runs write the same bytes."""
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {"Software": None})
     from matplotlib import rc_context  # noqa: PLC0415 - an extra
 
     with rc_context({"svg.hashsalt": "stillcal"}):
-        made.savefig(path, dpi=DPI, metadata=metadata)
+        picture.savefig(path, dpi=DPI, metadata=metadata)

@@ -27,14 +27,14 @@ HOSTS = ("imu_tk/xsens_acc.mat.gz", "mikoff/imu0.log", "sunsided/still_10min.csv
 def main(folder: Path, out: Path) -> None:
     """Diagnose every real recording in FOLDER, withhold thermometers, inject effects; write a page."""
     with Progress(console=Console(stderr=True)) as progress:
-        held = list(progress.track(sources(folder), description="reading"))
-        rows = [row(s) for s in progress.track(held, description="diagnosing")]
-        hidden = _withheld(held)
-        hosts = [s for s in held if s.name in HOSTS]
+        recordings = list(progress.track(sources(folder), description="reading"))
+        rows = [row(s) for s in progress.track(recordings, description="diagnosing")]
+        hidden = _withheld(recordings)
+        hosts = [s for s in recordings if s.name in HOSTS]
         task = progress.add_task("injecting", total=len(hosts) * len(SLOW + DIRECT) * 3)
         results = inject_all(hosts, SLOW + DIRECT, lambda: progress.advance(task))
         progress.update(task, completed=len(hosts) * len(SLOW + DIRECT) * 3)
-    out.write_text(page(held, rows, _tables_of_rests(), hidden, results))
+    out.write_text(page(recordings, rows, _tables_of_rests(), hidden, results))
     click.echo(f"{out}: {len(rows)} recordings, {len(results)} injections")
 
 
@@ -48,8 +48,8 @@ def _tables_of_rests() -> list[tuple[str, str, list[Finding]]]:
     return answers
 
 
-def _withheld(held: list[Source]) -> list[tuple[Source, Withheld | None]]:
-    warm = [s for s in held if s.recording.accelerometer.temperature is not None]
+def _withheld(recordings: list[Source]) -> list[tuple[Source, Withheld | None]]:
+    warm = [s for s in recordings if s.recording.accelerometer.temperature is not None]
     return [(s, withheld(s, [o for o in warm if o is not s])) for s in warm]
 
 

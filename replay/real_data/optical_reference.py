@@ -18,7 +18,7 @@ SECOND = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class OpticalComparison:
     """Over `seconds` windows: rms of what is left of a turn, degrees, as it is and with each model off."""
 
     seconds: int
@@ -27,7 +27,7 @@ class Seen:
     squares: float
 
 
-def seen(source: Source) -> Seen | None:
+def compare_with_cameras(source: Source) -> OpticalComparison | None:
     """Compare a recording's gyroscope with its cameras, None where there were none."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - heavy, and only here
 
@@ -50,22 +50,22 @@ def seen(source: Source) -> Seen | None:
     y, design = np.array(misses), np.array(designs)
     if len(y) < design.shape[2]:
         return None
-    left = (y, _left(y, design[:, :, :12]), _left(y, design))
-    raw, affine, squares = (float(np.degrees(np.sqrt((x**2).sum() / len(y)))) for x in left)
-    return Seen(len(y), raw, affine, squares)
+    residuals = (y, _residual(y, design[:, :, :12]), _residual(y, design))
+    raw, affine, squares = (float(np.degrees(np.sqrt((x**2).sum() / len(y)))) for x in residuals)
+    return OpticalComparison(len(y), raw, affine, squares)
 
 
 def _columns(turn: Array, t: Array, rate: Array) -> Array:
     """Return what bias, scale and misalignment, and squares do to a turn at its end, (3, 3 + 9 + 3) rad."""
-    carried = np.einsum("ki,nkj->nij", turn[-1], turn) * np.gradient(t)[:, None, None]
+    propagated = np.einsum("ki,nkj->nij", turn[-1], turn) * np.gradient(t)[:, None, None]
     # The mean step at either end counts half: a window's turn is from its first to its last sample.
-    carried[[0, -1]] /= 2.0
-    bias = carried.sum(axis=0)
-    scale = np.einsum("nia,nb->iab", carried, rate).reshape(3, 9)
-    return np.concatenate([bias, scale, np.einsum("nia,na->ia", carried, rate**2)], axis=1)
+    propagated[[0, -1]] /= 2.0
+    bias = propagated.sum(axis=0)
+    scale = np.einsum("nia,nb->iab", propagated, rate).reshape(3, 9)
+    return np.concatenate([bias, scale, np.einsum("nia,na->ia", propagated, rate**2)], axis=1)
 
 
-def _left(y: Array, design: Array) -> Array:
+def _residual(y: Array, design: Array) -> Array:
     flat = design.reshape(y.size, -1)
     size = np.linalg.norm(flat, axis=0)
     return np.asarray(y.ravel() - flat @ (np.linalg.lstsq(flat / size, y.ravel(), rcond=None)[0] / size))

@@ -62,19 +62,19 @@ the untouched twin of the recording says. Strengths are {strengths} times the si
 
 
 def page(
-    held: Sequence[Source],
+    recordings: Sequence[Source],
     rows: Sequence[Row],
     rests: Sequence[tuple[str, str, list[Finding]]],
     hidden: Sequence[tuple[Source, Withheld | None]],
     results: Sequence[Injected],
 ) -> str:
     """Return the page's text."""
-    device = {s.name: s.device for s in held}
+    device = {s.name: s.device for s in recordings}
     own = [r for r in rows if not r.name.startswith("hhar_still/")]
     still = [r for r in rows if r.name.startswith("hhar_still/")]
     return _PAGE.format(
-        found=_found(own, device),
-        optical=_optical(held, rows),
+        found=_findings_table(own, device),
+        optical=_optical(recordings, rows),
         still=_still(still),
         rests=_table(
             ("table", "verdict", "found"),
@@ -96,8 +96,10 @@ def described(finding: Finding) -> str:
     """Return a finding in a few words: name, axes, parameters."""
     values = ", ".join(f"{k} {_number(p['value'])} {p['unit']}" for k, p in finding["parameters"].items())
     where = " ".join([finding["sensor"], *finding["axes"]])
-    alike = [a["effect"] for a in finding["alternatives"] if a["indistinguishable"]]
-    return f"`{finding['effect']}` ({where}): {values}" + (f"; or {', '.join(alike)}" if alike else "")
+    indistinguishable = [a["effect"] for a in finding["alternatives"] if a["indistinguishable"]]
+    return f"`{finding['effect']}` ({where}): {values}" + (
+        f"; or {', '.join(indistinguishable)}" if indistinguishable else ""
+    )
 
 
 def _number(value: Any) -> str:
@@ -105,7 +107,7 @@ def _number(value: Any) -> str:
     return shown.replace("\n", "")
 
 
-def _found(rows: Sequence[Row], device: dict[str, str]) -> str:
+def _findings_table(rows: Sequence[Row], device: dict[str, str]) -> str:
     lines = []
     for r in rows:
         sisters = [s for s in rows if s is not r and device[s.name] == device[r.name]]
@@ -137,16 +139,16 @@ noise, values and stamps cameras say nothing.
 """
 
 
-def _optical(held: Sequence[Source], rows: Sequence[Row]) -> str:
+def _optical(recordings: Sequence[Source], rows: Sequence[Row]) -> str:
     """Say what cameras saw of gyroscopes, where there were cameras."""
-    found = {r.name: {f["effect"] for f in r.findings} for r in rows}
+    effects_found = {r.name: {f["effect"] for f in r.findings} for r in rows}
     lines = []
-    for source in held:
-        if (s := optical.seen(source)) is not None:
-            said = "yes" if "gyro_nonlinearity" in found.get(source.name, set()) else "no"
+    for source in recordings:
+        if (s := optical.compare_with_cameras(source)) is not None:
+            found_here = "yes" if "gyro_nonlinearity" in effects_found.get(source.name, set()) else "no"
             share = 1.0 - (s.squares / s.affine) ** 2
             rms = [f"{x:.3f}" for x in (s.raw, s.affine, s.squares)]
-            lines.append((source.name, str(s.seconds), *rms, f"{share:.1%}", said))
+            lines.append((source.name, str(s.seconds), *rms, f"{share:.1%}", found_here))
     if not lines:
         return "(no recording with cameras is there)"
     head = ("recording", "s seen", "as it is", "bias, scale, misalignment off", "squares off too")
@@ -165,12 +167,13 @@ def _still(rows: Sequence[Row]) -> str:
     for effect, those in sorted(by_effect.items(), key=lambda item: -len(item[1])):
         models = Counter(r.name.split("/")[1] for r in those)
         both = sum(all(h is not None and any(n == effect for n, _ in h) for h in r.halves) for r in those)
-        told = ", ".join(f"{m} {n}" for m, n in models.most_common(6))
-        lines.append((f"`{effect}`", str(len(those)), str(both), told))
-    said = ", ".join(f"{v} {n}" for v, n in verdicts.most_common())
+        model_counts = ", ".join(f"{m} {n}" for m, n in models.most_common(6))
+        lines.append((f"`{effect}`", str(len(those)), str(both), model_counts))
+    verdict_counts = ", ".join(f"{v} {n}" for v, n in verdicts.most_common())
     return (
-        f"{len(rows)} recordings of Stisen et al. 2015, mostly 70 s each, accelerometer only: {said}.\n"
-        "Their stamps are those of arrival: jitter is delivery's, and so may be what looks dropped.\n\n"
+        f"{len(rows)} recordings of Stisen et al. 2015, mostly 70 s each, accelerometer only:"
+        f" {verdict_counts}.\nTheir stamps are those of arrival: jitter"
+        " is delivery's, and so may be what looks dropped.\n\n"
         + _table(("found", "recordings", "in both halves too", "models (recordings)"), lines)
     )
 

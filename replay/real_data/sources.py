@@ -55,35 +55,35 @@ def _broad(folder: Path) -> Iterator[Source]:
     from scipy.io import loadmat  # noqa: PLC0415 - only these files need it
 
     for path in sorted(folder.glob("*.mat")):
-        held = loadmat(path)
-        t = np.arange(len(held["imu_acc"])) / float(held["sampling_rate"].squeeze())
-        accelerometer = _samples(Sensor.ACCELEROMETER, t, held["imu_acc"])
-        gyroscope = _samples(Sensor.GYROSCOPE, t, held["imu_gyr"])
+        file = loadmat(path)
+        t = np.arange(len(file["imu_acc"])) / float(file["sampling_rate"].squeeze())
+        accelerometer = _samples(Sensor.ACCELEROMETER, t, file["imu_acc"])
+        gyroscope = _samples(Sensor.GYROSCOPE, t, file["imu_gyr"])
         recording = Recording(accelerometer, gyroscope, [], Claims(), [])
-        yield Source(f"broad/{path.name[:2]}", "broad", recording, np.asarray(held["opt_quat"]))
+        yield Source(f"broad/{path.name[:2]}", "broad", recording, np.asarray(file["opt_quat"]))
 
 
 def _still(folder: Path) -> Iterator[Source]:
     if not (folder / "index.csv").exists():
         return
-    held = np.load(folder / "still_accel.npz")
+    samples = np.load(folder / "still_accel.npz")
     with (folder / "index.csv").open(newline="") as lines:
         for row in csv.DictReader(lines):
             rows = slice(int(row["start"]), int(row["start"]) + int(row["count"]))
             name = f"hhar_still/{row['model']}/{row['device']}/{row['position']}"
-            yield Source(name, f"{row['model']}/{row['device']}", _resting(held, rows))
+            yield Source(name, f"{row['model']}/{row['device']}", _resting(samples, rows))
 
 
-def _resting(held: dict[str, Array], rows: slice) -> Recording:
+def _resting(samples: dict[str, Array], rows: slice) -> Recording:
     """Return one still recording, its stamps those of arrival: creation's unit differs between devices.
 
     Samples that arrive within one millisecond share a stamp there; they are spread over their interval.
     """
-    arrival = np.maximum.accumulate(np.asarray(held["arrival_ms"][rows], dtype=np.float64)) / 1000.0
+    arrival = np.maximum.accumulate(np.asarray(samples["arrival_ms"][rows], dtype=np.float64)) / 1000.0
     index = np.arange(arrival.size)
     first = np.flatnonzero(np.r_[True, np.diff(arrival) > 0])
     t = np.interp(index, np.r_[first, arrival.size], np.r_[arrival[first], arrival[-1] + 1e-3])
-    return Recording(_samples(Sensor.ACCELEROMETER, t, held["acc"][rows]), None, [], Claims(), [])
+    return Recording(_samples(Sensor.ACCELEROMETER, t, samples["acc"][rows]), None, [], Claims(), [])
 
 
 def _samples(sensor: Sensor, t: Array, values: Array) -> Samples:

@@ -29,7 +29,7 @@ class Row:
     halves: list[set[tuple[str, str]] | None]
 
 
-def found(recording: Recording, name: str) -> tuple[str, list[Finding], list[str]]:
+def diagnose(recording: Recording, name: str) -> tuple[str, list[Finding], list[str]]:
     """Return verdict, findings and limits; a refusal is a verdict too."""
     try:
         answer = diagnose_recording(recording, name)
@@ -40,8 +40,8 @@ def found(recording: Recording, name: str) -> tuple[str, list[Finding], list[str
 
 def names(findings: Sequence[Finding]) -> set[tuple[str, str]]:
     """Return what findings say, the members of a set that cannot be told apart included."""
-    said = {(f["effect"], f["sensor"]) for f in findings}
-    return said | {
+    findings_named = {(f["effect"], f["sensor"]) for f in findings}
+    return findings_named | {
         (a["effect"], f["sensor"]) for f in findings for a in f["alternatives"] if a["indistinguishable"]
     }
 
@@ -49,11 +49,11 @@ def names(findings: Sequence[Finding]) -> set[tuple[str, str]]:
 def row(source: Source) -> Row:
     """Diagnose one recording, and either half of it alone where anything is found."""
     t = source.recording.accelerometer.t
-    verdict, findings, limits = found(source.recording, source.name)
+    verdict, findings, limits = diagnose(source.recording, source.name)
     halves: list[set[tuple[str, str]] | None] = []
     if findings:
         for first in (0.0, 0.5):
-            half = found(part(source.recording, first, first + 0.5), source.name)
+            half = diagnose(part(source.recording, first, first + 0.5), source.name)
             halves.append(None if half[0] == "too little data" else names(half[1]))
     return Row(source.name, float(t[-1] - t[0]), verdict, findings, limits, halves)
 
@@ -61,14 +61,14 @@ def row(source: Source) -> Row:
 def agreement(row: Row, finding: Finding, sisters: Sequence[Row]) -> str:
     """Say where else a finding stands: in the halves of its recording, in the same device's others."""
     key = (finding["effect"], finding["sensor"])
-    said = [
+    statements = [
         f"{which} half: {'too short' if half is None else 'yes' if key in half else 'no'}"
         for which, half in zip(("first", "second"), row.halves, strict=True)
     ]
     if sisters:
         again = sum(key in names(s.findings) for s in sisters)
-        said.append(f"same device's other recordings: {again} of {len(sisters)}")
-    return "; ".join(said)
+        statements.append(f"same device's other recordings: {again} of {len(sisters)}")
+    return "; ".join(statements)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Injected:
     effect: str
     strength: float
     recording: str
-    said: str
+    outcome: str
     extra: tuple[str, ...]
 
 
@@ -91,25 +91,25 @@ def inject_all(
         for what in effects:
             if not injection.supports(source.recording, what):
                 continue
-            before = names(found(injection.control(source.recording, what), source.name)[1])
+            before = names(diagnose(injection.control(source.recording, what), source.name)[1])
             for strength in injection.STRENGTHS:
                 changed, _ = injection.injected(source.recording, what, strength, seed=1)
-                results.append(_judged(source, what, strength, before, found(changed, source.name)[1]))
+                results.append(_outcome_of(source, what, strength, before, diagnose(changed, source.name)[1]))
                 tick()
     return results
 
 
-def _judged(
+def _outcome_of(
     source: Source, what: Injection, strength: float, before: set[tuple[str, str]], findings: list[Finding]
 ) -> Injected:
     """Compare what is found with what the untouched twin has."""
     new = [f for f in findings if (f["effect"], f["sensor"]) not in before]
-    alone = any(f["effect"] == what.effect for f in new)
+    named_alone = any(f["effect"] == what.effect for f in new)
     member = any(what.effect in {n for n, _ in names([f])} for f in new)
     extra = [f["effect"] for f in new if what.effect not in {n for n, _ in names([f])}]
-    said = (
+    outcome = (
         "right"
-        if alone
+        if named_alone
         else "set"
         if member
         else "unknown"
@@ -118,12 +118,12 @@ def _judged(
         if extra
         else "nothing"
     )
-    return Injected(what.effect, strength, source.name, said, tuple(sorted(set(extra) - {"unknown"})))
+    return Injected(what.effect, strength, source.name, outcome, tuple(sorted(set(extra) - {"unknown"})))
 
 
 def tally(results: Sequence[Injected]) -> dict[tuple[str, float], Counter[str]]:
     """Count by effect and strength."""
     counted: dict[tuple[str, float], Counter[str]] = {}
     for r in results:
-        counted.setdefault((r.effect, r.strength), Counter())[r.said] += 1
+        counted.setdefault((r.effect, r.strength), Counter())[r.outcome] += 1
     return counted

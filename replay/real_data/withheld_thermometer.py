@@ -35,11 +35,11 @@ class Withheld:
 
 def withheld(source: Source, others: list[Source]) -> Withheld | None:
     """Compare; None where too little lies still. What the curve is made of has no temperature in it."""
-    told, hidden = bins_of(source.recording), bins_of(without_thermometer(source.recording))
-    if told.temperature is None or len(hidden) < LEAST_BINS:
+    measured, hidden = bins_of(source.recording), bins_of(without_thermometer(source.recording))
+    if measured.temperature is None or len(hidden) < LEAST_BINS:
         return None
     curve, share = shared_curve(hidden)
-    truth = told.temperature
+    truth = measured.temperature
     own = correlation(curve, truth)
     shifts = [abs(correlation(curve, np.roll(truth, k))) for k in range(1, truth.size)]
     return Withheld(

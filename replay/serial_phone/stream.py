@@ -97,15 +97,15 @@ class PhoneStream:
         span, goal = self._span, min(limit, self._granted)
         if span is None or self.t >= goal:
             return []
-        told = self._go(span, min(goal, span.end, span.next_event, self._asleep_until or math.inf))
-        woken = self._wake_up()
-        happened = span.take_events(self.t)
-        if happened and self._credit:
+        messages = self._go(span, min(goal, span.end, span.next_event, self._asleep_until or math.inf))
+        woke_up = self._wake_up()
+        events = span.take_events(self.t)
+        if events and self._credit:
             self._granted = self.t
-        told += happened
+        messages += events
         self._turn_page(span)
-        pause = woken or happened or self.waiting or self.done
-        return [*told, *self.standing()] if pause else told
+        pause = woke_up or events or self.waiting or self.done
+        return [*messages, *self.standing()] if pause else messages
 
     def _go(self, span: _Span, stop: float) -> list[Message]:
         samples = span.take_samples(stop)

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from stillcal.calib_core.accelerometer import sixface
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.replay.formats.hhar_still import read, survey
+from stillcal.replay.formats.hhar_still import read
 from stillcal.replay.studies.claim import Claim, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.studies.drawing import BLUE, GREEN, GREY, RED, panels, save
 from stillcal.replay.studies.har.data import DATA, RATE_HZ, Windows, read_windows, without_recordings
 from stillcal.replay.studies.har.devices import CARRIED, Device, read_devices
 from stillcal.replay.studies.har.recordings import FOLDER
+from stillcal.replay.studies.methods.device_faces import calibrate_devices
 from stillcal.replay.studies.methods.smoothing import window_for_rate
 
 NAME, TITLE, WORK = "homogeneity", "Are calibrated traces more alike? (Tables 4 and 5)", "Grammenos 2018"
@@ -151,7 +152,9 @@ def at_rest(data: Path) -> Rest:
     The aggregate of a face is over devices, before and after alike.
     """
     rows: list[tuple[int, Array, Array]] = []
-    outcomes = [o for o in survey(read(data / FOLDER)) if o.calibration and o.calibration.tilt <= 0.01]
+    outcomes = [
+        o for o in calibrate_devices(read(data / FOLDER)) if o.calibration and o.calibration.tilt <= 0.01
+    ]
     for outcome in outcomes:
         means = outcome.recordings.means
         up = sixface.faces_up(means)

@@ -1,7 +1,7 @@
 """Real devices' measured errors, and activity carried through them.
 
-A device is what its six faces say of it (replay/formats/hhar_still.py), with its own noise at rest. Nobody's
-walk was recorded by these devices: what is made here from other recordings is semi-synthetic.
+A device is what its six faces say of it (replay/studies/methods/device_faces.py), with its own noise at rest.
+Nobody's walk was recorded by these devices: what is made here from other recordings is semi-synthetic.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.model import SensorModel
-from stillcal.replay.formats.hhar_still import read, survey
+from stillcal.replay.formats.hhar_still import read
 from stillcal.replay.phone import Phone, draw_rests
 from stillcal.replay.phone.settings import Noise, SensorSettings
 from stillcal.replay.studies.har.recordings import FOLDER, REFERENCE, Still, by_device, read_still
+from stillcal.replay.studies.methods.device_faces import calibrate_devices
 
 RESTS = 12
 """Of which a device is calibrated: between the two days of the paper (11 and 13 states, 4.2)."""
@@ -84,7 +85,7 @@ def read_devices(data: Path) -> list[Device]:
     """Read every device whose six faces calibrate it, the reference unit left out."""
     rests = by_device([r for r in read_still(data) if not r.frozen])
     found = []
-    for outcome in survey(read(data / FOLDER), STANDARD):
+    for outcome in calibrate_devices(read(data / FOLDER), STANDARD):
         about, fit = outcome.recordings, outcome.calibration
         if fit is None or about.model == REFERENCE:
             continue

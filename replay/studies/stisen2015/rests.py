@@ -12,10 +12,11 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.formats.hhar_still import Outcome, read, survey
+from stillcal.replay.formats.hhar_still import read
 from stillcal.replay.studies.claim import Claim, Progress, Study, holds, table
 from stillcal.replay.studies.har.data import without_recordings
 from stillcal.replay.studies.har.recordings import DATA, FOLDER, Still, read_still
+from stillcal.replay.studies.methods.device_faces import DeviceOutcome, calibrate_devices
 
 NAME, TITLE, WORK = (
     "still-devices",
@@ -56,7 +57,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     for still in recordings:
         found.append(detect(still))
         progress(0.9 * len(found) / len(recordings))
-    outcomes = survey(read(data / FOLDER), STANDARD)
+    outcomes = calibrate_devices(read(data / FOLDER), STANDARD)
     claims = (_found(found), _frozen(found, outcomes), _norm(outcomes))
     return Study(NAME, TITLE, claims, _text(found, outcomes), (), seed)
 
@@ -71,7 +72,7 @@ def _found(found: list[Found]) -> Claim:
     return Claim(WORK, *PAPER["found"], ours, DATA, holds(len(hit) >= 0.95 * len(working)), why)
 
 
-def _frozen(found: list[Found], outcomes: list[Outcome]) -> Claim:
+def _frozen(found: list[Found], outcomes: list[DeviceOutcome]) -> Claim:
     frozen = [f for f in found if f.still.frozen]
     broken = [o.recordings for o in outcomes if o.broken]
     caught = {f"{r.model} {r.device}" for r in broken}
@@ -84,7 +85,7 @@ def _frozen(found: list[Found], outcomes: list[Outcome]) -> Claim:
     return Claim(WORK, *PAPER["frozen"], ours, DATA, holds(good), why)
 
 
-def _norm(outcomes: list[Outcome]) -> Claim:
+def _norm(outcomes: list[DeviceOutcome]) -> Claim:
     pairs = []
     for outcome in outcomes:
         if outcome.calibration is not None and outcome.calibration.tilt <= 0.01:
@@ -99,12 +100,12 @@ def _norm(outcomes: list[Outcome]) -> Claim:
     return Claim(WORK, *PAPER["norm"], ours, DATA, holds(bool(after < bar)), why)
 
 
-def _fixed(outcome: Outcome) -> Array:
+def _fixed(outcome: DeviceOutcome) -> Array:
     assert outcome.calibration is not None
     return outcome.calibration.model.apply(outcome.recordings.means)
 
 
-def _text(found: list[Found], outcomes: list[Outcome]) -> str:
+def _text(found: list[Found], outcomes: list[DeviceOutcome]) -> str:
     rows = []
     for model in sorted({f.still.model for f in found}):
         own = [f for f in found if f.still.model == model]

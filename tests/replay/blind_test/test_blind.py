@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from stillcal.replay.blind_test import answer as answering
 from stillcal.replay.blind_test import baselines
 from stillcal.replay.blind_test import run as proof
-from stillcal.replay.blind_test.cases import Design, made
+from stillcal.replay.blind_test.cases import Design, make_case
 from stillcal.replay.blind_test.make import make, write_recording
 from stillcal.replay.commands.blind_test import challenge_group, prove_command
 from stillcal.replay.formats.trace import read_all
@@ -140,7 +140,7 @@ def test_prove_says_what_it_is() -> None:
 def test_the_baselines_find_a_plain_effect_in_white_noise(solver: str, tmp_path: Path) -> None:
     """They are to be beaten, not to be made of straw."""
     design = Design("single", "white", "examiner", ("gyro_bias_temperature",), 200.0, False)
-    recording, key = made(design, 11, 3)
+    recording, key = make_case(design, 11, 3)
     write_recording(tmp_path / "r.csv", recording)
     answer = baselines.SOLVERS[solver](read_all(tmp_path / "r.csv"), "r.csv")
     named = {f["effect"]: f for f in answer["findings"]}

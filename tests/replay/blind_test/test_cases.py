@@ -14,12 +14,12 @@ from stillcal.replay.blind_test import detectability as power
 from stillcal.replay.blind_test import direct_detectability as sizes
 from stillcal.replay.blind_test import phones
 from stillcal.replay.blind_test import simulator_cases as simulated
-from stillcal.replay.blind_test.cases import DECOYS, Design, made, planned
+from stillcal.replay.blind_test.cases import DECOYS, Design, make_case, planned
 from stillcal.replay.blind_test.days import Day, play
 from stillcal.replay.blind_test.forward_model import FORWARD
 from stillcal.replay.blind_test.keys import SealError, TrueEffect, opened, seal_of, sealed
 from stillcal.replay.blind_test.make import ChallengeError, make, read_manifest
-from stillcal.replay.blind_test.off_catalogue import STRANGERS
+from stillcal.replay.blind_test.off_catalogue import OFF_CATALOGUE
 from stillcal.replay.blind_test.phones import Additions
 from stillcal.replay.blind_test.sizing import NAMES, Stage, drawn_effect, put_in
 from stillcal.replay.blind_test.world import binned, over_bins
@@ -37,7 +37,7 @@ bandwidth lever_arm
 
 def test_every_documented_effect_is_in_the_examination() -> None:
     assert sorted(NAMES) == sorted(DOCUMENTED.split())
-    assert not set(STRANGERS) & set(NAMES)
+    assert not set(OFF_CATALOGUE) & set(NAMES)
 
 
 def stage_of(seed: int, **day: object) -> Stage:
@@ -125,36 +125,36 @@ def test_the_plan_has_every_kind_and_about_half_from_either_maker() -> None:
     assert 0.4 < makers["simulator"] / 1000 < 0.6
     assert {d.names[0] for d in designs if d.kind == "decoy"} == set(DECOYS)
     assert {d.names[0] for d in designs if d.kind == "single"} == set(NAMES)
-    assert {d.names[0] for d in designs if d.kind == "off_catalogue"} == set(STRANGERS)
+    assert {d.names[0] for d in designs if d.kind == "off_catalogue"} == set(OFF_CATALOGUE)
     assert 10 <= sum(d.full_length for d in designs) <= 30
 
 
-@pytest.mark.parametrize("name", [*STRANGERS])
-def test_strangers_are_in_their_recordings(name: str) -> None:
-    recording, key = made(Design("off_catalogue", "white", "examiner", (name,), 16.0, False), 6, 1)
+@pytest.mark.parametrize("name", [*OFF_CATALOGUE])
+def test_off_catalogue_effects_are_in_their_recordings(name: str) -> None:
+    recording, key = make_case(Design("off_catalogue", "white", "examiner", (name,), 16.0, False), 6, 1)
     assert key.exam is not None
-    added = np.abs(getattr(key.exam, STRANGERS[name].sensor)).max()
-    assert (added > 0.0) == (STRANGERS[name].course is not None)
+    added = np.abs(getattr(key.exam, OFF_CATALOGUE[name].sensor)).max()
+    assert (added > 0.0) == (OFF_CATALOGUE[name].course is not None)
     assert key.effects[0].t_end > key.effects[0].t_start
     assert np.isfinite(recording.accelerometer.xyz).all()
 
 
 @pytest.mark.parametrize("decoy", DECOYS)
 def test_decoys_conceal_nothing(decoy: str) -> None:
-    recording, key = made(Design("decoy", "flicker", "examiner", (decoy,), 10.0, False), 7, 1)
+    recording, key = make_case(Design("decoy", "flicker", "examiner", (decoy,), 10.0, False), 7, 1)
     assert key.effects == [] and key.variant == decoy
     assert (recording.claims.gravity is None) == (decoy == "location")
 
 
 def test_a_case_is_its_design_seed_and_index() -> None:
     design = Design("single", "mixture", "examiner", ("accel_warmup",), 8.0, False)
-    (a, key_a), (b, key_b), (c, _) = (made(design, 8, i) for i in (1, 1, 2))
+    (a, key_a), (b, key_b), (c, _) = (make_case(design, 8, i) for i in (1, 1, 2))
     assert np.array_equal(a.accelerometer.xyz, b.accelerometer.xyz) and key_a == key_b
     assert not np.array_equal(a.accelerometer.xyz[:100], c.accelerometer.xyz[:100])
 
 
 def test_a_seal_is_the_sum_of_the_file_and_breaks_with_one_bit() -> None:
-    _, key = made(Design("null", "white", "examiner", (), 2.0, False), 9, 1)
+    _, key = make_case(Design("null", "white", "examiner", (), 2.0, False), 9, 1)
     file = sealed(key)
     assert seal_of(file) == hashlib.sha256(file).hexdigest()
     assert opened(file, seal_of(file), "r0001.key") == key
@@ -174,7 +174,9 @@ def test_a_key_of_another_kind_is_refused() -> None:
 def test_recordings_tell_nothing_of_what_is_in_them(tmp_path: Path) -> None:
     manifest = make(tmp_path / "recordings", tmp_path / "keys", 4, 3)
     assert read_manifest(tmp_path / "recordings") == manifest
-    words = [w.encode() for w in (*NAMES, *STRANGERS, *DECOYS, "examiner", "simulator", "flicker", "seed")]
+    words = [
+        w.encode() for w in (*NAMES, *OFF_CATALOGUE, *DECOYS, "examiner", "simulator", "flicker", "seed")
+    ]
     for path in (tmp_path / "recordings").iterdir():
         assert path.name == "manifest.json" or (path.name[0] == "r" and path.name[1:5].isdigit())
         head = path.read_bytes()[:4096]
@@ -185,7 +187,7 @@ def test_recordings_tell_nothing_of_what_is_in_them(tmp_path: Path) -> None:
 
 
 def test_true_effects_of_a_pair_are_both_told() -> None:
-    _, key = made(
+    _, key = make_case(
         Design("pair", "white", "simulator", ("accel_bias_step", "dropped_samples"), 16.0, False), 10, 1
     )
     assert [e.effect for e in key.effects] == ["accel_bias_step", "dropped_samples"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillcal.replay.blind_test import confidence_bounds as bounds
-from stillcal.replay.blind_test.cases import DECOYS, Design, made
+from stillcal.replay.blind_test.cases import DECOYS, Design, make_case
 from stillcal.replay.blind_test.keys import Key, TrueEffect
 from stillcal.replay.blind_test.marking import marked
 from stillcal.replay.blind_test.noise import FAMILIES
@@ -107,7 +107,7 @@ def test_silence_where_nothing_is_and_noise_where_something_is_said(kind: str) -
     assert not marked("r0001", key, {"verdict": "failed", "findings": []}).right
 
 
-def test_a_stranger_is_to_be_called_unknown_and_nothing_else() -> None:
+def test_an_off_catalogue_effect_is_to_be_called_unknown_and_nothing_else() -> None:
     strange = TrueEffect("axes_swapped", "accel", ["x", "y"], {}, None, 200.0, 400.0)
     key = Key("off_catalogue", "white", "examiner", variant="axes_swapped", effects=[strange])
     where = {"t_start": 300.0, "t_end": 400.0}
@@ -126,7 +126,9 @@ def test_an_answer_without_the_layout_counts_as_not_said(rubbish: dict[str, Any]
 
 
 def test_a_models_worth_is_weighed_by_the_examiner() -> None:
-    _, key = made(Design("single", "flicker", "examiner", ("accel_bias_temperature",), 12.0, False), 1, 1)
+    _, key = make_case(
+        Design("single", "flicker", "examiner", ("accel_bias_temperature",), 12.0, False), 1, 1
+    )
     truth = key.effects[0]
     exact = marked("r0001", key, answer(finding(truth))).effects[0]
     assert exact.gain is not None and exact.oracle == pytest.approx(

@@ -18,10 +18,9 @@ from tests.support.forked import Forked
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
 from stillcal.daemon.cli.exits import BAD_INPUT, INTERRUPTED
-from stillcal.replay.fleet import discovery as listing
-from stillcal.replay.fleet import results_folder as kept
+from stillcal.replay.fleet import discovery, results_folder
 from stillcal.replay.fleet.simulate_fleet import fleet
-from stillcal.replay.fleet.worker import Task, examined
+from stillcal.replay.fleet.worker import Task, examine
 
 
 def command(*arguments: str | Path) -> list[str]:
@@ -63,7 +62,7 @@ def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp
     said = interrupted(command("fleet", phones, "--out", out, "--workers", "1"), out)
     assert "finished and kept: the same command goes on" in said
     assert "Traceback" not in said
-    before, _ = kept.read(out)
+    before, _ = results_folder.read(out)
     assert 0 < len(before) < 5
     assert {row["status"] for row in before} == {"calibrated"}
 
@@ -71,7 +70,7 @@ def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp
     assert (again.returncode, again.stderr) == (0, "")
     assert f"5 recordings, {len(before)} of them finished before" in again.stdout
     assert again.stdout.count("Spoilt/phone-0000/recording.csv:3: column 'ax' holds nan") == 1
-    rows, _ = kept.read(out)
+    rows, _ = results_folder.read(out)
     assert [row["status"] for row in rows].count("calibrated") == 4
     by_name = {row["name"]: row for row in rows}
     assert all(by_name[row["name"]] == row for row in before)
@@ -83,10 +82,10 @@ def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp
     path = phones / bad["name"]
     path.write_text(path.read_text().replace("nan", "0.1"))
     os.utime(phones / rows[0]["name"])  # as a copy would: another time, the same content
-    results = kept.Results(out, bad["made_by"])
-    (changed,) = results.todo([Task(found) for found in listing.find(str(phones))])
-    assert changed.found.name == bad["name"]
-    results.keep(changed, examined(changed))
+    results = results_folder.Results(out, bad["made_by"])
+    (changed,) = results.todo([Task(found) for found in discovery.find(str(phones))])
+    assert changed.recording.name == bad["name"]
+    results.keep(changed, examine(changed))
     assert next(r for r in results.finish()[0] if r["name"] == bad["name"])["reason"] != bad["reason"]
 
 

@@ -14,10 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from stillcal.replay.fleet import dask_jobs as running
-from stillcal.replay.fleet import discovery as listing
-from stillcal.replay.fleet import results_folder as kept
-from stillcal.replay.fleet.worker import CALIBRATED, Examined, Task, examined
+from stillcal.replay.fleet import dask_jobs, discovery, results_folder
+from stillcal.replay.fleet.worker import CALIBRATED, Examined, Task, examine
 
 COPIES = 24
 
@@ -70,13 +68,13 @@ def many(phones: Path, tmp_path: Path) -> list[Task]:
     one = sorted(p.parent for p in phones.rglob("recording.csv") if "Spoilt" not in str(p))
     for i in range(COPIES):
         shutil.copytree(one[i % len(one)], tmp_path / "fleet" / f"model-{i % 3}" / f"phone-{i:03d}")
-    return [Task(found, diagnose=False) for found in listing.find(str(tmp_path / "fleet"))]
+    return [Task(found, diagnose=False) for found in discovery.find(str(tmp_path / "fleet"))]
 
 
 def test_nothing_is_lost_with_a_worker(many: list[Task], tmp_path: Path) -> None:
-    results = kept.Results(tmp_path / "results", "this test")
+    results = results_folder.Results(tmp_path / "results", "this test")
     killed: list[int] = []
-    with cluster(2) as (address, workers), running.remote(address) as client:
+    with cluster(2) as (address, workers), dask_jobs.remote(address) as client:
 
         def keep(task: Task, outcome: Examined) -> None:
             results.keep(task, outcome)
@@ -84,19 +82,19 @@ def test_nothing_is_lost_with_a_worker(many: list[Task], tmp_path: Path) -> None
                 workers[0].send_signal(signal.SIGKILL)
                 killed.append(workers[0].wait())
 
-        running.run(client, many, keep)
+        dask_jobs.run(client, many, keep)
         left = len(client.scheduler_info()["workers"])
     rows, _ = results.finish()
     assert killed == [-signal.SIGKILL] and left == 1
-    assert [row["name"] for row in rows] == [task.found.name for task in many]
+    assert [row["name"] for row in rows] == [task.recording.name for task in many]
     assert {row["status"] for row in rows} == {CALIBRATED}
-    ours = examined(many[-1]).row
+    ours = examine(many[-1]).row
     assert all(rows[-1][k] == ours[k] for k in ours if k not in ("calibrate_s", "missing"))
 
 
 def test_no_scheduler_is_one_line(many: list[Task]) -> None:
     with (
-        pytest.raises(running.SchedulerError, match="no scheduler answers"),
-        running.remote("tcp://127.0.0.1:9", timeout=1),
+        pytest.raises(dask_jobs.SchedulerError, match="no scheduler answers"),
+        dask_jobs.remote("tcp://127.0.0.1:9", timeout=1),
     ):
         pass

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.accelerometer.parameters import names
-from stillcal.replay.fleet import discovery as listing
-from stillcal.replay.fleet import results_folder as kept
+from stillcal.replay.fleet import discovery, results_folder
 from stillcal.replay.fleet.first_calibration import document, first_calibration
 from stillcal.replay.fleet.outliers import distances
 from stillcal.replay.fleet.prior_file import read_prior
@@ -24,7 +23,7 @@ from stillcal.replay.phone.population import population
 def fleet_of(folder: Path, values: np.ndarray, models: list[str]) -> Path:
     """Keep results of phones with these parameters (n, 9); every second one has noise unequal on its axes."""
     folder.mkdir()
-    results = kept.Results(folder / "results", "a test")
+    results = results_folder.Results(folder / "results", "a test")
     for i, (own, model) in enumerate(zip(values, models, strict=True)):
         path = folder / model / f"phone-{i:03d}" / "recording.csv"
         row = dict(zip((f"accel_bias_{a}" for a in "xyz"), own[:3], strict=True))
@@ -37,7 +36,7 @@ def fleet_of(folder: Path, values: np.ndarray, models: list[str]) -> Path:
         row |= {"rate_hz": 50.0 + i % 3, "rate_jitter": 0.01 * (1 + i % 3)}
         shared = {k: row[k] for k in ("name", "model", "device")}
         found = [{**shared, "effect": "noise_unequal_axes", "sensor": "gyro", "value": [3.0, 4.0]}] * (i % 2)
-        results.keep(Task(listing.Found(path, row["name"], (), (path,))), Examined(row, found))
+        results.keep(Task(discovery.FoundRecording(path, row["name"], (), (path,))), Examined(row, found))
     results.finish()
     return folder / "results"
 

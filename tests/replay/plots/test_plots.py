@@ -16,7 +16,7 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.plots import allan, attitudes, history, residuals, style
-from stillcal.replay.plots.drawing import drawn
+from stillcal.replay.plots.drawing import draw_figure
 from stillcal.replay.plots.inputs import Material, Moment, Stretch, even, longest, rests_of
 
 
@@ -124,7 +124,7 @@ def test_without_a_calibration_attitudes_are_drawn_and_the_rest_is_refused() -> 
     for draw in (residuals.draw, history.draw, allan.draw):
         with pytest.raises(NotSupported):
             draw(style.figure(), material)
-    made, left_out = drawn("all", material)
+    made, left_out = draw_figure("all", material)
     assert len(left_out) == 3 and "4 rests in 4 attitudes" in made.subfigs[0].get_suptitle()
 
 

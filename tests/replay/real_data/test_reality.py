@@ -12,7 +12,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
-from stillcal.replay.real_data.optical_reference import seen
+from stillcal.replay.real_data.optical_reference import compare_with_cameras
 from stillcal.replay.real_data.sources import Source, part, sources, without_thermometer
 from stillcal.replay.real_data.tables import Injected, agreement, names, row, tally
 from stillcal.replay.real_data.withheld_thermometer import correlation, shared_curve, withheld
@@ -100,6 +100,6 @@ def test_cameras_tell_bias_and_scale_from_squares_of_the_rate() -> None:
     wrong = rate * 1.01 + 0.02 + np.array([0.01, 0.0, 0.0]) * rate**2
     still = Samples.checked(Sensor.ACCELEROMETER, t, np.zeros((t.size, 3)))
     recording = Recording(still, Samples.checked(Sensor.GYROSCOPE, t, wrong), [], Claims(), [])
-    found = seen(Source("made", "made", recording, truth))
+    found = compare_with_cameras(Source("made", "made", recording, truth))
     assert found is not None and found.seconds == 29
     assert found.raw > 1.0 and found.affine < 0.6 * found.raw and found.squares < 0.1 * found.affine

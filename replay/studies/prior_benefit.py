@@ -1,6 +1,6 @@
 """What a prior from a fleet is worth to a new phone: error against number of rests, each device left out.
 
-`python -m stillcal.replay.fleet.prior_benefit [--hhar FOLDER]` draws phones, calibrates each from its first
+`python -m stillcal.replay.studies.prior_benefit [--hhar FOLDER]` draws phones, calibrates each from its first
 rests with and without what the others tell, and prints the errors; with FOLDER the same for the real devices
 of hhar_still. The error is that of gravity's norm over all attitudes, or for real devices over the faces that
 were not used. The bound is what no linear estimate of a phone from this population goes below on average.
@@ -27,9 +27,10 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.model import SensorModel
 from stillcal.daemon.cli.progress import progress
-from stillcal.replay.formats import hhar_still as survey
+from stillcal.replay.formats.hhar_still import DeviceRecordings, read
 from stillcal.replay.phone import Phone, draw_rests
 from stillcal.replay.phone.population import MODELS, population
+from stillcal.replay.studies.methods.device_faces import calibrate_devices
 
 RESTS = (0, 1, 2, 3, 4, 6, 8, 12, 20)
 FAMILY_SD = 0.35  # m/s^2, of the bias that a model's phones share in the second population
@@ -91,8 +92,8 @@ def left_out(devices: Sequence[Device]) -> Iterator[tuple[Device, FleetPrior, Fl
             [known.index(d.model) for d in others],
             float(np.median([d.scatter for d in others])),
         )
-        seen = known.index(device.model) if device.model in known else None
-        yield device, _flat(learnt), learnt.prior(seen)
+        known_model = known.index(device.model) if device.model in known else None
+        yield device, _flat(learnt), learnt.prior(known_model)
 
 
 def _flat(learnt: Population) -> FleetPrior:
@@ -106,12 +107,12 @@ def _flat(learnt: Population) -> FleetPrior:
 def ways(device: Device, rows: Sequence[int], fleet: FleetPrior, model: FleetPrior, g: float) -> Arms:
     """Return the squared errors of every way of calibrating from these of its rests; NaN where it refuses."""
     forces, sd = device.forces[list(rows)], device.uncertainties[list(rows)]
-    found = {"factory": device.error(SensorModel.identity()), "rests alone": np.nan}
+    errors = {"factory": device.error(SensorModel.identity()), "rests alone": np.nan}
     with suppress(NotSupported):
-        found["rests alone"] = device.error(accelerometer.fit(forces, sd, g).model)
+        errors["rests alone"] = device.error(accelerometer.fit(forces, sd, g).model)
     for name, prior in (("datasheet", DATASHEET), ("fleet", fleet), ("fleet, by model", model)):
-        found[name] = device.error(fleet_prior.fit(forces, sd, g, prior).model)
-    return found
+        errors[name] = device.error(fleet_prior.fit(forces, sd, g, prior).model)
+    return errors
 
 
 DATASHEET = FleetPrior(fleet_prior.NOMINAL, np.diag(np.repeat([0.4, 0.015, 0.005], 3) ** 2))
@@ -124,7 +125,7 @@ def points(errors: dict[int, list[list[Arms]]], seed: int = 0) -> list[Point]:
 
     Where a way refuses, the phone keeps the factory's calibration; that is its error then.
     """
-    rng, found = np.random.default_rng(seed), []
+    rng, summary = np.random.default_rng(seed), []
     for rests, devices in sorted(errors.items()):
         draws = rng.integers(len(devices), size=(_BOOTSTRAPS, len(devices)))
         means = {way: np.array([_mean(tries, way) for tries in devices]) for way in devices[0][0]}
@@ -136,8 +137,8 @@ def points(errors: dict[int, list[list[Arms]]], seed: int = 0) -> list[Point]:
             ratio = (float(np.sqrt(own.mean() / base.mean())), float(least), float(most))
             done = np.mean([not np.isnan(t[way]) for tries in devices for t in tries])
             rms = float(np.sqrt(own.mean()))
-            found.append(Point(way, rests, rms, float(low), float(high), float(done), ratio))
-    return found
+            summary.append(Point(way, rests, rms, float(low), float(high), float(done), ratio))
+    return summary
 
 
 def _mean(tries: list[Arms], way: str) -> float:
@@ -152,13 +153,13 @@ def simulated(n: int, seed: int, families: float = 0.0) -> list[Device]:
     phones = population(n, seed)
     names = sorted({m.device for m in MODELS})
     shared = np.random.default_rng(seed).normal(0.0, families, (len(names), 3)) if families else None
-    found = []
+    devices = []
     for i, phone in enumerate(phones):
         model = names.index(phone.claims.device or names[0])
         own = phone if shared is None else _shifted(phone, shared[model])
         shift = np.zeros(3) if shared is None else shared[model]
-        found.append(_simulated(own, model, seed * 100_003 + i, shift))
-    return found
+        devices.append(_simulated(own, model, seed * 100_003 + i, shift))
+    return devices
 
 
 def _shifted(phone: Phone, by: Array) -> Phone:
@@ -173,8 +174,8 @@ def _simulated(phone: Phone, model: int, seed: int, shift: Array) -> Device:
     up = attitudes.sphere()
     raw = full.gravity * up @ np.asarray(phone.accel.scale).T + np.asarray(phone.accel.bias)
 
-    def error(found: SensorModel) -> float:
-        return float(np.mean((np.linalg.norm(found.apply(raw), axis=1) - full.gravity) ** 2))
+    def error(model_found: SensorModel) -> float:
+        return float(np.mean((np.linalg.norm(model_found.apply(raw), axis=1) - full.gravity) ** 2))
 
     sd = first.white_uncertainties
     covariance = np.asarray(fit.total_covariance)
@@ -183,12 +184,12 @@ def _simulated(phone: Phone, model: int, seed: int, shift: Array) -> Device:
 
 def real(folder: Path) -> list[Device]:
     """Return the devices of hhar_still that lay on all six faces, calibrated from them, 6 parameters."""
-    outcomes = [o for o in survey.survey(survey.read(folder)) if o.calibration is not None]
+    outcomes = [o for o in calibrate_devices(read(folder)) if o.calibration is not None]
     names = sorted({o.recordings.model for o in outcomes})
     return [_real(o.recordings, names.index(o.recordings.model)) for o in outcomes]
 
 
-def _real(recordings: survey.Recordings, model: int) -> Device:
+def _real(recordings: DeviceRecordings, model: int) -> Device:
     raw, sd = recordings.means, recordings.uncertainties
     fit = accelerometer.fit(raw, sd, STANDARD, parameters=6)
     values, covariance = fleet_prior.expanded(fit.values, fit.total_covariance)
@@ -208,8 +209,10 @@ def of_simulated(
         for n, tried in errors.items():
             own = replace(truth, mean=truth.mean + np.r_[device.shift, np.zeros(6)])
             known = fleet_prior.fit(device.forces[:n], device.uncertainties[:n], STANDARD, own)
-            left = fleet_prior.norm_variances(attitudes.sphere(), known.covariance, STANDARD)
-            tried.append([ways(device, range(n), fleet, model, STANDARD) | {"bound": float(left.mean())}])
+            variances = fleet_prior.norm_variances(attitudes.sphere(), known.covariance, STANDARD)
+            tried.append(
+                [ways(device, range(n), fleet, model, STANDARD) | {"bound": float(variances.mean())}]
+            )
         tick(done + 1)
     return points(errors)
 
@@ -247,12 +250,12 @@ def _on_others(device: Device, rows: Sequence[int], fleet: FleetPrior, model: Fl
     return ways(replace(device, error=error), rows, fleet, model, STANDARD)
 
 
-def table(found: Sequence[Point]) -> list[str]:
+def table(points: Sequence[Point]) -> list[str]:
     """Return the points as lines of a Markdown table: rms in m/s^2, its 95 % interval over devices."""
-    names = list(dict.fromkeys(p.way for p in found))
+    names = list(dict.fromkeys(p.way for p in points))
     lines = ["| rests | " + " | ".join(names) + " |", "|---|" + "---|" * len(names)]
-    for n in sorted({p.rests for p in found}):
-        row = [next(p for p in found if p.rests == n and p.way == way) for way in names]
+    for n in sorted({p.rests for p in points}):
+        row = [next(p for p in points if p.rests == n and p.way == way) for way in names]
         lines.append(f"| {n} | " + " | ".join(_cell(p) for p in row) + " |")
     return lines
 
@@ -262,12 +265,12 @@ def _cell(point: Point) -> str:
     return f"{point.rms:.4f} ({point.low:.4f} to {point.high:.4f}{share})"
 
 
-def gains(found: Sequence[Point]) -> list[str]:
+def gains(points: Sequence[Point]) -> list[str]:
     """Return as a Markdown table what the fleet adds to the datasheet: ratios of rms errors."""
     names = ("fleet", "fleet, by model")
     lines = ["| rests | " + " | ".join(f"{n} / datasheet" for n in names) + " |", "|---|---|---|"]
-    for n in sorted({p.rests for p in found}):
-        row = [next(p.ratio for p in found if p.rests == n and p.way == way) for way in names]
+    for n in sorted({p.rests for p in points}):
+        row = [next(p.ratio for p in points if p.rests == n and p.way == way) for way in names]
         lines.append(f"| {n} | " + " | ".join(f"{r:.2f} ({a:.2f} to {b:.2f})" for r, a, b in row) + " |")
     return lines
 
@@ -285,14 +288,14 @@ def main(phones: int, seed: int, hhar: Path | None) -> None:
         ("Phones alike within a model", FAMILY_SD),
     ):
         with progress(title, phones, quiet=False) as step:
-            found = of_simulated(simulated(phones, seed, families), true_prior(families), step)
-        click.echo("\n".join([f"\n{title}, {phones} simulated\n", *table(found), "", *gains(found)]))
+            summary = of_simulated(simulated(phones, seed, families), true_prior(families), step)
+        click.echo("\n".join([f"\n{title}, {phones} simulated\n", *table(summary), "", *gains(summary)]))
     if hhar is not None:
         devices = real(hhar)
         with progress("hhar_still", len(devices), quiet=False) as step:
-            found = of_real(devices, step)
+            summary = of_real(devices, step)
         click.echo(
-            "\n".join([f"\nDevices of hhar_still, {len(devices)}\n", *table(found), "", *gains(found)])
+            "\n".join([f"\nDevices of hhar_still, {len(devices)}\n", *table(summary), "", *gains(summary)])
         )
 
 

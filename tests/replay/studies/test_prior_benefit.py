@@ -12,9 +12,9 @@ from stillcal.calib_core.accelerometer import observability as attitudes
 from stillcal.calib_core.accelerometer import prior as fleet_prior
 from stillcal.calib_core.accelerometer.prior import NOMINAL, FleetPrior
 from stillcal.calib_core.errors import NotSupported
-from stillcal.replay.fleet import prior_benefit as shorten
 from stillcal.replay.phone import draw_rests
 from stillcal.replay.phone.population import population
+from stillcal.replay.studies import prior_benefit
 
 SIZES = np.repeat([0.3, 0.01, 0.004], 3)
 
@@ -91,8 +91,11 @@ def test_two_devices_are_no_fleet() -> None:
 
 def test_a_fleet_shortens_the_first_calibration_of_phones_alike_within_a_model() -> None:
     """Three rests on a table: no ordinary fit exists; the model's prior must halve the factory's error."""
-    phones, truth = shorten.simulated(40, 0, shorten.FAMILY_SD), shorten.true_prior(shorten.FAMILY_SD)
-    found = shorten.of_simulated(phones, truth, lambda _: None, (0, 3, 20))
+    phones, truth = (
+        prior_benefit.simulated(40, 0, prior_benefit.FAMILY_SD),
+        prior_benefit.true_prior(prior_benefit.FAMILY_SD),
+    )
+    found = prior_benefit.of_simulated(phones, truth, lambda _: None, (0, 3, 20))
     by = {(p.way, p.rests): p for p in found}
     assert by["rests alone", 3].calibrated == 0.0
     assert by["fleet, by model", 3].high < by["factory", 3].low
@@ -102,7 +105,7 @@ def test_a_fleet_shortens_the_first_calibration_of_phones_alike_within_a_model()
 
 
 def test_real_phones_are_calibrated_where_faces_are_missing(data_dir: Path) -> None:
-    found = shorten.of_real(shorten.real(data_dir / "hhar_still"), lambda _: None, (5,))
+    found = prior_benefit.of_real(prior_benefit.real(data_dir / "hhar_still"), lambda _: None, (5,))
     by = {(p.way, p.rests): p for p in found}
     assert by["rests alone", 5].calibrated == 0.0
     for way in ("datasheet", "fleet", "fleet, by model"):
