@@ -75,3 +75,20 @@ def test_a_flipped_bit_is_never_accepted(payload: bytes, data: st.DataObject) ->
     body[bit // 8] ^= 1 << bit % 8
     with pytest.raises(FrameError):
         unframed(bytes(body))
+
+
+def test_a_frame_with_nothing_in_it_is_too_short() -> None:
+    with pytest.raises(FrameError, match="too short") as refusal:
+        unframed(framed(b"")[2:-1])
+    assert not refusal.value.crc
+    assert unframed(framed(b"x")[2:-1]) == b"x"
+
+
+def test_only_a_wrong_crc_is_called_one() -> None:
+    whole = framed(b"abcdefgh")[2:-1]
+    with pytest.raises(FrameError) as refusal:
+        unframed(whole[:1] + b"z" + whole[2:])
+    assert refusal.value.crc
+    with pytest.raises(FrameError) as refusal:
+        unframed(whole[:-1])
+    assert not refusal.value.crc

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterable
 
 from stillcal.calib_core.streams.events import Tick
 from stillcal.daemon.wire.decoder import Form, Hello, Message, WireDecoder, WireEncoder, WireSettings
+from stillcal.daemon.wire.frames import Frame
 from stillcal.daemon.wire.messages import SEQUENCE_MASK
+from stillcal.daemon.wire.reassembly import WireCounters, WireDelivery
 from tests.support.wire_said import A, G, run
 
 
@@ -60,3 +62,51 @@ def test_half_a_frame_at_the_end_of_a_connection_is_counted_once() -> None:
     assert decoder.end() == [] and decoder.end() == []
     assert (decoder.counters.truncated, decoder.counters.bad_frames) == (1, 0)
     assert len(decoder.feed(WireEncoder().encode(Tick(1.0)))) == 1
+
+
+def counted(*sequences: int, start: int = 0) -> WireCounters:
+    """Return the counters after single samples with these numbers, the first of which is expected."""
+    counters = WireCounters()
+    delivery = WireDelivery(counters)
+    for at, sequence in enumerate((start, *sequences)):
+        delivery.deliver(Frame(run(1, start=float(at)), sequence))
+    return counters
+
+
+def test_a_gap_of_up_to_half_the_numbers_is_loss_and_a_larger_one_a_restart() -> None:
+    half = SEQUENCE_MASK // 2  # 2^31 - 1
+    lost = counted(1 + half)
+    assert (lost.lost_samples, lost.restarts) == (half, 0)
+    anew = counted(1 + half + 1)
+    assert (anew.lost_samples, anew.restarts) == (0, 1)
+
+
+def test_after_the_largest_number_comes_zero() -> None:
+    assert counted(SEQUENCE_MASK, 0, 1, start=SEQUENCE_MASK - 1).lost_samples == 0
+    assert counted(1, start=SEQUENCE_MASK).lost_samples == 1
+
+
+def test_a_frames_numbers_count_the_samples_that_were_dropped_too() -> None:
+    counters = WireCounters()
+    delivery = WireDelivery(counters)
+    delivery.deliver(Frame(run(3), 0, counted=5, invalid=2))
+    delivery.deliver(Frame(run(3, start=1.0), 5, counted=3))
+    assert (counters.lost_samples, counters.invalid_samples, counters.samples) == (0, 2, 6)
+    delivery.deliver(Frame(run(0), 8, counted=4, invalid=4))
+    assert counters.invalid_samples == 6
+    assert [len(m) for m in delivery.take()] == [3, 3]  # type: ignore[arg-type]
+
+
+def test_the_same_session_again_is_no_restart_and_another_is_one() -> None:
+    decoder = WireDecoder()
+    for session, restarts in ((0, 0), (0, 0), (4, 1), (4, 1), (0, 2)):
+        decoder.feed(WireEncoder(WireSettings(form=Form.TEXT)).encode(Hello(session=session)))
+        assert decoder.counters.restarts == restarts
+
+
+def test_a_new_session_begins_the_counter_of_microseconds_anew() -> None:
+    decoder = WireDecoder()
+    (first,) = decoder.feed(b"H,{}\nA,4294967290,1,2,3\nA,10,1,2,3\n")[1:]
+    assert first.t.tolist() == [4294.96729, 4294.967306]  # type: ignore[union-attr]
+    (anew,) = decoder.feed(b'H,{"session":1}\nA,20,1,2,3\n')[1:]
+    assert anew.t.tolist() == [2e-05]  # type: ignore[union-attr]

@@ -7,7 +7,7 @@ import pytest
 
 from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.daemon.wire.decoder import Form, Temperature, WireDecoder, WireEncoder, WireSettings
-from stillcal.daemon.wire.text import COUNTER, MAX_LINE, MicrosClock, crc16
+from stillcal.daemon.wire.text import COUNTER, LATE, MAX_LINE, MicrosClock, crc16
 from tests.support.wire_said import G, joined, others, run
 
 
@@ -80,3 +80,74 @@ def test_a_wider_counter_is_taken_as_it_is() -> None:
     clock = MicrosClock()
     assert clock.seconds(b"%d" % (COUNTER + 5)) == (COUNTER + 5) / 1e6
     assert clock.seconds(b"%d" % (5 * COUNTER)) == 5 * COUNTER / 1e6
+
+
+def seconds_after(first: int, second: int) -> float:
+    """Return what a clock that has wrapped once and then saw `first` makes of `second`, less 2^32 us."""
+    clock = MicrosClock()
+    for stamp in (COUNTER - 10, 10, first):
+        clock.seconds(b"%d" % stamp)
+    return clock.seconds(b"%d" % second) - COUNTER / 1e6
+
+
+def test_the_page_says_ten_seconds_of_disorder_and_32_bits() -> None:
+    assert (LATE, COUNTER) == (10_000_000, 2**32)
+
+
+def test_a_line_from_before_the_wrap_may_be_ten_seconds_late() -> None:
+    late = seconds_after(20, 20 + COUNTER - LATE + 1)
+    assert late == pytest.approx((20 - LATE + 1) / 1e6, abs=1e-6)  # before the wrap
+    ahead = seconds_after(20, 20 + COUNTER - LATE)
+    assert ahead == pytest.approx((20 + COUNTER - LATE) / 1e6, abs=1e-6)  # silent for more than an hour
+
+
+def test_a_stamp_that_falls_by_more_than_half_the_range_is_a_wrap() -> None:
+    half = COUNTER // 2
+    for fall, wrapped in ((half, False), (half + 1, True)):
+        clock = MicrosClock()
+        clock.seconds(b"%d" % (half + 10))
+        assert clock.seconds(b"%d" % (half + 10 - fall)) == pytest.approx(
+            (half + 10 - fall + wrapped * COUNTER) / 1e6, abs=1e-6
+        )
+
+
+def test_a_counter_seen_beyond_32_bits_never_wraps() -> None:
+    clock = MicrosClock()
+    assert clock.seconds(b"%d" % COUNTER) == COUNTER / 1e6
+    assert clock.seconds(b"5") == 5e-6  # the device started again
+    assert clock.seconds(b"%d" % (COUNTER - 1)) == (COUNTER - 1) / 1e6
+
+
+@pytest.mark.parametrize("stamp", [2**63 - 1, 0])
+def test_any_time_that_63_bits_hold_is_one(stamp: int) -> None:
+    assert MicrosClock().seconds(b"%d" % stamp) == stamp / 1e6
+
+
+@pytest.mark.parametrize("stamp", [2**63, -1])
+def test_what_63_bits_do_not_hold_is_no_time(stamp: int) -> None:
+    with pytest.raises(ValueError, match="not a time"):
+        MicrosClock().seconds(b"%d" % stamp)
+
+
+def test_lines_come_as_one_run_until_time_or_columns_change() -> None:
+    decoder = WireDecoder()
+    came = decoder.feed(b"A,10,1,2,3\nA,10,1,2,4\nA,20,1,2,5\nA,15,1,2,6\nA,30,1,2,7,25\nA,40,1,2,8,26\n")
+    assert [joined([m]).xyz[:, 2].tolist() for m in came] == [[3, 4, 5], [6], [7, 8]]
+    assert [joined([m]).temperature is None for m in came] == [True, True, False]
+    assert decoder.counters.samples == 6
+
+
+def test_a_lines_crc_may_not_be_shorter_or_longer() -> None:
+    line = b"A,1000,1,2,3"
+    decoder = WireDecoder()
+    crc = b"%04X" % crc16(line)
+    for digits in (crc[1:], b"0" + crc):
+        assert decoder.feed(line + b"*" + digits + b"\n") == []
+    assert decoder.counters.bad_lines == 2
+    assert len(decoder.feed(line + b"*" + crc + b"\n")) == 1
+
+
+def test_numbers_beside_the_letter_count_lost_lines() -> None:
+    decoder = WireDecoder()
+    decoder.feed(b"A5,1,1,2,3\nA6,2,1,2,3\nA9,3,1,2,3\nG7,3,1,2,3\nG8,4,1,2,3\nA,4,1,2,3\n")
+    assert (decoder.counters.lost_samples, decoder.counters.lines) == (2, 6)
