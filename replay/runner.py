@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.state import EngineState, Refusal
+from stillcal.calib_core.engine.state import EngineSettings, EngineState, Refusal
+from stillcal.calib_core.gravity import given
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Ledger
 from stillcal.calib_core.streams.events import End, Event
@@ -42,6 +44,28 @@ class Outcome:
     def duration(self) -> float:
         """Span of the samples' stamps, s; 0 where there were none."""
         return 0.0 if self.t_start is None or self.t_end is None else self.t_end - self.t_start
+
+
+def with_choices(
+    settings: EngineSettings,
+    gravity: float | None = None,
+    watch: str | None = None,
+    claimed: Callable[[], float | None] = lambda: None,
+) -> EngineSettings:
+    """Return settings with what the caller chose: local gravity (m/s^2) and how the engine watches.
+
+    Gravity is the caller's, else the settings', else what `claimed` returns, which is called last. Raises
+    ValueError where gravity is none of the Earth's, or `watch` is not auto, continuous or probing.
+    """
+    schedule = settings.schedule
+    if gravity is not None:
+        schedule = replace(schedule, gravity=given(gravity).value)
+    elif schedule.gravity is None:
+        schedule = replace(schedule, gravity=claimed())
+    if watch is not None:
+        chosen: Any = watch
+        schedule = replace(schedule, watch=chosen)
+    return replace(settings, schedule=schedule)
 
 
 Keep = Callable[[Publish | Reject], None]

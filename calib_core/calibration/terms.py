@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.record import CalibrationRecord, Term, TermParameter
+from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError, Term, TermParameter
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -59,6 +59,27 @@ def correct(record: CalibrationRecord, samples: Samples, force: Array | None = N
     """
     offset = bias_terms(record, samples.sensor, samples.temperature, force)
     return record.model(samples.sensor).correct(replace(samples, xyz=samples.xyz - offset))
+
+
+def correct_both(
+    record: CalibrationRecord, accelerometer: Samples, gyroscope: Samples | None
+) -> tuple[Samples, Samples | None]:
+    """Correct both sensors' samples; a sensor that the record holds nothing of stays as it is.
+
+    The gyroscope's terms that follow force take it from the corrected accelerometer, interpolated to the
+    gyroscope's times.
+    """
+    accel = _corrected(record, accelerometer)
+    if gyroscope is None:
+        return accel, None
+    return accel, _corrected(record, gyroscope, interpolated(accel, gyroscope.t))
+
+
+def _corrected(record: CalibrationRecord, samples: Samples, force: Array | None = None) -> Samples:
+    try:
+        return correct(record, samples, force)
+    except NotCalibratedError:
+        return samples
 
 
 def bias_terms(

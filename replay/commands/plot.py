@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -26,6 +25,7 @@ from stillcal.replay.formats.trace import Trace, open_trace
 from stillcal.replay.plots import style
 from stillcal.replay.plots.drawing import ALL, FIGURES, draw_figure
 from stillcal.replay.plots.inputs import Material, Moment, of_record, of_trace
+from stillcal.replay.runner import with_choices
 
 ENDINGS = (".png", ".svg", ".pdf")
 NOISE = ("allan", ALL)
@@ -126,11 +126,6 @@ def _replayed(opened: Trace, settings: EngineSettings, noise: bool, quiet: bool)
             passes, last = passes + (opened.bytes_read < last), opened.bytes_read
             step(passes * opened.size_bytes + last)
 
-        return of_trace(opened, Engine(_located(settings, opened)), show_progress, noise)
-
-
-def _located(settings: EngineSettings, opened: Trace) -> EngineSettings:
-    """Return the settings with the gravity that the recording's maker claims, unless they name one."""
-    schedule = settings.schedule
-    gravity = opened.claimed_gravity() if schedule.gravity is None else schedule.gravity
-    return replace(settings, schedule=replace(schedule, gravity=gravity))
+        return of_trace(
+            opened, Engine(with_choices(settings, claimed=opened.claimed_gravity)), show_progress, noise
+        )

@@ -5,30 +5,25 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 from rich.console import Console
+from rich.table import Table
 
-from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
-from stillcal.calib_core.calibration.terms import correct, interpolated
+from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.state import EngineSettings
-from stillcal.calib_core.gravity import given
-from stillcal.calib_core.streams.samples import Samples
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option, format_option, gyro_option, quiet_option
 from stillcal.daemon.cli.progress import progress
-from stillcal.daemon.settings import Settings, load_settings
-from stillcal.daemon.store import store as storage
+from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import calibration_json, pretty
-from stillcal.replay.commands.outcome_table import print_outcome
 from stillcal.replay.commands.outputs import (
     STANDARD_OUTPUT,
     files,
@@ -40,7 +35,8 @@ from stillcal.replay.commands.outputs import (
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.trace import Chunk, Trace, open_trace
 from stillcal.replay.formats.writer import TraceWriter
-from stillcal.replay.runner import Outcome, replay, replay_rests
+from stillcal.replay.outcome import current_in_store, keep_in_store, outcome_rows, why_not
+from stillcal.replay.runner import Outcome, replay, replay_rests, with_choices
 
 _existing = click.Path(path_type=Path)
 
@@ -87,21 +83,21 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     settings = load_settings(config)
     calibrations: list[Publish | Reject] = []
     if format_ == "rest":
-        outcome = replay_rests(
-            read_rest_table(trace), Engine(_engine_settings(settings, gravity, watch)), calibrations.append
-        )
+        engine = Engine(with_choices(settings.engine, gravity, watch))
+        outcome = replay_rests(read_rest_table(trace), engine, calibrations.append)
     else:
         opened = open_trace(trace, format_, gyro)
-        engine = Engine(_engine_settings(settings, _known_gravity(gravity, settings, opened), watch))
+        engine = Engine(with_choices(settings.engine, gravity, watch, opened.claimed_gravity))
         outcome = _replayed(opened, engine, calibrations.append, quiet)
     if store_path is not None and calibrations:
-        _keep_in_store(store_path, settings, calibrations, trace)
+        for note in keep_in_store(store_path, calibrations, trace.name, settings.store):
+            click.echo(f"stillcal: {note}", err=True)
     if json_path is not None:
         _write_json(json_path, outcome)
     if not quiet and json_path != STANDARD_OUTPUT:
-        print_outcome(outcome, trace, store_path if calibrations else None, Console())
+        _print_outcome(outcome, trace, store_path if calibrations else None)
     if outcome.record is None or outcome.record.accelerometer is None:
-        click.echo(f"stillcal: {trace}: no calibration: {_why(outcome)}", err=True)
+        click.echo(f"stillcal: {trace}: no calibration: {why_not(outcome)}", err=True)
         sys.exit(TOO_LITTLE)
 
 
@@ -122,12 +118,7 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path, store_path: Path, out: Path, format_: str, gyro: Path | None, quiet: bool
 ) -> None:
     """Write the recording as it would have been from true sensors: scale @ (raw - bias)."""
-    document = storage.Store(store_path).load()
-    record = None if document is None else document.current
-    if record is None:
-        raise storage.StoreError(
-            f"{store_path}: holds no calibration: run stillcal replay or the daemon first"
-        )
+    record = current_in_store(store_path)
     refuse_collisions(new_recording_files(out), [*_input_files(trace, gyro), *store_files(store_path)])
     opened = open_trace(trace, format_, gyro)
     with progress(opened.path.name, opened.size_bytes, quiet) as step, _writer(opened, out, record) as write:
@@ -155,22 +146,20 @@ def _writer(opened: Trace, out: Path, record: CalibrationRecord) -> Iterator[Cal
     ) as writer:
 
         def write(chunk: Chunk) -> None:
-            accel = _corrected(chunk.accelerometer, record)
-            gyro = _corrected(chunk.gyroscope, record, accel) if opened.has_gyroscope else None
+            gyroscope = chunk.gyroscope if opened.has_gyroscope else None
+            accel, gyro = correct_both(record, chunk.accelerometer, gyroscope)
             writer.write(accel, gyro, chunk.events)
 
         yield write
 
 
-def _corrected(samples: Samples, record: CalibrationRecord, force: Samples | None = None) -> Samples:
-    """Correct one sensor's samples; a sensor that the store knows nothing of stays as it is.
-
-    felt: the corrected accelerometer beside a gyroscope, whose samples may be at other times.
-    """
-    try:
-        return correct(record, samples, None if force is None else interpolated(force, samples.t))
-    except NotCalibratedError:
-        return samples
+def _print_outcome(outcome: Outcome, trace: Path, store: Path | None) -> None:
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0), title=trace.name, title_justify="left")
+    table.add_column(style="bold")
+    table.add_column(overflow="fold")
+    for name, value in outcome_rows(outcome, store):
+        table.add_row(name, value)
+    Console().print(table)
 
 
 def _input_files(trace: Path, gyro: Path | None) -> list[Path]:
@@ -179,20 +168,6 @@ def _input_files(trace: Path, gyro: Path | None) -> list[Path]:
 
 def _output_files(store: Path | None, json_path: Path | None) -> list[Path]:
     return [*([] if store is None else store_files(store)), *files(json_path)]
-
-
-def _engine_settings(settings: Settings, gravity: float | None, watch: str | None) -> EngineSettings:
-    overrides: dict[str, Any] = {"gravity": None if gravity is None else given(gravity).value, "watch": watch}
-    schedule = replace(settings.engine.schedule, **{k: v for k, v in overrides.items() if v is not None})
-    return replace(settings.engine, schedule=schedule)
-
-
-def _known_gravity(gravity: float | None, settings: Settings, opened: Trace) -> float | None:
-    """Return local gravity as the user gives it, else as the settings do, else as the maker claims."""
-    if gravity is not None:
-        return gravity
-    chosen = settings.engine.schedule.gravity
-    return opened.claimed_gravity() if chosen is None else chosen
 
 
 def _replayed(
@@ -204,20 +179,6 @@ def _replayed(
         for note in opened.notes:
             click.echo(f"stillcal: {note}", err=True)
     return outcome
-
-
-def _keep_in_store(
-    path: Path, settings: Settings, calibrations: list[Publish | Reject], source: Path
-) -> None:
-    with storage.Store(path, settings.store) as opened:
-        for action in calibrations:
-            record = replace(action.record, provenance=replace(action.record.provenance, source=source.name))
-            if isinstance(action, Publish):
-                outcome = opened.publish(record, action.reason, action.t)
-            else:
-                outcome = opened.reject(record, action.reason, action.t)
-            for note in outcome.notes:
-                click.echo(f"stillcal: {note}", err=True)
 
 
 def _write_json(path: Path, outcome: Outcome) -> None:
@@ -238,11 +199,3 @@ def _run_figures(outcome: Outcome) -> dict[str, Any]:
         "counters": counters,
         "ledger": plain(outcome.ledger),
     }
-
-
-def _why(outcome: Outcome) -> str:
-    if outcome.refusal is not None:
-        needed = ", ".join(outcome.refusal.missing)
-        return f"{outcome.refusal.reason}{f'; needed: {needed}' if needed else ''}"
-    rests = outcome.state.counters.rests if outcome.state else 0
-    return "no rest was found" if rests == 0 else f"{rests} rests were found, but no occasion to calibrate"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from stillcal.replay.diagnosis.diagnose import diagnose_recording
 from stillcal.replay.fleet.discovery import FoundRecording
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.trace import Recording, Trace, open_trace
-from stillcal.replay.runner import Outcome, replay, replay_rests
+from stillcal.replay.runner import Outcome, replay, replay_rests, with_choices
 
 CALIBRATED, REFUSED, ERROR, LOST = "calibrated", "refused", "error", "lost"
 """What can come of a recording. Refused: it supports no calibration. Lost: the workers that had it died."""
@@ -104,10 +104,8 @@ def _ignore(_: object) -> None:
 
 
 def _engine(task: Task, trace: Trace | None) -> Engine:
-    settings = EngineSettings()
-    gravity = None if trace is None else trace.claimed_gravity()
-    schedule = replace(settings.schedule, watch=task.watch, gravity=gravity)  # type: ignore[arg-type]
-    return Engine(replace(settings, schedule=schedule))
+    claimed = (lambda: None) if trace is None else trace.claimed_gravity
+    return Engine(with_choices(EngineSettings(), watch=task.watch, claimed=claimed))
 
 
 def _stamps(t: np.ndarray) -> dict[str, Any]:

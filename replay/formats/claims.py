@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import msgspec
 
+from stillcal.calib_core.gravity import STANDARD, LocationError, given
 from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.errors import TraceError
@@ -76,6 +78,22 @@ def read_claims(path: Path) -> Claims:
         return msgspec.json.decode(text, type=Claims)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise TraceError(file, f"not the maker's claims: {error}", "correct the field it names") from None
+
+
+def claimed_gravity(claims: Claims, events: Iterable[Event], path: Path) -> float | None:
+    """Return the local gravity, m/s^2, that the maker claims, unless an event says where the phone was.
+
+    None where nothing is claimed, or the standard value, which people write who do not know their own.
+    path: of the recording. Raises TraceError where the claim is no gravity of the Earth's.
+    """
+    claimed = claims.gravity
+    located = any(isinstance(event, Location) for event in events)
+    if claimed is None or located or claimed == STANDARD:
+        return None
+    try:
+        return given(claimed).value
+    except LocationError as error:
+        raise TraceError(beside(path, ".json"), str(error), "correct it or leave it out") from error
 
 
 def written_by_stillcal(path: Path) -> bool:

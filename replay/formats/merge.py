@@ -21,14 +21,15 @@ def merged(files: Sequence[SampleFile], max_rows: int) -> Iterator[Pair]:
     """
     runs = files[0].runs() if len(files) == 1 else _two(files[0], files[1])
     for run in runs:
-        yield from _cut(run, max_rows)
+        yield from cut(run, max_rows)
 
 
 def _of(run: Run, sensor: Sensor) -> Samples:
     return run.get(sensor) or Samples.empty(sensor)
 
 
-def _cut(run: Run, max_rows: int) -> Iterator[Pair]:
+def cut(run: Run, max_rows: int) -> Iterator[Pair]:
+    """Yield a run as (accelerometer, gyroscope) runs of at most `max_rows` samples each, in time order."""
     accelerometer, gyroscope = _of(run, Sensor.ACCELEROMETER), _of(run, Sensor.GYROSCOPE)
     while len(accelerometer) or len(gyroscope):
         ends = [float(s.t[max_rows - 1]) for s in (accelerometer, gyroscope) if len(s) > max_rows]

@@ -10,17 +10,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillcal.calib_core.gravity import STANDARD, LocationError, given
-from stillcal.calib_core.streams.events import Location
+import numpy as np
+
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.formats.claims import Claims, Event, beside, read_claims, read_events
+from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.merge import merged
+from stillcal.replay.formats.merge import cut, merged
 from stillcal.replay.formats.rest_table import read_rest_table
+from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.unit_check import UnitCheck
 from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.notebook import html_table
 
 __all__ = [
     "Chunk",
@@ -47,13 +49,83 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A whole recording in memory. gyroscope: None where the recording has none."""
+    """A whole recording in memory, SI units, body axes as on Android (x right, y up, z out of the screen).
+
+    accelerometer: `Samples` with t (n,) s and xyz (n, 3) m/s^2, specific force, so that a phone at rest reads
+    +g on the axis that points up. gyroscope: the same in rad/s with time stamps of its own, None where the
+    recording has none. events: charging and location, in time order. claims: what the maker claims of the
+    phone. notes: what was tolerated or chosen while reading, a line each. name: what it is called in results.
+    """
 
     accelerometer: Samples
     gyroscope: Samples | None
     events: list[Event]
     claims: Claims
     notes: list[str]
+    name: str = ""
+
+    @property
+    def duration(self) -> float:
+        """Span of the accelerometer's time stamps, s."""
+        t = self.accelerometer.t
+        return float(t[-1] - t[0]) if t.size else 0.0
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples of the accelerometer a second, by the median interval; 0 with less than two samples."""
+        t = self.accelerometer.t
+        return 1.0 / float(np.median(np.diff(t))) if t.size > 1 else 0.0
+
+    def chunks(self, max_rows: int = 8192) -> Iterator[Chunk]:
+        """Yield the recording in time order, at most `max_rows` samples a sensor at a time, as Trace does."""
+        events = list(self.events)
+        gyroscope = self.gyroscope or Samples.empty(Sensor.GYROSCOPE)
+        for accel, gyro in cut({s.sensor: s for s in (self.accelerometer, gyroscope)}, max_rows):
+            end = max(float(s.t[-1]) for s in (accel, gyro) if len(s))
+            due = sum(event.t <= end for event in events)
+            yield Chunk(accel, gyro, tuple(events[:due]))
+            events = events[due:]
+        if events:
+            empty = (Samples.empty(Sensor.ACCELEROMETER), Samples.empty(Sensor.GYROSCOPE))
+            yield Chunk(*empty, tuple(events))
+
+    def claimed_gravity(self) -> float | None:
+        """Return the local gravity that the maker claims; see claims.claimed_gravity."""
+        return claimed_gravity(self.claims, self.events, Path(self.name))
+
+    def save(self, path: Path | str) -> None:
+        """Write the recording: PATH (.csv or .csv.gz), with .events.jsonl and the claims' .json beside it.
+
+        All files are written whole or not at all. Raises ValueError where the name has another ending, and
+        TraceError where the folder cannot be written to.
+        """
+        if not str(path).endswith((".csv", ".csv.gz")):
+            raise ValueError(f"{path} is not a name for a recording: let it end in .csv or .csv.gz")
+        with TraceWriter(
+            path,
+            gyroscope=self.gyroscope is not None,
+            temperature=self.accelerometer.temperature is not None,
+            arrival=self.accelerometer.t_arrival is not None,
+            claims=self.claims,
+        ) as writer:
+            for chunk in self.chunks():
+                writer.write(chunk.accelerometer, chunk.gyroscope, chunk.events)
+
+    def __repr__(self) -> str:
+        return f"Recording({', '.join(f'{name}: {value}' for name, value in self._rows())})"
+
+    def _repr_html_(self) -> str:
+        return html_table(self._rows())
+
+    def _rows(self) -> list[tuple[str, str]]:
+        sensors = [f"{len(self.accelerometer):,} samples of the accelerometer"]
+        if self.gyroscope is not None:
+            sensors.append(f"{len(self.gyroscope):,} of the gyroscope")
+        return [
+            ("recording", self.name or "unnamed"),
+            ("length", f"{self.duration:.1f} s at {self.rate_hz:.4g} Hz"),
+            ("samples", ", ".join(sensors)),
+        ]
 
 
 class Trace:
@@ -101,19 +173,8 @@ class Trace:
         return [*self._notes, *(note for file in self._files for note in file.notes)]
 
     def claimed_gravity(self) -> float | None:
-        """Return the local gravity that the maker claims, unless the recording says where it was taken.
-
-        The standard value is what people write who do not know. Raises TraceError where it is no gravity
-        of the earth's.
-        """
-        claimed = self.claims.gravity
-        located = any(isinstance(event, Location) for event in self.events)
-        if claimed is None or located or claimed == STANDARD:
-            return None
-        try:
-            return given(claimed).value
-        except LocationError as error:
-            raise TraceError(beside(self.path, ".json"), str(error), "correct it or leave it out") from error
+        """Return the local gravity that the maker claims; see claims.claimed_gravity."""
+        return claimed_gravity(self.claims, self.events, self.path)
 
     def __iter__(self) -> Iterator[Chunk]:
         return self.chunks()
@@ -145,13 +206,15 @@ class Trace:
 
 
 def open_trace(path: Path | str, format: str | Path = "csv", gyro: Path | str | None = None) -> Trace:
-    """Open a recording. format: a known name or a column map's path; gyro: the gyroscope's own file.
+    """Open a recording. path: a file, or "sample:NAME" for one that comes with the package.
+
+    format: a known name or a column map's path; gyro: the gyroscope's own file.
 
     Raises TraceError where a file, a column or the format is missing.
     """
     if str(format) == "rest":
         raise TraceError(path, "a rest table holds no samples", "give a recording of samples")
-    path, column_map = Path(path), load_map(format)
+    path, column_map = located(path), load_map(format)
     claims = read_claims(path)
     own = Path(gyro) if gyro is not None else None
     files, notes = _files(path, column_map, own, claims)
@@ -159,12 +222,15 @@ def open_trace(path: Path | str, format: str | Path = "csv", gyro: Path | str | 
 
 
 def read_all(path: Path | str, format: str | Path = "csv", gyro: Path | str | None = None) -> Recording:
-    """Read a whole recording into memory; arguments and errors as open_trace and Trace.chunks."""
+    """Read a whole recording into memory; arguments and errors as open_trace and Trace.chunks.
+
+    It is called as its file, or as the sample that was asked for.
+    """
     trace = open_trace(path, format, gyro)
     chunks = list(trace.chunks())
     gyroscope = Samples.joined(c.gyroscope for c in chunks) if trace.has_gyroscope else None
     accelerometer = Samples.joined(c.accelerometer for c in chunks)
-    return Recording(accelerometer, gyroscope, trace.events, trace.claims, trace.notes)
+    return Recording(accelerometer, gyroscope, trace.events, trace.claims, trace.notes, Path(path).name)
 
 
 def _files(

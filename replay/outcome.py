@@ -1,34 +1,60 @@
-"""What a replay found, as a person reads it in a terminal."""
+"""What a replay found: as rows of text for a person, and put into a store as the daemon would."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
+from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.gravity import STANDARD, Gravity
+from stillcal.daemon.store.store import Store, StoreError, StoreSettings
 from stillcal.replay.runner import Outcome
 
 _DEG = 180 / np.pi
 
 
-def print_outcome(outcome: Outcome, trace: Path, store: Path | None, console: Console) -> None:
-    """Print what was read, what was found, and where it was kept."""
-    table = Table(
-        show_header=False, box=None, padding=(0, 2, 0, 0), title=str(trace.name), title_justify="left"
-    )
-    table.add_column(style="bold")
-    table.add_column(overflow="fold")
-    for name, value in _rows(outcome, store):
-        table.add_row(name, value)
-    console.print(table)
+def keep_in_store(
+    path: Path | str, actions: Iterable[Publish | Reject], source: str, settings: StoreSettings | None = None
+) -> list[str]:
+    """Put the calibrations that a replay accepted and rejected into a store, in order.
+
+    source: the recording's name, kept as their provenance. Returns what was out of the ordinary, a line
+    each. Raises StoreError where the store is damaged, or another process holds it.
+    """
+    notes: list[str] = []
+    with Store(path, settings) as opened:
+        for action in actions:
+            record = replace(action.record, provenance=replace(action.record.provenance, source=source))
+            change = opened.publish if isinstance(action, Publish) else opened.reject
+            notes += change(record, action.reason, action.t).notes
+    return notes
 
 
-def _rows(outcome: Outcome, store: Path | None) -> list[tuple[str, str]]:
+def current_in_store(path: Path | str) -> CalibrationRecord:
+    """Return a store's current calibration. Raises StoreError where there is none."""
+    document = Store(path).load()
+    record = None if document is None else document.current
+    if record is None:
+        raise StoreError(f"{path}: holds no calibration: run stillcal replay or the daemon first")
+    return record
+
+
+def why_not(outcome: Outcome) -> str:
+    """Say in a phrase why a replay ended without a calibration, and what is needed for one."""
+    if outcome.refusal is not None:
+        needed = ", ".join(outcome.refusal.missing)
+        return f"{outcome.refusal.reason}{f'; needed: {needed}' if needed else ''}"
+    rests = outcome.state.counters.rests if outcome.state else 0
+    return "no rest was found" if rests == 0 else f"{rests} rests were found, but no occasion to calibrate"
+
+
+def outcome_rows(outcome: Outcome, store: Path | None = None) -> list[tuple[str, str]]:
+    """Return what was read, what was found and where it was kept, as (name, value)."""
     rows = [("Recording", _length(outcome)), ("Rests", _rests(outcome))]
     record = outcome.record
     if record is None:
