@@ -18,6 +18,7 @@ import msgspec
 
 from stillcal.daemon.cli.exits import BAD_INPUT, NO_DAEMON, REFUSED, TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.system.requirements import LOCAL_SOCKET, require
 from stillcal.daemon.varlink.address import NAME, answering_path
 
 TIMEOUT_S = 10.0
@@ -64,7 +65,11 @@ def query_command(method: str, parameters: str, path: str, as_json: bool) -> Non
 
 
 def replies(path: Path, question: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Ask over the socket at `path` and yield the replies. Raises NoDaemonError where there are none."""
+    """Ask over the socket at `path` and yield the replies.
+
+    Raises NoDaemonError where nobody answers, and UnsupportedError where there are no local sockets.
+    """
+    require("a conversation with the daemon", LOCAL_SOCKET)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
         line.settimeout(TIMEOUT_S)
         try:

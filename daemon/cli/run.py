@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from stillcal.daemon.app import Service
 from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option
 from stillcal.daemon.system import log, memory
+from stillcal.daemon.system.requirements import DAEMON, require
 from stillcal.daemon.system.systemd import Notifier, passed_sockets
 
 
@@ -34,6 +34,9 @@ def run_command(config: Path | None, port: str | None, store: Path | None, socke
     The phone is on a serial line, or with kind = "iio" under [source] this machine is the phone. SIGHUP reads
     the settings again. Logs go to standard error. Exit code 2 where settings, store or socket cannot serve.
     """
+    require("stillcal run", DAEMON)
+    from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has
+
     options = LaunchOptions(config, port, str(store) if store else None, socket, tuple(passed_sockets()))
     settings = options.settings()
     log.set_up(settings.log.level)

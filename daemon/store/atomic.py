@@ -11,6 +11,15 @@ import os
 from pathlib import Path
 
 
+def flags(*names: str) -> int:
+    """Return the flags of os.open of these names together; one that this system lacks counts nothing."""
+    return sum(getattr(os, name, 0) for name in names)
+
+
+SAFE = flags("O_CLOEXEC", "O_NOFOLLOW", "O_BINARY")
+"""For files that are written: no child inherits them, no link stands in for them, no line end is changed."""
+
+
 class NotDurableError(OSError):
     """The file was replaced whole, but its folder could not be synced: a power cut may undo the change."""
 
@@ -39,8 +48,10 @@ def write_atomically(path: Path, data: bytes, mode: int = 0o644) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames and removals in `folder` durable."""
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    """Make renames and removals in `folder` durable, where the system can sync a folder (not Windows)."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    fd = os.open(folder, os.O_RDONLY | flags("O_DIRECTORY", "O_CLOEXEC"))
     try:
         os.fsync(fd)
     finally:
@@ -48,9 +59,9 @@ def sync_folder(folder: Path) -> None:
 
 
 def _write_synced(path: Path, data: bytes, mode: int) -> None:
-    flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC
-    with os.fdopen(os.open(path, flags, mode), "wb") as file:
-        os.fchmod(file.fileno(), mode)
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | SAFE, mode), "wb") as file:
+        if hasattr(os, "fchmod"):
+            os.fchmod(file.fileno(), mode)  # os.open's mode is cut by the umask
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

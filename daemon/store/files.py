@@ -6,14 +6,15 @@ store.py changes a store; document.py defines the contents of its file.
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import stat
 from dataclasses import dataclass
 from pathlib import Path
 
 from stillcal.calib_core.errors import UserError
+from stillcal.daemon.store.atomic import SAFE, flags
 from stillcal.daemon.store.document import Fault, StoreDocument, StoreFormatError, parse
+from stillcal.daemon.store.lock import try_lock
 
 MAX_BYTES = 64 * 2**20
 """No store grows to this; a file that did is not ours and is not read into memory."""
@@ -71,7 +72,7 @@ def read(path: Path) -> Reading:
 
 
 def _bytes(path: Path) -> bytes:
-    fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a FIFO must not block
+    fd = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))  # a FIFO must not block
     try:
         status = os.fstat(fd)
         if not stat.S_ISREG(status.st_mode):
@@ -87,19 +88,22 @@ def _bytes(path: Path) -> bytes:
 def take_lock(path: Path, store: Path) -> int:
     """Lock `path` on behalf of `store` and return its descriptor. Raises StoreLockedError, StoreError."""
     try:
-        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | SAFE, 0o600)
     except OSError as error:
         raise store_error(error, store, "lock") from error
     try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not try_lock(fd):
+            holder = os.read(fd, 32).strip()
+            raise StoreLockedError(store, int(holder) if holder.isdigit() else None)
         os.ftruncate(fd, 0)
-        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+        os.lseek(fd, 0, os.SEEK_SET)
+        os.write(fd, f"{os.getpid()}\n".encode())
     except OSError as error:
-        holder = os.pread(fd, 32, 0).strip()
         os.close(fd)
-        if isinstance(error, BlockingIOError):
-            raise StoreLockedError(store, int(holder) if holder.isdigit() else None) from error
         raise store_error(error, store, "lock") from error
+    except StoreLockedError:
+        os.close(fd)
+        raise
     return fd
 
 

@@ -237,7 +237,7 @@ class Store:
         for n in range(1, 10_000):
             aside = path.with_name(f"{self.path.name}.{label}-{n}.json")
             try:
-                os.link(path, aside, follow_symlinks=False)
+                os.link(path, aside, follow_symlinks=os.link not in os.supports_follow_symlinks)
             except FileExistsError:
                 continue
             except OSError as error:

@@ -18,13 +18,13 @@ from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
+from stillcal.daemon.system.requirements import PSEUDO_TERMINAL, require
 from stillcal.daemon.system.signals import run_until_signalled
 from stillcal.replay.commands.outputs import files, new_recording_files, refuse_collisions
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.phone import Simulation, load_phone, load_scenario, simulate
 from stillcal.replay.phone.simulation import Chunk, TrueModel
-from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
 
 
 @click.command(
@@ -87,9 +87,7 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
     if out is not None:
         _write(simulation, out, quiet)
     else:
-        _serve(
-            simulation, LinkSettings(speed=speed or math.inf, credit=(speed or math.inf) > 1.0), port, quiet
-        )
+        _serve(simulation, speed or math.inf, port, quiet)
     if truth is not None:
         write_atomically(truth, (pretty(truth_of(simulation)) + "\n").encode())
     if not quiet:
@@ -108,8 +106,15 @@ def _write(simulation: Simulation, out: Path, quiet: bool) -> None:
             step(chunk.t_end)
 
 
-def _serve(simulation: Simulation, settings: LinkSettings, port: Path | None, quiet: bool) -> None:
+def _serve(simulation: Simulation, speed: float, port: Path | None, quiet: bool) -> None:
     """Be the phone on a pseudo-terminal until a daemon has heard its end, or a signal ends it."""
+    require("stillcal simulate --serial", PSEUDO_TERMINAL)
+    from stillcal.replay.serial_phone.link import (  # noqa: PLC0415 - imports what only POSIX has
+        LinkSettings,
+        serve_phone,
+    )
+
+    settings = LinkSettings(speed=speed, credit=speed > 1.0)
     with progress("living", simulation.duration, quiet) as step:
 
         def chunks() -> Iterator[Chunk]:

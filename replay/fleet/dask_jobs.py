@@ -32,6 +32,13 @@ class SchedulerError(ValueError):
     """No scheduler, or none any more, at the address given."""
 
 
+def cores() -> int:
+    """Return how many processors this process may use; all there are, where the system does not say."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @contextmanager
 def local(workers: int | None = None) -> Iterator[Client]:
     """Give a client of worker processes on this machine, one a core unless told otherwise.
@@ -43,7 +50,7 @@ def local(workers: int | None = None) -> Iterator[Client]:
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             cluster = LocalCluster(
-                n_workers=workers or len(os.sched_getaffinity(0)),
+                n_workers=workers or cores(),
                 threads_per_worker=1,
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,

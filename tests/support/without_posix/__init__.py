@@ -1,0 +1,1 @@
+"""A folder for PYTHONPATH: its sitecustomize.py takes away what Windows and macOS lack."""
