@@ -103,10 +103,8 @@ def test_a_diagnosis_runs_with_all_its_outputs(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None, reason="the extra fleet is not installed"
-)
 def test_a_fleet_runs(folder: Path) -> None:
+    pytest.importorskip("distributed")
     arguments = ["--out", "results", "--no-diagnosis", "--workers", "1"]
     done = stillcal(folder, "fleet", "lab.csv", *arguments, first="distributed")
     assert (done.returncode, done.stderr) == (0, "")
