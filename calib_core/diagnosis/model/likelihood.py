@@ -1,7 +1,7 @@
 """Likelihood of an effect with the noise refitted under it: averaged over covariance shapes.
 
 Parameters are in units of their physical size and have a standard normal prior. A view is reduced once to
-the few sums that every hypothesis needs; a hypothesis is then judged in milliseconds. docs/misfit.md, 3,
+the few sums that every hypothesis needs; a hypothesis is then judged in milliseconds. docs/diagnosis.md, 3,
 has the formulas.
 """
 

@@ -1,7 +1,7 @@
 """The covariance shapes a view's noise may have: white plus wander of several kinds and strengths.
 
 A shape is a covariance up to its scale. Strengths run over a logarithmic grid, so that hypotheses can be
-judged under all of them (docs/misfit.md, 3). A family is diagonalised once; its strengths are then as many
+judged under all of them (docs/diagnosis.md, 3). A family is diagonalised once; its strengths are then as many
 diagonals.
 """
 

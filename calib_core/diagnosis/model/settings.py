@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 SCORE = 4.0
-"""Least score S of a slow finding, from tests/support/diagnosis/threshold.py (docs/misfit.md, 5)."""
+"""Least score S of a slow finding, from tests/support/diagnosis/threshold.py (docs/diagnosis.md, 5)."""
 
 WORTH_FITTING = 1.0
 """Hypotheses whose best case scores less than this are not fitted at all."""

@@ -1,6 +1,6 @@
 """Competition of the catalogue on one sensor's slow views, with forward steps.
 
-Every hypothesis is scored on one scale (docs/misfit.md, 5); the best one above the threshold joins the
+Every hypothesis is scored on one scale (docs/diagnosis.md, 5); the best one above the threshold joins the
 baseline and the search is repeated.
 """
 

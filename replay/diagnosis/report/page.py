@@ -66,7 +66,7 @@ def page(case: Case, answer: dict[str, Any], resimulated: tuple[Resimulation, Re
         *_comparison(answer),
         *_checked(answer),
         "<footer>Made by <code>stillcal diagnose</code>. Intervals are 95 %; p-values carry the size of the"
-        " search. The method stands in docs/misfit.md, this page in docs/report.md.</footer>",
+        " search. The method stands in docs/diagnosis.md, this page in docs/report.md.</footer>",
     ]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'

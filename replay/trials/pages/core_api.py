@@ -42,7 +42,7 @@ calibration = fit(forces(rests), force_uncertainties(rests), gravity=9.81)
 true = calibration.model.apply(recording.accelerometer.xyz)      # scale @ (raw - bias), (n, 3)
 ```
 
-The engine that does this live, and the diagnosis (`stillcal.calib_core.diagnosis`, [misfit.md](misfit.md)),
+The engine that does this live, and the diagnosis (`stillcal.calib_core.diagnosis`, [diagnosis.md](diagnosis.md)),
 are best called as the commands do: `stillcal.replay.runner.replay`,
 `stillcal.replay.diagnosis.diagnose.diagnosis_of`.
 """
