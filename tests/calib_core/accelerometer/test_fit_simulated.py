@@ -62,6 +62,7 @@ def test_converges_from_identity_for_large_errors_always(n):
         assert off.max() < 8.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("n", "states", "white", "wander"),
     [(14, None, 1e-3, 3e-3), (20, None, 3e-3, 0.0), (20, None, 3e-3, 3e-3), (40, 14, 1e-3, 3e-3)],

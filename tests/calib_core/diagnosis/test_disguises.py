@@ -39,6 +39,7 @@ def test_the_earth_turns_and_the_gyroscope_is_sound(seed: int) -> None:
     assert slow_findings(scene) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tau", [40.0, 200.0, 900.0])
 def test_a_bed_that_gives_way_under_the_phone_is_no_fault(tau: float) -> None:
     """Four milliradians after each move, exponentially: more than a hundred times the noise of a bin."""

@@ -231,6 +231,7 @@ def rests_of(phone: Phone, number: int, after: float, count: int) -> Pool:
     )
 
 
+@pytest.mark.slow
 def test_an_unchanged_phone_replaces_its_calibration_no_more_often_than_chance() -> None:
     """Old and new each fitted to 18 rests of one unchanged sensor, compared on the new one's, held out."""
     quiet = load_phone("consumer")

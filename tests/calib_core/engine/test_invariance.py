@@ -172,6 +172,7 @@ def fed_in_pieces(name: str, pieces: list) -> Life:
     return life
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["whole", "accelerometer only", "twenty hours away", "gyroscope out"])
 @seed(0)
 @settings(max_examples=5, deadline=None, database=None, phases=[Phase.generate])
@@ -201,6 +202,7 @@ def lived_through(name: str, obedient: bool) -> tuple[Life, int]:
     return life, given_samples
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["whole", "accelerometer only", "twenty hours away"])
 def test_a_phone_that_sends_only_what_is_asked_for_gives_the_same(name: str) -> None:
     """A recording replayed whole, lived through, and lived through by a phone that sleeps when it may."""

@@ -58,6 +58,7 @@ def coverage(noise, duration, rests, seed):
     return np.mean(np.abs(off) < 1), np.mean(np.abs(off) < 2), len(off) / 3 / rests
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duration", [1.5, 3.0, 10.0, 60.0])
 @pytest.mark.parametrize("name", NOISES)
 def test_uncertainties_cover_the_truth(name, duration):

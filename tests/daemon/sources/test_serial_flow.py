@@ -98,6 +98,7 @@ def test_after_a_rest_all_is_there_and_the_line_is_watched_again(tmp_path: Path)
     within_reason(test())
 
 
+@pytest.mark.slow
 def test_a_flood_is_read_on_while_the_daemon_rests(tmp_path: Path) -> None:
     async def test() -> None:
         device = Device(tmp_path / "tty")

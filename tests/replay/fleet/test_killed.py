@@ -71,6 +71,7 @@ def many(phones: Path, tmp_path: Path) -> list[Task]:
     return [Task(found, diagnose=False) for found in discovery.find(str(tmp_path / "fleet"))]
 
 
+@pytest.mark.slow
 def test_nothing_is_lost_with_a_worker(many: list[Task], tmp_path: Path) -> None:
     results = results_folder.Results(tmp_path / "results", "this test")
     killed: list[int] = []

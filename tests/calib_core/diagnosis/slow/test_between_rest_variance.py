@@ -46,6 +46,7 @@ def test_jumps_are_found_as_large_as_they_are() -> None:
     assert findings[0].axes == ["x", "y", "z"]
 
 
+@pytest.mark.slow
 def test_what_towers_above_the_jumps_keeps_its_name_and_what_does_not_loses_it() -> None:
     large, small = found(2, "white", SIZE, 1.5e-3), found(2, "white", SIZE, 1e-4)
     assert {f.effect for f in large} == {"gyro_bias_temperature", "unknown"}

@@ -49,6 +49,7 @@ def run(*arguments: str | Path) -> str:
     return result.output
 
 
+@pytest.mark.slow
 def test_one_page_says_all_and_needs_nothing_else(recording: Maker, written: Writer, tmp_path: Path) -> None:
     trace = written(recording(THERMAL), "a<b>&c.csv")
     out = {name: tmp_path / name for name in ("r.html", "d.json", "p.toml")}

@@ -72,6 +72,7 @@ def test_affine_columns_leave_a_change_of_the_norm_that_is_no_matter_of_attitude
     np.testing.assert_allclose(left.std() / error.std(), np.sqrt(191 / 200), rtol=0.05)
 
 
+@pytest.mark.slow
 def test_a_matrix_is_drawn_as_a_line_over_the_one_force_that_it_is_drawn_against(
     case_with: Callable[..., Case],
 ) -> None:
