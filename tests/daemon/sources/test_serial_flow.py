@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.static.detector import Sense
 from stillcal.calib_core.streams.events import Tick

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.replay.diagnosis.report.curves import affine_columns
