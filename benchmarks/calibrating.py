@@ -13,8 +13,7 @@ from timing import Row, ratio, rounds
 
 from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.schedule import ScheduleSettings
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import force_uncertainties, forces

@@ -27,7 +27,7 @@ from subject import day, phone
 from timing import Row, middle
 
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.streams.events import End
 from stillcal.daemon.cli.query import replies
 from stillcal.daemon.varlink.address import NAME

@@ -11,8 +11,7 @@ from timing import Row, ratio, rounds
 
 from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.schedule import ScheduleSettings
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.gyroscope import fit as gyroscope
 from stillcal.calib_core.streams.events import End
 from stillcal.replay.phone import draw_rests, load_scenario, simulate

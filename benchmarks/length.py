@@ -14,8 +14,7 @@ import numpy as np
 from subject import LOCAL_G, RATE_HZ, flat_file
 
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.schedule import ScheduleSettings
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.streams.events import End
 from stillcal.calib_core.streams.samples import Samples, Sensor
 

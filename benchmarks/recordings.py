@@ -17,7 +17,7 @@ from subject import FOLDER, RATE_HZ, day, flat_file
 from timing import Row, middle, ratio, rounds
 
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.replay.formats.trace import open_trace
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.runner import replay

@@ -20,7 +20,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import UserError
 from stillcal.daemon.store.store import StoreSettings
 

@@ -14,7 +14,8 @@ from typing import Any
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.state import EngineSettings, EngineState, Refusal
+from stillcal.calib_core.engine.settings import EngineSettings
+from stillcal.calib_core.engine.state import EngineState, Refusal
 from stillcal.calib_core.gravity import given
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Ledger

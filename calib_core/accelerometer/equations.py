@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.maths import random_effects as excess
+from stillcal.calib_core.maths import random_effects
 from stillcal.calib_core.maths.levenberg_marquardt import Damping, Residuals, minimise
 
 _IDENTITY = np.r_[np.zeros(3), np.eye(3).ravel()]
@@ -41,8 +41,8 @@ class Norms:
 
     def directions(self) -> Array:
         """Return the unit vectors of the attitudes, (m, 3), each the mean of its rests."""
-        sums = [np.bincount(self.labels, column) for column in attitudes.directions(self.raw).T]
-        return attitudes.directions(np.column_stack(sums))
+        sums = [np.bincount(self.labels, column) for column in observability.directions(self.raw).T]
+        return observability.directions(np.column_stack(sums))
 
     def residuals(self, v: Array) -> tuple[Array, Array]:
         """Return Eq. 4 over twice the norm wanted, (n,), and its Jacobian (n, p).
@@ -62,7 +62,7 @@ class Norms:
     def own_variances(self, v: Array) -> Array:
         """Return each rest's own variance of its calibrated norm, (n,), through the model `v`."""
         bias, scale = self._unpacked(v)
-        slopes = attitudes.directions((self.raw - bias) @ scale.T) @ scale
+        slopes = observability.directions((self.raw - bias) @ scale.T) @ scale
         return np.asarray(np.maximum(((slopes * self.sd) ** 2).sum(axis=1), _LEAST_SD**2))
 
     def start(self) -> Array:
@@ -128,10 +128,10 @@ def _weights(norms: Norms, v: Array) -> _Weights:
     """Weigh rests by their own variance and by what they scatter besides, within attitudes and between."""
     residuals, jacobian = norms.residuals(v)
     own = norms.own_variances(v)
-    within = excess.within_variance(residuals, norms.labels, own)
+    within = random_effects.within_variance(residuals, norms.labels, own)
     pooled = pooling(norms.labels, 1.0 / (own + within))
     variances = 1.0 / np.bincount(norms.labels, 1.0 / (own + within))
-    between = excess.excess_variance(pooled @ residuals, pooled @ jacobian, variances)
+    between = random_effects.excess_variance(pooled @ residuals, pooled @ jacobian, variances)
     return _Weights(pooled, variances + between, within, between)
 
 

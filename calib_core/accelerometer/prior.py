@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer.equations import Norms, pooling
 from stillcal.calib_core.accelerometer.parameters import basis, names
 from stillcal.calib_core.arrays import Array, frozen
@@ -102,7 +102,7 @@ class PriorFit:
     @property
     def worst_norm_uncertainty(self) -> float:
         """Standard uncertainty of the calibrated norm at rest along the worst direction, m/s^2."""
-        up = attitudes.sphere()
+        up = observability.sphere()
         return float(np.sqrt(norm_variances(up, self.covariance, self.gravity).max()))
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer.observability import Coverage
 from stillcal.calib_core.accelerometer.parameters import Form, basis
 from stillcal.calib_core.arrays import Array
@@ -93,7 +93,7 @@ class AccelerometerFit:
     @property
     def worst_norm_uncertainty(self) -> float:
         """Standard uncertainty of the calibrated norm at rest along the worst direction, m/s^2."""
-        rows = self._norm_rows(attitudes.sphere())
+        rows = self._norm_rows(observability.sphere())
         return float(np.sqrt(np.einsum("ij,jk,ik->i", rows, self._from_rests(), rows).max()))
 
     def interval(self, level: float = 0.95) -> Array:

@@ -1,13 +1,14 @@
-"""A full calibration from what was gathered, and whether it may replace the one before.
+"""A full calibration fitted to the rests gathered so far, and the gyroscope's bias measured anew at rest.
 
-Puts the estimators together; has no formula of its own for either sensor. A candidate is a complete
-record, its evidence beside it; the decision is taken on rests that neither calibration was fitted to.
+This module puts the estimators of both sensors together and writes what they return into a record; it has no
+formula of its own for either sensor. Whether a candidate replaces the calibration in use is decided in
+acceptance.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
@@ -16,14 +17,11 @@ from numpy.typing import NDArray
 from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit, AccelerometerSettings
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration import drift_check as quality
-from stillcal.calib_core.calibration.drift_check import Check, Comparison, QualitySettings
-from stillcal.calib_core.calibration.gyroscope_record import gyroscope_record
 from stillcal.calib_core.calibration.record import (
     AccelerometerRecord,
     Acceptance,
     CalibrationRecord,
-    Evidence,
+    GyroscopeRecord,
     Provenance,
     StateRecord,
     Validity,
@@ -32,18 +30,18 @@ from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.gyroscope import fit as gyroscope
-from stillcal.calib_core.gyroscope.fit import GyroscopeFit, GyroscopeSettings
+from stillcal.calib_core.gyroscope.bias import BiasEstimate, update_bias
+from stillcal.calib_core.gyroscope.fit import GyroscopeFit, GyroscopeSettings, Parameters
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState, attitude_labels, force_uncertainties, forces
 
-_OMITTED_CROSS_AXIS = 0.05
-"""m/s^2: half of 1 % of gravity, what a phone's usual cross-axis sensitivity puts into a norm at worst
-(InvenSense MPU-6050 and Bosch BMI270 datasheets give 1 to 2 %)."""
+_PARAMETER_COUNT = {Parameters.BIAS: 3, Parameters.SCALE3: 6, Parameters.FULL9: 12}
+_GYRO_NAMES = (*(f"S_{a}{b}" for a in "xyz" for b in "xyz"), "b_x", "b_y", "b_z")
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrateSettings:
-    """The estimators' settings. folds: into how many parts, at most, attitudes are held out."""
+    """The settings of both estimators. folds: number of parts, at most, that attitudes are held out in."""
 
     accelerometer: AccelerometerSettings = field(default_factory=AccelerometerSettings)
     gyroscope: GyroscopeSettings = field(default_factory=GyroscopeSettings)
@@ -56,9 +54,10 @@ class CalibrateSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A calibration that was fitted and not yet accepted.
+    """A calibration that was fitted and is not accepted yet.
 
-    pool: what it stands on; labels: (n,) which attitude each of its rests is in.
+    pool: the rests and rotation segments it was fitted to. labels: (n,) number of the attitude that each rest
+    of the pool is in.
     """
 
     record: CalibrationRecord
@@ -70,35 +69,17 @@ class Candidate:
 
     @property
     def gravity(self) -> Gravity:
-        """Gravity of where the phone was when it was fitted."""
+        """The local gravity where the phone was when the candidate was fitted."""
         return self.record.gravity or Gravity()
 
-    def accepted(self, decision: Decision, occasion: str) -> CalibrationRecord:
-        """Return the record with the reason and the figures that it was decided on."""
-        evidence: Evidence = {"occasion": occasion, **decision.evidence}
-        return replace(self.record, acceptance=Acceptance(reason=decision.reason, evidence=evidence))
 
+def fit_candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSettings) -> Candidate:
+    """Fit both sensors to a pool of rests at sample time t (s), under the present local gravity.
 
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """Whether a candidate takes the old one's place, why, and the figures.
-
-    settled: whether enough rests were held out to tell; an old one that is then kept is sound.
+    Raises NotSupported where the rests do not support an accelerometer fit. Where they do not support a
+    gyroscope fit, the record has the gyroscope's bias alone, or no gyroscope part.
     """
-
-    accepted: bool
-    reason: str
-    evidence: Evidence = field(default_factory=dict)
-    settled: bool = True
-
-
-def candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSettings) -> Candidate:
-    """Fit both sensors to the pool. t: s, sample time.
-
-    Raises NotSupported where the rests do not allow it. The gyroscope may fall short without harm: it
-    then has its bias only, or no part in the record.
-    """
-    fit = _fit_accelerometer(pool.held, gravity, settings.accelerometer)
+    fit = fit_accelerometer(pool.held, gravity, settings.accelerometer)
     gyro = _fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
     labels = attitude_labels(forces(pool.rests), settings.accelerometer.attitude_angle)
     record = CalibrationRecord(
@@ -116,9 +97,13 @@ def candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSetting
     return Candidate(record, fit, gyro, pool, settings, labels)
 
 
-def _fit_accelerometer(
+def fit_accelerometer(
     held: Sequence[HeldRest], gravity: Gravity, settings: AccelerometerSettings, parameters: int | None = None
 ) -> AccelerometerFit:
+    """Fit the accelerometer to rests, each with the gravity of its own place.
+
+    parameters: 6, 9 or 12; None takes the largest model that the attitudes support. Raises NotSupported.
+    """
     rests = [h.rest for h in held]
     local = np.array([h.gravity.value for h in held])
     wanted = cast(accelerometer.Parameters, parameters or "auto")
@@ -130,6 +115,51 @@ def _fit_accelerometer(
         parameters=wanted,
         settings=settings,
     )
+
+
+def gyroscope_record(fit: GyroscopeFit, t: float) -> GyroscopeRecord:
+    """Return the record of a gyroscope fit made at sample time t (s).
+
+    The covariance of the bias is that of a single rest: the bias wanders on between rests.
+    """
+    n_segments = len(fit.after) - len(fit.rejected)
+    return GyroscopeRecord(
+        scale=fit.model.scale,
+        bias=fit.model.bias,
+        parameters=_PARAMETER_COUNT[fit.parameters],
+        names=_GYRO_NAMES,
+        covariance=_with_wander(fit.covariance, fit.bias),
+        rms_residual=fit.rms_after if n_segments else None,
+        rms_nominal=fit.rms_before if n_segments else None,
+        n_rests=fit.bias.n_rests,
+        n_turns=n_segments,
+        rotation_admitted=_nan_where_unbounded(fit.bias.undetected_rotation_bound),
+        missing=fit.missing,
+        zeroed_at=t,
+    )
+
+
+def with_updated_bias(record: CalibrationRecord, recent: Pool, t: float) -> CalibrationRecord | None:
+    """Return the record with the gyroscope's bias measured anew on recent rests at sample time t (s).
+
+    Grammenos et al. 2018, 4.7; a zero angular rate update. A record without a gyroscope part gets one with
+    the nominal scale. None where no rest has a gyroscope mean.
+    """
+    model = SensorModel.identity() if record.gyroscope is None else record.gyroscope.model
+    try:
+        new_model, estimate = update_bias(model, recent.rests)
+    except NotSupported:
+        return None
+    known = record.gyroscope or GyroscopeRecord(scale=model.scale, bias=model.bias, parameters=3)
+    part = replace(
+        known,
+        bias=new_model.bias,
+        covariance=_with_wander(known.covariance, estimate),
+        rotation_admitted=_nan_where_unbounded(estimate.undetected_rotation_bound),
+        zeroed_at=t,
+    )
+    reason = f"gyroscope bias measured on {estimate.n_rests} rests"
+    return replace(record, gyroscope=part, acceptance=Acceptance(how="zeroing", reason=reason))
 
 
 def _fit_gyroscope(
@@ -162,100 +192,25 @@ def _accelerometer_record(fit: AccelerometerFit) -> AccelerometerRecord:
 
 
 def _validity(rests: Sequence[RestState]) -> Validity:
-    seen = [r.temperature for r in rests if r.temperature is not None]
-    return Validity(temperature_min=min(seen), temperature_max=max(seen)) if seen else Validity()
+    temperatures = [r.temperature for r in rests if r.temperature is not None]
+    if not temperatures:
+        return Validity()
+    return Validity(temperature_min=min(temperatures), temperature_max=max(temperatures))
 
 
-def decide(
-    new: Candidate, old: CalibrationRecord | None, degraded: bool, settings: QualitySettings
-) -> Decision:
-    """Decide whether `new` replaces `old`: only if it explains held-out rests better, by more than chance.
+def _with_wander(covariance: Array | None, bias: BiasEstimate) -> Array | None:
+    """Return a gyroscope's covariance (12, 12) with its bias as uncertain as a single rest leaves it.
 
-    Held out are the rests taken since the old one was fitted; the new one meets each of them as a
-    fit that left its attitude out. Where the old one has failed its check, its rests being the very
-    evidence, `degraded` only asks that the new one is not the worse.
+    The mean over all rests is known better than that, but the bias is used between the rests, where it
+    wanders on. A covariance that does not hold the bias is returned as it is.
     """
-    if old is None or old.accelerometer is None:
-        return Decision(True, "the first calibration", {"rms_residual": new.accelerometer.rms_residual})
-    found = held_out(new, old.accelerometer.model, old.fitted_at, settings)
-    evidence: Evidence = {f"held_out_{name}": value for name, value in asdict(found).items()}
-    figures = f"held-out rms {found.rms_new:.2g} after {found.rms_old:.2g} m/s^2 on {found.rests} attitudes"
-    if found.better:
-        return Decision(True, f"better by more than chance: {figures}", evidence)
-    if degraded and found.rests and found.rms_new < found.rms_old:
-        return Decision(True, f"the old one failed its check: {figures}", evidence)
-    enough = found.rests >= settings.held_out_rests
-    return Decision(False, f"not better by more than chance: {figures}", evidence, settled=enough)
+    if covariance is None or covariance.shape != (12, 12):
+        return covariance
+    wandering = np.array(covariance)
+    wandering[9:, 9:] = bias.covariance + np.diag(bias.wander**2)
+    return frozen(wandering)
 
 
-def held_out(new: Candidate, old: SensorModel, since: float | None, settings: QualitySettings) -> Comparison:
-    """Compare both on the attitudes seen since the old fit (s), which took no part in it.
-
-    The new one meets each attitude as refitted without it. One value an attitude: rests that share one
-    are not independent.
-    """
-    held = new.pool.held
-    fresh = np.array([since is None or h.rest.t_start >= since for h in held])
-    refitted = _left_out(new, fresh)
-    fresh &= np.isfinite(refitted)
-    old_residuals, own = quality.norm_residuals(old, held)
-    sd = np.hypot(own, new.accelerometer.rms_residual)
-    attitudes = [fresh & (new.labels == k) for k in np.unique(new.labels[fresh])]
-    old_means, new_means, sd_means = (
-        np.array([float(values[a].mean()) for a in attitudes]) for values in (old_residuals, refitted, sd)
-    )
-    return quality.compare(old_means, new_means, sd_means, settings)
-
-
-def _left_out(new: Candidate, asked: NDArray[np.bool_]) -> Array:
-    """Return residuals (n,) of the rests asked for, each under a fit without its fold of attitudes.
-
-    NaN where the other attitudes do not support a fit, and where none was asked for.
-    """
-    held, residuals = new.pool.held, np.full(len(new.pool.held), np.nan)
-    folds = new.labels % new.settings.folds
-    for fold in np.unique(folds[asked]):
-        out = folds == fold
-        kept = [h for h, left in zip(held, out, strict=True) if not left]
-        tested = [h for h, left in zip(held, out, strict=True) if left]
-        try:
-            fit = _fit_accelerometer(
-                kept, new.gravity, new.settings.accelerometer, new.accelerometer.parameters
-            )
-        except NotSupported:
-            continue
-        residuals[out] = quality.norm_residuals(fit.model, tested)[0]
-    return residuals
-
-
-def checked(record: CalibrationRecord, recent: Pool, settings: QualitySettings) -> Check:
-    """Hold recent rests against a calibration (4.7); it must have an accelerometer part."""
-    assert record.accelerometer is not None
-    bias = None if record.gyroscope is None else record.gyroscope.bias
-    left_open = np.hypot(norm_uncertainty(record.accelerometer), _gravity_change(record, recent))
-    return quality.check(record.accelerometer.model, float(left_open), bias, recent.held, settings)
-
-
-def _gravity_change(record: CalibrationRecord, recent: Pool) -> float:
-    """Return the uncertainty (m/s^2) of the gravity fitted to, where the rests know theirs from elsewhere.
-
-    A phone that was calibrated before it knew its place has a scale off by as much as the standard value;
-    that is no drift.
-    """
-    if record.gravity is None or all(h.gravity.source == record.gravity.source for h in recent.held):
-        return 0.0
-    return record.gravity.uncertainty
-
-
-def norm_uncertainty(part: AccelerometerRecord) -> float:
-    """Return what a calibration leaves open in the norm of a rest, m/s^2.
-
-    The scatter of its own rests; and where it has no cross-axis terms, what these may amount to.
-    """
-    omitted = _OMITTED_CROSS_AXIS if part.parameters == 6 else 0.0
-    return float(np.hypot(part.rms_residual or 0.0, omitted))
-
-
-def figures(check: Check) -> Evidence:
-    """Return a check's figures for the log."""
-    return {name: value for name, value in asdict(check).items() if value is not None}
+def _nan_where_unbounded(values: Array) -> Array:
+    """Return values with NaN, which a record reads as unknown, where nothing bounds them."""
+    return frozen(np.where(np.isfinite(values), values, np.nan))

@@ -1,36 +1,42 @@
-"""The hourly check (Grammenos et al. 2018, 4.7), and whether a new calibration deserves the old one's place.
+"""The hourly check of the calibration in use (Grammenos et al. 2018, 4.7).
 
-"Checking for calibration quality is much faster and easier than trying to gather potential states":
-the norm of a rest is held against local gravity, the gyroscope against zero, and a table says what
-follows. Every difference is judged against its own uncertainty.
+"Checking for calibration quality is much faster and easier than trying to gather potential states": the
+calibrated norm of each rest is compared with local gravity, the gyroscope's mean rate with zero, and a table
+says what follows from the two results. Every difference is judged against its own uncertainty.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.rest_pool import HeldRest
+from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, Evidence
+from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import force_uncertainties, forces
 
 Number = float | Array
 
-_ALL_FLIPS = 12
-_OUTVOTED = 3  # rests: one that is off among no more than these is not told from a change
+_OUTVOTED = 3
+"""Rests: where no more than these were checked, one that disagrees cannot be told from a real change."""
+
+_OMITTED_CROSS_AXIS = 0.05
+"""m/s^2: half of 1 % of gravity, what a phone's usual cross-axis sensitivity puts into a norm at worst
+(InvenSense MPU-6050 and Bosch BMI270 datasheets give 1 to 2 %)."""
 
 
 @dataclass(frozen=True, slots=True)
 class QualitySettings:
-    """What counts as drift: larger than `significance` standard deviations and than the limits.
+    """When a calibration counts as drifted, and when a new one as better.
 
-    accel_limit: m/s^2 of the rest's norm. gyro_limit: rad/s. chance: of taking a new calibration that is
-    no better than the old one. held_out_rests: how many rests it takes to tell.
+    A difference is drift where it is larger than `significance` standard uncertainties and than its limit.
+    accel_limit: m/s^2, of a rest's norm. gyro_limit: rad/s, of the mean rate at rest. chance: probability of
+    accepting a new calibration that is no better than the old one. held_out_rests: attitudes needed to tell.
     """
 
     significance: float = 3.0
@@ -52,7 +58,7 @@ class QualitySettings:
 
 
 class Drift(StrEnum):
-    """What a check found of one sensor."""
+    """What a check says of one sensor."""
 
     NONE = "none"
     DRIFTED = "drifted"
@@ -62,13 +68,13 @@ class Drift(StrEnum):
 class Verdict(StrEnum):
     """What follows from a check.
 
-    The gyroscope is zeroed at every check that does not ask for more (4.7): `zero gyro` says that it had
-    drifted beyond its limit, `keep` that it had not.
+    Every check that does not ask for a recalibration measures the gyroscope's bias anew (4.7). `zero gyro`
+    says that the bias had drifted beyond its limit, `keep` that it had not.
     """
 
     WAIT = "wait"
     KEEP = "keep"
-    ZERO_GYRO = "zero gyro"
+    UPDATE_BIAS = "zero gyro"
     RECALIBRATE = "recalibrate"
 
 
@@ -78,7 +84,7 @@ VERDICTS: dict[tuple[Drift, Drift], Verdict] = {
     (Drift.UNKNOWN, Drift.DRIFTED): Verdict.WAIT,
     (Drift.NONE, Drift.UNKNOWN): Verdict.KEEP,
     (Drift.NONE, Drift.NONE): Verdict.KEEP,
-    (Drift.NONE, Drift.DRIFTED): Verdict.ZERO_GYRO,
+    (Drift.NONE, Drift.DRIFTED): Verdict.UPDATE_BIAS,
     (Drift.DRIFTED, Drift.UNKNOWN): Verdict.RECALIBRATE,
     (Drift.DRIFTED, Drift.NONE): Verdict.RECALIBRATE,
     (Drift.DRIFTED, Drift.DRIFTED): Verdict.RECALIBRATE,
@@ -88,10 +94,12 @@ VERDICTS: dict[tuple[Drift, Drift], Verdict] = {
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check. accel_residual: m/s^2, mean norm less gravity; gyro_residual: rad/s, largest axis.
+    """The result of one check.
 
-    Each with its standard uncertainty; None where no rest told. rests: how many took part; rests_off: of
-    these, how many are off by themselves; off_since: s, when the first of them began.
+    rests: number of rests checked. rests_off: how many of them disagree by themselves. off_since: s, when
+    the first of those began. accel_residual: m/s^2, mean norm less gravity. gyro_residual: rad/s, the
+    largest axis of mean rate less bias. Each residual has its standard uncertainty; None where no rest had
+    the sensor.
     """
 
     accelerometer: Drift
@@ -105,39 +113,38 @@ class Check:
     gyro_residual: float | None = None
     gyro_uncertainty: float | None = None
 
-
-def norm_residuals(model: SensorModel, held: Sequence[HeldRest]) -> tuple[Array, Array]:
-    """Return each rest's calibrated norm less local gravity, and its standard uncertainty, (n,) m/s^2.
-
-    The uncertainty holds the rest's own mean, carried through the model along the direction of gravity.
-    """
-    rests = [h.rest for h in held]
-    calibrated = model.apply(forces(rests))
-    norm = np.linalg.norm(calibrated, axis=1)
-    along = (calibrated / norm[:, None]) @ model.scale
-    own = np.linalg.norm(along * force_uncertainties(rests), axis=1)
-    return norm - np.array([h.gravity.value for h in held]), own
+    def figures(self) -> Evidence:
+        """Return what the check measured, for a log line; what is unknown is left out."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
-def check(
+def check_calibration(record: CalibrationRecord, recent: Pool, settings: QualitySettings) -> Check:
+    """Check a calibration on recent rests (4.7). It must have an accelerometer part."""
+    assert record.accelerometer is not None
+    bias = None if record.gyroscope is None else record.gyroscope.bias
+    uncertainty = np.hypot(norm_uncertainty(record.accelerometer), _gravity_change(record, recent))
+    return check_rests(record.accelerometer.model, float(uncertainty), bias, recent.held, settings)
+
+
+def check_rests(
     accelerometer: SensorModel,
     norm_uncertainty: float,
     gyro_bias: Array | None,
     held: Sequence[HeldRest],
     settings: QualitySettings,
 ) -> Check:
-    """Hold rests taken since the last check against the current calibration.
+    """Check an accelerometer's model and a gyroscope's bias, (3,) rad/s or None, on rests.
 
-    norm_uncertainty: m/s^2, what the calibration itself leaves open in a norm, the repeatability of
-    rests included. gyro_bias: (3,) rad/s or None. The accelerometer has drifted where two rests are off
-    (a change of bias lengthens one norm and shortens another, and their mean does not show it), or the mean
-    is. One rest alone may be a bad one: among few it waits for more, by many it is outvoted.
+    norm_uncertainty: m/s^2, what the calibration itself leaves uncertain in a norm, the repeatability of
+    rests included. The accelerometer has drifted where two rests disagree or where the mean does: a change
+    of bias lengthens one norm and shortens another, and their mean may not show it. One rest alone may be a
+    bad one: among few rests it leads to waiting for more, by many it is outvoted.
     """
     if not held:
         return Check(Drift.UNKNOWN, Drift.UNKNOWN, Verdict.WAIT, 0)
     residual, own = norm_residuals(accelerometer, held)
     accel = _weighted_mean(residual, own, norm_uncertainty)
-    off = _off(residual, np.hypot(own, norm_uncertainty), settings.significance, settings.accel_limit)
+    off = _is_off(residual, np.hypot(own, norm_uncertainty), settings.significance, settings.accel_limit)
     off_since = held[int(off.argmax())].rest.t_start if off.any() else None
     gyro = _rate_residual(gyro_bias, held)
     accel_drift = _accel_drift(residual, own, norm_uncertainty, settings)
@@ -155,18 +162,51 @@ def check(
     )
 
 
+def norm_residuals(model: SensorModel, held: Sequence[HeldRest]) -> tuple[Array, Array]:
+    """Return each rest's calibrated norm less local gravity and its standard uncertainty, (n,) m/s^2 each.
+
+    The uncertainty is that of the rest's mean, propagated through the model along the direction of gravity.
+    """
+    rests = [h.rest for h in held]
+    calibrated = model.apply(forces(rests))
+    norm = np.linalg.norm(calibrated, axis=1)
+    along = (calibrated / norm[:, None]) @ model.scale
+    own = np.linalg.norm(along * force_uncertainties(rests), axis=1)
+    return norm - np.array([h.gravity.value for h in held]), own
+
+
+def norm_uncertainty(part: AccelerometerRecord) -> float:
+    """Return what a calibration leaves uncertain in the norm of a rest, m/s^2.
+
+    The scatter of the rests it was fitted to and, without cross-axis terms, what these may amount to.
+    """
+    omitted = _OMITTED_CROSS_AXIS if part.parameters == 6 else 0.0
+    return float(np.hypot(part.rms_residual or 0.0, omitted))
+
+
+def _gravity_change(record: CalibrationRecord, recent: Pool) -> float:
+    """Return the uncertainty (m/s^2) of the gravity fitted to, where recent rests know theirs from elsewhere.
+
+    A phone that was calibrated before it knew its place has a scale that is off by as much as the standard
+    gravity is there. That is no drift of the sensor.
+    """
+    if record.gravity is None or all(h.gravity.source == record.gravity.source for h in recent.held):
+        return 0.0
+    return record.gravity.uncertainty
+
+
 def _accel_drift(residual: Array, own: Array, norm_uncertainty: float, settings: QualitySettings) -> Drift:
-    """Tell whether two rests are off, or the mean is without the one that is most off."""
+    """Decide whether two rests disagree, or the mean does without the rest that disagrees most."""
     apart = np.abs(residual) / np.hypot(own, norm_uncertainty)
-    off = _off(residual, np.hypot(own, norm_uncertainty), settings.significance, settings.accel_limit)
+    off = _is_off(residual, np.hypot(own, norm_uncertainty), settings.significance, settings.accel_limit)
     if off.sum() >= 2:
         return Drift.DRIFTED
     if off.sum() == 1 and residual.size <= _OUTVOTED:
         return Drift.UNKNOWN
-    rest = np.arange(residual.size) != apart.argmax()
-    if not rest.any():
+    others = np.arange(residual.size) != apart.argmax()
+    if not others.any():
         return Drift.NONE
-    mean = _weighted_mean(residual[rest], own[rest], norm_uncertainty)
+    mean = _weighted_mean(residual[others], own[others], norm_uncertainty)
     return _drift(mean, settings.significance, settings.accel_limit)
 
 
@@ -179,64 +219,22 @@ def _weighted_mean(values: Array, own: Array, common: float) -> tuple[float, flo
 
 def _rate_residual(bias: Array | None, held: Sequence[HeldRest]) -> tuple[float, float] | None:
     """Return the largest axis of (mean rate at rest - bias) and its uncertainty; None without a rate."""
-    seen = [h.rest for h in held if h.rest.rate is not None and h.rest.rate_uncertainty is not None]
-    if bias is None or not seen:
+    with_rate = [h.rest for h in held if h.rest.rate is not None and h.rest.rate_uncertainty is not None]
+    if bias is None or not with_rate:
         return None
-    weight = 1 / np.maximum(np.array([r.rate_uncertainty for r in seen]), 1e-9) ** 2
-    mean = (weight * np.array([r.rate for r in seen])).sum(axis=0) / weight.sum(axis=0) - bias
+    weight = 1 / np.maximum(np.array([r.rate_uncertainty for r in with_rate]), 1e-9) ** 2
+    mean = (weight * np.array([r.rate for r in with_rate])).sum(axis=0) / weight.sum(axis=0) - bias
     axis = int(np.abs(mean).argmax())
     return float(mean[axis]), float(1 / np.sqrt(weight.sum(axis=0)[axis]))
 
 
-def _drift(found: tuple[float, float] | None, significance: float, limit: float) -> Drift:
-    if found is None:
+def _drift(residual: tuple[float, float] | None, significance: float, limit: float) -> Drift:
+    """Judge a residual and its uncertainty; None is unknown."""
+    if residual is None:
         return Drift.UNKNOWN
-    return Drift.DRIFTED if _off(*found, significance, limit) else Drift.NONE
+    return Drift.DRIFTED if _is_off(*residual, significance, limit) else Drift.NONE
 
 
-def _off(residual: Number, uncertainty: Number, significance: float, limit: float) -> NDArray[np.bool_]:
+def _is_off(residual: Number, uncertainty: Number, significance: float, limit: float) -> NDArray[np.bool_]:
     """Tell whether residuals are larger than their uncertainty explains, and large enough to matter."""
     return np.asarray(np.abs(residual) > np.maximum(limit, significance * np.asarray(uncertainty)))
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """A new calibration against the old one on rests that neither was fitted to.
-
-    gain: mean log score per rest that the new one gains; chance: how often swapping the two at random
-    would gain as much; rms_old, rms_new: m/s^2 over the held-out rests. `better`: more than chance.
-    """
-
-    rests: int
-    gain: float
-    chance: float
-    rms_old: float
-    rms_new: float
-    better: bool
-
-
-def compare(old: Array, new: Array, sd: Array, settings: QualitySettings) -> Comparison:
-    """Compare held-out residuals of the old and the new calibration, (n,) each, m/s^2.
-
-    sd: (n,) standard uncertainty of each residual, shared by both, so that a score cannot be won by
-    claiming certainty. The gain is a paired mean of Gaussian log scores. Were the two equally good,
-    each rest might as well have had them the other way round: that is what the gain is held against
-    (a sign-flip test, Fisher 1935), whatever its distribution.
-    """
-    gains = (old**2 - new**2) / (2 * sd**2)
-    n = gains.size
-    chance = _flipped_share(gains) if n else 1.0
-    rms_old, rms_new = (float(np.sqrt(np.mean(r**2))) if n else 0.0 for r in (old, new))
-    better = n >= settings.held_out_rests and chance <= settings.chance
-    return Comparison(n, float(gains.mean()) if n else 0.0, chance, rms_old, rms_new, better)
-
-
-def _flipped_share(gains: Array) -> float:
-    """Return the share of sign patterns, all or 4096 drawn ones, whose sum reaches that of `gains`."""
-    n = gains.size
-    if n <= _ALL_FLIPS:
-        signs = 1 - 2 * (np.arange(2**n)[:, None] >> np.arange(n) & 1)
-    else:
-        drawn = np.random.default_rng(n).integers(0, 2, (2**_ALL_FLIPS, n))
-        signs = np.vstack((np.ones(n, dtype=np.int64), 1 - 2 * drawn))
-    return float(np.mean(signs @ gains >= gains.sum() * (1 - 1e-12)))

@@ -1,33 +1,50 @@
-"""A full calibration as one task: all that it takes goes in, all that follows comes out; pure."""
+"""What the engine decides: checks, updates of the gyroscope's bias, and full calibrations.
+
+`fit_and_decide` is a full calibration as one pure function: a FitTask goes in, a FitOutcome comes out.
+`CalibrationPolicy` applies that, the hourly check and the bias update to what the engine has gathered, and
+changes the engine's state accordingly. When a decision is due is not decided here (schedule.py, engine.py);
+the statistical rules are those of drift_check.py and acceptance.py.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit
-from stillcal.calib_core.calibration import candidate as calibrate
-from stillcal.calib_core.calibration.candidate import CalibrateSettings, Candidate
-from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict
+from stillcal.calib_core.calibration.acceptance import decide, with_decision
+from stillcal.calib_core.calibration.candidate import (
+    CalibrateSettings,
+    Candidate,
+    fit_candidate,
+    with_updated_bias,
+)
+from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.terms import inherit_terms
-from stillcal.calib_core.engine.schedule import Occasion
+from stillcal.calib_core.engine.actions import Action, Diagnose, Level, Log, Publish, Reject
+from stillcal.calib_core.engine.schedule import CalibrationStatus, Occasion, calibration_due
+from stillcal.calib_core.engine.settings import EngineSettings
+from stillcal.calib_core.engine.state import EngineState, Refusal, Trouble
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.static.detector import StationaryDetector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitTask:
-    """What is to be fitted, and against what it is to be held. t: s, when.
+    """All that a full calibration needs.
 
-    sure: for each rest of the pool, whether the noise floor as known by now confirms it. current: the
-    calibration in use; degraded: whether it has failed its check; sound_until: s, when it last passed.
+    t: s, sample time of the fit. confirmed: for each rest of the pool, whether the noise floor as it is known
+    by now confirms that it was a rest. current: the calibration in use. degraded: whether that one has failed
+    its check. sound_until: s, when it last passed a check.
     """
 
     t: float
     occasion: Occasion
     pool: Pool
-    sure: tuple[bool, ...]
+    confirmed: tuple[bool, ...]
     gravity: Gravity
     current: CalibrationRecord | None = None
     degraded: bool = False
@@ -38,10 +55,11 @@ class FitTask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitOutcome:
-    """What came of it. record: None where the rests support none, for the `reason`, and what is `missing`.
+    """The result of a full calibration.
 
-    accepted: whether the record replaces the current one; settled: whether there was enough to tell.
-    recent_only: whether the rests from before sound_until were left out, being of another sensor by now.
+    record: None where the rests do not support a fit; `reason` then says why and `missing` what to gather.
+    accepted: whether the record replaces the current one. settled: whether enough rests were held out to
+    tell. recent_only: whether the rests from before sound_until were left out because the sensor has changed.
     """
 
     record: CalibrationRecord | None
@@ -52,57 +70,175 @@ class FitOutcome:
     recent_only: bool = False
 
 
-def fitted(task: FitTask) -> FitOutcome:
-    """Fit what was gathered, and decide whether it replaces the current calibration."""
-    found, recent_only = _candidate(task)
-    if isinstance(found, NotSupported):
-        return FitOutcome(None, False, found.reason, found.missing)
-    decision = calibrate.decide(found, task.current, task.degraded, task.quality)
-    record = inherit_terms(task.current, found.accepted(decision, task.occasion))
+def fit_and_decide(task: FitTask) -> FitOutcome:
+    """Fit the rests gathered, and decide whether the fit replaces the current calibration."""
+    candidate, recent_only = _candidate(task)
+    if isinstance(candidate, NotSupported):
+        return FitOutcome(None, False, candidate.reason, candidate.missing)
+    decision = decide(candidate, task.current, task.degraded, task.quality)
+    record = inherit_terms(task.current, with_decision(candidate, decision, task.occasion))
     return FitOutcome(record, decision.accepted, decision.reason, (), decision.settled, recent_only)
 
 
 def _candidate(task: FitTask) -> tuple[Candidate | NotSupported, bool]:
-    """Fit the pool, and say whether only what came after the last check that passed.
+    """Fit the pool, and say whether the rests from before the last passed check were left out.
 
-    After a failed check, what was gathered before it is only kept as long as one calibration
-    explains both: otherwise the sensor has changed, and the older rests go.
+    After a failed check the older rests stay only if one calibration explains them and the recent ones.
+    Otherwise the sensor has changed, and only the recent rests are used.
     """
-    sure = {id(held.rest): sound for held, sound in zip(task.pool.held, task.sure, strict=True)}
+    confirmed = {id(held.rest): sound for held, sound in zip(task.pool.held, task.confirmed, strict=True)}
     recent = task.pool.since(task.sound_until) if task.degraded else task.pool
-    whole = _fit(task.pool, sure, task)
+    whole = _fit(task.pool, confirmed, task)
     if len(recent.held) == len(task.pool.held):
         return whole, False
     if isinstance(whole, Candidate):
-        check = calibrate.checked(whole.record, recent, task.quality)
+        check = check_calibration(whole.record, recent, task.quality)
         if check.verdict is not Verdict.RECALIBRATE:
             return whole, False
-    found = _fit(recent, sure, task)
-    return found, not isinstance(found, NotSupported)
+    candidate = _fit(recent, confirmed, task)
+    return candidate, not isinstance(candidate, NotSupported)
 
 
-def _fit(pool: Pool, sure: dict[int, bool], task: FitTask) -> Candidate | NotSupported:
-    """Fit the rests that the noise floor, as known by now, confirms, or all: whichever leaves less open.
+def _fit(pool: Pool, confirmed: dict[int, bool], task: FitTask) -> Candidate | NotSupported:
+    """Fit the confirmed rests, or all rests: whichever leaves less uncertain.
 
-    A doubtful rest that is one adds an attitude; one that is none adds scatter.
+    A doubtful rest that was still adds an attitude; one that was not adds scatter.
     """
-    confirmed = pool.where(lambda rest: sure[id(rest)])
-    everything = _fitted_or_refused(pool, task)
-    if len(confirmed.held) == len(pool.held) or isinstance(everything, NotSupported):
-        return everything
-    fewer = _fitted_or_refused(confirmed, task)
-    if isinstance(fewer, NotSupported):
-        return everything
-    return min(fewer, everything, key=lambda c: _left_open(c.accelerometer))
+    certain = pool.where(lambda rest: confirmed[id(rest)])
+    of_all = _candidate_or_refusal(pool, task)
+    if len(certain.held) == len(pool.held) or isinstance(of_all, NotSupported):
+        return of_all
+    of_certain = _candidate_or_refusal(certain, task)
+    if isinstance(of_certain, NotSupported):
+        return of_all
+    return min(of_certain, of_all, key=lambda c: _rank(c.accelerometer))
 
 
-def _fitted_or_refused(pool: Pool, task: FitTask) -> Candidate | NotSupported:
+def _candidate_or_refusal(pool: Pool, task: FitTask) -> Candidate | NotSupported:
     try:
-        return calibrate.candidate(pool, task.gravity, task.t, task.settings)
+        return fit_candidate(pool, task.gravity, task.t, task.settings)
     except NotSupported as refusal:
         return refusal
 
 
-def _left_open(fit: AccelerometerFit) -> tuple[int, float]:
+def _rank(fit: AccelerometerFit) -> tuple[int, float]:
     """Order fits: more parameters first, then the smaller uncertainty along the worst direction."""
     return -fit.parameters, fit.worst_norm_uncertainty
+
+
+class CalibrationPolicy:
+    """Checks, updates and renews the calibration in the engine's `state`.
+
+    detector: says whether a rest still counts as one by the noise floor known now. actions: what the daemon
+    is to do is appended to this list.
+    """
+
+    def __init__(
+        self,
+        settings: EngineSettings,
+        state: EngineState,
+        detector: StationaryDetector,
+        actions: list[Action],
+    ) -> None:
+        self._settings, self._state, self._detector, self._actions = settings, state, detector, actions
+
+    def check(self, t: float) -> None:
+        """Check the calibration on the rests since the last check, if there are any (4.7). t: s."""
+        state = self._state
+        if state.record is None or state.record.accelerometer is None:
+            state.check_due = False
+            return
+        since = state.checked
+        recent = state.pool.since(since).where(self._detector.still_valid)
+        check = check_calibration(state.record, recent, self._settings.quality)
+        if check.verdict is Verdict.WAIT:
+            return
+        state.check_due, state.checked = False, t
+        state.counters.checks += 1
+        self._actions.append(Log(t, Level.INFO, "check", f"{check.verdict}", check.figures()))
+        if check.verdict is Verdict.RECALIBRATE:
+            self._degrade(t, since if check.off_since is None else check.off_since)
+        else:
+            state.trouble = None
+            self.update_bias(t, since)
+
+    def update_bias(self, t: float, since: float | None) -> None:
+        """Measure the gyroscope's bias anew on the rests since a time, s, if they have rates (4.7)."""
+        state = self._state
+        if state.record is None:
+            return
+        recent = state.pool.since(since).where(self._detector.still_valid)
+        updated = with_updated_bias(state.record, recent, t)
+        if updated is not None:
+            state.record = updated
+            state.counters.zeroings += 1
+            self._actions.append(Publish(t, updated, updated.acceptance.reason))
+
+    def calibrate(self, t: float, occasion: Occasion) -> None:
+        """Try a full calibration at t (s) if one is due on this occasion."""
+        state = self._state
+        since_try = math.inf if state.tried is None else t - state.tried
+        status = CalibrationStatus(state.record is not None, state.degraded, state.fresh, since_try)
+        if not calibration_due(status, occasion, self._settings.schedule):
+            return
+        state.fresh, state.tried = 0, t
+        if state.trouble is not None:
+            state.trouble = replace(state.trouble, tried=True)
+        task = FitTask(
+            t=t,
+            occasion=occasion,
+            pool=state.pool,
+            confirmed=tuple(self._detector.still_valid(h.rest) for h in state.pool.held),
+            gravity=state.gravity,
+            current=state.record,
+            degraded=state.degraded,
+            sound_until=state.sound_until,
+            settings=self._settings.calibrate,
+            quality=self._settings.quality,
+        )
+        self._apply(t, fit_and_decide(task), occasion)
+
+    def _degrade(self, t: float, since: float | None) -> None:
+        """Mark the calibration as degraded; `since` (s) is from when on it may have been wrong."""
+        state = self._state
+        if not state.degraded:
+            state.degraded, state.sound_until = True, since
+            state.counters.degradations += 1
+            why = "the calibration no longer fits: gathering rests again"
+            self._actions.append(Log(t, Level.WARNING, "degraded", why))
+        state.trouble = (state.trouble or Trouble(t)).after_failed_check()
+        if state.trouble.failed == self._settings.schedule.diagnose_after_checks:
+            self._actions.append(Diagnose(t, state.trouble.reason))
+        if state.charging:
+            self.calibrate(t, Occasion.CHARGING)
+
+    def _apply(self, t: float, outcome: FitOutcome, occasion: Occasion) -> None:
+        """Change the state as a full calibration's outcome says, and report it."""
+        state = self._state
+        if outcome.record is None:
+            self._report_refusal(t, outcome, occasion)
+            return
+        if outcome.recent_only:
+            state.pool = state.pool.since(state.sound_until)
+            state.attitudes = len(state.pool.attitudes(self._settings.pool))
+        fields = {"occasion": str(occasion)}
+        if not outcome.accepted:
+            state.degraded = state.degraded and not outcome.settled
+            state.counters.rejected += 1
+            self._actions.append(Reject(t, outcome.record, outcome.reason))
+            self._actions.append(Log(t, Level.INFO, "rejected", outcome.reason, fields))
+            return
+        state.record, state.checked, state.degraded, state.refusal = outcome.record, t, False, None
+        state.counters.calibrations += 1
+        self._actions.append(Publish(t, outcome.record, outcome.reason))
+        self._actions.append(Log(t, Level.INFO, "calibrated", outcome.reason, fields))
+
+    def _report_refusal(self, t: float, outcome: FitOutcome, occasion: Occasion) -> None:
+        """Report why there is no fit; one that asks for the same rests again goes to the debug log."""
+        state = self._state
+        state.counters.refused += 1
+        is_new = state.refusal is None or state.refusal.missing != outcome.missing
+        state.refusal = Refusal(outcome.reason, outcome.missing)
+        why = str(NotSupported(outcome.reason, outcome.missing))
+        level = Level.INFO if is_new else Level.DEBUG
+        self._actions.append(Log(t, level, "refused", why, {"occasion": str(occasion)}))

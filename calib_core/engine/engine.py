@@ -20,12 +20,20 @@ import numpy as np
 from stillcal.calib_core import gravity as local_gravity
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Forget, Level, Log
+from stillcal.calib_core.engine.decisions import CalibrationPolicy
 from stillcal.calib_core.engine.duty_cycle import DutyBudget
 from stillcal.calib_core.engine.intake import Intake
-from stillcal.calib_core.engine.planning import first_of_use, resumed, review_soon
-from stillcal.calib_core.engine.policy import CalibrationPolicy
-from stillcal.calib_core.engine.schedule import Need, Occasion, Watch, next_on_grid, watch_for
-from stillcal.calib_core.engine.state import EngineSettings, EngineState, first_state, without_phone
+from stillcal.calib_core.engine.schedule import (
+    Need,
+    Occasion,
+    first_of_use,
+    next_on_grid,
+    resumed,
+    review_soon,
+    watch_for,
+)
+from stillcal.calib_core.engine.settings import EngineSettings, Watch
+from stillcal.calib_core.engine.state import EngineState, first_state, without_phone
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Ledger, Mode, Sense, Sleep
@@ -128,7 +136,7 @@ class Engine:
 
     def calibrate(self) -> list[Action]:
         """Try a full calibration now, because somebody asks; say what came of it."""
-        self._policy.renew(self._now(), Occasion.ASKED)
+        self._policy.calibrate(self._now(), Occasion.ASKED)
         return self._take_actions()
 
     def update_bias(self) -> list[Action]:
@@ -230,12 +238,12 @@ class Engine:
             self._state.charging = event.on
             self._actions.append(Log(t, Level.INFO, "charging", "plugged in" if event.on else "unplugged"))
             if event.on:
-                self._policy.renew(t, Occasion.CHARGING)
+                self._policy.calibrate(t, Occasion.CHARGING)
         elif isinstance(event, Location):
             self._intake.move_to(event)
         elif isinstance(event, End):
             self._intake.gather(self._detector.finish())
-            self._policy.renew(t, Occasion.END)
+            self._policy.calibrate(t, Occasion.END)
             self._state.next_review = self._state.next_check = None
             return
         if self._state.began is not None and t >= self._state.began:
@@ -252,9 +260,9 @@ class Engine:
         if self._state.check_due:
             self._policy.check(t)
         if self._state.charging:
-            self._policy.renew(t, Occasion.CHARGING)
+            self._policy.calibrate(t, Occasion.CHARGING)
         elif self._state.charging is None and self._supported_well():
-            self._policy.renew(t, Occasion.UNPLUGGED)
+            self._policy.calibrate(t, Occasion.UNPLUGGED)
         self._plan(t)
 
     # How to look

@@ -11,11 +11,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from stillcal.calib_core import gravity as local_gravity
-from stillcal.calib_core.calibration.attitude_index import AttitudeIndex
-from stillcal.calib_core.calibration.rest_pool import HeldRest
+from stillcal.calib_core.calibration.rest_pool import AttitudeIndex, HeldRest
 from stillcal.calib_core.engine.actions import Action, Level, Log
-from stillcal.calib_core.engine.schedule import Watch
-from stillcal.calib_core.engine.state import EngineSettings, EngineState, Move
+from stillcal.calib_core.engine.settings import EngineSettings, Watch
+from stillcal.calib_core.engine.state import EngineState, Move
 from stillcal.calib_core.gravity import Gravity, LocationError
 from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment, cut_rotation_segment
 from stillcal.calib_core.static.detector import StationaryDetector

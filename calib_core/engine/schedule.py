@@ -8,50 +8,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
 
+import numpy as np
 
-class Watch(StrEnum):
-    """How the engine is looking at the moment."""
+from stillcal.calib_core.engine.settings import ScheduleSettings, Watch
+from stillcal.calib_core.engine.state import EngineState
+from stillcal.calib_core.streams.samples import Sensor
 
-    CONTINUOUS = "continuous"
-    PROBING = "probing"
-    IDLE = "idle"
-
-
-@dataclass(frozen=True, slots=True)
-class ScheduleSettings:
-    """When the engine does what; all times in s of sample time.
-
-    watch: "auto" spends the energy allowance; "continuous" and "probing" force one way of looking.
-    check_interval_s: between quality checks (4.7: hourly). review_interval_s: between looks at what is
-    gathered. recalibrate_interval_s: at least this long between two full calibrations on charging.
-    attitudes_wanted: distinct attitudes after which gathering rests (Algorithm 1's s). gravity: local g
-    in m/s^2 if known, else None. gyro_patience_s: how far the gyroscope's stream may lag.
-    diagnose_after_checks: how many checks in a row may fail after a calibration before it asks for help.
-    """
-
-    watch: Literal["auto", "continuous", "probing"] = "auto"
-    check_interval_s: float = 3600.0
-    review_interval_s: float = 60.0
-    recalibrate_interval_s: float = 6 * 3600.0
-    attitudes_wanted: int = 30
-    gravity: float | None = None
-    gyro_patience_s: float = 5.0
-    diagnose_after_checks: int = 3
-
-    def __post_init__(self) -> None:
-        for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s", "gyro_patience_s"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be positive seconds")
-        if self.gravity is not None and not 9.7 <= self.gravity <= 9.9:
-            raise ValueError(f"gravity = {self.gravity}: must be the earth's, 9.7..9.9 m/s^2")
-        if self.watch not in {"auto", *(str(w) for w in Watch if w is not Watch.IDLE)}:
-            raise ValueError(f"watch = {self.watch!r}: must be auto, continuous or probing")
-        if self.attitudes_wanted < 6:
-            raise ValueError(f"attitudes_wanted = {self.attitudes_wanted}: must be 6 or more")
-        if self.diagnose_after_checks < 1:
-            raise ValueError(f"diagnose_after_checks = {self.diagnose_after_checks}: must be 1 or more")
+_LONGEST_GAP_S = 86400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +59,7 @@ class Occasion(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class CalibrationStatus:
     """Where calibration stands.
 
     fresh: rests gathered since the last try to fit. since_try: s since that try, inf where there was none.
@@ -107,7 +71,7 @@ class Standing:
     since_try: float
 
 
-def calibration_due(standing: Standing, occasion: Occasion, settings: ScheduleSettings) -> bool:
+def calibration_due(standing: CalibrationStatus, occasion: Occasion, settings: ScheduleSettings) -> bool:
     """Say whether a full calibration is worth trying: never without rests gathered since the last try.
 
     A phone without a calibration does not wait; one whose calibration failed its check waits for the
@@ -125,3 +89,38 @@ def calibration_due(standing: Standing, occasion: Occasion, settings: ScheduleSe
 def least_wait(degraded: bool, settings: ScheduleSettings) -> float:
     """Return how long (s) after a try to fit the next may come, where there is a calibration already."""
     return settings.check_interval_s if degraded else settings.recalibrate_interval_s
+
+
+def resumed(state: EngineState, t: float) -> float:
+    """Return from when (s) on deadlines count: `t`, or a day before what comes next after a longer gap.
+
+    Through gaps of a day deadlines fall as they would live; years between two stamps cost no more.
+    The gyroscope's next sample may still be on its way; the accelerometer's is known.
+    """
+    waiting = state.waiting.get(Sensor.ACCELEROMETER)
+    coming = [e.t for e in state.events[:1]]
+    if waiting is not None:
+        coming += waiting.t[np.searchsorted(waiting.t, t) :][:1].tolist()
+    return max(t, min(coming or [state.heard or t]) - _LONGEST_GAP_S)
+
+
+def first_of_use(state: EngineState, t: float, step: float, settings: ScheduleSettings) -> float:
+    """Return the first review, from t (s) in steps, that can find anything to do: not all need be held.
+
+    For where a review changes nothing in how the sensors are watched. Before it comes a full calibration that
+    is due, or the next check, which plans anew in any case; so does every event.
+    """
+    if state.record is None or state.check_due or state.tried is None or state.next_check is None:
+        return t
+    until = state.next_check
+    if state.charging is not False:
+        until = min(until, state.tried + least_wait(state.degraded, settings))
+    while t < until:
+        t += step
+    return t
+
+
+def review_soon(state: EngineState, t: float, settings: ScheduleSettings) -> None:
+    """Hold a review within one interval of `t` (s): something was changed that left it nothing to do."""
+    if state.next_review is not None:
+        state.next_review = min(state.next_review, t + settings.review_interval_s)

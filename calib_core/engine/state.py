@@ -8,32 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from stillcal.calib_core import gravity as local_gravity
-from stillcal.calib_core.calibration.candidate import CalibrateSettings
-from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.calibration.rest_pool import Pool, PoolSettings
-from stillcal.calib_core.engine.duty_cycle import DutyBudget, EnergySettings
-from stillcal.calib_core.engine.schedule import ScheduleSettings, Watch
+from stillcal.calib_core.calibration.rest_pool import Pool
+from stillcal.calib_core.engine.duty_cycle import DutyBudget
+from stillcal.calib_core.engine.settings import EngineSettings, Watch
 from stillcal.calib_core.gravity import Gravity
-from stillcal.calib_core.gyroscope.rotation_segment import RotationSegmentSettings
 from stillcal.calib_core.static.detector import DetectorState
 from stillcal.calib_core.static.rest import RestState
-from stillcal.calib_core.static.settings import DetectorSettings
 from stillcal.calib_core.streams.events import Event
 from stillcal.calib_core.streams.samples import Samples, Sensor
-
-
-@dataclass(frozen=True, slots=True)
-class EngineSettings:
-    """All that is chosen, by part."""
-
-    schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
-    energy: EnergySettings = field(default_factory=EnergySettings)
-    detector: DetectorSettings = field(default_factory=DetectorSettings)
-    pool: PoolSettings = field(default_factory=PoolSettings)
-    turns: RotationSegmentSettings = field(default_factory=RotationSegmentSettings)
-    calibrate: CalibrateSettings = field(default_factory=CalibrateSettings)
-    quality: QualitySettings = field(default_factory=QualitySettings)
 
 
 @dataclass(slots=True)

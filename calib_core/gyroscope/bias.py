@@ -37,7 +37,7 @@ class BiasEstimate:
     bias: Array
     covariance: Array
     wander: Array
-    admitted: Array
+    undetected_rotation_bound: Array
     n_rests: int
     outliers: tuple[int, ...] = ()
 
@@ -62,7 +62,7 @@ def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
         bias=bias,
         covariance=np.diag(1.0 / weights.sum(axis=0)),
         wander=wander,
-        admitted=_admitted([rests[i] for i in used], total),
+        undetected_rotation_bound=_undetected_rotation_bound([rests[i] for i in used], total),
         n_rests=len(rates),
         outliers=tuple(sorted(set(with_rates) - set(used))),
     )
@@ -94,11 +94,14 @@ def _combined(known: BiasEstimate, fresh: BiasEstimate) -> BiasEstimate:
     prior = known.covariance + np.diag(known.wander**2)
     gain = prior @ np.linalg.inv(prior + fresh.covariance)
     change = fresh.bias - known.bias
+    bound = np.minimum(
+        known.undetected_rotation_bound + np.abs(gain @ change), fresh.undetected_rotation_bound
+    )
     return BiasEstimate(
         bias=known.bias + gain @ change,
         covariance=gain @ fresh.covariance,
         wander=np.maximum(known.wander, fresh.wander),
-        admitted=np.minimum(known.admitted + np.abs(gain @ change), fresh.admitted),
+        undetected_rotation_bound=bound,
         n_rests=fresh.n_rests,
         outliers=fresh.outliers,
     )
@@ -135,7 +138,7 @@ def _wander(rates: Array, variances: Array) -> Array:
     return np.sqrt(np.maximum(scatter, 0.0))
 
 
-def _admitted(rests: Sequence[RestState], variances: Array) -> Array:
+def _undetected_rotation_bound(rests: Sequence[RestState], variances: Array) -> Array:
     """Error that rotation hidden in the rests may leave in the bias, per axis, rad/s.
 
     Each rest tells the bias across its vertical up to tilt_rate_limit and along it up to spin_admitted;
@@ -152,5 +155,5 @@ def _admitted(rests: Sequence[RestState], variances: Array) -> Array:
     information = np.einsum("k,kij->ij", vertical - across, along) + across.sum() * np.eye(3)
     values, vectors = np.linalg.eigh(information)
     with_rotation = vectors**2 @ (1.0 / np.maximum(values, _UNBOUNDED_SPIN**-2))
-    admitted = np.sqrt(np.maximum(with_rotation - 1.0 / (1.0 / noise).sum(), 0.0))
-    return np.where(admitted > 1e-2 * _UNBOUNDED_SPIN, np.inf, admitted)
+    undetected_rotation_bound = np.sqrt(np.maximum(with_rotation - 1.0 / (1.0 / noise).sum(), 0.0))
+    return np.where(undetected_rotation_bound > 1e-2 * _UNBOUNDED_SPIN, np.inf, undetected_rotation_bound)

@@ -20,8 +20,19 @@ from stillcal.calib_core.static.gather import Gathered, Gatherer
 from stillcal.calib_core.static.noise_floor import Floor, counted, rate_class, renewed
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import DetectorSettings, Label, Ledger, Mode, Sense, Sleep, Want
-from stillcal.calib_core.static.window_length import Pace, moved, paced
-from stillcal.calib_core.static.windows import BLOCK, COLUMNS, K_END, K, N, Stream, matched, take
+from stillcal.calib_core.static.windows import (
+    BLOCK,
+    COLUMNS,
+    K_END,
+    K,
+    N,
+    Pace,
+    Stream,
+    matched,
+    moved,
+    paced,
+    take,
+)
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 __all__ = [

@@ -12,12 +12,59 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.static.classify import GAPPED, LABELS, SPARSE, STILL, Codes, Flags
-from stillcal.calib_core.static.interval import judged
-from stillcal.calib_core.static.probe import Probe, cells_of, draw_probe
+from stillcal.calib_core.static.interval import Run, absorb, contributions, drifted, judged, trimmed
 from stillcal.calib_core.static.rest import RestState
-from stillcal.calib_core.static.run import Run, absorb, contributions, drifted, trimmed
 from stillcal.calib_core.static.settings import DetectorSettings, Label, Ledger, Sense, Sleep, Want
 from stillcal.calib_core.static.windows import K_END, K
+
+_MASK = (1 << 64) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """A probe on the grid of windows; all in cells.
+
+    asked: when the sensors are wanted on; start: of the first whole window; full: length, w_max; drawn: the
+    counter after its draws.
+    """
+
+    asked: int
+    start: int
+    full: int
+    drawn: int
+
+    @property
+    def end(self) -> int:
+        """The cell after the last that this probe may read."""
+        return self.start + self.full
+
+    def begun_at(self, start: int, cells: int) -> Probe:
+        """Return it beginning at `start`, of whole windows of `cells` cells, at least two of them."""
+        return Probe(self.asked, start, max(math.ceil(self.full / cells), 2) * cells, self.drawn)
+
+
+def uniform(seed: int, counter: int) -> float:
+    """Draw from [0, 1): output `counter` of the SplitMix64 sequence of `seed` (Steele et al. 2014)."""
+    z = (seed + (counter + 1) * 0x9E3779B97F4A7C15) & _MASK
+    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & _MASK
+    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & _MASK
+    return float((z ^ (z >> 31)) >> 11) * 2.0**-53
+
+
+def cells_of(duration: float, window: float) -> int:
+    """Return how many windows cover `duration` (both s), at least one."""
+    return max(math.ceil(duration / window - 1e-9), 1)
+
+
+def draw_probe(after: float, drawn: int, settings: DetectorSettings) -> Probe:
+    """Draw the next probe at least probe_min_s after cell `after` (Algorithm 1, lines 5-7, 24, 29)."""
+    pause = settings.probe_min_s + (settings.probe_max_s - settings.probe_min_s) * uniform(
+        settings.seed, drawn
+    )
+    full = settings.w_min_s + settings.w_spread_s * uniform(settings.seed, drawn + 1)
+    start = int(after) + cells_of(pause, settings.window_s)
+    return Probe(start, start, cells_of(full, settings.window_s), drawn + 2)
+
 
 Steps = tuple[float, float]
 

@@ -20,8 +20,8 @@ from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.engine.actions import Action
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.schedule import Watch
-from stillcal.calib_core.engine.state import Counters, EngineSettings, EngineState, Refusal, Trouble
+from stillcal.calib_core.engine.settings import EngineSettings, Watch
+from stillcal.calib_core.engine.state import Counters, EngineState, Refusal, Trouble
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.settings import Ledger, Sense, Sleep
 from stillcal.calib_core.streams.events import End, Event

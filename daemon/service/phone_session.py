@@ -15,7 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.engine.actions import Action
-from stillcal.calib_core.engine.schedule import Watch
+from stillcal.calib_core.engine.settings import Watch
 from stillcal.calib_core.static.settings import Sleep
 from stillcal.calib_core.streams.events import Charging, End, Event, Location, Tick
 from stillcal.calib_core.streams.samples import Samples

@@ -11,7 +11,7 @@ import click
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples

@@ -16,7 +16,7 @@ import numpy as np
 from stillcal.calib_core.accelerometer.parameters import AXES, LOWER
 from stillcal.calib_core.calibration.record import SensorRecord
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.diagnose import diagnose_recording

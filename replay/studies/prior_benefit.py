@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.accelerometer import fit as accelerometer
-from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer import prior as fleet_prior
 from stillcal.calib_core.accelerometer.prior import FleetPrior, Population
 from stillcal.calib_core.arrays import Array
@@ -171,7 +171,7 @@ def _simulated(phone: Phone, model: int, seed: int, shift: Array) -> Device:
     full = draw_rests(phone, _LONG, seed)
     fit = accelerometer.fit(full.forces, full.uncertainties, full.gravity, parameters=9)
     first = draw_rests(phone, max(RESTS), seed + 50_000_017, attitudes="lying")
-    up = attitudes.sphere()
+    up = observability.sphere()
     raw = full.gravity * up @ np.asarray(phone.accel.scale).T + np.asarray(phone.accel.bias)
 
     def error(model_found: SensorModel) -> float:
@@ -209,7 +209,7 @@ def of_simulated(
         for n, tried in errors.items():
             own = replace(truth, mean=truth.mean + np.r_[device.shift, np.zeros(6)])
             known = fleet_prior.fit(device.forces[:n], device.uncertainties[:n], STANDARD, own)
-            variances = fleet_prior.norm_variances(attitudes.sphere(), known.covariance, STANDARD)
+            variances = fleet_prior.norm_variances(observability.sphere(), known.covariance, STANDARD)
             tried.append(
                 [ways(device, range(n), fleet, model, STANDARD) | {"bound": float(variances.mean())}]
             )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.accelerometer import fit as accelerometer
-from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer.parameters import basis, norm_rows
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.phone import Phone, draw_rests, load_phone
@@ -62,7 +62,7 @@ def efficiency(directions: Array, best: Array) -> float:
 
 def best_of(n: int, seed: int, starts: int = 12) -> Array:
     """Return n attitudes of the largest determinant found by exchanges, (n, 3) (Fedorov 1972)."""
-    candidates, rng = attitudes.sphere(), np.random.default_rng(seed)
+    candidates, rng = observability.sphere(), np.random.default_rng(seed)
     rows = norm_rows(candidates, basis(PARAMETERS))
     found: list[tuple[float, NDArray[np.int64]]] = []
     for _ in range(starts):
@@ -80,7 +80,7 @@ def greedy(n: int) -> Array:
     """Return the first n attitudes that the product asks for where it has none, (n, 3)."""
     held = np.empty((0, 3))
     for _ in range(n):
-        held = np.vstack((held, attitudes.most_helpful_attitude(held, PARAMETERS).up))
+        held = np.vstack((held, observability.most_helpful_attitude(held, PARAMETERS).up))
     return held
 
 
@@ -98,7 +98,7 @@ def coverage(seed: int, wander: bool, repeats: int = REPEATS) -> tuple[Array, Ar
     wander: whether the phone's noise has its 1/f part. Errors are those of the fit from its mean, in the nine
     symmetric parameters; shares of 95 % intervals.
     """
-    up = attitudes.directions(dataset(1)[RANGES["1-20"]])
+    up = observability.directions(dataset(1)[RANGES["1-20"]])
     phone, found, stated = _phone(wander), [], []
     for number in range(repeats):
         draws = draw_rests(phone, len(up), seed * 10_007 + number, attitudes=up, duration_s=20.0)
@@ -132,12 +132,15 @@ def upright_added() -> tuple[float, float]:
 
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
     """Find the best attitudes, rank others by them, and test the uncertainties that fits state."""
-    design = optimum(attitudes.sphere())
+    design = optimum(observability.sphere())
     best = information(design.directions, design.weights)
     progress(0.3)
-    sets = {f"dataset {n}, positions {name}": attitudes.directions(dataset(n)[rows]) for n in (1, 2, 3)
+    sets = {f"dataset {n}, positions {name}": observability.directions(dataset(n)[rows]) for n in (1, 2, 3)
             for name, rows in RANGES.items()}  # fmt: skip
-    sets |= {"six faces": attitudes.places()[:6], "faces, edges and corners of a cube": attitudes.places()}
+    sets |= {
+        "six faces": observability.places()[:6],
+        "faces, edges and corners of a cube": observability.places(),
+    }
     sets |= {"icosahedron": icosahedron()}
     sets |= {f"best {n} by exchange": best_of(n, seed) for n in (9, 10, 12, 20)}
     sets |= {f"first {n} that stillcal asks for": greedy(n) for n in (9, 12, 20)}
@@ -147,7 +150,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     claims += [_uncertainty_claim(seed, wander) for wander in (False, True)]
     text = _TEXT.format(
         sets=table(("attitudes", "number", "D-efficiency", "worst standard error"), rows),
-        first="; ".join(attitudes.describe(up) for up in greedy(2)),
+        first="; ".join(observability.describe(up) for up in greedy(2)),
         picture=picture(_draw(sets, best, figures), "D-efficiency of attitudes for nine parameters"),
     )
     progress(1.0)
@@ -156,7 +159,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
 
 
 def _row(name: str, up: Array, best: Array) -> tuple[str, ...]:
-    return name, str(len(up)), f"{efficiency(up, best):.2f}", f"{attitudes.amplification(up):.2f}"
+    return name, str(len(up)), f"{efficiency(up, best):.2f}", f"{observability.amplification(up):.2f}"
 
 
 def _variances(rows: Array, held: Array) -> Array:
@@ -202,14 +205,14 @@ def _optimum_claim(design: Design) -> Claim:
 
 def agrees_with_brute_force(up: Array) -> bool:
     """Tell whether the attitude that the product names raises the determinant more than any other place."""
-    named = attitudes.most_helpful_attitude(up, PARAMETERS).up
+    named = observability.most_helpful_attitude(up, PARAMETERS).up
     ridge = 1e-6 * np.eye(PARAMETERS)
 
     def log_determinant(place: Array) -> float:
         held = np.vstack((up, place))
         return float(np.linalg.slogdet(len(held) * information(held) + ridge)[1])
 
-    values = [log_determinant(place) for place in attitudes.places()]
+    values = [log_determinant(place) for place in observability.places()]
     return bool(log_determinant(named) >= max(values) - 2e-3)
 
 
@@ -240,7 +243,9 @@ def _paper_claim(sets: dict[str, Array], best: Array) -> Claim:
 
 def _upright_claim() -> Claim:
     before, after = upright_added()
-    named = attitudes.most_helpful_attitude(attitudes.directions(dataset(3)[RANGES["3-23"]]), PARAMETERS)
+    named = observability.most_helpful_attitude(
+        observability.directions(dataset(3)[RANGES["3-23"]]), PARAMETERS
+    )
     return Claim(
         WORK, "2.4", "dataset 3, 3-23: two like positions bias the fit", "0.98 % with both, 0.26 % with one",
         f"{100 * before:.2f} %; with position 1 added {100 * after:.2f} %, positions 3 and 21 both kept",

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.sixface import FACE_DIRECTIONS, faces_up, six_faces
+from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS, faces_up, six_faces
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.phone import draw_rests, load_phone
 from stillcal.replay.studies import drawing

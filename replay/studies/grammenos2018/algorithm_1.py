@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.static.probe import uniform
+from stillcal.calib_core.static.gather import uniform
 from stillcal.calib_core.static.settings import DetectorSettings
 from stillcal.calib_core.streams.samples import Samples
 

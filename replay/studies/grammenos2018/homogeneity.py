@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.accelerometer import sixface
+from stillcal.calib_core.accelerometer.known_attitudes import (
+    FACE_DIRECTIONS,
+    faces_up,
+    fit_known,
+)
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.formats.hhar_still import read
@@ -157,11 +161,11 @@ def at_rest(data: Path) -> Rest:
     ]
     for outcome in outcomes:
         means = outcome.recordings.means
-        up = sixface.faces_up(means)
-        truth = STANDARD * sixface.FACE_DIRECTIONS[up]
+        up = faces_up(means)
+        truth = STANDARD * FACE_DIRECTIONS[up]
         for k in range(len(means)):
             others = np.arange(len(means)) != k
-            fit = sixface.fit_known(means[others], truth[others])
+            fit = fit_known(means[others], truth[others])
             rows.append((int(up[k]), means[k], fit.model.apply(means[k])))
     face = np.array([row[0] for row in rows])
     raw, fixed = np.array([row[1] for row in rows]), np.array([row[2] for row in rows])

@@ -12,8 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.schedule import ScheduleSettings
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.events import End
 from stillcal.replay.phone import draw_rests, load_phone, load_scenario, simulate

@@ -56,8 +56,8 @@ mistake would hide in both; the examiner of the blind test shares none with the 
 
 - `calib_core/engine/engine.py`: `feed`, `wants`, and what follows from them.
 - `calib_core/static/detector.py`: the rests. `calib_core/accelerometer/fit.py` and
-  `calib_core/gyroscope/fit.py`: the fits. `calib_core/calibration/drift_check.py`: the hourly check and the
-  acceptance rule.
+  `calib_core/gyroscope/fit.py`: the fits. `calib_core/calibration/drift_check.py`: the hourly check.
+  `calib_core/calibration/acceptance.py`: the acceptance rule.
 - `daemon/app.py`: the daemon from its start to its end; `daemon/service/phone_session.py`: one phone's line.
 - `replay/runner.py`: the same engine on a recording, in a hundred lines.
 - `calib_core/diagnosis/diagnose.py`: the diagnosis.

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from stillcal.calib_core import codec
 from stillcal.calib_core.accelerometer import fit as accelerometer
-from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer.equations import Norms
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit, AccelerometerSettings, AttitudesMissing
 from stillcal.calib_core.accelerometer.parameters import basis, names
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths import levenberg_marquardt as damped
-from stillcal.calib_core.maths import random_effects as excess
+from stillcal.calib_core.maths import random_effects
 
 G = 9.81
 SCALE = np.array([[1.02, 0.004, -0.006], [0.004, 0.985, 0.003], [-0.006, 0.003, 1.01]])
@@ -137,7 +137,7 @@ def test_auto_takes_nine_where_attitudes_allow_and_six_on_faces_alone():
 def test_auto_wants_a_spare_attitude():
     """Nine attitudes fit nine parameters whatever the data are; auto then stays with six."""
     nine = np.vstack((FACES, np.array([[1, 1, 0], [1, 0, 1], [0, 1, 1]]) / np.sqrt(2)))
-    assert attitudes.amplification(nine, 9) < 5.0
+    assert observability.amplification(nine, 9) < 5.0
     assert accelerometer.fit(raw_of(nine), None, G, parameters=9).parameters == 9
     assert accelerometer.fit(raw_of(nine, np.diag(np.diag(SCALE))), None, G).parameters == 6
 
@@ -145,7 +145,7 @@ def test_auto_wants_a_spare_attitude():
 @pytest.mark.parametrize("face", range(6))
 def test_missing_face_is_named(face):
     held = np.delete(FACES, face, axis=0)
-    tilted = np.vstack((held, attitudes.directions(held[:2] + 0.15)))
+    tilted = np.vstack((held, observability.directions(held[:2] + 0.15)))
     with pytest.raises(AttitudesMissing) as refusal:
         accelerometer.fit(raw_of(tilted), None, G)
     wanted = refusal.value.attitudes[0]
@@ -229,15 +229,15 @@ def test_excess_variance_is_unbiased():
     design = rng.normal(size=(20, 9))
     own = rng.uniform(0.1, 0.4, 20)
     draws = rng.normal(size=(400, 20)) * np.sqrt(own + 4.0)
-    found = [excess.excess_variance(row, design, own) for row in draws]
+    found = [random_effects.excess_variance(row, design, own) for row in draws]
     assert np.mean(found) == pytest.approx(4.0, rel=0.08)
 
 
 def test_extreme_deviates_do_not_hide_each_other_and_rarely_cry_wolf():
     rng = np.random.default_rng(1)
     design = np.column_stack((np.ones(20), np.arange(20.0)))
-    clean = [excess.outliers(rng.normal(size=20), design, np.ones(20), 4, 0.05) for _ in range(400)]
+    clean = [random_effects.outliers(rng.normal(size=20), design, np.ones(20), 4, 0.05) for _ in range(400)]
     assert sum(bool(c) for c in clean) / 400 < 0.05 + 3 * 0.011  # 0.011: sd of a 5 % share of 400
     twins = rng.normal(size=20)
     twins[[4, 5]] += 30.0
-    assert set(excess.outliers(twins, design, np.ones(20), 4, 0.05)) == {4, 5}
+    assert set(random_effects.outliers(twins, design, np.ones(20), 4, 0.05)) == {4, 5}

@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.accelerometer.known_attitudes import Broken, FaceSettings, Method, calibrate_faces
-from stillcal.calib_core.accelerometer.sixface import FACE_DIRECTIONS
+from stillcal.calib_core.accelerometer.known_attitudes import (
+    FACE_DIRECTIONS,
+    Broken,
+    FaceSettings,
+    Method,
+    calibrate_faces,
+)
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.formats import hhar_still as survey
 

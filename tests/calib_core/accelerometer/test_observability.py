@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer.observability import (
     coverage,
     describe,
@@ -19,7 +19,7 @@ FACES = np.vstack((np.eye(3), -np.eye(3)))
 
 
 def spread(n, seed):
-    return attitudes.directions(np.random.default_rng(seed).normal(size=(n, 3)))
+    return observability.directions(np.random.default_rng(seed).normal(size=(n, 3)))
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_between_faces_in_words():
 
 def test_evenly_spread_attitudes_are_as_observable_as_can_be():
     """The 14 directions of the rule itself: observability is 1 in every parameter, by its definition."""
-    even = np.vstack((attitudes.places()[:6], attitudes.places()[18:]))
+    even = np.vstack((observability.places()[:6], observability.places()[18:]))
     many = np.vstack((np.repeat(even[:6], 8, axis=0), np.repeat(even[6:], 9, axis=0)))  # weights 8 : 9
     for parameters in (6, 9):
         assert coverage(many, parameters).observability == pytest.approx(1.0)
@@ -74,7 +74,7 @@ def test_amplification_is_the_worst_predicted_standard_error():
 
     grid = spread(4000, 2)
     predicted = rows(grid) @ np.linalg.inv(rows(up).T @ rows(up)) @ rows(grid).T
-    assert attitudes.amplification(up, 9) == pytest.approx(np.sqrt(np.diag(predicted).max()), rel=0.03)
+    assert observability.amplification(up, 9) == pytest.approx(np.sqrt(np.diag(predicted).max()), rel=0.03)
 
 
 @given(seed=st.integers(0, 1000), n=st.integers(0, 12))
@@ -91,7 +91,7 @@ def test_missing_attitudes_suffice(seed, n, parameters):
     added = missing_attitudes(up, parameters, 5.0, least=parameters)
     held = np.vstack([up.reshape(-1, 3), *(a.up for a in added)])
     assert len(held) >= parameters
-    assert attitudes.amplification(held, parameters) <= 5.0
+    assert observability.amplification(held, parameters) <= 5.0
 
 
 def test_nothing_missing_where_nothing_is():

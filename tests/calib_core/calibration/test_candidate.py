@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillcal.calib_core.calibration.gyroscope_record import with_updated_bias
+from stillcal.calib_core.calibration.candidate import with_updated_bias
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.gravity import Gravity

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillcal.calib_core.calibration.attitude_index import AttitudeIndex
-from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool, PoolSettings
+from stillcal.calib_core.calibration.rest_pool import AttitudeIndex, HeldRest, Pool, PoolSettings
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.rest import RestState
 

@@ -12,8 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.calibration import candidate as calibrate
-from stillcal.calib_core.calibration.candidate import CalibrateSettings
+from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.calibration.terms import correct, inherit_terms, with_terms
@@ -60,7 +59,7 @@ def warm_rests(number: int, low: float, high: float) -> tuple[Pool, np.ndarray]:
 @pytest.fixture(scope="module")
 def record() -> CalibrationRecord:
     pool, _ = warm_rests(1, 20.0, 24.0)
-    return calibrate.candidate(pool, pool.held[0].gravity, 1e5, CalibrateSettings()).record
+    return fit_candidate(pool, pool.held[0].gravity, 1e5, CalibrateSettings()).record
 
 
 def norm_error(record: CalibrationRecord, temperature: bool) -> float:
@@ -91,7 +90,7 @@ def test_it_counts_from_where_the_calibration_stands(record: CalibrationRecord) 
     term = with_terms(record, [finding(SLOPE)]).terms[0]
     assert 20.0 < term.reference["temperature"] < 24.0
     pool, _ = warm_rests(3, 34.0, 38.0)
-    new = calibrate.candidate(pool, pool.held[0].gravity, 2e5, CalibrateSettings()).record
+    new = fit_candidate(pool, pool.held[0].gravity, 2e5, CalibrateSettings()).record
     moved = inherit_terms(with_terms(record, [finding(SLOPE)]), new)
     assert 34.0 < moved.terms[0].reference["temperature"] < 38.0
     assert norm_error(moved, True) < norm_error(new, True)

@@ -13,8 +13,8 @@ from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Pu
 from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.intake import Intake
-from stillcal.calib_core.engine.schedule import ScheduleSettings
-from stillcal.calib_core.engine.state import EngineSettings, EngineState
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState

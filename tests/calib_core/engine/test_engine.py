@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.calibration import candidate as calibrate
-from stillcal.calib_core.calibration.candidate import CalibrateSettings
+from stillcal.calib_core.calibration.acceptance import decide
+from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.engine.actions import Action, Log, Publish, Reject
 from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.schedule import ScheduleSettings
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import DetectorSettings, Sense
@@ -241,10 +240,10 @@ def test_an_unchanged_phone_replaces_its_calibration_no_more_often_than_chance()
     gravity = Gravity(9.80665, 0.0, "given")
     for number in range(trials):
         old, new = (
-            calibrate.candidate(rests_of(phone, 2 * number + i, 1e5 * i, 18), gravity, 5e4, settings)
+            fit_candidate(rests_of(phone, 2 * number + i, 1e5 * i, 18), gravity, 5e4, settings)
             for i in (0, 1)
         )
-        taken += calibrate.decide(new, old.record, False, QualitySettings()).accepted
+        taken += decide(new, old.record, False, QualitySettings()).accepted
     print(f"{taken} of {trials} taken")
     assert taken <= chance * trials + 3 * np.sqrt(chance * trials)
 

@@ -16,8 +16,8 @@ from stillcal.calib_core.codec import packed, plain, unpacked
 from stillcal.calib_core.engine.actions import Action, Log, Publish, Reject
 from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.schedule import ScheduleSettings
-from stillcal.calib_core.engine.state import EngineSettings, EngineState
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.static.settings import DetectorSettings, Sleep
 from stillcal.calib_core.streams.events import End, Event, Tick
 from stillcal.calib_core.streams.samples import Samples

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
-from stillcal.calib_core.engine.planning import first_of_use, resumed, review_soon
-from stillcal.calib_core.engine.schedule import ScheduleSettings
+from stillcal.calib_core.engine.schedule import first_of_use, resumed, review_soon
+from stillcal.calib_core.engine.settings import ScheduleSettings
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor

@@ -8,15 +8,14 @@ from hypothesis import strategies as st
 
 from stillcal.calib_core.engine.duty_cycle import DutyBudget, EnergySettings
 from stillcal.calib_core.engine.schedule import (
+    CalibrationStatus,
     Need,
     Occasion,
-    ScheduleSettings,
-    Standing,
-    Watch,
     calibration_due,
     next_on_grid,
     watch_for,
 )
+from stillcal.calib_core.engine.settings import ScheduleSettings, Watch
 
 AUTO = ScheduleSettings()
 BOTH, RESTS, CHECK, NOTHING = Need(True, True), Need(True, False), Need(False, True), Need(False, False)
@@ -58,15 +57,15 @@ def test_deadlines_stay_on_their_grid(began: float, interval: float, later: floa
 
 def test_no_calibration_without_new_rests() -> None:
     for occasion in set(Occasion) - {Occasion.ASKED}:
-        assert not calibration_due(Standing(False, True, 0, float("inf")), occasion, AUTO)
-    assert calibration_due(Standing(True, False, 0, 0.0), Occasion.ASKED, AUTO)
+        assert not calibration_due(CalibrationStatus(False, True, 0, float("inf")), occasion, AUTO)
+    assert calibration_due(CalibrationStatus(True, False, 0, 0.0), Occasion.ASKED, AUTO)
 
 
 def test_a_good_calibration_is_not_renewed_at_every_plug() -> None:
-    assert calibration_due(Standing(False, False, 1, float("inf")), Occasion.CHARGING, AUTO)
-    assert not calibration_due(Standing(True, False, 5, 3600), Occasion.CHARGING, AUTO)
-    assert calibration_due(Standing(True, True, 5, 3600), Occasion.CHARGING, AUTO)
-    assert calibration_due(Standing(True, False, 5, 7 * 3600), Occasion.CHARGING, AUTO)
+    assert calibration_due(CalibrationStatus(False, False, 1, float("inf")), Occasion.CHARGING, AUTO)
+    assert not calibration_due(CalibrationStatus(True, False, 5, 3600), Occasion.CHARGING, AUTO)
+    assert calibration_due(CalibrationStatus(True, True, 5, 3600), Occasion.CHARGING, AUTO)
+    assert calibration_due(CalibrationStatus(True, False, 5, 7 * 3600), Occasion.CHARGING, AUTO)
 
 
 def test_the_allowance_pays_for_a_burst_and_refills() -> None:

@@ -82,19 +82,20 @@ def test_one_attitude_admits_its_spin_about_the_vertical() -> None:
     up = np.array([0.0, 0.6, 0.8])
     found = bias_from_rests([rest(10.0 * k, up, BIAS, spin=2e-3) for k in range(5)])
     tilt_left = 1e-5
-    np.testing.assert_allclose(found.admitted, 2e-3 / np.sqrt(5) * np.abs(up), atol=2 * tilt_left)
+    expected = 2e-3 / np.sqrt(5) * np.abs(up)
+    np.testing.assert_allclose(found.undetected_rotation_bound, expected, atol=2 * tilt_left)
 
 
 def test_unbounded_spin_in_one_attitude_leaves_that_axis_open() -> None:
     found = bias_from_rests([rest(10.0 * k, np.array([0, 0, 1.0]), BIAS, spin=None) for k in range(5)])
-    assert np.isinf(found.admitted[2])
-    assert (found.admitted[:2] < 2e-5).all()
+    assert np.isinf(found.undetected_rotation_bound[2])
+    assert (found.undetected_rotation_bound[:2] < 2e-5).all()
 
 
 def test_other_attitudes_bound_what_spin_may_have_hidden() -> None:
     ups = [np.array(u, dtype=float) for u in ((0, 0, 1), (0, 1, 0), (1, 0, 0))]
     found = bias_from_rests([rest(10.0 * k, up, BIAS, spin=None) for k, up in enumerate(ups)])
-    assert (found.admitted < 2e-5).all()
+    assert (found.undetected_rotation_bound < 2e-5).all()
 
 
 @given(st.permutations(range(8)))
@@ -102,7 +103,7 @@ def test_bias_does_not_depend_on_the_order_of_rests(order: list[int]) -> None:
     given_rests = rests(np.random.default_rng(4), 8)
     found, again = bias_from_rests(given_rests), bias_from_rests([given_rests[i] for i in order])
     np.testing.assert_allclose(again.bias, found.bias, atol=1e-15)
-    np.testing.assert_allclose(again.admitted, found.admitted, rtol=1e-9)
+    np.testing.assert_allclose(again.undetected_rotation_bound, found.undetected_rotation_bound, rtol=1e-9)
 
 
 def test_no_rates_no_bias() -> None:

@@ -19,7 +19,7 @@ from stillcal.calib_core.static.detector import (
     Sleep,
     StationaryDetector,
 )
-from stillcal.calib_core.static.probe import uniform
+from stillcal.calib_core.static.gather import uniform
 from stillcal.calib_core.static.rest import group_attitudes
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.studies.grammenos2018.algorithm_1 import algorithm_1

@@ -11,8 +11,8 @@ import pytest
 
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.schedule import ScheduleSettings
-from stillcal.calib_core.engine.state import EngineSettings, EngineState
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service import saved_state

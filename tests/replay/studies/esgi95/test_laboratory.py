@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillcal.calib_core.accelerometer import observability as attitudes
+from stillcal.calib_core.accelerometer import observability
 from stillcal.replay.studies.esgi95 import best_attitudes, nonorthogonality, repeats
 from stillcal.replay.studies.esgi95.published import RANGES, dataset
 
@@ -56,18 +56,20 @@ def test_real_phones_scatter_less_within_a_session_than_printed(data_dir: Path) 
 
 
 def test_even_attitudes_are_optimal() -> None:
-    design = best_attitudes.optimum(attitudes.sphere(), rounds=800)
+    design = best_attitudes.optimum(observability.sphere(), rounds=800)
     assert design.worst == pytest.approx(9.0, rel=0.02)  # the equivalence theorem
     best = best_attitudes.information(design.directions, design.weights)
     assert best_attitudes.efficiency(best_attitudes.icosahedron(), best) == pytest.approx(1.0, abs=1e-3)
-    assert best_attitudes.efficiency(attitudes.places()[:6], best) == 0.0
+    assert best_attitudes.efficiency(observability.places()[:6], best) == 0.0
     assert best_attitudes.efficiency(best_attitudes.best_of(12, 0, starts=3), best) > 0.98
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
 @pytest.mark.parametrize("positions", RANGES)
 def test_named_attitude_is_the_best_by_brute_force(number: int, positions: str) -> None:
-    assert best_attitudes.agrees_with_brute_force(attitudes.directions(dataset(number)[RANGES[positions]]))
+    assert best_attitudes.agrees_with_brute_force(
+        observability.directions(dataset(number)[RANGES[positions]])
+    )
 
 
 def test_upright_mends_dataset_3_with_the_twins_kept() -> None:

@@ -1,0 +1,71 @@
+"""The settings of the engine: its schedule, and the settings of all the parts that it runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Literal
+
+from stillcal.calib_core.calibration.candidate import CalibrateSettings
+from stillcal.calib_core.calibration.drift_check import QualitySettings
+from stillcal.calib_core.calibration.rest_pool import PoolSettings
+from stillcal.calib_core.engine.duty_cycle import EnergySettings
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegmentSettings
+from stillcal.calib_core.static.settings import DetectorSettings
+
+
+class Watch(StrEnum):
+    """How the engine is looking at the moment."""
+
+    CONTINUOUS = "continuous"
+    PROBING = "probing"
+    IDLE = "idle"
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduleSettings:
+    """When the engine does what; all times in s of sample time.
+
+    watch: "auto" spends the energy allowance; "continuous" and "probing" force one way of looking.
+    check_interval_s: between quality checks (4.7: hourly). review_interval_s: between looks at what is
+    gathered. recalibrate_interval_s: at least this long between two full calibrations on charging.
+    attitudes_wanted: distinct attitudes after which gathering rests (Algorithm 1's s). gravity: local g
+    in m/s^2 if known, else None. gyro_patience_s: how far the gyroscope's stream may lag.
+    diagnose_after_checks: how many checks in a row may fail after a calibration before it asks for help.
+    """
+
+    watch: Literal["auto", "continuous", "probing"] = "auto"
+    check_interval_s: float = 3600.0
+    review_interval_s: float = 60.0
+    recalibrate_interval_s: float = 6 * 3600.0
+    attitudes_wanted: int = 30
+    gravity: float | None = None
+    gyro_patience_s: float = 5.0
+    diagnose_after_checks: int = 3
+
+    def __post_init__(self) -> None:
+        for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s", "gyro_patience_s"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be positive seconds")
+        if self.gravity is not None and not 9.7 <= self.gravity <= 9.9:
+            raise ValueError(f"gravity = {self.gravity}: must be the earth's, 9.7..9.9 m/s^2")
+        if self.watch not in {"auto", *(str(w) for w in Watch if w is not Watch.IDLE)}:
+            raise ValueError(f"watch = {self.watch!r}: must be auto, continuous or probing")
+        if self.attitudes_wanted < 6:
+            raise ValueError(f"attitudes_wanted = {self.attitudes_wanted}: must be 6 or more")
+        if self.diagnose_after_checks < 1:
+            raise ValueError(f"diagnose_after_checks = {self.diagnose_after_checks}: must be 1 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class EngineSettings:
+    """All that is chosen, by part."""
+
+    schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
+    energy: EnergySettings = field(default_factory=EnergySettings)
+    detector: DetectorSettings = field(default_factory=DetectorSettings)
+    pool: PoolSettings = field(default_factory=PoolSettings)
+    turns: RotationSegmentSettings = field(default_factory=RotationSegmentSettings)
+    calibrate: CalibrateSettings = field(default_factory=CalibrateSettings)
+    quality: QualitySettings = field(default_factory=QualitySettings)
