@@ -18,7 +18,7 @@ from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Pu
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.daemon.app_launch import LaunchOptions, needs_restart, serial_settings
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
-from stillcal.daemon.service.phone_session import PhoneSession, host_time
+from stillcal.daemon.service.phone_session import PhoneSession
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.service.storage import Storage, with_provenance
 from stillcal.daemon.service.subscribers import Notification, Subscribers
@@ -28,6 +28,7 @@ from stillcal.daemon.sources.open import source_of
 from stillcal.daemon.store.document import StoreDocument
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system import log
+from stillcal.daemon.system.clock import Clock, host_time
 from stillcal.daemon.system.log import say
 from stillcal.daemon.system.systemd import Notifier
 from stillcal.daemon.varlink.server import serving
@@ -57,13 +58,15 @@ class Service:
     engine_thread: EngineThread
     session: PhoneSession
 
-    def __init__(self, settings: Settings, options: LaunchOptions, notifier: Notifier) -> None:
-        self.settings, self._options, self._notifier = settings, options, notifier
+    def __init__(
+        self, settings: Settings, options: LaunchOptions, notifier: Notifier, clock: Clock = host_time
+    ) -> None:
+        self.settings, self._options, self._notifier, self._clock = settings, options, notifier, clock
         store = Store(store_path(settings.store, os.environ), settings.store)
         self.storage = Storage(store, lambda note: say("warning", "store", note))
         self.saved = SavedState(EngineState())
         self.subscribers = Subscribers()
-        self._started_at = host_time()
+        self._started_at = self._clock()
         self._stop = asyncio.Event()
         self._unsaved = asyncio.Event()
         self._save_now = False
@@ -112,7 +115,7 @@ class Service:
     @property
     def uptime_s(self) -> float:
         """For how long the daemon has been running, s."""
-        return host_time() - self._started_at
+        return self._clock() - self._started_at
 
     @property
     def now(self) -> float | None:
@@ -163,18 +166,18 @@ class Service:
 
     async def _saving(self) -> None:
         """Write what changes: calibrations at once, the state now and then."""
-        saved_at, changed = host_time() - SAVE_EVERY_S, False
+        saved_at, changed = self._clock() - SAVE_EVERY_S, False
         while True:
             pause = SAVE_EVERY_S if changed or self.storage.trouble else SAVE_AT_LEAST_S
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(max(saved_at + pause - host_time(), 0.0)):
+                async with asyncio.timeout(max(saved_at + pause - self._clock(), 0.0)):
                     await self._unsaved.wait()
             changed = changed or self._unsaved.is_set()
             self._unsaved.clear()
             await self.storage.flush()
-            if self._save_now or host_time() - saved_at >= (SAVE_EVERY_S if changed else SAVE_AT_LEAST_S):
+            if self._save_now or self._clock() - saved_at >= (SAVE_EVERY_S if changed else SAVE_AT_LEAST_S):
                 self._save_now = False
-                saved_at, changed = host_time(), not await self.save()
+                saved_at, changed = self._clock(), not await self.save()
 
     async def _sending_heartbeats(self) -> None:
         """Tell the manager that the loop lives, as long as the engine's thread does too."""
@@ -295,7 +298,8 @@ class Service:
 
     def _new_session(self) -> PhoneSession:
         source = source_of(self.settings.source.kind, serial_settings(self.settings))
-        return PhoneSession(source, self.engine_thread, self.saved, self.settings.source.rate_hz, self.act)
+        rate_hz = self.settings.source.rate_hz
+        return PhoneSession(source, self.engine_thread, self.saved, rate_hz, self.act, clock=self._clock)
 
     def describe(self) -> str:
         """Say in a sentence how things are."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping
-from importlib.metadata import entry_points
 from typing import Any
 
 import click
@@ -66,6 +65,8 @@ class LazyGroup(click.Group):
 
 
 def _registered(group: str) -> dict[str, str]:
+    from importlib.metadata import entry_points  # noqa: PLC0415 - the daemon holds no parser of mail headers
+
     return {point.name: point.value for point in entry_points(group=group)}
 
 

@@ -27,6 +27,7 @@ from stillcal.calib_core.static.settings import Ledger, Sense, Sleep
 from stillcal.calib_core.streams.events import End, Event
 from stillcal.calib_core.streams.samples import SampleError, Samples
 from stillcal.daemon.service.saved_state import SavedState, encode
+from stillcal.daemon.system.clock import Clock
 
 T = TypeVar("T")
 
@@ -70,14 +71,18 @@ class EngineThread:
     """The engine behind a thread. Every coroutine here waits for the jobs before it."""
 
     def __init__(
-        self, settings: EngineSettings, state: EngineState | None, record: CalibrationRecord | None
+        self,
+        settings: EngineSettings,
+        state: EngineState | None,
+        record: CalibrationRecord | None,
+        clock: Clock = time.monotonic,
     ) -> None:
         self._engine = Engine(settings, state)
         if _identity(record) != _identity(self._engine.present.record):
             self._engine.use_calibration(record)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="engine")
         self.view = _view(self._engine)
-        self._jobs, self._since = 0, 0.0
+        self._clock, self._jobs, self._since = clock, 0, 0.0
         sys.setswitchinterval(SWITCH_S)
 
     async def feed(self, items: Sequence[Samples | Event]) -> EngineReply:
@@ -110,7 +115,7 @@ class EngineThread:
 
     def busy_for(self) -> float:
         """Return for how long (s) the job at hand has been going on; 0 where there is none."""
-        return time.monotonic() - self._since if self._jobs else 0.0
+        return self._clock() - self._since if self._jobs else 0.0
 
     async def idle(self, timeout_s: float) -> bool:
         """Wait for the jobs at hand; say whether they were over within `timeout_s`."""
@@ -146,13 +151,13 @@ class EngineThread:
     async def _run(self, job: Callable[..., T], *arguments: object) -> T:
         """Do a job in the thread, after those before it."""
         if not self._jobs:
-            self._since = time.monotonic()
+            self._since = self._clock()
         self._jobs += 1
         try:
             return await asyncio.get_running_loop().run_in_executor(self._thread, job, *arguments)
         finally:
             self._jobs -= 1
-            self._since = time.monotonic()
+            self._since = self._clock()
 
 
 def _identity(record: CalibrationRecord | None) -> str:

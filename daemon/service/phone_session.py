@@ -24,6 +24,7 @@ from stillcal.daemon.service.duty_commands import DutyCommands, credit
 from stillcal.daemon.service.engine_thread import EngineThread
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.sources.base import LinkDown, LinkUp, Record, Source
+from stillcal.daemon.system.clock import Clock, host_time
 from stillcal.daemon.system.log import say
 from stillcal.daemon.wire.messages import Hello, Identify, Rate, Status, Temperature
 
@@ -50,15 +51,19 @@ class PhoneSession:
         saved: SavedState,
         rate_hz: float,
         act: Callable[[list[Action]], None],
+        *,
+        clock: Clock = host_time,
+        cpu_time: Clock = time.process_time,
     ) -> None:
         self.source = source
         self.rate_hz = rate_hz
         self._engine_thread, self._saved, self._act = engine_thread, saved, act
+        self._clock, self._cpu_time = clock, cpu_time
         self._commands = DutyCommands()
         self._items: list[Samples | Event] = []
         self._celsius: float | None = None
         self._in_step = False
-        self._heard_at = self._fed_at = host_time()
+        self._heard_at = self._fed_at = self._clock()
         self.hello: Hello | None = None
         self.refused = 0
 
@@ -80,7 +85,7 @@ class PhoneSession:
         view = self._engine_thread.view
         no_decision_due = view.watch is Watch.CONTINUOUS and self._saved.clock.newest < view.decides
         return not (
-            only_samples and not self._in_step and no_decision_due and host_time() - self._fed_at < GATHER_S
+            only_samples and not self._in_step and no_decision_due and self._clock() - self._fed_at < GATHER_S
         )
 
     async def _receive(self) -> list[Record] | None:
@@ -91,7 +96,7 @@ class PhoneSession:
         except TimeoutError:
             self._on_timeout()
             return []
-        self._heard_at = host_time()
+        self._heard_at = self._clock()
         return records or None
 
     @property
@@ -100,7 +105,7 @@ class PhoneSession:
         clock = self._saved.clock
         if self._in_step or not self.source.connected:
             return clock.newest if math.isfinite(clock.newest) else None
-        return clock.now(host_time())
+        return clock.now(self._clock())
 
     # Time without samples
 
@@ -116,11 +121,11 @@ class PhoneSession:
         if clock.host is None or math.isinf(self._engine_thread.view.decides):
             return None
         due = clock.host + self._engine_thread.view.decides - clock.newest + LATE_S
-        return max(due - host_time(), 0.0)
+        return max(due - self._clock(), 0.0)
 
     def _on_timeout(self) -> None:
         """Tell the engine the time while the phone sleeps; ask a phone that should not be silent."""
-        clock, host = self._saved.clock, host_time()
+        clock, host = self._saved.clock, self._clock()
         now = clock.now(host)
         if self._commands.asleep(clock.newest) and now is not None:
             self._items.append(Tick(min(now, max(self._engine_thread.view.decides, clock.newest))))
@@ -148,7 +153,7 @@ class PhoneSession:
             self._on_link(record)
 
     def _queue(self, record: Samples | Event) -> None:
-        item = self._saved.clock.mapped(record, host_time())
+        item = self._saved.clock.mapped(record, self._clock())
         if isinstance(item, Samples):
             self._saved.energy.samples(float(item.t[-1]), len(item))
             item = self._with_temperature(item)
@@ -229,7 +234,7 @@ class PhoneSession:
     async def _feed_engine(self) -> None:
         """Feed what has gathered, hand on what is to be done, and tell the phone what is wanted now."""
         items, self._items = list(join_blocks(self._items)), []
-        self._fed_at = host_time()
+        self._fed_at = self._clock()
         if items:
             reply = await self._engine_thread.feed(items)
             self._account_for_engine()
@@ -242,7 +247,7 @@ class PhoneSession:
 
     def _account_for_engine(self) -> None:
         clock, energy = self._saved.clock, self._saved.energy
-        energy.totals(clock.newest, self._engine_thread.view.ledger.asked_s, time.process_time())
+        energy.totals(clock.newest, self._engine_thread.view.ledger.asked_s, self._cpu_time())
 
     def _send_commands(self) -> None:
         if not self.source.connected or self.hello is None:
@@ -260,8 +265,3 @@ class PhoneSession:
             return
         go = credit(view.want, view.decides, record.t + clock.offset)
         self.source.send(replace(go, until=clock.phone(go.until)))
-
-
-def host_time() -> float:
-    """Return the host's steady clock, s; it goes on while the host is suspended."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import time
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.sources import sysfs
 from stillcal.daemon.sources.base import SerialSettings, Source
 from stillcal.daemon.sources.sysfs import SensorGoneError, Sensors
+from stillcal.daemon.system.clock import Clock, host_time
 from stillcal.daemon.wire.decoder import (
     Claim,
     Command,
@@ -46,8 +46,9 @@ BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 class IioSource(Source):
     """The machine's own sensors, found again whenever they are lost. settings.port: the folder of devices."""
 
-    def __init__(self, settings: SerialSettings) -> None:
+    def __init__(self, settings: SerialSettings, clock: Clock = host_time) -> None:
         super().__init__(settings)
+        self._clock = clock
         self._rate_hz = 0.0
         self._counters = WireCounters()
         self._sensors: Sensors | None = None
@@ -110,7 +111,7 @@ class IioSource(Source):
         if sensors.gyroscope is not None:
             claims["gyro_lsb"] = float(sensors.gyroscope.scale[0])
         self._emit(Hello(session=_session(), claims=claims))
-        self._emit(self._status(_now()))
+        self._emit(self._status(self._clock()))
 
     def _lose(self, reason: str, for_good: bool = False) -> None:
         self._flush()
@@ -126,7 +127,7 @@ class IioSource(Source):
         if self._sensing:
             return
         self._cancel()
-        now = _now()
+        now = self._clock()
         self._sensing, self._last, self._next_status = True, now, now
         self._wakeups += 1
         self._poll()
@@ -136,9 +137,9 @@ class IioSource(Source):
         self._cancel()
         self._flush()
         self._sensing = False
-        self._emit_status(_now())
+        self._emit_status(self._clock())
         if math.isfinite(until):
-            self._schedule(max(until - _now(), 0.0), self._wake)
+            self._schedule(max(until - self._clock(), 0.0), self._wake)
 
     def _poll(self) -> None:
         """Read each sensor once, and plan the next reading on the same grid."""
@@ -150,7 +151,7 @@ class IioSource(Source):
             self.link.pauses += 1
             self._schedule(BATCH_S, self._poll)
             return
-        begin, loop = _now(), asyncio.get_running_loop()
+        begin, loop = self._clock(), asyncio.get_running_loop()
         try:
             for channel in sensors.channels():
                 self._sample(channel)
@@ -168,10 +169,10 @@ class IioSource(Source):
         self._timer = loop.call_at((math.floor(now / step) + 1) * step, self._poll)
 
     def _sample(self, channel: sysfs.Channel) -> None:
-        before = _now()
+        before = self._clock()
         xyz = channel.read()
         stamps, rows = self._gathered.setdefault(channel.sensor, ([], []))
-        stamps.append((before + _now()) / 2.0)
+        stamps.append((before + self._clock()) / 2.0)
         rows.append(xyz)
 
     def _oldest(self, now: float) -> float:
@@ -199,10 +200,6 @@ class IioSource(Source):
     def _emit_status(self, now: float) -> None:
         self._emit(self._status(now))
         self._emit(Tick(now))
-
-
-def _now() -> float:
-    return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 def _session() -> int:

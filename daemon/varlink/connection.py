@@ -11,13 +11,13 @@ import asyncio
 import os
 import socket
 import struct
-import time
 from typing import Any, Protocol
 
 import msgspec
 from asyncvarlink import VarlinkInterfaceRegistry, VarlinkInterfaceServerProtocol
 
 from stillcal.daemon.settings import SocketSettings
+from stillcal.daemon.system.clock import Clock
 from stillcal.daemon.varlink.interface import CALLER
 
 UNSENT_BYTES = 262_144
@@ -28,6 +28,7 @@ class ConnectionOwner(Protocol):
     """Where the client is. dropped: how many clients were hung up on."""
 
     settings: SocketSettings
+    clock: Clock
     dropped: int
 
     def enter(self, client: Connection) -> None:
@@ -53,7 +54,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         self._unsent: list[asyncio.Future[None]] = []
         self._stall_timer: asyncio.TimerHandle | None = None
         self._subscriber: Any = None
-        self._call_credit, self._credit_at = server.settings.calls_per_s, time.monotonic()
+        self._call_credit, self._credit_at = server.settings.calls_per_s, server.clock()
         self.answering = False
         self.may_change = False
 
@@ -157,7 +158,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
 
     def _delay(self) -> float:
         """Return how long (s) this client's next question has to wait, and count it."""
-        now, rate = time.monotonic(), self._server.settings.calls_per_s
+        now, rate = self._server.clock(), self._server.settings.calls_per_s
         self._call_credit = min(self._call_credit + rate * (now - self._credit_at), rate) - 1.0
         self._credit_at = now
         return max(-self._call_credit / rate, 0.0)

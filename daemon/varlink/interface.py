@@ -4,6 +4,8 @@ asyncvarlink makes the interface's description from these signatures and docstri
 no `from __future__ import annotations` here. connection.py reads and writes the bytes.
 """
 
+# ruff: noqa: N802 - varlink's rules spell methods in CamelCase
+
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextvars import ContextVar
 from typing import Protocol
@@ -77,7 +79,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         self._daemon = daemon
 
     @varlinkmethod(return_parameter="calibration")
-    def GetCalibration(self) -> api.Calibration:  # noqa: N802 - varlink's names
+    def GetCalibration(self) -> api.Calibration:
         """Return the current calibration, its age, and how far it can be trusted."""
         record = self._daemon.view.record
         if record is None:
@@ -87,27 +89,27 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         return views.calibration(record, self._daemon)
 
     @varlinkmethod(return_parameter="status")
-    def GetStatus(self) -> api.Status:  # noqa: N802
+    def GetStatus(self) -> api.Status:
         """Return how the daemon, the phone and its line are."""
         return views.status(self._daemon)
 
     @varlinkmethod(return_parameter="entries")
-    def GetHistory(self, *, limit: int = 32) -> list[api.Entry]:  # noqa: N802
+    def GetHistory(self, *, limit: int = 32) -> list[api.Entry]:
         """Return the current and at most `limit` earlier or rejected calibrations, newest first."""
         return views.history(self._daemon.document, _within("limit", limit))
 
     @varlinkmethod(return_parameter="stillness")
-    def GetStillness(self, *, limit: int = 96) -> api.Stillness:  # noqa: N802
+    def GetStillness(self, *, limit: int = 96) -> api.Stillness:
         """Return the newest `limit` rests held, newest first, and how many windows were still."""
         return views.stillness(self._daemon, _within("limit", limit))
 
     @varlinkmethod(return_parameter="days")
-    def GetEnergy(self, *, limit: int = 31) -> list[api.EnergyDay]:  # noqa: N802
+    def GetEnergy(self, *, limit: int = 31) -> list[api.EnergyDay]:
         """Return what the newest `limit` days cost, oldest first."""
         return views.energy(self._daemon.saved.energy.days, _within("limit", limit))
 
     @varlinkmethod(return_parameter="samples")
-    def Correct(  # noqa: N802
+    def Correct(
         self,
         *,
         sensor: api.SensorName,
@@ -139,7 +141,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         return rows
 
     @varlinkmethod(return_parameter="event", delay_generator=False)
-    async def Monitor(self) -> AsyncIterator[api.Event]:  # noqa: N802
+    async def Monitor(self) -> AsyncIterator[api.Event]:
         """Tell how things stand, and then every change. To be called with `more`."""
         subscriber, unsubscribe = self._daemon.subscribers.subscribe()
         CALLER.get().on_disconnect(subscriber)
@@ -154,7 +156,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         raise LastResult(api.Event("ended", "the daemon is stopping"))
 
     @varlinkmethod(return_parameter="calibration")
-    async def Rollback(self, *, to: str = "") -> api.Calibration:  # noqa: N802
+    async def Rollback(self, *, to: str = "") -> api.Calibration:
         """Make an earlier calibration current: the one before, or the one whose id begins with `to`.
 
         Only for root and the daemon's own user.
@@ -162,7 +164,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         return await self._changed(lambda: self._daemon.rollback(to or 1))
 
     @varlinkmethod(return_parameter="calibration")
-    async def Calibrate(self) -> api.Calibration:  # noqa: N802
+    async def Calibrate(self) -> api.Calibration:
         """Try a full calibration now, from the rests held. Only for root and the daemon's own user.
 
         Refused with the reason where they do not support one, or where it is no better than the current one.
@@ -170,7 +172,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         return await self._changed(self._daemon.calibrate)
 
     @varlinkmethod(return_parameter="calibration")
-    async def ZeroNow(self) -> api.Calibration:  # noqa: N802
+    async def ZeroNow(self) -> api.Calibration:
         """Measure the gyroscope's bias now, on the last hour's rests. Only for root and the own user."""
         return await self._changed(self._daemon.zero)
 
@@ -186,7 +188,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         return views.calibration(record, self._daemon)
 
     @varlinkmethod
-    async def Reload(self) -> None:  # noqa: N802
+    async def Reload(self) -> None:
         """Read the settings again. Only for root and the daemon's own user."""
         _require_right()
         if reason := await self._daemon.reload():

@@ -16,12 +16,14 @@ from collections.abc import AsyncIterator, Sequence
 from asyncvarlink import VarlinkInterfaceRegistry
 from asyncvarlink.serviceinterface import VarlinkServiceInterface
 
+from stillcal._version import __version__
 from stillcal.daemon.settings import SocketSettings
+from stillcal.daemon.system.clock import Clock
 from stillcal.daemon.system.log import say
 from stillcal.daemon.varlink.connection import Connection
 from stillcal.daemon.varlink.interface import CalibrationInterface
 from stillcal.daemon.varlink.socket import opened
-from stillcal.daemon.varlink.views import VERSION, Daemon
+from stillcal.daemon.varlink.views import Daemon
 
 TURN_S = 0.01
 """How long clients are answered before the loop looks after everything else, s."""
@@ -39,8 +41,8 @@ RETRY_S = 1.0
 class Server:
     """All clients. dropped: how many were hung up on, for stalling, for nonsense, or for their place."""
 
-    def __init__(self, daemon: Daemon, settings: SocketSettings) -> None:
-        self.settings = settings
+    def __init__(self, daemon: Daemon, settings: SocketSettings, clock: Clock = time.monotonic) -> None:
+        self.settings, self.clock = settings, clock
         self.dropped = 0
         self._registry = _registry(daemon)
         self._clients: dict[Connection, None] = {}
@@ -113,8 +115,8 @@ class Server:
 
     def _serve(self) -> None:
         """Answer clients in turn for TURN_S, then let the loop go round."""
-        until = time.monotonic() + TURN_S
-        while self._queue and time.monotonic() < until:
+        until = self.clock() + TURN_S
+        while self._queue and self.clock() < until:
             self._queue.popleft().answer()
         self._serving = bool(self._queue)
         if self._serving:
@@ -156,6 +158,6 @@ async def _acceptable(listener: socket.socket) -> None:
 def _registry(daemon: Daemon) -> VarlinkInterfaceRegistry:
     registry = VarlinkInterfaceRegistry()
     registry.register_interface(CalibrationInterface(daemon))
-    about = VarlinkServiceInterface("stillcal", "stillcal", VERSION, "https://varlink.org", registry)
+    about = VarlinkServiceInterface("stillcal", "stillcal", __version__, "https://varlink.org", registry)
     registry.register_interface(about)
     return registry

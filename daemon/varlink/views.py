@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from stillcal._version import __version__
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest
@@ -22,8 +23,6 @@ from stillcal.daemon.service.subscribers import Notification, Subscribers
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument
 from stillcal.daemon.varlink import types as api
-
-VERSION = "0.1.0"
 
 
 class Daemon(Protocol):
@@ -123,7 +122,7 @@ def status(daemon: Daemon) -> api.Status:
     """Return how things are."""
     view, clock, source, now = daemon.view, daemon.saved.clock, daemon.source, daemon.now
     return api.Status(
-        version=VERSION,
+        version=__version__,
         uptime_s=daemon.uptime_s,
         connected=source.connected,
         device=source.device,

@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from stillcal._version import __version__
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import format_option, quiet_option
@@ -84,7 +84,7 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
         recordings_found = discovery.find(recordings, format_)
     except discovery.NoRecordingsError as error:
         raise click.UsageError(str(error)) from error
-    made_by = f"stillcal {version('stillcal')} {format_} {watch}{'' if no_diagnosis else ' diagnosed'}"
+    made_by = f"stillcal {__version__} {format_} {watch}{'' if no_diagnosis else ' diagnosed'}"
     results = results_folder.Results(out, made_by)
     tasks = [Task(recording, format_, watch, not no_diagnosis) for recording in recordings_found]
     todo = results.todo(tasks)

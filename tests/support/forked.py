@@ -96,7 +96,7 @@ def _become(
         for descriptor, number in zip(to, (1, 2), strict=True):
             os.dup2(descriptor, number)
         os.closerange(3, 1024)
-        sys.stdout, sys.stderr = (open(n, "w", encoding="utf-8", closefd=False) for n in (1, 2))  # noqa: SIM115
+        sys.stdout, sys.stderr = (open(n, "w", encoding="utf-8", closefd=False) for n in (1, 2))  # noqa: SIM115 - open as long as the process
         sys.argv = ["stillcal", *map(str, arguments)]
         os.environ |= more
         if folder is not None:

@@ -6,21 +6,12 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
-from stillcal.calib_core.engine.state import EngineState
-from stillcal.calib_core.streams.events import Charging
-from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service import saved_state
-from stillcal.daemon.service.engine_thread import EngineThread
-from stillcal.daemon.service.phone_session import PhoneSession, host_time
-from stillcal.daemon.service.saved_state import SavedState
-from stillcal.daemon.sources.base import SerialSettings
-from stillcal.daemon.sources.serial import SerialSource
 from stillcal.daemon.store.document import StoreDocument
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.wire.decoder import Hello
@@ -148,29 +139,6 @@ def test_watched_without_a_break_a_phone_in_real_time_is_thought_of_now_and_then
         assert state is not None and max(state.engine.latest.values()) == clock.newest
 
     within_reason(test())
-
-
-def test_what_is_due_hurries_the_engine_and_samples_alone_do_not() -> None:
-    engine_thread = EngineThread(EngineSettings(ScheduleSettings(watch="continuous")), None, None)
-    session = PhoneSession(
-        SerialSource(SerialSettings("none")), engine_thread, SavedState(EngineState()), 0.0, lambda _: None
-    )
-    few = [Samples.checked(Sensor.ACCELEROMETER, [0.0, 1.0], np.zeros((2, 3)))]
-    session._fed_at = host_time() + 1e6
-
-    async def test() -> None:
-        for record in (*few, Charging(2.0, True)):
-            await session._on_record(record)
-        assert (
-            not session._must_feed_now(few)
-            and session._must_feed_now([*few, Charging(2.0, True)])
-            and session._must_feed_now([])
-        )
-        await session._feed_engine()  # which leaves the charger for when samples are known up to it
-        assert engine_thread.view.decides == 2.0 and session._must_feed_now(few)
-        engine_thread.close()
-
-    asyncio.run(test())
 
 
 def test_another_phone_begins_anew_and_the_olds_calibration_is_in_the_history(

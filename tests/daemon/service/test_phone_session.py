@@ -1,0 +1,131 @@
+"""One phone's session on a clock of the test's own: when the engine is fed, and what silence leads to."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.engine.state import EngineState
+from stillcal.calib_core.static.settings import Sleep
+from stillcal.calib_core.streams.events import Charging, Tick
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.service.engine_thread import EngineThread
+from stillcal.daemon.service.phone_session import GATHER_S, LATE_S, SILENCE_S, PhoneSession
+from stillcal.daemon.service.saved_state import SavedState
+from stillcal.daemon.sources.base import SerialSettings, Source
+from stillcal.daemon.wire.decoder import Command, Identify, WireCounters
+from tests.support.clock import ManualClock
+
+CONTINUOUS = EngineSettings(ScheduleSettings(watch="continuous"))
+SAMPLES = [Samples.checked(Sensor.ACCELEROMETER, [0.0, 1.0], np.zeros((2, 3)))]
+
+
+class Phone(Source):
+    """A phone that is there and says nothing; what it is sent is kept."""
+
+    def __init__(self) -> None:
+        super().__init__(SerialSettings("phone"))
+        self.sent: list[Command] = []
+
+    connected, device, wire = True, "phone", WireCounters()
+
+    def send(self, command: Command) -> bool:
+        self.sent.append(command)
+        return True
+
+    def _connect(self) -> None: ...
+
+    def _lose(self, reason: str, for_good: bool = False) -> None: ...
+
+
+def with_session(test: Callable[[PhoneSession, Phone, ManualClock], Awaitable[None]]) -> None:
+    """Run a test with the session of a phone that has sent SAMPLES and is known up to t = 1 s."""
+
+    async def run() -> None:
+        phone, clock = Phone(), ManualClock()
+        engine_thread = EngineThread(CONTINUOUS, None, None)
+        state = SavedState(EngineState())
+        session = PhoneSession(phone, engine_thread, state, 0.0, lambda _: None, clock=clock)
+        try:
+            await session._on_record(SAMPLES[0])
+            await test(session, phone, clock)
+        finally:
+            engine_thread.close()
+
+    asyncio.run(run())
+
+
+def test_samples_alone_wait_for_the_engine_and_what_is_due_does_not() -> None:
+    async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
+        assert not session._must_feed_now(SAMPLES)
+        assert session._must_feed_now([*SAMPLES, Charging(2.0, True)])
+        assert session._must_feed_now([])
+        clock.now += 0.999 * GATHER_S
+        assert not session._must_feed_now(SAMPLES)
+        clock.now += 0.002 * GATHER_S
+        assert session._must_feed_now(SAMPLES)
+
+    with_session(test)
+
+
+def test_a_decision_that_is_due_does_not_wait() -> None:
+    async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
+        await session._on_record(Charging(2.0, True))
+        await session._feed_engine()  # which leaves the charger for when samples are known up to it
+        assert session._engine_thread.view.decides == 2.0 and session._must_feed_now(SAMPLES)
+
+    with_session(test)
+
+
+@pytest.mark.parametrize(("silent_s", "asked"), [(0.999 * SILENCE_S, []), (SILENCE_S, [Identify()])])
+def test_a_phone_is_asked_again_after_ten_seconds_of_silence(silent_s: float, asked: list[Any]) -> None:
+    async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
+        await session._feed_engine()
+        assert session._timeout() == SILENCE_S
+        clock.now += silent_s
+        session._on_timeout()
+        assert phone.sent == asked
+        session._on_timeout()  # not a second time at once
+        assert phone.sent == asked
+
+    with_session(test)
+
+
+def test_the_engine_is_told_the_time_of_a_decision_while_the_phone_sleeps() -> None:
+    async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
+        await session._feed_engine()
+        due = session._engine_thread.view.decides
+        assert session._commands.due(Sleep(math.inf), due, 1.0) == [Sleep(math.inf)]
+        wait = session._timeout()
+        assert wait == pytest.approx(due - 1.0 + LATE_S)
+        clock.now += wait
+        assert session._timeout() == 0.0 and session.now == pytest.approx(due + LATE_S)
+        session._on_timeout()
+        assert session._items == [Tick(due)] and phone.sent == []
+
+    with_session(test)
+
+
+def test_the_engine_thread_is_busy_for_as_long_as_its_job_goes_on() -> None:
+    async def test() -> None:
+        clock, go = ManualClock(), threading.Event()
+        engine_thread = EngineThread(CONTINUOUS, None, None, clock)
+        clock.now += 7.0
+        assert engine_thread.busy_for() == 0.0
+        job = asyncio.create_task(engine_thread._run(go.wait))
+        await asyncio.sleep(0)
+        clock.now += 5.0
+        assert engine_thread.busy_for() == 5.0
+        go.set()
+        await job
+        assert engine_thread.busy_for() == 0.0
+        engine_thread.close()
+
+    asyncio.run(test())
