@@ -1,8 +1,9 @@
 """All that a user may choose: sections of settings, read from TOML, refused where they make no sense.
 
 A section belongs to the module that uses it; this one puts them together, reads the file and explains
-what is wrong with it by file, line and key. config/default.toml documents every knob and holds the
-defaults, the same as here.
+what is wrong with it by file, line and key. config/default.toml documents every setting and its default, the
+same as in the code: first those that a user needs, then those that are rarely needed. What the sections
+hold besides is for code that builds them, and FIXED for files.
 """
 
 from __future__ import annotations
@@ -25,6 +26,27 @@ from stillcal.calib_core.errors import UserError
 from stillcal.daemon.store.store import StoreSettings
 
 T = TypeVar("T")
+
+
+_DETECTOR, _FIT = ("engine", "detector"), ("engine", "calibrate", "accelerometer")
+_ANGLE = "5 degrees, one number for the pool and for the fit, which count the same attitudes"
+_SOLVER = "it decides how fast the fit converges, not where"
+
+FIXED: dict[tuple[str, ...], str] = {
+    (*_DETECTOR, "mode"): "the engine switches between scanning and probing by itself",
+    (*_DETECTOR, "seed"): "a replayed recording repeats a live run for equal draws only",
+    (*_DETECTOR, "half_life_s"): "the noise floor is only tested with this memory",
+    (*_DETECTOR, "cluster_windows"): "the noise floor is only tested with clusters of this size",
+    (*_DETECTOR, "cluster_share"): "the noise floor is only tested with clusters of this size",
+    ("engine", "pool", "attitude_angle"): _ANGLE,
+    (*_FIT, "attitude_angle"): _ANGLE,
+    ("engine", "calibrate", "folds"): "more parts cost time and change no verdict",
+    (*_FIT, "rounds"): _SOLVER,
+    (*_FIT, "damping"): _SOLVER,
+    ("engine", "calibrate", "gyroscope", "tolerance"): _SOLVER,
+    ("engine", "calibrate", "gyroscope", "max_iterations"): _SOLVER,
+}
+"""What a file may not change, and why. A file that repeats the default is accepted: older ones named all."""
 
 
 class SettingsError(UserError):
@@ -176,10 +198,19 @@ def _section(kind: type[T], table: Any, keys: tuple[str, ...]) -> T:
         )
     values = {key: _value(hints[key], value, (*keys, key)) for key, value in table.items()}
     try:
-        return kind(**values)
+        section = kind(**values)
     except ValueError as error:
         blamed = next((key for key in values if re.search(rf"\b{key}\b", str(error))), None)
         raise _BadKeyError((*keys, blamed) if blamed else keys, str(error)) from error
+    _refuse_fixed(kind(), values, keys)
+    return section
+
+
+def _refuse_fixed(default: object, values: Mapping[str, Any], keys: tuple[str, ...]) -> None:
+    for key, value in values.items():
+        reason = FIXED.get((*keys, key))
+        if reason is not None and value != getattr(default, key):
+            raise _BadKeyError((*keys, key), f"is no setting any more ({reason}): remove it")
 
 
 def _value(hint: Any, value: Any, keys: tuple[str, ...]) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import tomllib
+from functools import reduce
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 import stillcal.config
 from stillcal.calib_core.codec import plain
 from stillcal.daemon.settings import (
+    FIXED,
     Settings,
     SettingsError,
     line_of,
@@ -35,16 +37,55 @@ def knobs(value: dict, *above: str) -> dict[tuple[str, ...], object]:
     return flat
 
 
-def test_the_default_file_says_what_the_code_says():
-    from_code = {key: value for key, value in knobs(plain(Settings())).items() if value is not None}
-    assert knobs(tomllib.loads(DEFAULT.read_text())) == from_code
+def parts() -> tuple[str, str]:
+    """Return the file's settings for users, and the rarely needed ones with their comment signs taken off."""
+    common, rare = DEFAULT.read_text().split("# Rarely needed.")
+    return common, "\n".join(re.findall(r"^# (\[.*|\w+ = .*)$", rare, re.MULTILINE))
 
 
-def test_knobs_without_a_default_stand_in_the_file_as_comments():
-    text = DEFAULT.read_text()
-    with_unset = knobs(tomllib.loads(UNSET.sub("", text)))
-    assert with_unset.keys() == knobs(plain(Settings())).keys()
-    parse_settings(UNSET.sub("", text))
+def is_fixed(key: tuple[str, ...]) -> bool:
+    return any(key[: len(fixed)] == fixed for fixed in FIXED)
+
+
+def test_the_default_file_names_every_setting_once_with_the_default_of_the_code():
+    from_code = {key: value for key, value in knobs(plain(Settings())).items() if not is_fixed(key)}
+    gravity = ("engine", "schedule", "gravity")
+    assert from_code.pop(gravity) is None
+    common, rare = (knobs(tomllib.loads(text)) for text in parts())
+    assert not common.keys() & rare.keys()
+    assert common | rare == from_code
+    assert gravity in knobs(tomllib.loads(UNSET.sub("", parts()[0])))
+
+
+def test_settings_of_the_file_can_be_given():
+    for text in (UNSET.sub("", parts()[0]), parts()[1]):
+        parse_settings(text)
+
+
+def test_a_user_meets_few_settings_first():
+    assert len(re.findall(r"^(?:# )?\w+ = ", parts()[0], re.MULTILINE)) <= 15
+
+
+def text_of(key: tuple[str, ...], value: str) -> str:
+    return f"[{'.'.join(key[:-1])}]\n{key[-1]} = {value}\n"
+
+
+def test_what_is_fixed_may_be_repeated_but_not_changed():
+    """A file made from an older default.toml, which named all of them, is still read."""
+    defaults = knobs(plain(Settings()))
+    fixed = {key: value for key, value in defaults.items() if is_fixed(key)}
+    assert len(fixed) == 18
+    for key, value in fixed.items():
+        text = repr(value) if not isinstance(value, str) else f'"{value}"'
+        assert parse_settings(text_of(key, text)) == Settings()
+        other = '"probe"' if isinstance(value, str) else repr(type(value)(value * 2 or 1))
+        with pytest.raises(SettingsError, match=r"is no setting any more \(.+\): remove it$"):
+            parse_settings(text_of(key, other))
+
+
+def test_every_fixed_name_is_a_field():
+    for key in FIXED:
+        assert reduce(getattr, key, Settings()) is not None
 
 
 def test_the_default_file_loads_as_the_defaults():
@@ -52,8 +93,7 @@ def test_the_default_file_loads_as_the_defaults():
 
 
 def test_every_knob_has_a_comment_that_begins_with_its_unit():
-    assigned = re.findall(r"^(?:# )?(\w+) = [^#\n]*(.*)$", DEFAULT.read_text(), re.MULTILINE)
-    assert len(assigned) == len(knobs(plain(Settings())))
+    assigned = re.findall(r"^(?:# )?(\w+) = [^#\n]*(.*)$", "\n".join(parts()), re.MULTILINE)
     bare = [key for key, comment in assigned if not re.fullmatch(r"# \S[^:]*: .{10,}", comment)]
     assert bare == []
 
