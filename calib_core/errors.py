@@ -9,6 +9,10 @@ class UserError(ValueError):
     """Something that the user can mend: its text is one line that says what is wrong and what to do."""
 
 
+class TryAgainError(UserError):
+    """The machine could not do it now, such as for want of room or memory; later it may."""
+
+
 class NotSupported(UserError):  # noqa: N818 - it is a refusal, said as one, not a failure
     """What was asked for cannot be had from what was gathered.
 

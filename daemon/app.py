@@ -12,6 +12,7 @@ import copy
 import os
 import signal
 from dataclasses import replace
+from pathlib import Path
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Publish, Reject
@@ -31,6 +32,7 @@ from stillcal.daemon.system import log
 from stillcal.daemon.system.clock import Clock, host_time
 from stillcal.daemon.system.log import say
 from stillcal.daemon.system.systemd import Notifier
+from stillcal.daemon.varlink.address import socket_path
 from stillcal.daemon.varlink.server import serving
 
 SAVE_EVERY_S = 10.0
@@ -38,6 +40,9 @@ SAVE_EVERY_S = 10.0
 
 SAVE_AT_LEAST_S = 600.0
 """So often it is written anyway, s."""
+
+RETRY_EVERY_S = 2.0
+"""So often it is tried again where the disk refused, s."""
 
 STOP_TIMEOUT_S = 0.5
 """A clean stop waits at most this long for the phone session, and again for the engine, s."""
@@ -72,7 +77,8 @@ class Service:
         self._save_now = False
 
     def open(self) -> None:
-        """Lock the store and take up the state where it was left. Raises StoreError."""
+        """Lock the store and take up the state where it was left. Raises StoreError and SettingsError."""
+        self._refuse_shared_paths()
         loaded = self.storage.open()
         if loaded.note:
             say("warning", "state", loaded.note)
@@ -84,6 +90,16 @@ class Service:
         self.engine_thread = EngineThread(self.settings.engine, engine, self.storage.document.current)
         rests = self.engine_thread.view.rests_held
         say("info", "opened", store=self.storage.path, rests=rests, calibration=self.current_id)
+
+    def _refuse_shared_paths(self) -> None:
+        """Raise SettingsError where the socket or the settings lie where the store's files do."""
+        taken = self.storage.paths()
+        named = {"[socket] path": socket_path(self.settings.socket.path)}
+        if self._options.config is not None:
+            named["the settings file"] = self._options.config
+        for name, path in named.items():
+            if Path(os.path.realpath(path)) in taken:
+                raise SettingsError(f"{name} and [store] path are the same: {path}: give another path")
 
     # What is known, for those who ask
 
@@ -137,7 +153,12 @@ class Service:
         async with serving(self, self.settings.socket, self._options.passed):
             jobs = [
                 asyncio.create_task(job)
-                for job in (self._serving_phone(), self._saving(), self._sending_heartbeats())
+                for job in (
+                    self._serving_phone(),
+                    self._saving(),
+                    self._holding_the_store(),
+                    self._sending_heartbeats(),
+                )
             ]
             self._notifier.ready(self.describe())
             say("info", "ready", "waiting for the phone", port=self.settings.source.port)
@@ -168,16 +189,27 @@ class Service:
         """Write what changes: calibrations at once, the state now and then."""
         saved_at, changed = self._clock() - SAVE_EVERY_S, False
         while True:
-            pause = SAVE_EVERY_S if changed or self.storage.trouble else SAVE_AT_LEAST_S
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(max(saved_at + pause - self._clock(), 0.0)):
+                async with asyncio.timeout(max(saved_at + self._pause(changed) - self._clock(), 0.0)):
                     await self._unsaved.wait()
             changed = changed or self._unsaved.is_set()
             self._unsaved.clear()
             await self.storage.flush()
-            if self._save_now or self._clock() - saved_at >= (SAVE_EVERY_S if changed else SAVE_AT_LEAST_S):
+            if self._save_now or self._clock() - saved_at >= self._pause(changed):
                 self._save_now = False
                 saved_at, changed = self._clock(), not await self.save()
+
+    def _pause(self, changed: bool) -> float:
+        """Return how long (s) after one try to save the next one is due."""
+        if self.storage.trouble:
+            return RETRY_EVERY_S
+        return SAVE_EVERY_S if changed else SAVE_AT_LEAST_S
+
+    async def _holding_the_store(self) -> None:
+        """See every now and then that the store is still ours alone."""
+        while True:
+            await self.storage.check_lock()
+            await asyncio.sleep(HEARTBEAT_S)
 
     async def _sending_heartbeats(self) -> None:
         """Tell the manager that the loop lives, as long as the engine's thread does too."""
@@ -191,7 +223,12 @@ class Service:
     async def save(self) -> bool:
         """Write the state; say whether it is on the disk."""
         saved = replace(self.saved, clock=copy.deepcopy(self.saved.clock), energy=self.saved.energy.copy())
-        return await self.storage.save(await self.engine_thread.encoded(saved))
+        try:
+            data = await self.engine_thread.encoded(saved)
+        except (ValueError, TypeError, OverflowError, MemoryError) as error:
+            say("error", "state", f"it cannot be written: {error!r}")
+            return False
+        return await self.storage.save(data)
 
     async def _end(self, serving: asyncio.Task[None], *others: asyncio.Task[None]) -> None:
         """Take what has arrived, save, and let go of everything."""
@@ -200,17 +237,15 @@ class Service:
         for job in (serving, *others):
             job.cancel()
         await asyncio.gather(serving, *others, return_exceptions=True)
-        if await self.engine_thread.idle(STOP_TIMEOUT_S):
-            await self.save()
-        else:
-            say(
-                "warning",
-                "stopping",
-                "the engine is still busy: its state is not saved",
-            )
+        saved = False
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(2 * STOP_TIMEOUT_S):
+                saved = await self.engine_thread.idle(STOP_TIMEOUT_S) and await self.save()
+        if not saved:
+            say("warning", "stopping", "the engine or the disk is busy: the state is as it was last saved")
         self.engine_thread.close()
         self.storage.close()
-        say("info", "stopped", "state saved", calibration=self.current_id)
+        say("info", "stopped", "state saved" if saved else "", calibration=self.current_id)
 
     # What the engine wants done
 

@@ -22,10 +22,14 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 import msgspec
 
 from stillcal.calib_core.engine.settings import EngineSettings
-from stillcal.calib_core.errors import UserError
+from stillcal.calib_core.errors import TryAgainError, UserError
 from stillcal.daemon.store.store import StoreSettings
+from stillcal.daemon.system.files import passing, read_regular
 
 T = TypeVar("T")
+
+MAX_BYTES = 2**20
+"""Of a settings file."""
 
 
 _DETECTOR, _FIT = ("engine", "detector"), ("engine", "calibrate", "accelerometer")
@@ -130,15 +134,18 @@ def load_settings(path: Path | str | None = None) -> Settings:
     """Read settings from a TOML file; what it does not mention, or no file at all, is the default.
 
     Raises SettingsError on a file that cannot be read, is not TOML, names an unknown key, or gives a
-    value of the wrong type or out of its range.
+    value of the wrong type or out of its range, and TryAgainError where the system cannot read it now.
     """
     if path is None:
         return Settings()
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise SettingsError(f"{path}: {reason}: give the path of a TOML file") from error
+        text = read_regular(Path(path), MAX_BYTES).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{path}: not UTF-8 text: give the path of a TOML file") from error
+    except OSError as error:
+        if passing(error):
+            raise TryAgainError(f"{path}: {error.strerror}") from error
+        raise SettingsError(f"{path}: {error.strerror}: give the path of a TOML file") from error
     return parse_settings(text, str(path))
 
 

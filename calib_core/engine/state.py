@@ -126,3 +126,10 @@ def without_phone(state: EngineState) -> EngineState:
         gravity=state.gravity,
         counters=state.counters,
     )
+
+
+def without_streams(state: EngineState) -> EngineState:
+    """Return what still holds where what is left unread of the streams cannot be used."""
+    return replace(
+        state, detector=None, waiting={}, events=[], last_rest=None, gyro_tail=None, watch=Watch.IDLE
+    )

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import UserError
+from stillcal.calib_core.streams.limits import READING, STAMP_S, usable
 
 
 class Sensor(StrEnum):
@@ -57,7 +58,10 @@ class Samples:
         temperature: ArrayLike | None = None,
         t_arrival: ArrayLike | None = None,
     ) -> Samples:
-        """Build from untrusted arrays. Raises SampleError on a wrong shape, NaN, or time running back.
+        """Build from untrusted arrays.
+
+        Raises SampleError on a wrong shape, a number that is none or beyond its limits (streams/limits.py),
+        and time running back.
 
         >>> samples = Samples.checked(Sensor.ACCELEROMETER, t=[0.0, 0.1], xyz=[[0, 0, 9.8], [0, 0, 9.9]])
         >>> len(samples), samples.between(0.05, 1.0).xyz.tolist()
@@ -125,10 +129,22 @@ class Samples:
         for name, column in (("temperature", self.temperature), ("t_arrival", self.t_arrival)):
             if column is not None and column.shape != (n,):
                 raise SampleError(0, f"{name} has shape {column.shape}, expected ({n},)")
-        bad = ~(np.isfinite(self.t) & np.isfinite(self.xyz).all(axis=1))
+        bad = ~usable(self.t, self.xyz)
         if bad.any():
-            raise SampleError(int(bad.argmax()), "not a finite number")
+            row = int(bad.argmax())
+            raise SampleError(row, _unusable(float(self.t[row]), self.xyz[row]))
         backwards = np.diff(self.t) < 0
         if backwards.any():
             row = int(backwards.argmax()) + 1
             raise SampleError(row, f"time runs backwards, from {self.t[row - 1]:.6f} to {self.t[row]:.6f} s")
+
+
+def _unusable(t: float, xyz: Array) -> str:
+    """Say what is wrong with a sample at t (s) with readings (3,)."""
+    if not (np.isfinite(t) and np.isfinite(xyz).all()):
+        return "not a finite number"
+    if abs(t) > STAMP_S:
+        return f"time {t:g} s is out of range (at most {STAMP_S:g} s); stamps must be in seconds"
+    return (
+        f"reading {np.abs(xyz).max():g} is out of range (at most {READING:g}); readings must be in SI units"
+    )

@@ -1,8 +1,9 @@
 """The command line: one command a verb, mounted here; every refusal is one line and an exit code.
 
 Exit codes: 0 done, 1 a bar not met, 2 bad input, 3 the recording cannot support a calibration, 4 no
-daemon answers, 130 interrupted. Nothing is computed here, and nothing is imported but click until a
-command is called: the daemon starts in a third of a second and never holds what only a replay needs.
+daemon answers, 75 the machine cannot for now (disk, memory, descriptors), 130 interrupted. Nothing is
+computed here, and nothing is imported but click until a command is called: the daemon starts in a third of
+a second and never holds what only a replay needs.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from importlib.util import find_spec
 
 import click
 
-from stillcal.calib_core.errors import UserError
-from stillcal.daemon.cli.exits import BAD_INPUT, INTERRUPTED
+from stillcal.calib_core.errors import TryAgainError, UserError
+from stillcal.daemon.cli.exits import BAD_INPUT, INTERRUPTED, TRY_AGAIN
 from stillcal.daemon.cli.lazy import LazyGroup, examples
 
 COMMANDS = {
@@ -71,6 +72,9 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt):
         click.echo("stillcal: interrupted; nothing half-written", err=True)
         sys.exit(INTERRUPTED)
+    except TryAgainError as error:
+        click.echo(f"stillcal: {error}", err=True)
+        sys.exit(TRY_AGAIN)
     except UserError as error:
         click.echo(f"stillcal: {error}", err=True)
         sys.exit(BAD_INPUT)

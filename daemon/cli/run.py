@@ -7,10 +7,12 @@ from pathlib import Path
 
 import click
 
+from stillcal.calib_core.errors import TryAgainError
 from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option
 from stillcal.daemon.system import log, memory
+from stillcal.daemon.system.files import passing
 from stillcal.daemon.system.requirements import DAEMON, require
 from stillcal.daemon.system.systemd import Notifier, passed_sockets
 
@@ -32,7 +34,8 @@ def run_command(config: Path | None, port: str | None, store: Path | None, socke
     """Keep a phone calibrated: read its sensors, answer on a socket, until SIGTERM.
 
     The phone is on a serial line, or with kind = "iio" under [source] this machine is the phone. SIGHUP reads
-    the settings again. Logs go to standard error. Exit code 2 where settings, store or socket cannot serve.
+    the settings again. Logs go to standard error. Exit code 2 where settings, store or socket cannot serve,
+    75 where the machine cannot for now (disk, memory, descriptors): start it again.
     """
     require("stillcal run", DAEMON)
     from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has
@@ -48,4 +51,11 @@ def run_command(config: Path | None, port: str | None, store: Path | None, socke
         service.open()
         await service.run()
 
-    asyncio.run(serve())
+    try:
+        asyncio.run(serve())
+    except MemoryError as error:
+        raise TryAgainError("the system is out of memory: free some") from error
+    except OSError as error:
+        if not passing(error):
+            raise
+        raise TryAgainError(f"{error.filename or 'the system'}: {error.strerror}") from error

@@ -7,12 +7,10 @@ process of its own for the fit was tried and left out: the loop is no less late 
 
 from __future__ import annotations
 
-import asyncio
 import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -21,13 +19,14 @@ from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.engine.actions import Action
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, Watch
-from stillcal.calib_core.engine.state import Counters, EngineState, Refusal, Trouble
+from stillcal.calib_core.engine.state import Counters, EngineState, Refusal, Trouble, without_streams
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.settings import Ledger, Sense, Sleep
 from stillcal.calib_core.streams.events import End, Event
 from stillcal.calib_core.streams.samples import SampleError, Samples
 from stillcal.daemon.service.saved_state import SavedState, encode
 from stillcal.daemon.system.clock import Clock
+from stillcal.daemon.system.worker import Worker
 
 T = TypeVar("T")
 
@@ -80,7 +79,7 @@ class EngineThread:
         self._engine = Engine(settings, state)
         if _identity(record) != _identity(self._engine.present.record):
             self._engine.use_calibration(record)
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="engine")
+        self._thread = Worker("engine")
         self.view = _view(self._engine)
         self._clock, self._jobs, self._since = clock, 0, 0.0
         sys.setswitchinterval(SWITCH_S)
@@ -119,12 +118,11 @@ class EngineThread:
 
     async def idle(self, timeout_s: float) -> bool:
         """Wait for the jobs at hand; say whether they were over within `timeout_s`."""
-        done, _ = await asyncio.wait([asyncio.ensure_future(self._run(lambda: None))], timeout=timeout_s)
-        return bool(done)
+        return await self._thread.idle(timeout_s)
 
     def close(self) -> None:
         """Take no more jobs."""
-        self._thread.shutdown(wait=False, cancel_futures=True)
+        self._thread.close()
 
     def _feed(self, items: Sequence[Samples | Event]) -> EngineReply:
         actions: list[Action] = []
@@ -132,10 +130,13 @@ class EngineThread:
         for item in items:
             try:
                 actions += self._engine.feed(item)
+                if isinstance(item, End):
+                    self._engine.resume(item.t)
             except SampleError as error:
                 refused.append(str(error))
-            if isinstance(item, End):
-                self._engine.resume(item.t)
+            except Exception as error:  # whatever a phone sends must not end the daemon
+                refused.append(f"the engine failed and goes on without its streams: {error!r}")
+                self._engine = Engine(self._engine.settings, without_streams(self._engine.present))
         return EngineReply(actions, _view(self._engine), tuple(refused))
 
     def _call_engine(self, ask: Callable[[Engine], list[Action] | None]) -> EngineReply:
@@ -154,7 +155,7 @@ class EngineThread:
             self._since = self._clock()
         self._jobs += 1
         try:
-            return await asyncio.get_running_loop().run_in_executor(self._thread, job, *arguments)
+            return await self._thread.run(job, *arguments)
         finally:
             self._jobs -= 1
             self._since = self._clock()

@@ -18,6 +18,7 @@ from stillcal.daemon.service.energy_ledger import EnergyLedger
 from stillcal.daemon.service.phone_clock import PhoneClock
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.msgpack_arrays import encoded
+from stillcal.daemon.system.files import NotRegularError, TooLargeError, read_regular
 
 HEAD = b"stillcal state 1\n"
 MAX_BYTES = 64 * 2**20
@@ -77,12 +78,10 @@ def load(path: Path) -> Loaded:
     Raises OSError where the file is there and neither can be read nor moved away.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise StateError("larger than any state")
-        return Loaded(decode(path.read_bytes()))
+        return Loaded(decode(read_regular(path, MAX_BYTES)))
     except FileNotFoundError:
         return Loaded()
-    except StateError as error:
+    except (StateError, NotRegularError, TooLargeError) as error:
         aside = _free(path)
         path.replace(aside)
         return Loaded(note=f"{path}: {error}; set aside as {aside.name}, rests are gathered anew")

@@ -6,10 +6,8 @@ store has not got. A write that fails is tried again later and holds up nothing 
 
 from __future__ import annotations
 
-import asyncio
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
@@ -17,12 +15,18 @@ from typing import TypeVar
 from stillcal.calib_core.engine.actions import Forget, Publish, Reject
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.store.document import StoreDocument
+from stillcal.daemon.store.files import store_error
 from stillcal.daemon.store.store import Outcome, Store, StoreError, StoreSettings
 from stillcal.daemon.system import memory
+from stillcal.daemon.system.files import make_folder
+from stillcal.daemon.system.worker import Worker
 
 T = TypeVar("T")
 
 Change = Publish | Reject | Forget
+
+FOLDER_MODE = 0o750
+"""Of the store's folder, where it has to be made."""
 
 MAX_QUEUED = 64
 """Changes of the store that wait for a disk that refuses them; beyond this, the oldest rejected one goes."""
@@ -33,7 +37,7 @@ class Storage:
 
     def __init__(self, store: Store, note: Callable[[str], None]) -> None:
         self._store, self._note = store, note
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="disk")
+        self._thread = Worker("disk")
         self._queued: deque[Change] = deque()
         self._trouble = ""
         self.document = StoreDocument()
@@ -53,10 +57,18 @@ class Storage:
 
         Blocks; for use before the loop runs. Raises StoreError.
         """
-        self._store.path.parent.mkdir(parents=True, exist_ok=True)
+        path = self._store.path
+        try:
+            make_folder(path.parent, FOLDER_MODE)
+        except OSError as error:
+            raise store_error(error, path.parent, "make") from error
         self._store.lock()
         self._take_outcome(self._store.recover())
-        return saved_state.load(saved_state.state_path(self._store.path))
+        state = saved_state.state_path(path)
+        try:
+            return saved_state.load(state)
+        except OSError as error:
+            raise store_error(error, state, "read") from error
 
     def enqueue(self, action: Change) -> None:
         """Take a calibration that was accepted, rejected or given up; `flush` writes it."""
@@ -68,10 +80,12 @@ class Storage:
             action = self._queued[0]
             try:
                 self._take_outcome(await self._run(self._write, action))
-            except StoreError as error:
-                self._note_failure(str(error))
+            except (StoreError, OSError, MemoryError) as error:
+                self._note_failure(str(error) or "out of memory")
                 self._drop_excess()
                 return False
+            except (ValueError, TypeError) as error:
+                self._note(f"a calibration cannot be written and is left out: {error}")
             self._queued.popleft()
         return True
 
@@ -81,6 +95,9 @@ class Storage:
             return False
         try:
             await self._run(self._save, data)
+        except (StoreError, MemoryError) as error:
+            self._note_failure(str(error) or "out of memory")
+            return False
         except OSError as error:
             self._note_failure(f"cannot write {error.filename or 'the state'}: {error.strerror}")
             return False
@@ -96,9 +113,26 @@ class Storage:
         self._take_outcome(await self._run(self._store.rollback, target))
         return self.document
 
+    def paths(self) -> set[Path]:
+        """Return every file that is the store's or its state's."""
+        path = self._store.path
+        own = {path, self._store.last_good_path, saved_state.state_path(path)}
+        return {*own, *(p.with_name(p.name + suffix) for p in own for suffix in (".tmp", ".lock"))}
+
+    async def check_lock(self) -> None:
+        """See that no other process can become the writer, also where somebody has removed the lock."""
+        try:
+            await self._run(self._store.lock)
+        except StoreError as error:
+            self._note_failure(str(error))
+
+    async def idle(self, timeout_s: float) -> bool:
+        """Wait for what is being written; say whether it was over within `timeout_s`."""
+        return await self._thread.idle(timeout_s)
+
     def close(self) -> None:
-        """Let other writers in, after what is being written."""
-        self._thread.shutdown(wait=True)
+        """Let other writers in."""
+        self._thread.close()
         self._store.close()
 
     def _write(self, action: Change) -> Outcome:
@@ -109,6 +143,7 @@ class Storage:
         return self._store.publish(action.record, action.reason, action.t)
 
     def _save(self, data: bytes) -> None:
+        self._store.lock()
         saved_state.save(saved_state.state_path(self._store.path), data)
         memory.release_free_pages()
 
@@ -128,7 +163,7 @@ class Storage:
             self._queued.remove(rejected)
 
     async def _run(self, job: Callable[..., T], *arguments: object) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._thread, job, *arguments)
+        return await self._thread.run(job, *arguments)
 
 
 def with_provenance(action: Change, source: str, device: str) -> Change:

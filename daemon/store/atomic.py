@@ -10,11 +10,7 @@ import contextlib
 import os
 from pathlib import Path
 
-
-def flags(*names: str) -> int:
-    """Return the flags of os.open of these names together; one that this system lacks counts nothing."""
-    return sum(getattr(os, name, 0) for name in names)
-
+from stillcal.daemon.system.files import flags
 
 SAFE = flags("O_CLOEXEC", "O_NOFOLLOW", "O_BINARY")
 """For files that are written: no child inherits them, no link stands in for them, no line end is changed."""

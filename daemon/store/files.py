@@ -5,19 +5,24 @@ store.py changes a store; document.py defines the contents of its file.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
-import stat
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillcal.calib_core.errors import UserError
-from stillcal.daemon.store.atomic import SAFE, flags
+from stillcal.calib_core.errors import TryAgainError, UserError
+from stillcal.daemon.store.atomic import SAFE
 from stillcal.daemon.store.document import Fault, StoreDocument, StoreFormatError, parse
 from stillcal.daemon.store.lock import try_lock
+from stillcal.daemon.system.files import NotRegularError, TooLargeError, passing, read_regular
 
 MAX_BYTES = 64 * 2**20
 """No store grows to this; a file that did is not ours and is not read into memory."""
+
+MARKS = (b'"schema"', b'"stillcal calibration"', b'"accel"', b'"gyro"')
+BEGINNING_BYTES = 200
+"""A store of any schema has one of MARKS among so many bytes at its beginning."""
 
 _REMEDIES = {
     errno.ENOSPC: "the disk is full: free some space",
@@ -27,6 +32,10 @@ _REMEDIES = {
     errno.EACCES: "permission denied: run as the store's owner or give another path",
     errno.EPERM: "not permitted: run as the store's owner or give another path",
     errno.ENOENT: "there is no such folder: create it or give another path",
+    errno.ELOOP: "its links lead in a circle: remove one of them or give another path",
+    errno.EMFILE: "this process has too many files open: raise the limit (ulimit -n)",
+    errno.ENFILE: "the system has too many files open: close some",
+    errno.ENOMEM: "the system is out of memory: free some",
     errno.EIO: "the disk reports an error: check it (dmesg)",
 }
 
@@ -44,45 +53,61 @@ class StoreLockedError(StoreError):
         self.pid = pid
 
 
+class StoreBusyError(StoreError, TryAgainError):
+    """The store cannot be read or written just now; nothing is wrong with what it holds."""
+
+
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What lies at one path. document is None where nothing is there or `problem` says what is wrong."""
+    """What lies at one path. document is None where nothing is there or `problem` says what is wrong.
+
+    regular: whether it is a file at all. foreign: whether it looks like a file that never was a store.
+    """
 
     path: Path
     document: StoreDocument | None = None
     schema: int | None = None
     problem: StoreFormatError | None = None
+    regular: bool = True
+    foreign: bool = False
+
+    @property
+    def there(self) -> bool:
+        """Whether anything lies at the path."""
+        return self.document is not None or self.problem is not None
 
 
 def read(path: Path) -> Reading:
-    """Read what lies at a path. Raises StoreError where it may not be read, or is no regular file."""
+    """Read what lies at a path.
+
+    Only contents can be damaged. Raises StoreError where the file may not be read, and StoreBusyError where
+    the system could not read it now.
+    """
     try:
-        data = _bytes(path)
+        data = read_regular(path, MAX_BYTES)
     except FileNotFoundError:
         return Reading(path)
-    except PermissionError as error:
-        raise store_error(error, path, "read") from error
+    except NotRegularError as error:
+        problem = StoreFormatError(Fault.UNREADABLE, f"{error.strerror}")
+        return Reading(path, problem=problem, regular=False)
+    except TooLargeError as error:
+        problem = StoreFormatError(Fault.UNREADABLE, f"{error.strerror}, more than any store has")
+        return Reading(path, problem=problem, foreign=True)
     except OSError as error:
-        return Reading(path, problem=StoreFormatError(Fault.UNREADABLE, f"{error.strerror}"))
+        raise store_error(error, path, "read") from error
     try:
         document, schema = parse(data)
     except StoreFormatError as error:
-        return Reading(path, problem=error)
+        return Reading(path, problem=error, foreign=_is_foreign(data, error))
     return Reading(path, document, schema)
 
 
-def _bytes(path: Path) -> bytes:
-    fd = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))  # a FIFO must not block
-    try:
-        status = os.fstat(fd)
-        if not stat.S_ISREG(status.st_mode):
-            raise StoreError(f"{path} is not a regular file: a store cannot be there")
-        if status.st_size > MAX_BYTES:
-            raise OSError(errno.EFBIG, f"{status.st_size} bytes, more than any store has")
-        with os.fdopen(fd, "rb", closefd=False) as file:
-            return file.read()
-    finally:
-        os.close(fd)
+def _is_foreign(data: bytes, problem: StoreFormatError) -> bool:
+    """Say whether these bytes never were a store: a damaged one begins as it was written, or is empty."""
+    if problem.fault is Fault.FOREIGN:
+        return True
+    beginning = data[:BEGINNING_BYTES]
+    return bool(beginning.strip(b"\0\r\n\t ")) and not any(mark in beginning for mark in MARKS)
 
 
 def take_lock(path: Path, store: Path) -> int:
@@ -92,22 +117,41 @@ def take_lock(path: Path, store: Path) -> int:
     except OSError as error:
         raise store_error(error, store, "lock") from error
     try:
-        if not try_lock(fd):
-            holder = os.read(fd, 32).strip()
-            raise StoreLockedError(store, int(holder) if holder.isdigit() else None)
-        os.ftruncate(fd, 0)
-        os.lseek(fd, 0, os.SEEK_SET)
-        os.write(fd, f"{os.getpid()}\n".encode())
+        locked = try_lock(fd)
     except OSError as error:
         os.close(fd)
         raise store_error(error, store, "lock") from error
-    except StoreLockedError:
+    if not locked:
+        holder = _holder(fd)
         os.close(fd)
-        raise
+        raise StoreLockedError(store, holder)
+    with contextlib.suppress(OSError):  # who holds it is told for convenience
+        os.ftruncate(fd, 0)
+        os.lseek(fd, 0, os.SEEK_SET)
+        os.write(fd, f"{os.getpid()}\n".encode())
     return fd
+
+
+def is_locked_by(fd: int, path: Path) -> bool:
+    """Say whether the lock at `path` is the one taken as `fd`: a removed lock keeps nobody out."""
+    try:
+        there = path.stat()
+    except FileNotFoundError:
+        return False
+    taken = os.fstat(fd)
+    return (there.st_dev, there.st_ino) == (taken.st_dev, taken.st_ino)
+
+
+def _holder(fd: int) -> int | None:
+    try:
+        text = os.read(fd, 32).strip()
+    except OSError:
+        return None
+    return int(text) if text.isdigit() else None
 
 
 def store_error(error: OSError, path: Path, verb: str) -> StoreError:
     """Return an error of the system's as what could not be done, and what to do about it."""
     remedy = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
-    return StoreError(f"cannot {verb} {path}: {remedy}")
+    kind = StoreBusyError if passing(error) else StoreError
+    return kind(f"cannot {verb} {path}: {remedy}")

@@ -14,7 +14,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -22,7 +22,15 @@ from types import TracebackType
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.daemon.store.atomic import NotDurableError, sync_folder, write_atomically
 from stillcal.daemon.store.document import SCHEMA, HistoryEntry, StoreDocument, render
-from stillcal.daemon.store.files import Reading, StoreError, StoreLockedError, read, store_error, take_lock
+from stillcal.daemon.store.files import (
+    Reading,
+    StoreError,
+    StoreLockedError,
+    is_locked_by,
+    read,
+    store_error,
+    take_lock,
+)
 
 __all__ = [
     "Outcome",
@@ -85,7 +93,10 @@ class Store:
     """
 
     def __init__(self, path: Path | str, settings: StoreSettings | None = None) -> None:
-        self.path = Path(path).resolve()
+        try:
+            self.path = Path(path).resolve()
+        except RuntimeError as error:  # what Path raises for a loop of links
+            raise StoreError(f"{path}: its links lead in a circle: give another path") from error
         self.settings = settings or StoreSettings()
         self._lock: int | None = None
 
@@ -93,6 +104,10 @@ class Store:
     def last_good_path(self) -> Path:
         """The twin that a damaged store is replaced by."""
         return self.path.with_name(self.path.name + ".last-good")
+
+    @property
+    def _lock_path(self) -> Path:
+        return self.path.with_name(self.path.name + ".lock")
 
     def __enter__(self) -> Store:
         self.lock()
@@ -104,15 +119,22 @@ class Store:
         self.close()
 
     def lock(self) -> None:
-        """Become the store's only writer until `close`. Raises StoreLockedError where somebody else is."""
+        """Become the store's only writer until `close`, and again where the lock was removed meanwhile.
+
+        Raises StoreLockedError where somebody else is.
+        """
+        with self._explaining():
+            if self._lock is not None and not is_locked_by(self._lock, self._lock_path):
+                self.close()  # somebody has removed it: take it anew before somebody else does
         if self._lock is None:
-            self._lock = take_lock(self.path.with_name(self.path.name + ".lock"), self.path)
+            self._lock = take_lock(self._lock_path, self.path)
 
     def close(self) -> None:
         """Let other writers in."""
         if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+            descriptor, self._lock = self._lock, None
+            with suppress(OSError):  # it is free even so (close(2))
+                os.close(descriptor)
 
     def load(self) -> StoreDocument | None:
         """Return the store's document, or its twin's where the store is damaged; None where there is none.
@@ -129,8 +151,14 @@ class Store:
         return verification.last_good.document
 
     def verify(self) -> Verification:
-        """Read the store and its twin and say what is wrong with them. Changes nothing."""
-        return Verification(read(self.path), read(self.last_good_path))
+        """Read the store and its twin and say what is wrong with them. Changes nothing.
+
+        Raises StoreError where something else than a file lies at the store's path, or it cannot be read.
+        """
+        found = Verification(read(self.path), read(self.last_good_path))
+        if not found.store.regular:
+            raise StoreError(f"{self.path} cannot be a store: {found.store.problem}: give another path")
+        return found
 
     def history(self) -> tuple[HistoryEntry, ...]:
         """Return the earlier and the rejected calibrations, oldest first."""
@@ -140,11 +168,20 @@ class Store:
     def recover(self) -> Outcome:
         """Make the store usable: to be called before the first use, and called again before every change.
 
-        What is damaged or foreign is set aside under a new name, never overwritten; the twin takes its
-        place. A store of an earlier schema is migrated and its original aside. Raises StoreError.
+        What is damaged is set aside under a new name, never overwritten; the twin takes its place. A store of
+        an earlier schema is migrated and its original kept. Raises StoreError, also where the path leads to
+        somebody else's file and no twin says that a store was there.
         """
-        with self._locked():
+        with self._locked(), self._explaining():
             verification = self.verify()
+            if verification.store.foreign and not verification.last_good.there:
+                raise StoreError(
+                    f"{self.path} is not a stillcal store ({verification.store.problem}): "
+                    "give another path, or move it away to begin anew"
+                )
+            if not verification.last_good.regular:
+                self._set_aside(self.last_good_path, "unreadable")
+                verification = self.verify()
             if verification.store.problem is not None:
                 return self._replace_damaged(verification)
             if verification.store.document is None:
@@ -196,10 +233,19 @@ class Store:
     def _locked(self) -> Iterator[None]:
         """Hold the lock for the block, and on where it was held before."""
         if self._lock is not None:
+            self.lock()
             yield
             return
         with self:
             yield
+
+    @contextmanager
+    def _explaining(self) -> Iterator[None]:
+        """Turn what the system refuses in the block into a StoreError."""
+        try:
+            yield
+        except OSError as error:
+            raise store_error(error, self.path, "change") from error
 
     def _migrate(self, document: StoreDocument, schema: int | None) -> Outcome:
         if schema == SCHEMA:
@@ -236,6 +282,8 @@ class Store:
         """
         for n in range(1, 10_000):
             aside = path.with_name(f"{self.path.name}.{label}-{n}.json")
+            if os.path.lexists(aside):
+                continue
             try:
                 os.link(path, aside, follow_symlinks=os.link not in os.supports_follow_symlinks)
             except FileExistsError:

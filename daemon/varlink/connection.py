@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import select
 import socket
 import struct
 from typing import Any, Protocol
@@ -59,8 +60,15 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         self.may_change = False
 
     def on_disconnect(self, subscriber: Any) -> None:
-        """Close `subscriber` when the client has gone."""
+        """Close `subscriber` when the client has gone, which it may have already."""
         self._subscriber = subscriber
+        if self._line is None or self._eof:
+            self.end_subscription()
+
+    @property
+    def listening(self) -> bool:
+        """Whether the client waits for news."""
+        return self._subscriber is not None
 
     # The line's own calls
 
@@ -75,12 +83,16 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         """Keep what came until it is its turn."""
         self._buffer += data
+        if self.answering and len(self._buffer) > self._server.settings.message_bytes:
+            self.drop()
         self._next_question()
 
     def eof_received(self) -> bool:  # type: ignore[override]  # asyncio's, whose True keeps our side open
-        """Answer what was asked, then hang up; its subscription ends."""
+        """Answer what was asked, then hang up; its subscription ends. Who takes no answer has gone."""
         self._eof = True
         self.end_subscription()
+        if self.answering and self._line is not None and _hung_up(self._line.get_extra_info("socket")):
+            self.hang_up()
         self._next_question()
         return True
 
@@ -149,6 +161,8 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
             self._next_question()
             return
         self.answering = True
+        if self._line is not None:
+            self._line.resume_reading()  # or nobody would notice that the client leaves
         reply.add_done_callback(self._answered)
 
     def _answered(self, reply: asyncio.Future[None]) -> None:
@@ -218,3 +232,10 @@ def _may_change(line: socket.socket) -> bool:
     credentials = line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
     _, uid, _ = struct.unpack("3i", credentials)
     return uid in (0, os.geteuid())
+
+
+def _hung_up(line: socket.socket) -> bool:
+    """Say whether the other side is closed both ways: it will read no answer (poll(2))."""
+    poll = select.poll()
+    poll.register(line.fileno(), 0)
+    return any(events & select.POLLHUP for _, events in poll.poll(0))

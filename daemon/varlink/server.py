@@ -71,13 +71,18 @@ class Server:
                 line.close()
 
     async def _make_room(self) -> bool:
-        """See that there is a place; say whether there is: nobody goes who is being answered."""
+        """See that there is a place; say whether there is.
+
+        The client that has been idle longest goes first, then the one that has listened to news longest;
+        nobody goes whose question is being answered.
+        """
         while len(self._clients) >= self.settings.connections:
             idle = next((c for c in self._clients if not c.answering), None)
-            if idle is None:
+            leaving = idle or next((c for c in self._clients if c.listening), None)
+            if leaving is None:
                 return False
             self._departed.clear()
-            idle.drop()
+            leaving.drop()
             await self._departed.wait()
         return True
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import socket
+import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from stillcal.calib_core.errors import TryAgainError
 from stillcal.daemon.settings import SettingsError, SocketSettings
+from stillcal.daemon.system.files import make_folder, passing
 from stillcal.daemon.varlink.address import socket_path
 
 
@@ -20,7 +24,7 @@ class SocketInUseError(SettingsError):
 def opened(settings: SocketSettings, passed: Sequence[socket.socket]) -> Iterator[list[socket.socket]]:
     """Give the sockets to listen on: those passed, else one made at the settings' path and removed after.
 
-    Raises SettingsError where that cannot be.
+    Raises SettingsError where that cannot be, and TryAgainError where it cannot be now.
     """
     if passed:
         yield list(passed)
@@ -29,42 +33,56 @@ def opened(settings: SocketSettings, passed: Sequence[socket.socket]) -> Iterato
     try:
         line = _bound(path, settings.mode)
     except OSError as error:
+        if passing(error):
+            raise TryAgainError(f"cannot answer on {path}: {error.strerror}") from error
         raise SettingsError(
             f"cannot answer on {path}: {error.strerror}: give another [socket] path"
         ) from error
-    inode = path.stat().st_ino
+    made = _identity(path)
     try:
         yield [line]
     finally:
         with contextlib.suppress(OSError):
-            if path.stat().st_ino == inode:
+            if _identity(path) == made:
                 path.unlink()
 
 
 def _bound(path: Path, mode: int) -> socket.socket:
-    """Bind a socket at `path` with permissions `mode` from its first moment; what is dead there goes."""
-    path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
+    """Bind a socket at `path` with permissions `mode` from its first moment; a dead daemon's socket goes.
+
+    Nothing else is replaced: bind(2) refuses a name that exists. Called before the daemon has other threads
+    that make files, because the process has one umask.
+    """
+    make_folder(path.parent, 0o755)
     if _answers(path):
         raise SocketInUseError(f"{path} is in use by another daemon: stop it, or give another [socket] path")
-    unnamed = path.with_name(f".{path.name}.{os.getpid()}")
     with contextlib.suppress(FileNotFoundError):
-        unnamed.unlink()
+        if not stat.S_ISSOCK(path.lstat().st_mode):
+            raise FileExistsError(errno.EEXIST, "a file is there that is no socket", str(path))
+        path.unlink()
     line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
+    before = os.umask(0o777 & ~mode)
     try:
-        line.bind(str(unnamed))
-        unnamed.chmod(mode)
-        unnamed.rename(path)
+        line.bind(str(path))
     except BaseException:
         line.close()
         raise
+    finally:
+        os.umask(before)
     return line
 
 
 def _answers(path: Path) -> bool:
+    """Say whether a daemon listens there. Raises OSError where that cannot be known."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
         line.settimeout(1.0)
         try:
             line.connect(str(path))
-        except OSError:
+        except (FileNotFoundError, ConnectionRefusedError):
             return False
     return True
+
+
+def _identity(path: Path) -> tuple[int, int, int]:
+    found = path.lstat()
+    return stat.S_IFMT(found.st_mode), found.st_dev, found.st_ino

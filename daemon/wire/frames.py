@@ -23,6 +23,7 @@ from stillcal.daemon.wire.messages import (
     Rate,
     Status,
     Temperature,
+    within_limits,
 )
 from stillcal.daemon.wire.sample_blocks import HEADER, SENSORS, parse_samples
 
@@ -60,27 +61,7 @@ class _Layout:
     take: Callable[[Any], tuple[float | int, ...]]
 
 
-def _until(make: Callable[[float], Message]) -> Callable[[float], Message]:
-    def build(until: float) -> Message:
-        if math.isnan(until):
-            raise ValueError("not a number")
-        return make(until)
-
-    return build
-
-
-def _finite(make: Callable[..., Message]) -> Callable[..., Message]:
-    def build(*fields: float) -> Message:
-        if not all(map(math.isfinite, fields)):
-            raise ValueError("not a finite number")
-        return make(*fields)
-
-    return build
-
-
 def _location(t: float, latitude: float, longitude: float, altitude: float) -> Location:
-    if not all(map(math.isfinite, (t, latitude, longitude))):
-        raise ValueError("not a finite number")
     return Location(t, latitude, longitude, altitude if math.isfinite(altitude) else None)
 
 
@@ -91,26 +72,26 @@ def _layout(
 
 
 _LAYOUTS: dict[type, _Layout] = {
-    Temperature: _layout(0x10, "dd", _finite(Temperature), lambda m: (m.t, m.celsius)),
-    Charging: _layout(0x11, "dB", _finite(lambda t, on: Charging(t, bool(on))), lambda m: (m.t, m.on)),
+    Temperature: _layout(0x10, "dd", Temperature, lambda m: (m.t, m.celsius)),
+    Charging: _layout(0x11, "dB", lambda t, on: Charging(t, bool(on)), lambda m: (m.t, m.on)),
     Location: _layout(
         0x12,
         "dddd",
         _location,
         lambda m: (m.t, m.latitude, m.longitude, math.nan if m.altitude is None else m.altitude),
     ),
-    Tick: _layout(0x13, "d", _finite(Tick), lambda m: (m.t,)),
-    End: _layout(0x14, "d", _finite(End), lambda m: (m.t,)),
+    Tick: _layout(0x13, "d", Tick, lambda m: (m.t,)),
+    End: _layout(0x14, "d", End, lambda m: (m.t,)),
     Status: _layout(
         0x21,
         "ddBI",
-        _finite(lambda t, on_time, sensing, wakeups: Status(t, on_time, bool(sensing), wakeups)),
+        lambda t, on_time, sensing, wakeups: Status(t, on_time, bool(sensing), wakeups),
         lambda m: (m.t, m.on_time, m.sensing, m.wakeups),
     ),
-    Sense: _layout(0x40, "d", _until(Sense), lambda m: (m.until,)),
-    Sleep: _layout(0x41, "d", _until(Sleep), lambda m: (m.until,)),
-    Rate: _layout(0x42, "d", _finite(Rate), lambda m: (m.hz,)),
-    Grant: _layout(0x43, "d", _until(Grant), lambda m: (m.until,)),
+    Sense: _layout(0x40, "d", Sense, lambda m: (m.until,)),
+    Sleep: _layout(0x41, "d", Sleep, lambda m: (m.until,)),
+    Rate: _layout(0x42, "d", Rate, lambda m: (m.hz,)),
+    Grant: _layout(0x43, "d", Grant, lambda m: (m.until,)),
     Identify: _layout(0x44, "", Identify, lambda m: ()),
 }
 _BY_KIND = {layout.kind: layout for layout in _LAYOUTS.values()}
@@ -135,7 +116,8 @@ def parse_payload(payload: bytes) -> Frame:
         if kind == HELLO:
             return Frame(parse_hello(payload[HEADER.size :]), sequence)
         layout = _BY_KIND[kind]
-        return Frame(layout.build(*layout.fields.unpack(payload[HEADER.size :])), sequence)
+        message = layout.build(*layout.fields.unpack(payload[HEADER.size :]))
+        return Frame(within_limits(message), sequence)
     except (ValueError, KeyError, struct.error) as error:
         raise PayloadError(f"{type(error).__name__}: {error}") from None
 

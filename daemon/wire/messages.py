@@ -6,12 +6,13 @@ frames.py (binary) and text.py (lines) say how a record looks on the wire.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Annotated, Any, Literal
 
 import msgspec
 
 from stillcal.calib_core.static.detector import Sense, Sleep
+from stillcal.calib_core.streams import limits
 from stillcal.calib_core.streams.events import Charging, End, Location, Tick
 from stillcal.calib_core.streams.samples import Samples
 
@@ -31,7 +32,7 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     on. claims: what the maker says of the device, under the names of a recording's NAME.json, SI units.
     """
 
-    version: int = VERSION
+    version: Annotated[int, msgspec.Meta(ge=0, le=SEQUENCE_MASK)] = VERSION
     session: Annotated[int, msgspec.Meta(ge=0, le=SEQUENCE_MASK)] = 0
     flow: Literal["free", "credit"] = "free"
     claims: dict[str, Claim] = {}
@@ -84,3 +85,19 @@ Command = Sense | Sleep | Rate | Grant | Identify
 """From the daemon."""
 
 Message = PhoneMessage | Command
+
+
+def within_limits(message: Message) -> Message:
+    """Return a message that is no samples as it is. Raises ValueError where a number is beyond its limits."""
+    for name in _field_names(message):
+        value = getattr(message, name)
+        if name in limits.RANGES and value is not None and not limits.within(name, value):
+            raise ValueError(f"{name} = {value!r} is out of range")
+    return message
+
+
+def _field_names(message: Any) -> tuple[str, ...]:
+    if is_dataclass(message):
+        return tuple(field.name for field in fields(message))
+    names: tuple[str, ...] = message.__struct_fields__
+    return names

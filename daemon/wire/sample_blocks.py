@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.streams import limits
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.wire.messages import SEQUENCE_MASK
 
@@ -145,14 +146,18 @@ def usable(
 ) -> Samples:
     """Build samples (t (n,) s, xyz (n, 3) SI) from untrusted columns without the rows that cannot be used.
 
-    Those are rows that are not finite and rows whose stamp is before that of an earlier row. Of an
-    optional column only its being there is trusted: it may hold NaN.
+    Those are rows that are not finite or beyond their limits, and rows whose stamp is before that of an
+    earlier row. A temperature that cannot be one is NaN, and so may an arrival stamp be.
     """
-    if np.isfinite(xyz).all() and np.isfinite(t).all() and (t[1:] >= t[:-1]).all():
+    good = limits.usable(t, xyz)
+    if good.all() and (t[1:] >= t[:-1]).all():
         rows = None
     else:
-        rows = np.flatnonzero(np.isfinite(t) & np.isfinite(xyz).all(axis=1))
+        rows = np.flatnonzero(good)
         rows = rows[t[rows] >= np.maximum.accumulate(t[rows])]
+    if temperature is not None:
+        celsius = temperature.astype(np.float64)
+        temperature = np.where(limits.plausible_temperature(celsius), celsius, np.nan)
     columns = (t, xyz, temperature, arrival)
     usable_columns = [None if c is None else frozen(c if rows is None else c[rows]) for c in columns]
     assert usable_columns[0] is not None and usable_columns[1] is not None

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import msgspec
 
 from stillcal.calib_core.static.detector import Sense, Sleep
+from stillcal.calib_core.streams import limits
 from stillcal.calib_core.streams.events import Charging, End, Location, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.wire.frames import parse_hello
@@ -28,6 +29,7 @@ from stillcal.daemon.wire.messages import (
     Rate,
     Status,
     Temperature,
+    within_limits,
 )
 
 MAX_LINE = 4096
@@ -36,6 +38,7 @@ MAX_LINE = 4096
 LETTERS = {Sensor.ACCELEROMETER: "A", Sensor.GYROSCOPE: "G"}
 SENSORS = {letter.encode(): sensor for sensor, letter in LETTERS.items()}
 COUNTER = 1 << 32
+MOST_MICROS = int(limits.STAMP_S * 1e6)
 LATE = 10_000_000
 """us: a line this little older than a wrap of the counter was taken before it."""
 
@@ -59,7 +62,8 @@ class MicrosClock:
     """Turns stamps in us into s, carrying on where a 32-bit counter starts over (every 71.6 minutes).
 
     A stamp that falls back by more than half the counter's range is a wrap; one beyond 32 bits shows that
-    the counter is wider. Lines must come in time order to within LATE.
+    the counter is wider. Lines must come in time order to within LATE. No time is beyond limits.STAMP_S:
+    a counter said to wrap that often begins at 0 again.
     """
 
     last: int = 0
@@ -68,7 +72,7 @@ class MicrosClock:
     def seconds(self, field: bytes) -> float:
         """Return the time in s. Raises ValueError on what is no non-negative integer."""
         micros = int(field)
-        if not 0 <= micros < 1 << 63:
+        if not 0 <= micros <= MOST_MICROS:
             raise ValueError("not a time in us")
         if micros >= COUNTER:
             self.last, self.epoch = micros, 0
@@ -76,7 +80,7 @@ class MicrosClock:
             return (micros + self.epoch - COUNTER) / 1e6
         else:
             if self.last < COUNTER and self.last - micros > COUNTER // 2:
-                self.epoch += COUNTER
+                self.epoch = self.epoch + COUNTER if self.epoch <= MOST_MICROS - 2 * COUNTER else 0
             self.last = micros
         return (micros + self.epoch) / 1e6
 
@@ -106,7 +110,7 @@ def parse_line(line: bytes, clock: MicrosClock) -> Row | Message:
     try:
         if word[:1] in SENSORS:
             return _row(word, rest, clock)
-        return _READERS[word](rest, clock)
+        return within_limits(_READERS[word](rest, clock))
     except (ValueError, KeyError, OverflowError, TypeError) as error:
         raise LineError(f"{type(error).__name__}: {error}") from None
 
@@ -138,8 +142,11 @@ def _row(word: bytes, rest: bytes, clock: MicrosClock) -> Row:
     x, y, z, *more = map(_number, fields)
     if len(more) > 1:
         raise ValueError("too many fields")
+    if max(abs(x), abs(y), abs(z)) > limits.READING:
+        raise ValueError("a reading is out of range")
+    celsius = more[0] if more and limits.within("celsius", more[0]) else None
     sequence = int(word[1:]) & SEQUENCE_MASK if len(word) > 1 else None
-    return Row(SENSORS[word[:1]], clock.seconds(stamp), (x, y, z), more[0] if more else None, sequence)
+    return Row(SENSORS[word[:1]], clock.seconds(stamp), (x, y, z), celsius, sequence)
 
 
 def _temperature(rest: bytes, clock: MicrosClock) -> Message:

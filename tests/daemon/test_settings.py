@@ -154,7 +154,7 @@ def test_no_text_gets_through_as_anything_but_settings_or_a_refusal(text):
     ("make", "message"),
     [
         (lambda path: None, "No such file"),
-        (lambda path: path.mkdir(), "Is a directory"),
+        (lambda path: path.mkdir(), "not a regular file"),
         (lambda path: path.write_bytes(b"\xff\xfe"), "not UTF-8"),
     ],
 )

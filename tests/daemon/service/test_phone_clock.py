@@ -69,7 +69,7 @@ def test_samples_out_of_order_are_dropped_and_counted():
     assert (clock.disordered, clock.restarts) == (3, 0)
 
 
-@pytest.mark.parametrize("ahead", [LEAP_S * 2, 1e12])
+@pytest.mark.parametrize("ahead", [LEAP_S * 2, 9e9])
 def test_a_leap_of_years_is_no_gap(ahead: float):
     clock = PhoneClock()
     mapped(clock, [0.0, 50.0], 1000.0)

@@ -235,10 +235,11 @@ def test_a_folder_is_refused(path):
 
 
 def test_a_monstrous_file_is_not_read_into_memory(path, make_record):
+    Store(path).publish(make_record(1))
     with path.open("wb") as file:
         file.truncate(2**36)
     with Store(path) as store:
-        outcome = store.publish(make_record(1))
+        outcome = store.publish(make_record(2))
     assert "more than any store has" in outcome.notes[0]
 
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stillcal.calib_core.streams import limits
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.wire.decoder import Coding, Form, Message, WireDecoder, WireEncoder, WireSettings
 from tests.support.wire_said import OTHERS, A, joined, run, same
@@ -24,8 +25,9 @@ def test_every_message_comes_back_in_both_forms(message: Message, form: Form) ->
     assert decoder.counters.garbage_bytes == decoder.counters.resynchronisations == 0
 
 
-finite = st.floats(allow_nan=False, allow_infinity=False)
-columns = st.lists(st.tuples(finite, finite, finite, finite, finite, finite), min_size=1, max_size=40)
+stamp, reading = st.floats(-limits.STAMP_S, limits.STAMP_S), st.floats(-limits.READING, limits.READING)
+celsius, arrival = st.floats(*limits.TEMPERATURE_C), st.floats(allow_nan=False, allow_infinity=False)
+columns = st.lists(st.tuples(stamp, reading, reading, reading, celsius, arrival), min_size=1, max_size=40)
 
 
 @given(columns, st.booleans(), st.booleans(), st.integers(1, 50))
@@ -57,7 +59,7 @@ def test_compact_samples_come_back_to_within_half_a_step(coding: Coding, sensor:
 
 
 def test_counts_saturate_and_gaps_begin_another_block() -> None:
-    sent = Samples.checked(A, [0.0, 0.01, 500.0, 500.01], np.full((4, 3), [1e9, -1e9, 0.0]))
+    sent = Samples.checked(A, [0.0, 0.01, 500.0, 500.01], np.full((4, 3), [1e5, -1e5, 0.0]))
     decoder = WireDecoder()
     came = joined(decoder.feed(WireEncoder(WireSettings(coding=Coding.COUNTS)).encode(sent)))
     assert np.allclose(came.t, sent.t, atol=1e-6)

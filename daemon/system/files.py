@@ -1,0 +1,82 @@
+"""Files and folders that a name given by a person may lead to: opened with care, made with right permissions.
+
+A name may lead to a FIFO that nobody writes, a device without end, or a disk that fails for a moment. Whoever
+reads a file that a person named reads it here.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+WRONG_NAME = frozenset(
+    {
+        errno.ENOENT,
+        errno.ENOTDIR,
+        errno.EISDIR,
+        errno.ELOOP,
+        errno.ENAMETOOLONG,
+        errno.EACCES,
+        errno.EPERM,
+        errno.EINVAL,
+        errno.EEXIST,
+        errno.EADDRINUSE,
+        errno.ENODEV,
+        errno.ENXIO,
+    }
+)
+"""Errors that trying again does not mend: the name is wrong, or what lies there is not ours."""
+
+
+def flags(*names: str) -> int:
+    """Return the flags of os.open of these names together; one that this system lacks counts nothing."""
+    return sum(getattr(os, name, 0) for name in names)
+
+
+class NotRegularError(OSError):
+    """What lies at the name is no regular file."""
+
+
+class TooLargeError(OSError):
+    """The file is larger than what is looked for can be."""
+
+
+def passing(error: OSError) -> bool:
+    """Say whether the same call may succeed later: a failing or full disk, no descriptors, no memory."""
+    known = error.errno is not None and error.errno not in WRONG_NAME
+    return known and not isinstance(error, TooLargeError)
+
+
+def read_regular(path: Path, limit: int) -> bytes:
+    """Return the contents of a regular file of at most `limit` bytes.
+
+    Raises NotRegularError, without waiting for a FIFO's writer, TooLargeError, and other OSError.
+    """
+    fd = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+    try:
+        found = os.fstat(fd)
+        if not stat.S_ISREG(found.st_mode):
+            raise NotRegularError(errno.EINVAL, "not a regular file", str(path))
+        if found.st_size > limit:
+            raise TooLargeError(errno.EFBIG, f"larger than {limit} bytes", str(path))
+        with os.fdopen(fd, "rb", closefd=False) as file:
+            data = file.read(limit + 1)
+    finally:
+        os.close(fd)
+    if len(data) > limit:
+        raise TooLargeError(errno.EFBIG, f"larger than {limit} bytes", str(path))
+    return data
+
+
+def make_folder(path: Path, mode: int) -> None:
+    """Make a folder and those above it with permissions `mode`, less what the umask takes. Raises OSError.
+
+    Unlike Path.mkdir, whose `mode` is not that of the folders above.
+    """
+    if path.is_dir():
+        return
+    if path.parent != path:
+        make_folder(path.parent, mode)
+    path.mkdir(mode=mode, exist_ok=True)

@@ -1,0 +1,158 @@
+"""A disk, a process or a system that fails for a moment: nothing is taken for damage, nothing is lost."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stillcal.calib_core.engine.state import EngineState
+from stillcal.calib_core.errors import TryAgainError
+from stillcal.daemon.service import saved_state
+from stillcal.daemon.service.storage import Storage
+from stillcal.daemon.store.store import Store, StoreError, StoreLockedError
+from stillcal.daemon.system.files import make_folder
+from stillcal.replay.trials.faults.calls import CALLS, PASSING, failing_call, surviving
+from tests.support.asking import STILLCAL
+
+
+@pytest.fixture
+def path(tmp_path: Path, make_record: Any) -> Path:
+    """A store with a calibration and a history, and a state beside it."""
+    path = tmp_path / "store.json"
+    for number in range(3):
+        Store(path).publish(make_record(number))
+    data = saved_state.encode(saved_state.SavedState(EngineState()))
+    saved_state.save(saved_state.state_path(path), data)
+    return path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in folder.iterdir() if p.suffix != ".lock"}
+
+
+@pytest.mark.parametrize("error", PASSING, ids=errno.errorcode.get)
+def test_every_call_of_opening_may_fail_once_and_nothing_is_lost(path: Path, error: int) -> None:
+    """At each system call of opening in turn: the daemon is told to try again, then all is there."""
+    before = contents(path.parent)
+    failed = 0
+    for number in range(1, 200):
+        storage = Storage(Store(path), lambda note: None)
+        with failing_call(number, error) as calls:
+            try:
+                storage.open()
+            except TryAgainError:
+                failed += 1
+            finally:
+                storage.close()
+        assert contents(path.parent) == before, f"call {number}: {calls.name}"
+        if not calls.failed:
+            break
+    assert failed > 5 and number < 200
+    loaded = Storage(Store(path), lambda note: None).open()
+    assert loaded.state is not None and not loaded.note
+
+
+@pytest.mark.parametrize("error", [errno.EIO, errno.EMFILE], ids=errno.errorcode.get)
+def test_every_call_of_saving_may_fail_once_and_nothing_is_lost(tmp_path: Path, error: int) -> None:
+    found = surviving(error, tmp_path)
+    assert found.holds, found
+    assert found.counts["calls that failed"] > 20
+
+
+def test_the_faults_are_really_played(tmp_path: Path) -> None:
+    with failing_call(1, errno.EIO) as calls, pytest.raises(OSError, match="Input/output error"):
+        os.open(tmp_path / "x", os.O_CREAT | os.O_WRONLY)
+    assert calls.failed and calls.name == "open"
+    assert {"open", "read", "write", "fsync", "replace"} <= set(CALLS)
+
+
+@pytest.mark.parametrize("damage", [b"{", b"", b'{"schema": 1, "accelerometer": nul'])
+def test_damage_is_still_damage(path: Path, damage: bytes) -> None:
+    good = path.read_bytes()
+    path.write_bytes(damage)
+    outcome = Store(path).recover()
+    assert "set aside" in outcome.notes[0] and path.read_bytes() == good
+
+
+@pytest.mark.parametrize(
+    "other", [b"# my notes\n", b'{"schema": 1, "recording": "r07.csv"}', b"t,ax,ay,az\n0,0,0,9.8\n"]
+)
+def test_somebody_elses_file_is_refused_and_left_as_it_is(tmp_path: Path, other: bytes) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_bytes(other)
+    with pytest.raises(StoreError, match="is not a stillcal store"):
+        Store(path).recover()
+    assert path.read_bytes() == other
+    assert {p.name for p in tmp_path.iterdir()} <= {"notes.txt", "notes.txt.lock"}
+
+
+def test_a_loop_of_links_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.json").symlink_to("b.json")
+    (tmp_path / "b.json").symlink_to("a.json")
+    ran = subprocess.run(
+        [STILLCAL, "run", "--port", "none", "--store", str(tmp_path / "a.json")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 2
+    assert len(ran.stderr.splitlines()) == 1 and "circle" in ran.stderr
+
+
+def test_a_folder_in_the_place_of_the_last_good_copy_is_set_aside(path: Path, make_record: Any) -> None:
+    store = Store(path)
+    store.last_good_path.unlink()
+    store.last_good_path.mkdir()
+    (store.last_good_path / "kept").write_text("somebody's")
+    store.publish(make_record(9))
+    assert store.verify().last_good.document is not None
+    assert path.with_name("store.json.unreadable-1.json").joinpath("kept").read_text() == "somebody's"
+
+
+def test_who_removes_the_lock_lets_nobody_write_beside_the_first(path: Path, make_record: Any) -> None:
+    first, second = Store(path), Store(path)
+    with first:
+        path.with_name("store.json.lock").unlink()
+        first.publish(make_record(5))
+        with pytest.raises(StoreLockedError):
+            second.publish(make_record(6))
+    with first:
+        path.with_name("store.json.lock").unlink()
+        with second, pytest.raises(StoreLockedError):
+            first.publish(make_record(7))
+    assert second.load().current.fitted_at == 5.0
+
+
+@contextmanager
+def umask(value: int) -> Iterator[None]:
+    before = os.umask(value)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o000, 0o750), (0o077, 0o700)])
+def test_folders_are_made_for_nobody_else_to_write_whatever_the_umask(
+    tmp_path: Path, mask: int, mode: int
+) -> None:
+    with umask(mask):
+        make_folder(tmp_path / "a" / "b", 0o750)
+    assert [p.stat().st_mode & 0o777 for p in (tmp_path / "a", tmp_path / "a" / "b")] == [mode, mode]
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["fifo", "zero"])
+def test_a_state_that_is_no_file_is_set_aside(path: Path, make: Callable[[Path], None]) -> None:
+    state = saved_state.state_path(path)
+    state.unlink()
+    make(state)
+    loaded = Storage(Store(path), lambda note: None).open()
+    assert loaded.state is None and "not a regular file" in loaded.note
+    assert not os.path.lexists(state) and os.path.lexists(state.with_name("store.state.bad-1"))
