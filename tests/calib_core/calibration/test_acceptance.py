@@ -139,7 +139,7 @@ X = np.array([1.0, 0.0, 0.0])
 
 
 def pool(attitudes: int, start: float, seed: int, bias: NDArray[np.float64] = BIAS, each: int = 1) -> Pool:
-    """Rests of a phone in random attitudes, `each` so many, every 100 s from `start` on, noise of 1 mm/s^2."""
+    """Rests in random attitudes, `each` so many, every 100 s from `start` on, with noise of 1 mm/s^2."""
     rng = np.random.default_rng(seed)
     up = np.repeat(rng.normal(size=(attitudes, 3)), each, axis=0)
     force = G * up / np.linalg.norm(up, axis=1, keepdims=True) @ np.linalg.inv(TRUE).T + bias
