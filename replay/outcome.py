@@ -59,13 +59,20 @@ def outcome_rows(outcome: Outcome, store: Path | None = None) -> list[tuple[str,
     record = outcome.record
     if record is None:
         return rows
+    rows += record_rows(record)
+    return rows if store is None else [*rows, ("Kept in", f"{store} as {record.id}")]
+
+
+def record_rows(record: CalibrationRecord) -> list[tuple[str, str]]:
+    """Return what a calibration says, as (name, value)."""
+    rows = []
     if record.gravity is not None:
         rows.append(("Gravity", _gravity(record.gravity)))
     if record.accelerometer is not None:
         rows += _accelerometer(record, record.accelerometer)
     if record.gyroscope is not None:
         rows += _gyroscope(record.gyroscope)
-    return rows if store is None else [*rows, ("Kept in", f"{store} as {record.id}")]
+    return rows
 
 
 def _length(outcome: Outcome) -> str:

@@ -1,1 +1,61 @@
-"""Keeps a phone's accelerometer and gyroscope true: rests, calibration, diagnosis."""
+"""stillcal: calibrates a phone's accelerometer and gyroscope, and says what a sensor model leaves out.
+
+>>> import stillcal
+>>> recording = stillcal.load("sample:lab")
+>>> calibration = stillcal.calibrate(recording)
+>>> calibration.accelerometer.bias.round(2).tolist()
+[0.39, -0.29, 0.2]
+
+`load`, `calibrate`, `apply`, `diagnose`, `simulate` and what they return are the public interface; everything
+below `stillcal.calib_core`, `stillcal.daemon`, `stillcal.replay` and `stillcal.config` is internal and may
+change. Importing stillcal alone loads neither numpy nor scipy: the daemon imports this module too.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stillcal.api import (
+        Calibration,
+        Diagnosis,
+        NotSupported,
+        Recording,
+        UserError,
+        apply,
+        calibrate,
+        diagnose,
+        load,
+        simulate,
+    )
+
+    __version__: str
+
+__all__ = [
+    "Calibration",
+    "Diagnosis",
+    "NotSupported",
+    "Recording",
+    "UserError",
+    "__version__",
+    "apply",
+    "calibrate",
+    "diagnose",
+    "load",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for when it is asked for (PEP 562)."""
+    if name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415 - few ask, and the daemon does not
+
+        return version("stillcal")
+    if name not in __all__:
+        raise AttributeError(f"module 'stillcal' has no attribute {name!r}")
+    from stillcal import api  # noqa: PLC0415 - it imports numpy and scipy
+
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

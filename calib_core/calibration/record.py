@@ -8,12 +8,13 @@ Times are s of the sensor's own stamp, forces m/s^2, rates rad/s, temperatures d
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.parameters import BIAS
+from stillcal.calib_core.accelerometer.parameters import BIAS, DIAGONAL, LOWER, SCALE
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.codec import digest, floats, jsonable
 from stillcal.calib_core.gravity import Gravity
@@ -26,6 +27,12 @@ Evidence = dict[str, float | int | str | bool | None]
 
 DETERMINANTS = (1 / 8, 8.0)
 """Sane |det scale|: within a factor of two on every axis (15 % is the largest seen on a phone)."""
+
+
+TAIL = 0.975
+"""Of a two-sided interval of 95 %."""
+
+LOWER_TO_UPPER = {lower: upper for upper, lower in LOWER.items()}
 
 
 class NotCalibratedError(ValueError):
@@ -72,8 +79,48 @@ class SensorRecord:
         """Standard uncertainty of the bias, (3,) in `unit`; None where the covariance does not hold it."""
         if self.covariance is None or not set(BIAS) <= set(self.names):
             return None
-        rows = [self.names.index(name) for name in BIAS]
-        return frozen(np.sqrt(np.diag(self.covariance)[rows]))
+        return frozen(self._sd(BIAS))
+
+    @property
+    def scale_uncertainty(self) -> Array | None:
+        """Standard uncertainty of the scale, (3, 3); NaN for what was not fitted, None where unknown."""
+        if self.covariance is None or not set(DIAGONAL) <= set(self.names):
+            return None
+        symmetric = not set(LOWER.values()) & set(self.names)
+        fitted = [LOWER_TO_UPPER.get(n, n) if symmetric else n for n in SCALE]
+        sd = self._sd(fitted).reshape(3, 3)
+        return frozen(np.where(sd > 0.0, sd, np.nan))
+
+    @property
+    def bias_interval(self) -> Array | None:
+        """The bias' 95 % interval, (2, 3) in `unit`: lower and upper ends. None where unknown."""
+        return self._interval(self.bias, self.bias_uncertainty)
+
+    @property
+    def scale_interval(self) -> Array | None:
+        """The scale's 95 % interval, (2, 3, 3): lower and upper ends, NaN for what was not fitted."""
+        return self._interval(self.scale, self.scale_uncertainty)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Distinct attitudes beyond parameters; 0 or less where the rests alone say how sure they are."""
+        return self.n_states - self.parameters
+
+    def _sd(self, names: Sequence[str]) -> Array:
+        """Return the standard uncertainties of parameters, NaN for one that was not fitted."""
+        assert self.covariance is not None
+        known = dict(zip(self.names, np.sqrt(np.diag(self.covariance)), strict=False))
+        return np.array([known.get(name, np.nan) for name in names])
+
+    def _interval(self, value: Array, sd: Array | None) -> Array | None:
+        """Return value -+ reach, by Student's t where there are degrees of freedom, else by the normal."""
+        if sd is None:
+            return None
+        from scipy.special import ndtri, stdtrit  # noqa: PLC0415 - the daemon stays light
+
+        free = self.degrees_of_freedom
+        reach = float(stdtrit(free, TAIL) if free > 0 else ndtri(TAIL))
+        return frozen(np.stack([value - reach * sd, value + reach * sd]))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -118,6 +165,11 @@ class GyroscopeRecord(SensorRecord):
     zeroed_at: float | None = None
     unit: Literal["rad/s"] = "rad/s"
     residual_unit: Literal["rad"] = "rad"
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Two a turn, less the scale's parameters; 0 or less where only the bias was measured."""
+        return 2 * self.n_turns - (self.parameters - 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -1,1 +1,1 @@
-"""A recording against its simulated twin: locate, name, model and judge what differs. See docs/diagnosis.md."""
+"""A recording against its simulation: locate, name, model and judge what differs. See docs/diagnosis.md."""

@@ -181,7 +181,7 @@ class SampleFile:
     def _temperatures(self, rows: Rows) -> Array | None:
         if self._layout.temperature is None or self._map.temperature is None:
             return None
-        filled = _filled_forward(rows.values[:, self._layout.temperature], self._temperature)
+        filled = filled_forward(rows.values[:, self._layout.temperature], self._temperature)
         if filled is None or not len(filled):
             return None
         self._temperature = float(filled[-1])
@@ -198,7 +198,7 @@ class SampleFile:
         if not empty.any():
             self._compare_clocks(rows.t, seconds)
             return frozen(seconds)
-        delay = _filled_forward(np.where(empty, EMPTY, seconds - rows.t), self._delay)
+        delay = filled_forward(np.where(empty, EMPTY, seconds - rows.t), self._delay)
         if delay is None:
             return None
         self._delay = float(delay[-1])
@@ -228,7 +228,7 @@ def _selected(samples: Samples, which: NDArray[np.bool_]) -> Samples:
     )
 
 
-def _filled_forward(column: Array, last: float) -> Array | None:
+def filled_forward(column: Array, last: float) -> Array | None:
     """Fill EMPTY cells with the value before, leading ones with the first that follows; None if all are."""
     known = column != EMPTY
     if known.all():

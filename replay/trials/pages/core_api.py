@@ -1,4 +1,4 @@
-"""The core's reference, from its own docstrings.
+"""The page of the Python API, from docstrings: the public interface, then the core's modules.
 
 `python -m stillcal.replay.trials.pages.core_api > docs/api.md` writes it.
 """
@@ -16,36 +16,57 @@ from typing import Any
 
 import click
 
+from stillcal import api
+
 WIDTH = 100
 
 HEAD = """\
-# The core, as a library
+# Python API
 
-`stillcal.calib_core` is pure: arrays in, values out; no file, clock, socket or log. Here stand its modules
-for users, as they say it themselves: `python -m stillcal.replay.trials.pages.core_api > docs/api.md` makes
-this page, a test holds it against them, and the examples are run as tests too. SI units throughout, body axes
-as on Android (x right, y up, z out of the screen); `Array` is a numpy array of float64, read-only where it is
-kept.
-
-From a recording to a calibration, in Python:
+The public interface is `stillcal` itself: `load`, `calibrate`, `apply`, `diagnose`, `simulate`, and what they
+return. The modules of the core after it are internal: they may change without notice. This page is made
+from the docstrings by `python -m stillcal.replay.trials.pages.core_api > docs/api.md`; a test compares the
+two, and the example below is run as a test.
 
 ```python
-from stillcal.calib_core.accelerometer.fit import fit
-from stillcal.calib_core.static.detector import StationaryDetector
-from stillcal.calib_core.static.rest import force_uncertainties, forces
-from stillcal.replay.formats.trace import read_all
+import stillcal
 
-recording = read_all("walk.csv")
-detector = StationaryDetector()
-rests = detector.feed(recording.gyroscope, recording.accelerometer) + detector.finish()
-calibration = fit(forces(rests), force_uncertainties(rests), gravity=9.81)
-true = calibration.model.apply(recording.accelerometer.xyz)      # scale @ (raw - bias), (n, 3)
+recording = stillcal.load("sample:lab")            # or "walk.csv", a data frame, arrays
+calibration = stillcal.calibrate(recording)
+print(calibration.accelerometer.bias)              # m/s^2
+print(calibration.accelerometer.bias_interval)     # 95 %, (2, 3)
+calibrated = stillcal.apply(recording, calibration)
+calibrated.save("lab-calibrated.csv")
+diagnosis = stillcal.diagnose(recording)
+print(diagnosis.verdict, [f["effect"] for f in diagnosis.findings])
+simulated = stillcal.simulate("lab", phone="mpu6050", seed=1)
 ```
 
-The engine that does this live, and the diagnosis (`stillcal.calib_core.diagnosis`, [diagnosis.md](diagnosis.md)),
-are best called as the commands do: `stillcal.replay.runner.replay`,
-`stillcal.replay.diagnosis.diagnose.diagnosis_of`.
+In a notebook, recordings, calibrations and diagnoses show themselves as tables.
 """
+
+INTERNAL = """\
+# Internal: the core's modules
+
+`stillcal.calib_core` is pure: arrays in, values out; no file, clock, socket or log. It is documented for
+those who change it or read how a number comes about; other programs should use the public interface above.
+SI units throughout, body axes as on Android (x right, y up, z out of the screen); `Array` is a numpy array of
+float64, read-only where it is kept.
+"""
+
+PUBLIC = (
+    "load",
+    "calibrate",
+    "apply",
+    "diagnose",
+    "simulate",
+    "Recording",
+    "Calibration",
+    "Diagnosis",
+    "UserError",
+    "NotSupported",
+)
+"""The public interface in the order of use."""
 
 MODULES = (
     "streams.samples",
@@ -72,12 +93,14 @@ MODULES = (
 
 def page() -> str:
     """Return the page in Markdown."""
+    public = "\n".join(part for name in PUBLIC for part in _entry(name, getattr(api, name)))
     modules = {name: importlib.import_module(f"stillcal.calib_core.{name}") for name in MODULES}
     rows = "\n".join(
         f"| [`{name}`](#{_anchor(name)}) | {_first(module)} |" for name, module in modules.items()
     )
     parts = [part for name, module in modules.items() for part in _module(name, module)]
-    return "\n".join([HEAD, f"| module | |\n|---|---|\n{rows}\n", *parts])
+    table = f"{INTERNAL}\n| module | |\n|---|---|\n{rows}\n"
+    return "\n".join([HEAD, f"## stillcal\n\n{_prose(api)}\n", public, table, *parts])
 
 
 def _anchor(title: str) -> str:
@@ -91,14 +114,23 @@ def _first(module: ModuleType) -> str:
 
 def _module(title: str, module: ModuleType) -> Iterator[str]:
     yield f"## {title}\n\n{_prose(module)}\n"
+    yield from _members(module)
+
+
+def _members(module: ModuleType) -> Iterator[str]:
+    """Yield the functions and classes of a module: those of `__all__`, and its own without underscore."""
     handed_on = getattr(module, "__all__", ())
     for name, value in vars(module).items():
         own = getattr(value, "__module__", None) == module.__name__
         if (own and not name.startswith("_")) or name in handed_on:
-            if inspect.isfunction(value):
-                yield f"### `{name}`\n\n{_call(name, value)}\n"
-            elif inspect.isclass(value):
-                yield from _class(name, value)
+            yield from _entry(name, value)
+
+
+def _entry(name: str, value: Any) -> Iterator[str]:
+    if inspect.isfunction(value):
+        yield f"### `{name}`\n\n{_call(name, value)}\n"
+    elif inspect.isclass(value):
+        yield from _class(name, value)
 
 
 def _class(name: str, value: type) -> Iterator[str]:
@@ -106,6 +138,7 @@ def _class(name: str, value: type) -> Iterator[str]:
     yield f"### `{name}`\n\n{_prose(value)}\n"
     fields = [field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
     fields += getattr(value, "__struct_fields__", ())
+    fields = [field for field in fields if not field.startswith("_")]
     if fields:
         yield "Fields: {}.\n".format(", ".join(f"`{field}`" for field in fields))
     if not issubclass(value, enum.Enum):
@@ -113,6 +146,8 @@ def _class(name: str, value: type) -> Iterator[str]:
             function = getattr(method, "__func__", method)
             if not inner.startswith("_") and inspect.isfunction(function):
                 yield f"{_call(f'{name}.{inner}', function)}\n"
+            elif not inner.startswith("_") and isinstance(method, property):
+                yield f"`{name}.{inner}`: {_prose(method)}\n"
 
 
 class _Word:
