@@ -26,7 +26,7 @@ from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.state import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.daemon.store.document import calibration_json
 from stillcal.replay.diagnosis.report.answer import Request, diagnose_recording
