@@ -1,1 +1,4 @@
-"""The accelerometer's calibration: equations, fit, result, and what the attitudes can show."""
+"""The accelerometer's calibration from rests: equations, fit, observability of its parameters, fleet prior.
+
+Others use `fit.fit`, `result.AccelerometerFit`, `known_attitudes.calibrate_faces` and `prior.fit`.
+"""

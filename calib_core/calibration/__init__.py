@@ -1,1 +1,5 @@
-"""One phone's calibration: its record, the pool of rests, candidates, acceptance and the hourly check."""
+"""A calibration as a whole: the pool of rests, the candidate fitted to it, its acceptance, check and record.
+
+Others use `record.CalibrationRecord`, `rest_pool.Pool`, `candidate.fit_candidate`, `acceptance.decide`,
+`drift_check.check_calibration` and `terms.correct`.
+"""

@@ -1,8 +1,8 @@
-"""What a calibration is once it is found: the record that is stored, published and applied.
+"""The record of a calibration: plain values with units, evidence and origin, to be stored and applied.
 
-Plain values with their units, evidence and origin; how they were estimated lives elsewhere, and so do
-files. A record checks itself when it is made, so what was loaded is as sound as what was fitted.
-Times are s of the sensor's own stamp, forces m/s^2, rates rad/s, temperatures degC.
+A record checks itself when it is made, so that one that was loaded is as sound as one that was fitted. Its
+field names are the keys of stored files. Times are s of the sensor's own stamp, forces m/s^2, rates rad/s,
+temperatures degC.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ How = Literal["calibration", "zeroing", "rollback", "migration"]
 Evidence = dict[str, float | int | str | bool | None]
 
 DETERMINANTS = (1 / 8, 8.0)
-"""Sane |det scale|: within a factor of two on every axis (15 % is the largest seen on a phone)."""
+"""Bounds of |det scale|: a factor of two on every axis; the largest error seen on a phone is 15 %."""
 
 
 TAIL = 0.975
@@ -36,16 +36,17 @@ LOWER_TO_UPPER = {lower: upper for upper, lower in LOWER.items()}
 
 
 class NotCalibratedError(ValueError):
-    """The record holds no calibration of the sensor asked for."""
+    """The record has no calibration of the sensor asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SensorRecord:
     """One sensor's calibration: calibrated = scale @ (raw - bias).
 
-    scale: (3, 3), bias: (3,) in `unit`. parameters: how many were fitted. covariance: (p, p) of the
-    parameters called `names`, None where unknown; NaN marks what the rests do not bound. rms_residual:
-    over all rests used, in `residual_unit`. n_rests: rests used, n_states: distinct attitudes among them.
+    scale: (3, 3), dimensionless. bias: (3,) in `unit`. parameters: number of parameters fitted. covariance:
+    (p, p) of the parameters called `names`, None where unknown; NaN where the rests bound nothing.
+    rms_residual: over all rests used, in `residual_unit`. n_rests: number of rests used. n_states: number of
+    distinct attitudes among them.
     """
 
     scale: Array
@@ -71,7 +72,7 @@ class SensorRecord:
 
     @property
     def model(self) -> SensorModel:
-        """The correction alone."""
+        """The correction alone, without its evidence."""
         return SensorModel.of(self.scale, self.bias)
 
     @property
@@ -125,12 +126,13 @@ class SensorRecord:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AccelerometerRecord(SensorRecord):
-    """The accelerometer's calibration. gravity: m/s^2, the norm that its rests were fitted to.
+    """The accelerometer's calibration.
 
-    repeatability: m/s^2, sd of the norm between rests of one attitude, None where none was held twice.
-    observability: (p,) how well the attitudes show each parameter, 1 as evenly spread ones would, 0 not at
-    all. unobservable: what no rest can show. most_helpful_attitude: which to add, in words. n_dropped:
-    rests left out for not agreeing with the others. iterations: of the fit.
+    gravity: m/s^2, the norm that its rests were fitted to. repeatability: m/s^2, standard deviation of the
+    norm between rests of one attitude, None where no attitude was held twice. observability: (p,) how well
+    the attitudes show each parameter, from 0, not at all, to 1, as well as evenly spread ones. unobservable:
+    what no rest can show. most_helpful_attitude: the attitude to add, in words. n_dropped: number of rests
+    left out as outliers. iterations: number of steps of the fit.
     """
 
     gravity: float
@@ -150,12 +152,13 @@ class AccelerometerRecord(SensorRecord):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class GyroscopeRecord(SensorRecord):
-    """The gyroscope's calibration. rms_residual: rad between gravity as turned and as measured.
+    """The gyroscope's calibration.
 
-    rms_nominal: rad, the same with the nominal scale, the rests' bias taken off in both. n_turns: turns
-    from rest to rest that it stands on. rotation_admitted: (3,) rad/s, error of the bias that slow rotation
-    in the rests may have put there unseen, NaN where nothing bounds it. missing: which turns a larger
-    model needs. zeroed_at: s, when the bias was last measured at rest; None where it came from the fit.
+    rms_residual: rad, angle between gravity propagated by the gyroscope and gravity measured. rms_nominal:
+    rad, the same with the nominal scale; the rests' bias is taken off in both. n_turns: number of rotation
+    segments used. rotation_admitted: (3,) rad/s, bound on undetected rotation: the error that slow rotation
+    in the rests may have put into the bias; NaN where nothing bounds it. missing: rotations that a larger
+    model needs. zeroed_at: s, when the bias was last measured at rest.
     """
 
     rms_nominal: float | None = None
@@ -174,10 +177,10 @@ class GyroscopeRecord(SensorRecord):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StateRecord:
-    """A rest that a calibration stands on.
+    """A rest that a calibration was fitted to.
 
-    specific_force, force_uncertainty, rate, rate_uncertainty: (3,), raw, as in RestState. residual:
-    m/s^2, norm of the calibrated force less gravity. attitude: number of its group of like attitudes.
+    specific_force, force_uncertainty, rate, rate_uncertainty: (3,), raw, as in RestState. residual: m/s^2,
+    norm of the calibrated force less gravity. attitude: number of its attitude, from 0.
     """
 
     t_start: float
@@ -199,7 +202,7 @@ class StateRecord:
 
     @classmethod
     def of(cls, rest: RestState, residual: float | None = None, attitude: int | None = None) -> StateRecord:
-        """Summarise a rest."""
+        """Build from a rest with its residual, m/s^2, and the number of its attitude."""
         return cls(
             t_start=rest.t_start,
             t_end=rest.t_end,
@@ -216,7 +219,7 @@ class StateRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Validity:
-    """Where the calibration was measured; outside it is extrapolation. Temperatures: degC or None."""
+    """The range of temperatures, degC, that the calibration was measured in; None where unknown."""
 
     temperature_min: float | None = None
     temperature_max: float | None = None
@@ -224,7 +227,7 @@ class Validity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Acceptance:
-    """How the calibration came to be current. evidence: the figures that the decision was taken on."""
+    """How and why the calibration became current; evidence: the figures that were decided on."""
 
     how: How = "calibration"
     reason: str = ""
@@ -233,7 +236,7 @@ class Acceptance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Provenance:
-    """Where the calibration comes from. t_start, t_end: s, the span of samples that it was found in."""
+    """Where the calibration comes from; t_start, t_end: s, the span of the samples used."""
 
     software: str = ""
     source: str = ""
@@ -253,9 +256,10 @@ class TermParameter:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Term:
-    """Physics beyond the affine model, such as bias against temperature, by the name of its effect.
+    """An effect beyond the affine model, such as a bias that follows temperature.
 
-    reference: what the parameters count from, such as {"temperature": 25.0} in degC.
+    effect: its name in the diagnosis. reference: the values that the parameters count from, such as
+    {"temperature": 25.0} in degC.
     """
 
     effect: str
@@ -266,10 +270,10 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CalibrationRecord:
-    """A calibration of a phone: either sensor or both, and all that is needed to judge and use it.
+    """A calibration of a phone: either sensor or both, with all that is needed to judge and use it.
 
-    fitted_at: s, sample time of the fit, None where unknown. Raises ValueError where it says nothing
-    of either sensor or a gravity that no place on earth has.
+    fitted_at: s, sample time of the fit, None where unknown. Raises ValueError where both sensors are missing
+    or gravity is one that no place on earth has.
     """
 
     accelerometer: AccelerometerRecord | None = None
@@ -291,28 +295,30 @@ class CalibrationRecord:
 
     @property
     def id(self) -> str:
-        """Twelve hex digits of what was found: the same calibration has the same id wherever it came from.
+        """The calibration's identifier: twelve hex digits of the digest of its values.
 
-        Acceptance and provenance do not enter: a recording replayed and lived gives one id.
+        Acceptance and provenance do not enter, so that a live run and its replay give the same id.
         """
-        found = {
+        values = {
             "accelerometer": self.accelerometer,
             "gyroscope": self.gyroscope,
             "gravity": self.gravity,
             "fitted_at": self.fitted_at,
             "terms": self.terms,
         }
-        return digest(floats(jsonable(found)))[:12]
+        return digest(floats(jsonable(values)))[:12]
 
     def model(self, sensor: Sensor) -> SensorModel:
         """Return the correction of one sensor. Raises NotCalibratedError where there is none."""
         part = self.accelerometer if sensor == Sensor.ACCELEROMETER else self.gyroscope
         if part is None:
-            raise NotCalibratedError(f"calibration {self.id} holds no {sensor}: record one with it at rest")
+            raise NotCalibratedError(
+                f"calibration {self.id} has no {sensor} part: record one with it at rest"
+            )
         return part.model
 
     def apply(self, raw: Array, sensor: Sensor) -> Array:
-        """Correct raw readings (..., 3) of one sensor by its affine model; terms.py has the terms."""
+        """Correct raw readings (..., 3) of one sensor by its affine model; `terms.correct` adds the terms."""
         return self.model(sensor).apply(raw)
 
 

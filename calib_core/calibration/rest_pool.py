@@ -1,7 +1,8 @@
-"""The rests and turns gathered so far: bounded, one attitude never crowding out the others.
+"""The pool of rests and rotation segments gathered so far, bounded in size, age and rests per attitude.
 
-The daemon runs for months, so nothing here grows without end. A rest is kept with the gravity of
-the place it was taken at, because the phone travels between rests.
+The daemon runs for months, so nothing here grows without end, and an attitude that is held often does not
+displace the others. Each rest is kept with the gravity of the place it was taken at, because the phone
+travels between rests. `AttitudeIndex` adds rests to a pool and thins it.
 """
 
 from __future__ import annotations
@@ -26,10 +27,12 @@ from stillcal.calib_core.static.rest import (
 
 @dataclass(frozen=True, slots=True)
 class PoolSettings:
-    """attitude_angle: rad within which two rests share an attitude. The rest are bounds of the pool.
+    """The bounds of the pool.
 
-    rests_per_attitude, attitudes, turns: how many are kept. max_age_s: s after which a rest is too old.
-    place_reach_s: s before the first known place within which a rest is taken to be from there.
+    attitude_angle: rad, two rests whose directions of gravity are within this angle share an attitude.
+    rests_per_attitude, attitudes, turns: how many rests, attitudes and rotation segments are kept.
+    max_age_s: s after which a rest is too old. place_reach_s: s before the first known place within which
+    rests are taken to come from there.
     """
 
     attitude_angle: float = 0.0872665  # 5 degrees
@@ -52,7 +55,7 @@ class PoolSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldRest:
-    """A rest and the gravity of where it was taken."""
+    """A rest with the gravity of the place where it was taken."""
 
     rest: RestState
     gravity: Gravity
@@ -60,7 +63,7 @@ class HeldRest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pool:
-    """What has been gathered, oldest first."""
+    """Rests and rotation segments (`turns`), oldest first."""
 
     held: tuple[HeldRest, ...] = ()
     turns: tuple[RotationSegment, ...] = ()
@@ -70,27 +73,28 @@ class Pool:
         """The rests without their gravity, oldest first."""
         return [h.rest for h in self.held]
 
-    def with_segment(self, turn: RotationSegment, settings: PoolSettings) -> Pool:
-        """Return the pool with one turn more; the oldest goes where there are too many."""
-        return replace(self, turns=(*self.turns, turn)[-settings.turns :])
+    def with_segment(self, segment: RotationSegment, settings: PoolSettings) -> Pool:
+        """Return the pool with one rotation segment more, without the oldest where there are too many."""
+        return replace(self, turns=(*self.turns, segment)[-settings.turns :])
 
     def since(self, t: float | None) -> Pool:
-        """Return only what was taken from t (s) on; all of it for None."""
+        """Return the pool of what was taken from t (s) on; the whole pool for None."""
         if t is None:
             return self
         return Pool(
             tuple(h for h in self.held if h.rest.t_start >= t),
-            tuple(turn for turn in self.turns if turn.t_start >= t),
+            tuple(segment for segment in self.turns if segment.t_start >= t),
         )
 
     def where(self, valid: Callable[[RestState], bool]) -> Pool:
-        """Return the pool without the rests that are no longer believed to be rests."""
+        """Return the pool with only the rests for which `valid` holds."""
         return replace(self, held=tuple(h for h in self.held if valid(h.rest)))
 
     def located(self, gravity: Gravity, t: float, settings: PoolSettings) -> Pool:
-        """Return the pool with `gravity`, of the first known place (at t, s), for the rests before it.
+        """Return the pool with `gravity`, of the first place known (at t, s), given to the rests before it.
 
-        Those from longer ago than place_reach_s go: where they were taken, and so their norm, is unknown.
+        Rests from more than place_reach_s before t are dropped, because their place, and so the norm that
+        they should have, is unknown.
         """
         near = (h for h in self.held if t - h.rest.t_end <= settings.place_reach_s)
         held = (replace(h, gravity=gravity) if h.gravity.source == "default" else h for h in near)
@@ -106,42 +110,48 @@ Flags = NDArray[np.bool_]
 
 
 class AttitudeIndex:
-    """Grows pools by one rest at a time, fastest where each pool is the one it returned last.
+    """Adds rests to a pool one at a time and keeps track of which rests share an attitude.
 
-    By rest of that pool: up, (n, 3), its direction; ends, s; doubt, its uncertainty, m/s^2; first, the place
-    in the pool of the first rest of its attitude, to which it is near.
+    The grouping is that of rest.group_attitudes. Grouping all rests anew for each new one takes time in
+    proportion to rests times attitudes, thousands of times a week. Here a new rest is compared with the first
+    rest of each attitude only, and a rest that is dropped affects only the rests that were compared with it.
+    It is fastest where each pool passed in is the one it returned last.
+
+    Arrays by rest of that pool: _up, (n, 3), unit direction; _ends, (n,) s; _uncertainty, (n,) m/s^2; _first,
+    (n,) position in the pool of the first rest of the same attitude.
     """
 
     def __init__(self, settings: PoolSettings) -> None:
         self._settings, self._near = settings, float(np.cos(settings.attitude_angle))
-        self._take_up(())
+        self._rebuild(())
 
-    def grown(self, pool: Pool, held: HeldRest) -> Pool:
+    def with_rest(self, pool: Pool, held: HeldRest) -> Pool:
         """Return the pool with one rest more, thinned back to its bounds.
 
-        What is too old goes, then the least certain rest of a crowded attitude, then the oldest attitude. The
-        newest rest of an attitude always stays: it is what the next check is made with.
+        Rests that are too old are dropped first, then the least certain rests of an attitude that has too
+        many, then the oldest attitudes. The newest rest of an attitude always stays, because the next check
+        is made with it.
         """
         if pool.held is not self._held:
-            self._take_up(pool.held)
+            self._rebuild(pool.held)
         self._add(held)
-        self._keep(self._ends[-1] - self._ends <= self._settings.max_age_s)
+        self._keep_only(self._ends[-1] - self._ends <= self._settings.max_age_s)
         if len(self._held) > self._settings.rests_per_attitude:
-            self._keep(self._wanted())
+            self._keep_only(self._within_bounds())
         return replace(pool, held=self._held)
 
     def attitudes(self, pool: Pool) -> int:
-        """Return how many distinct attitudes there are in the pool."""
+        """Return the number of distinct attitudes in the pool."""
         if pool.held is not self._held:
-            self._take_up(pool.held)
+            self._rebuild(pool.held)
         return int(np.count_nonzero(self._first == np.arange(self._first.size)))
 
-    def _take_up(self, held: tuple[HeldRest, ...]) -> None:
+    def _rebuild(self, held: tuple[HeldRest, ...]) -> None:
         rests = [h.rest for h in held]
         raw = forces(rests)
         self._held, self._up = held, _directions(raw)
         self._ends = np.array([rest.t_end for rest in rests])
-        self._doubt = np.linalg.norm(force_uncertainties(rests), axis=1)
+        self._uncertainty = np.linalg.norm(force_uncertainties(rests), axis=1)
         labels = attitude_labels(raw, self._settings.attitude_angle)
         self._first = np.asarray(np.unique(labels, return_index=True)[1][labels], dtype=np.intp)
 
@@ -153,38 +163,41 @@ class AttitudeIndex:
         self._held = (*self._held, held)
         self._up = np.concatenate((self._up, up))
         self._ends = np.append(self._ends, held.rest.t_end)
-        self._doubt = np.append(self._doubt, np.linalg.norm(held.rest.force_uncertainty))
+        self._uncertainty = np.append(self._uncertainty, np.linalg.norm(held.rest.force_uncertainty))
         self._first = np.append(self._first, near[0] if near.size else n)
 
-    def _wanted(self) -> Flags:
-        """Tell which rests stay, of too many in one attitude and of too many attitudes."""
+    def _within_bounds(self) -> Flags:
+        """Tell which rests stay, (n,), within the bounds on rests of an attitude and on attitudes."""
         n, most = self._first.size, self._settings.rests_per_attitude
         keep = np.ones(n, dtype=bool)
         for first in np.flatnonzero(np.bincount(self._first, minlength=n) > most):
             *older, _ = np.flatnonzero(self._first == first)
-            by_doubt = np.argsort(self._doubt[older], kind="stable")
-            keep[np.array(older)[by_doubt[most - 1 :]]] = False
+            by_uncertainty = np.argsort(self._uncertainty[older], kind="stable")
+            keep[np.array(older)[by_uncertainty[most - 1 :]]] = False
         latest = np.full(n, -1)
         latest[self._first] = np.arange(n)
         taken = np.flatnonzero(latest >= 0)
         forgotten = taken[np.argsort(latest[taken])][: -self._settings.attitudes]
         return np.asarray(keep & ~np.isin(self._first, forgotten))
 
-    def _keep(self, keep: Flags) -> None:
-        """Let the others go; whoever was held against one of them is held against the rest of the pool."""
+    def _keep_only(self, keep: Flags) -> None:
+        """Drop the other rests, and find the attitude of those anew whose first rest is dropped."""
         if keep.all():
             return
         orphans = np.flatnonzero(keep & ~keep[self._first])
         place = np.cumsum(keep) - 1
         first = np.where(keep[self._first], place[self._first], keep.size)[keep]
         self._held = tuple(held for held, stays in zip(self._held, keep.tolist(), strict=True) if stays)
-        self._up, self._ends, self._doubt = self._up[keep], self._ends[keep], self._doubt[keep]
+        self._up, self._ends, self._uncertainty = self._up[keep], self._ends[keep], self._uncertainty[keep]
         self._first = first
-        if not all(self._settled(int(place[orphan])) for orphan in orphans):
-            self._take_up(self._held)
+        if not all(self._reassigned(int(place[orphan])) for orphan in orphans):
+            self._rebuild(self._held)
 
-    def _settled(self, orphan: int) -> bool:
-        """Find a rest its attitude again, or let it begin one; False where that takes one from another."""
+    def _reassigned(self, orphan: int) -> bool:
+        """Find the attitude of a rest that lost its first rest, or let it begin one.
+
+        False where it would take a rest that begins an attitude of its own: then all must be grouped anew.
+        """
         places = np.arange(self._first.size)
         near = self._is_near(self._up, self._up[orphan])
         earlier = np.flatnonzero(near[:orphan] & (self._first[:orphan] == places[:orphan]))
@@ -202,4 +215,5 @@ class AttitudeIndex:
 
 
 def _directions(raw: Array) -> Array:
+    """Return the unit vectors of raw forces (n, 3)."""
     return np.asarray(raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-12))

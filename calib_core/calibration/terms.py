@@ -1,8 +1,8 @@
-"""Terms beyond the affine model: from a diagnosis' findings into a calibration, and applied to readings.
+"""Terms beyond the affine model: taken from a diagnosis into a calibration, and applied to readings.
 
-Two kinds: a bias that follows the temperature, and a gyroscope that feels force (g-sensitivity). What a
-diagnosis calls a slope counts from a temperature of its own; here it counts from the mean temperature of
-the rests that the calibration stands on, where its bias holds.
+There are two kinds: a bias that follows the temperature, and a gyroscope's sensitivity to force
+(g-sensitivity). In a diagnosis a slope counts from a temperature of its own. Here it counts from the mean
+temperature of the rests that the calibration was fitted to, because its bias holds there.
 
 calibrated = scale @ (raw - bias - slope (T - T_ref) - matrix @ force)
 """
@@ -25,37 +25,42 @@ _KINDS: dict[str, tuple[Sensor, str, tuple[int, ...]]] = {
     "gyro_bias_temperature": (Sensor.GYROSCOPE, "slope", (3,)),
     "gyro_g_sensitivity": (Sensor.GYROSCOPE, "matrix", (3, 3)),
 }
-"""Effect -> its sensor, its parameter and that one's shape."""
+"""Effect -> its sensor, the name of its parameter and the shape of that."""
 
 APPLIED = tuple(_KINDS)
-"""Effects that `correct` applies; a diagnosis may find others, which stay where they are."""
+"""Effects that `correct` applies; a diagnosis may find others, which cannot be taken over."""
 
 
 def with_terms(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -> CalibrationRecord:
     """Return the calibration with terms for those findings (of `diagnose --json`) that can be applied.
 
-    A term of the same effect that it had is replaced. Raises NotSupported where none of the findings can
-    be applied, or where a slope has no temperature to count from; ValueError on a malformed one.
+    A finding replaces an earlier term of the same effect. Raises NotSupported where none of the findings can
+    be applied, or where a slope has no temperature to count from; ValueError on a malformed finding.
     """
     fresh = {f["effect"]: _term(record, f) for f in findings if f["effect"] in _KINDS and not _ambiguous(f)}
     if not fresh:
-        raise NotSupported(f"no finding to apply: only {', '.join(APPLIED)} can be, and only if told apart")
-    kept = [term for term in record.terms if term.effect not in fresh]
-    return replace(record, terms=(*kept, *fresh.values()))
+        raise NotSupported(
+            f"no finding can be applied: only {', '.join(APPLIED)} can, where no other effect fits as well"
+        )
+    others = [term for term in record.terms if term.effect not in fresh]
+    return replace(record, terms=(*others, *fresh.values()))
 
 
 def inherit_terms(old: CalibrationRecord | None, new: CalibrationRecord) -> CalibrationRecord:
-    """Return a new calibration with the old one's terms, counted from where its own bias holds."""
+    """Return a new calibration with the terms of the old one, counted from the new one's temperature.
+
+    A term that needs a temperature is dropped where the new calibration has none.
+    """
     reference = None if old is None else mean_temperature(new)
-    terms = [] if old is None else [_referred(term, reference) for term in old.terms]
+    terms = [] if old is None else [_counted_from(term, reference) for term in old.terms]
     return replace(new, terms=tuple(term for term in terms if term is not None))
 
 
 def correct(record: CalibrationRecord, samples: Samples, force: Array | None = None) -> Samples:
-    """Correct a run of samples by the model and those terms for which there is what they follow.
+    """Correct a run of samples by the model and by those terms whose temperature or force is known.
 
-    force: (n, 3) m/s^2, the calibrated specific force at these samples' times, or None. Temperature comes
-    with the samples. Raises NotCalibratedError where the record holds nothing of their sensor.
+    force: (n, 3) m/s^2, the calibrated specific force at these samples' times, or None. The temperature comes
+    with the samples. Raises NotCalibratedError where the record has no part of their sensor.
     """
     offset = bias_terms(record, samples.sensor, samples.temperature, force)
     return record.model(samples.sensor).correct(replace(samples, xyz=samples.xyz - offset))
@@ -85,10 +90,10 @@ def _corrected(record: CalibrationRecord, samples: Samples, force: Array | None 
 def bias_terms(
     record: CalibrationRecord, sensor: Sensor, temperature: Array | None, force: Array | None = None
 ) -> Array:
-    """Return what the terms add to the bias, (n, 3) in raw units, or (3,) zeros where none applies.
+    """Return what the terms add to the bias, (n, 3) in raw units, or (3,) zeros where no term applies.
 
-    temperature: (n,) degC, NaN where unknown. Beyond the temperatures that the calibration was measured at
-    the term goes on as a straight line.
+    temperature: (n,) degC, NaN where unknown, or None. force: (n, 3) m/s^2, calibrated, or None. Outside the
+    temperatures that the calibration was measured at, a slope is extrapolated as a straight line.
     """
     offset = np.zeros(3)
     for term in record.terms:
@@ -103,35 +108,37 @@ def bias_terms(
 
 
 def interpolated(samples: Samples, t: Array) -> Array | None:
-    """Return readings at other times t (n,), s, on straight lines between them, (n, 3); None of none."""
+    """Interpolate readings linearly at times t (n,), s: (n, 3), or None where there are no samples."""
     if not len(samples):
         return None
     return np.column_stack([np.interp(t, samples.t, samples.xyz[:, axis]) for axis in range(3)])
 
 
 def mean_temperature(record: CalibrationRecord) -> float | None:
-    """Return the mean temperature (degC) of the rests it stands on, else the middle of its range."""
-    seen = [s.temperature for s in record.states if s.temperature is not None]
-    if seen:
-        return float(np.mean(seen))
+    """Return the mean temperature (degC) of the rests fitted to, else the middle of the range of validity."""
+    known = [s.temperature for s in record.states if s.temperature is not None]
+    if known:
+        return float(np.mean(known))
     low, high = record.validity.temperature_min, record.validity.temperature_max
     return None if low is None or high is None else 0.5 * (low + high)
 
 
 def _ambiguous(finding: Mapping[str, Any]) -> bool:
+    """Tell whether another effect explains the recording as well as the one found."""
     return any(other.get("indistinguishable") for other in finding.get("alternatives", ()))
 
 
 def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
+    """Turn a finding into a term, checking the shape of its parameter."""
     effect = finding["effect"]
     sensor, name, shape = _KINDS[effect]
-    told = (finding.get("parameters") or {}).get(name)
-    if told is None:
+    given = (finding.get("parameters") or {}).get(name)
+    if given is None:
         raise ValueError(f"{effect}: the finding has no {name}")
-    value = np.asarray(told["value"], dtype=np.float64)
+    value = np.asarray(given["value"], dtype=np.float64)
     if value.shape != shape or not np.isfinite(value).all():
         raise ValueError(f"{effect}: {name} has shape {value.shape}: expected finite numbers, {shape}")
-    ci95 = None if told.get("ci95") is None else frozen(np.asarray(told["ci95"], dtype=np.float64))
+    ci95 = None if given.get("ci95") is None else frozen(np.asarray(given["ci95"], dtype=np.float64))
     reference = {}
     if name == "slope":
         t = mean_temperature(record)
@@ -140,11 +147,11 @@ def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
                 f"{effect}: the calibration's rests have no temperature", ["a recording with temperature"]
             )
         reference = {"temperature": t}
-    parameter = TermParameter(value=frozen(value), unit=str(told.get("unit", "")), ci95=ci95)
+    parameter = TermParameter(value=frozen(value), unit=str(given.get("unit", "")), ci95=ci95)
     return Term(effect=effect, sensor=sensor, parameters={name: parameter}, reference=reference)
 
 
-def _referred(term: Term, temperature: float | None) -> Term | None:
+def _counted_from(term: Term, temperature: float | None) -> Term | None:
     """Return a term counted from another temperature; None where it needs one and there is none."""
     if "temperature" not in term.reference:
         return term

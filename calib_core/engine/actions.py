@@ -1,4 +1,4 @@
-"""What comes out of the engine: what it wants done. Plain records; the daemon and replay carry them out."""
+"""The actions that the engine asks for, as plain records; the daemon and the replay carry them out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stillcal.calib_core.static.settings import Sense, Sleep
 
 
 class Level(StrEnum):
-    """How much a log line matters; the names are syslog's."""
+    """The severity of a log line, by syslog's names."""
 
     DEBUG = "debug"
     INFO = "info"
@@ -20,7 +20,10 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """Something a person may want to know: what (a stable name), why (a sentence), and figures."""
+    """A line for the log.
+
+    t: s, sample time. what: a stable name for this kind of event. why: a sentence. fields: figures.
+    """
 
     t: float
     level: Level
@@ -31,7 +34,7 @@ class Log:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Publish:
-    """Keep this calibration as the current one, with the reason it was accepted."""
+    """Store and publish this calibration as the current one; reason: why it was accepted."""
 
     t: float
     record: CalibrationRecord
@@ -40,7 +43,7 @@ class Publish:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reject:
-    """Record that this candidate was fitted and not taken, and why."""
+    """Enter this candidate into the history as rejected; reason: why it was."""
 
     t: float
     record: CalibrationRecord
@@ -49,7 +52,7 @@ class Reject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forget:
-    """The current calibration is of another phone: it is current no longer. Why is the reason."""
+    """Withdraw the current calibration, which is of another phone; reason: how that was noticed."""
 
     t: float
     record: CalibrationRecord
@@ -58,7 +61,10 @@ class Forget:
 
 @dataclass(frozen=True, slots=True)
 class Diagnose:
-    """Calibrating anew does not help: somebody should look for what the model leaves out. Asked once."""
+    """Ask for a diagnosis: checks still fail after a new calibration, so the model leaves something out.
+
+    Asked for once.
+    """
 
     t: float
     reason: str

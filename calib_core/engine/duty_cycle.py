@@ -1,8 +1,8 @@
-"""How much sensing the engine allows itself: an allowance of sensor on-time that refills slowly.
+"""The budget of sensor on-time: a token bucket that refills slowly and is spent where it helps most.
 
-Power is the paper's central claim (Grammenos et al. 2018, 5.3). Instead of one duty cycle for all
-times, on-time is saved up and spent where it brings a calibration nearer: a new phone is watched
-without a break while its burst lasts, then probed, and a calibrated one is left alone.
+Low power is the central claim of Grammenos et al. 2018 (5.3). Instead of one fixed duty cycle, on-time is
+saved up and spent where it brings a calibration nearer: a new phone is sensed without a break until the
+bucket is empty, then probed now and then; a calibrated phone is left alone.
 """
 
 from __future__ import annotations
@@ -12,7 +12,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class EnergySettings:
-    """burst_s: s of unbroken sensing that can be saved up. on_time_fraction: share of time earned."""
+    """The size of the bucket and the rate at which it refills.
+
+    burst_s: s of sensing that can be saved up, the bucket's capacity; an hour lets a new phone gather its
+    first attitudes unbroken. on_time_fraction: s of sensing earned per s, the long-term duty cycle.
+    """
 
     burst_s: float = 3600.0
     on_time_fraction: float = 0.03
@@ -26,20 +30,23 @@ class EnergySettings:
 
 @dataclass(frozen=True, slots=True)
 class DutyBudget:
-    """On-time saved up, in s, as it stood at time t (s), when the sensors had been on for `used` s."""
+    """The budget at one time.
+
+    t: s, that time. saved: s of on-time in the bucket. used: s for which the sensors had been on until then.
+    """
 
     t: float
     saved: float
     used: float
 
     def at(self, t: float, used: float, settings: EnergySettings) -> DutyBudget:
-        """Bring the allowance to time t, with `used` s of on-time spent since the beginning."""
+        """Return the budget at a later time t (s); used: s of on-time since the beginning."""
         earned = settings.on_time_fraction * (t - self.t)
         saved = min(self.saved + earned - (used - self.used), settings.burst_s)
         return DutyBudget(t, saved, used)
 
     def remaining_s(self, settings: EnergySettings) -> float:
-        """Return how many s of unbroken sensing the allowance pays for."""
+        """Return for how long the budget allows unbroken sensing, s."""
         if self.saved <= 0:
             return 0.0
         if settings.on_time_fraction >= 1:

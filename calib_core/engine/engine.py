@@ -1,12 +1,13 @@
-"""The daemon's mind, sans-I/O: samples and events in, actions out, on the sensor's own time.
+"""The engine: samples and events go in, actions come out, on the sensor's own time and without any I/O.
 
-Rule 1: no clock, no file, no socket; time is what the stamps say. Rule 2: what comes out depends on
-what went in, never on how it was cut into blocks. For that, the streams are only looked at up to the
-next deadline (an event, a check, a review), and every decision falls on a deadline, between samples.
+Rule 1: there is no clock, file or socket; time is what the stamps say. Rule 2: the output depends on the
+input, never on how that was cut into blocks. For this the streams are looked at only up to the next deadline
+(an event, a check, a review), and every decision is taken at a deadline, between two samples.
 
-Here is when something happens and how the sensors are watched; what is held is engine_holding.py's, what
-is decided engine_judging.py's. The same engine runs in the daemon, in a replay and in the tests.
-`Engine.state` is all there is to save; an engine built from it goes on as if nothing had happened.
+This module decides when something happens and how the sensors are used. Rests are gathered in intake.py,
+decisions on the calibration are taken in decisions.py. The same engine runs in the daemon, in a replay and in
+the tests. `Engine.state` is all that has to be saved; an engine built from it goes on as if nothing had
+happened.
 """
 
 from __future__ import annotations
@@ -42,18 +43,20 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 
 _MODES = {Watch.CONTINUOUS: Mode.SCAN, Watch.PROBING: Mode.PROBE, Watch.IDLE: Mode.SCAN}
 _LEVELS = {Watch.CONTINUOUS: Level.INFO, Watch.PROBING: Level.DEBUG, Watch.IDLE: Level.DEBUG}
-_LEAST_REVIEW_S = 1.0  # two windows: what was spent is known no finer
+_LEAST_REVIEW_S = 1.0
+"""s: two of the detector's windows; the on-time spent is not known more finely than one window."""
 
 
 class Engine:
-    """Feed it samples and events in any cut; do what the actions say."""
+    """The engine: feed it samples and events in blocks of any size, and carry out the actions it returns."""
 
     def __init__(self, settings: EngineSettings | None = None, state: EngineState | None = None) -> None:
         self.settings = settings or EngineSettings()
         self._actions: list[Action] = []
-        self._take_up(state or first_state(self.settings))
+        self._restore(state or first_state(self.settings))
 
-    def _take_up(self, state: EngineState) -> None:
+    def _restore(self, state: EngineState) -> None:
+        """Build all parts on a state, in place."""
         self._state = state
         self._detector = StationaryDetector(self.settings.detector, state.detector)
         self._intake = Intake(self.settings, state, self._detector, self._actions)
@@ -61,38 +64,38 @@ class Engine:
 
     @property
     def state(self) -> EngineState:
-        """All there is to save; encode it before the next feed changes it."""
+        """The state to be saved; encode it before the next feed changes it."""
         self._state.detector = self._detector.state
         return self._state
 
     @property
     def present(self) -> EngineState:
-        """What holds now, to look at and not to save: the detector's part, dear to copy, is stale."""
+        """The state now, to look at and not to save: its copy of the detector's part is out of date."""
         return self._state
 
     @property
     def ledger(self) -> Ledger:
-        """What was asked of the sensors, what was read, and what became of every window."""
+        """The detector's ledger: what was asked of the sensors, what was read, and every window's label."""
         return self._detector.ledger
 
     def feed(self, *items: Samples | Event) -> list[Action]:
-        """Take samples of either sensor and events; return what is to be done, in order.
+        """Take samples of either sensor and events; return the actions that follow, in order.
 
-        Blocks of one stream come in time order; the two streams come together, within the gyroscope's
-        patience. Raises SampleError where a block begins before the last one of its stream ended.
+        Blocks of one stream come in time order, and the gyroscope's no later than its patience after the
+        accelerometer's. Raises SampleError where a block begins before the last one of its stream ended.
         """
         for item in items:
             if isinstance(item, Samples):
-                self._take(item)
+                self._take_samples(item)
             else:
-                self._hear(item)
+                self._take_event(item)
         self._advance()
         return self._take_actions()
 
     def wants(self) -> Sense | Sleep:
-        """Say whether samples are wanted, until when to go by that, and to tick or ask again.
+        """Say whether samples are wanted, and until when (s) that answer holds.
 
-        What comes in while the engine wants none changes nothing; it may as well not be delivered.
+        Samples that come in while none are wanted change nothing and need not be delivered.
         """
         state = self._state
         if state.began is None:
@@ -105,53 +108,53 @@ class Engine:
         want = self._detector.wants(self._horizon())
         return replace(want, until=min(want.until, until))
 
-    # What may be asked besides
+    # Requests
 
     def add_rests(self, rests: Sequence[RestState]) -> None:
-        """Take rests that somebody else has cut, such as the rows of a rest table."""
+        """Add rests that were found elsewhere, such as the rows of a rest table."""
         self._intake.gather(rests)
 
     def resume(self, t: float) -> None:
-        """Make plans again after a stream's end, t (s): the phone may come back."""
+        """Plan deadlines again after the end of a stream at t (s), because the phone may come back."""
         state = self._state
         if state.began is not None:
             state.next_review = t
             state.next_check = next_on_grid(state.began, self.settings.schedule.check_interval_s, t)
 
     def change_settings(self, settings: EngineSettings) -> None:
-        """Go on with other settings."""
+        """Go on with other settings, keeping the state."""
         state = self.state
         self.settings = settings
         if settings.schedule.gravity is not None:
             state.gravity = local_gravity.given(settings.schedule.gravity)
-        self._take_up(state)
+        self._restore(state)
         review_soon(state, self._now(), settings.schedule)
 
     def use_calibration(self, record: CalibrationRecord | None) -> None:
-        """Take `record` for the current calibration, as after a rollback; nothing is known against it."""
+        """Use `record` as the current calibration, as after a rollback, with no failed check against it."""
         state = self._state
         state.record, state.degraded = record, False
         state.checked = state.sound_until = state.trouble = None
         review_soon(state, self._now(), self.settings.schedule)
 
     def calibrate(self) -> list[Action]:
-        """Try a full calibration now, because somebody asks; say what came of it."""
+        """Try a full calibration now, on request; return the actions that follow."""
         self._policy.calibrate(self._now(), Occasion.ASKED)
         return self._take_actions()
 
     def update_bias(self) -> list[Action]:
-        """Measure the gyroscope's bias on the rests of the last check interval, because somebody asks."""
+        """Measure the gyroscope's bias on the rests of the last check interval, on request."""
         t = self._now()
         self._policy.update_bias(t, t - self.settings.schedule.check_interval_s)
         return self._take_actions()
 
     def forget(self, reason: str) -> list[Action]:
-        """Begin anew with another phone: what was gathered and found is the old one's.
+        """Begin anew with another phone, dropping the rests and the calibration of the old one.
 
-        The place, the charger and the time go on.
+        The place, the charger and the time go on. reason: how the change of phone was noticed.
         """
         old, t = self._state, self._now()
-        self._take_up(without_phone(old))
+        self._restore(without_phone(old))
         if old.record is not None:
             self._actions.append(Forget(t, old.record, reason))
         return self._take_actions()
@@ -162,15 +165,15 @@ class Engine:
         self._actions.clear()
         return actions
 
-    # What comes in
+    # Input
 
-    def _take(self, samples: Samples) -> None:
+    def _take_samples(self, samples: Samples) -> None:
         if len(samples):
             self._intake.take(samples)
             if self._state.began is None and samples.sensor is Sensor.ACCELEROMETER:
                 self._begin(float(samples.t[0]))
 
-    def _hear(self, event: Event) -> None:
+    def _take_event(self, event: Event) -> None:
         if isinstance(event, Tick):
             self._state.heard = event.t if self._state.heard is None else max(event.t, self._state.heard)
         else:
@@ -186,46 +189,49 @@ class Engine:
     # Time
 
     def _now(self) -> float:
-        """Return the time (s) that the engine has come to; 0 before the first sample."""
+        """Return the time (s) that the engine has reached; 0 before the first sample."""
         known = self._intake.known_until()
         return known if math.isfinite(known) else 0.0
 
     def _horizon(self) -> float:
-        """Return the time (s) up to which both streams are known, the end included."""
+        """Return the time (s) up to which both streams are known; inf once their end was reported."""
         ended = any(isinstance(e, End) for e in self._state.events)
         return math.inf if ended else self._intake.known_until()
 
     def _advance(self) -> None:
-        """Look at the streams and act, deadline by deadline, as far as both streams are known."""
+        """Look at the streams and act, deadline by deadline, as far as both streams are known.
+
+        A probe for which no sample came is given up at each deadline, as it would be live.
+        """
         horizon = self._horizon()
         while True:
             t, act = self._next_deadline()
             if t > horizon or act is None:
                 self._intake.look(horizon)
                 return
-            if act == self._do_event or not self._asleep_until(t):
+            if act == self._do_event or not self._nothing_asked_before(t):
                 self._intake.look(t)
-            self._detector.wants(t)  # gives up probes that nothing came for, as it would have live
+            self._detector.wants(t)
             act(t)
             horizon = min(horizon, self._horizon())
 
-    def _asleep_until(self, t: float) -> bool:
-        """Tell whether nothing before `t` (s) is asked for: it may wait to be looked at later."""
+    def _nothing_asked_before(self, t: float) -> bool:
+        """Tell whether no probe is asked for before `t` (s), so that samples may go on waiting."""
         return self._state.watch is Watch.PROBING and self._detector.next_probe(t) >= t
 
     def _next_deadline(self) -> tuple[float, Callable[[float], None] | None]:
         state = self._state
         deadlines: list[tuple[float, Callable[[float], None]]] = []
         if state.events:
-            deadlines.append((self._due(state.events[0]), self._do_event))
+            deadlines.append((self._due_at(state.events[0]), self._do_event))
         if state.next_check is not None:
             deadlines.append((state.next_check, self._do_check))
         if state.next_review is not None:
             deadlines.append((state.next_review, self._do_review))
         return min(deadlines, key=lambda d: d[0], default=(math.inf, None))
 
-    def _due(self, event: Event) -> float:
-        """Return when an event takes place: its own time, but the end waits for every sample."""
+    def _due_at(self, event: Event) -> float:
+        """Return when (s) an event is acted on: at its own time, but the end only after every sample."""
         if not isinstance(event, End):
             return event.t
         return max([event.t, *(float(np.nextafter(t, math.inf)) for t in self._state.latest.values())])
@@ -261,25 +267,25 @@ class Engine:
             self._policy.check(t)
         if self._state.charging:
             self._policy.calibrate(t, Occasion.CHARGING)
-        elif self._state.charging is None and self._supported_well():
+        elif self._state.charging is None and self._has_enough_attitudes():
             self._policy.calibrate(t, Occasion.UNPLUGGED)
         self._plan(t)
 
-    # How to look
+    # How to sense
 
     def _plan(self, t: float) -> None:
-        """Decide how to look until the next review."""
+        """Decide how to sense until the next review, and when that is."""
         state, settings = self._state, self.settings
         if state.allowance is None:
             return
         state.allowance = state.allowance.at(t, self._detector.ledger.asked_s, settings.energy)
         remaining_s = state.allowance.remaining_s(settings.energy)
-        need = Need(rests=not self._supported_well() or state.degraded, check=state.check_due)
+        need = Need(rests=not self._has_enough_attitudes() or state.degraded, check=state.check_due)
         watch = watch_for(need, state.watch, remaining_s, settings.energy.burst_s, settings.schedule)
         onward = resumed(state, t)
         if state.watch is Watch.PROBING and (watch is not state.watch or onward > t):
             self._intake.look(t)
-        self._turn_to(watch, t)
+        self._set_watch(watch, t)
         step = settings.schedule.review_interval_s
         if watch is Watch.CONTINUOUS and settings.schedule.watch == "auto":
             step = min(step, max(remaining_s, _LEAST_REVIEW_S))
@@ -291,25 +297,25 @@ class Engine:
         if settled:
             state.next_review = first_of_use(state, state.next_review, step, settings.schedule)
 
-    def _turn_to(self, watch: Watch, t: float) -> None:
+    def _set_watch(self, watch: Watch, t: float) -> None:
         if watch is self._state.watch:
             return
         done = self._detector.finish() if watch is Watch.IDLE else []
         self._intake.gather([*done, *self._switch(watch, t)])
         self._state.last_rest = self._state.gyro_tail = None
         self._state.watch = watch
-        self._actions.append(Log(t, _LEVELS[watch], "watch", f"the sensors are watched: {watch}"))
+        self._actions.append(Log(t, _LEVELS[watch], "watch", f"sensing mode: {watch}"))
 
     def _skip_to(self, t: float) -> None:
-        """Leave out the probes of a gap up to t (s), which nobody could have answered."""
+        """Leave out the probes of a gap up to t (s), which could not have been answered."""
         self._intake.gather(self._detector.set_mode(Mode.SCAN))
         self._intake.gather(self._switch(Watch.PROBING, t))
 
     def _switch(self, watch: Watch, t: float) -> list[RestState]:
-        """Switch the detector over, its first probe drawn from now on, whoever asks for it and when."""
+        """Switch the detector's mode at t (s), its first probe drawn from t on; return the rests closed."""
         closed = self._detector.set_mode(_MODES[watch])
         self._detector.next_probe(t)
         return closed
 
-    def _supported_well(self) -> bool:
+    def _has_enough_attitudes(self) -> bool:
         return self._state.attitudes >= self.settings.schedule.attitudes_wanted

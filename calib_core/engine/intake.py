@@ -1,6 +1,6 @@
-"""What the engine holds: samples that wait, rests and turns gathered from them, and gravity where it is.
+"""The engine's intake: samples that wait, rests and rotation segments gathered from them, local gravity.
 
-Nothing here decides when to look or what becomes of what was gathered (engine.py, engine_judging.py).
+When to look at the samples is decided in engine.py, what follows from the rests in decisions.py.
 """
 
 from __future__ import annotations
@@ -23,11 +23,16 @@ from stillcal.calib_core.streams.events import Location
 from stillcal.calib_core.streams.samples import SampleError, Samples, Sensor
 
 _SLACK_S = 60.0
-"""How much longer than a turn and the rest that ends it the gyroscope is kept, s."""
+"""s: gyroscope samples are kept this much longer than a rotation segment and the rest that ends it may last.
+A rest is reported only once its last window was judged, which waits up to max_lag_s (30 s by default)."""
 
 
 class Intake:
-    """Gathers into `state`. Streams are cut where they are told to be, never by how they came."""
+    """Gathers rests into the engine's `state`.
+
+    Streams are cut at the times that the engine asks for, never at the borders of the blocks that came in.
+    actions: what is to be logged is appended to this list.
+    """
 
     def __init__(
         self,
@@ -40,7 +45,7 @@ class Intake:
         self._index = AttitudeIndex(settings.pool)
 
     def take(self, samples: Samples) -> None:
-        """Let samples wait until they are looked at. Raises SampleError where their stream runs back."""
+        """Keep samples until `look` takes them. Raises SampleError where their stream runs backwards."""
         state, sensor = self._state, samples.sensor
         if samples.t[0] < state.latest.get(sensor, -math.inf):
             raise SampleError(0, f"{sensor} at {samples.t[0]:.6f} s comes after {state.latest[sensor]:.6f} s")
@@ -49,7 +54,10 @@ class Intake:
         state.latest[sensor] = float(samples.t[-1])
 
     def known_until(self) -> float:
-        """Return the time (s) up to which both streams are known; -inf before the first sample."""
+        """Return the time (s) up to which both streams are known; -inf before the first sample.
+
+        A gyroscope that lags by more than its patience is no longer waited for.
+        """
         state = self._state
         accel = state.latest.get(Sensor.ACCELEROMETER, -math.inf)
         gyro = state.latest.get(Sensor.GYROSCOPE, -math.inf)
@@ -57,7 +65,7 @@ class Intake:
         return known if state.heard is None else max(known, state.heard)
 
     def look(self, stop: float) -> None:
-        """Pass the samples before `stop` to the detector and gather the rests it finds."""
+        """Pass the samples before `stop` (s) to the detector and gather the rests that it returns."""
         state = self._state
         due = [block for sensor in Sensor if len(block := self._before(sensor, stop))]
         if not due or state.watch is Watch.IDLE:
@@ -70,33 +78,33 @@ class Intake:
         self._trim_tail()
 
     def gather(self, rests: Iterable[RestState]) -> None:
-        """Take rests into the pool, and the turns between one and the next."""
+        """Add rests to the pool, and the rotation segments between one rest and the next."""
         for rest in rests:
             self._gather(rest)
 
     def move_to(self, place: Location) -> None:
-        """Take gravity from the place; what was gathered keeps that of where it was."""
+        """Take local gravity from a place; rests gathered before keep the gravity of their own place."""
         state = self._state
         if self._settings.schedule.gravity is not None:
             return
         try:
-            found = local_gravity.at(place.latitude, place.altitude)
+            gravity = local_gravity.at(place.latitude, place.altitude)
         except LocationError as error:
             self._actions.append(Log(place.t, Level.WARNING, "location", f"location not used: {error}"))
             return
-        change = found.value - state.gravity.value
+        change = gravity.value - state.gravity.value
         if state.gravity.source == "default":
-            state.pool = state.pool.located(found, place.t, self._settings.pool)
+            state.pool = state.pool.located(gravity, place.t, self._settings.pool)
             state.attitudes = self._index.attitudes(state.pool)
         else:
             reach = place.t - self._settings.detector.max_rest_s - _SLACK_S
             state.moves = [*(m for m in state.moves if m.t >= reach), Move(place.t, state.gravity)]
-        state.gravity = found
-        why = f"g is {found.value:.5f} m/s^2 here"
+        state.gravity = gravity
+        why = f"g is {gravity.value:.5f} m/s^2 here"
         self._actions.append(Log(place.t, Level.INFO, "gravity", why, {"change": change}))
 
     def _before(self, sensor: Sensor, stop: float) -> Samples:
-        """Take the samples before `stop` off those that wait."""
+        """Remove and return the waiting samples before `stop` (s)."""
         waiting = self._state.waiting.get(sensor)
         if waiting is None or waiting.t[0] >= stop:
             return Samples.empty(sensor)
@@ -107,7 +115,7 @@ class Intake:
         return waiting[:cut]
 
     def _trim_tail(self) -> None:
-        """Keep of the gyroscope what a turn may still need: its own length and the rest that ends it."""
+        """Drop gyroscope samples that no rotation segment can need any more."""
         state, settings = self._state, self._settings
         if state.gyro_tail is not None and len(state.gyro_tail):
             reach = settings.turns.max_duration + settings.detector.max_rest_s + _SLACK_S
@@ -115,19 +123,19 @@ class Intake:
 
     def _gather(self, rest: RestState) -> None:
         state = self._state
-        state.pool = self._index.grown(state.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
+        state.pool = self._index.with_rest(state.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
         state.attitudes = self._index.attitudes(state.pool)
         state.fresh += 1
         state.counters.rests += 1
         if state.last_rest is not None and state.gyro_tail is not None:
-            turn = cut_rotation_segment(state.last_rest, rest, state.gyro_tail, self._settings.turns)
-            if isinstance(turn, RotationSegment):
-                state.pool = state.pool.with_segment(turn, self._settings.pool)
+            segment = cut_rotation_segment(state.last_rest, rest, state.gyro_tail, self._settings.turns)
+            if isinstance(segment, RotationSegment):
+                state.pool = state.pool.with_segment(segment, self._settings.pool)
                 state.counters.turns += 1
         state.last_rest = rest
         why = f"lay still for {rest.duration:.1f} s"
         self._actions.append(Log(rest.t_end, Level.DEBUG, "rest", why, {"n": rest.n}))
 
     def _gravity_at(self, t: float) -> Gravity:
-        """Return gravity of where the phone was at t (s): a rest may close after it was told of moves."""
+        """Return gravity at the phone's place at t (s); a rest may close after later changes of place."""
         return next((move.left for move in self._state.moves if t <= move.t), self._state.gravity)

@@ -1,6 +1,6 @@
-"""What the engine looks at and when it calibrates: every timing decision, as pure functions.
+"""When the engine senses, checks, reviews and calibrates: every timing decision, as functions of its state.
 
-Times are s of sample time. The engine asks; nothing here remembers anything.
+Times are s of sample time. Nothing here keeps a state of its own; engine.py acts on the answers.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.streams.samples import Sensor
 
 _LONGEST_GAP_S = 86400.0
+"""A day: through longer gaps deadlines are left out, so that years between two stamps cost no time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """What is still wanted. rests: attitudes are missing; check: a check waits for a rest."""
+    """What rests are needed for. rests: more attitudes are wanted; check: a check waits for a rest."""
 
     rests: bool
     check: bool
@@ -29,10 +30,12 @@ class Need:
 def watch_for(
     need: Need, current: Watch, remaining_s: float, capacity_s: float, settings: ScheduleSettings
 ) -> Watch:
-    """Choose how to look on, given how long (s) the energy allowance would last.
+    """Choose how to sense until the next review.
 
-    Unbroken watching begins only with half the burst saved up and goes on until it is spent, so that the
-    sensors are not switched to and fro; a check alone is worth probing only, and worth an overdraft.
+    remaining_s: s of unbroken sensing that the budget allows. capacity_s: s that it can hold. Unbroken
+    sensing begins only when half the capacity is saved up and goes on until the budget is spent, so that the
+    sensors are not switched on and off all the time. A check alone is worth only probing, but even without
+    any budget left.
     """
     if settings.watch != "auto":
         return Watch(settings.watch)
@@ -42,15 +45,15 @@ def watch_for(
 
 
 def next_on_grid(began: float, interval: float, after: float) -> float:
-    """Return the first of the times began + k interval (k = 1, 2, ...) that lies past `after`.
+    """Return the first of the times began + k interval (k = 1, 2, ...) that lies after `after`, in s.
 
-    Deadlines stay on their grid across gaps, so that schedules do not drift.
+    Deadlines stay on this grid across gaps, so that the schedule does not drift.
     """
     return began + interval * max(1, math.floor((after - began) / interval) + 1)
 
 
 class Occasion(StrEnum):
-    """What may bring about a full calibration."""
+    """What may lead to a full calibration."""
 
     CHARGING = "charging"
     UNPLUGGED = "no charger was ever reported"
@@ -60,9 +63,10 @@ class Occasion(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CalibrationStatus:
-    """Where calibration stands.
+    """What decides whether a full calibration is due.
 
-    fresh: rests gathered since the last try to fit. since_try: s since that try, inf where there was none.
+    has_record: whether there is a calibration. degraded: whether that failed its check. fresh: rests gathered
+    since the last attempt to fit. since_try: s since that attempt, inf where there was none.
     """
 
     has_record: bool
@@ -72,10 +76,11 @@ class CalibrationStatus:
 
 
 def calibration_due(standing: CalibrationStatus, occasion: Occasion, settings: ScheduleSettings) -> bool:
-    """Say whether a full calibration is worth trying: never without rests gathered since the last try.
+    """Say whether a full calibration is due on this occasion.
 
-    A phone without a calibration does not wait; one whose calibration failed its check waits for the
-    next. A recording that ends has no later chance. Who asks is always answered.
+    A request is always answered. Otherwise there must be rests gathered since the last attempt. A phone
+    without a calibration does not wait, nor does the end of a recording, after which there is no other
+    chance. A phone with a calibration waits for `least_wait` since the last attempt.
     """
     if occasion is Occasion.ASKED:
         return True
@@ -87,15 +92,15 @@ def calibration_due(standing: CalibrationStatus, occasion: Occasion, settings: S
 
 
 def least_wait(degraded: bool, settings: ScheduleSettings) -> float:
-    """Return how long (s) after a try to fit the next may come, where there is a calibration already."""
+    """Return how long (s) after an attempt to fit the next one may come, where there is a calibration."""
     return settings.check_interval_s if degraded else settings.recalibrate_interval_s
 
 
 def resumed(state: EngineState, t: float) -> float:
-    """Return from when (s) on deadlines count: `t`, or a day before what comes next after a longer gap.
+    """Return the time (s) from which deadlines count: `t`, or a day before the end of a longer gap.
 
-    Through gaps of a day deadlines fall as they would live; years between two stamps cost no more.
-    The gyroscope's next sample may still be on its way; the accelerometer's is known.
+    In gaps of up to a day deadlines fall as they would live. Where a gap ends is told by the next event and
+    the accelerometer's next sample; the gyroscope's may still be on its way.
     """
     waiting = state.waiting.get(Sensor.ACCELEROMETER)
     coming = [e.t for e in state.events[:1]]
@@ -105,10 +110,10 @@ def resumed(state: EngineState, t: float) -> float:
 
 
 def first_of_use(state: EngineState, t: float, step: float, settings: ScheduleSettings) -> float:
-    """Return the first review, from t (s) in steps, that can find anything to do: not all need be held.
+    """Return the first review, from t (s) on in steps of `step` (s), that can find anything to do.
 
-    For where a review changes nothing in how the sensors are watched. Before it comes a full calibration that
-    is due, or the next check, which plans anew in any case; so does every event.
+    For times when a review cannot change how the sensors are used. The reviews before the next full
+    calibration or check have nothing to do and are left out; a check or an event plans the next review anew.
     """
     if state.record is None or state.check_due or state.tried is None or state.next_check is None:
         return t
@@ -121,6 +126,6 @@ def first_of_use(state: EngineState, t: float, step: float, settings: ScheduleSe
 
 
 def review_soon(state: EngineState, t: float, settings: ScheduleSettings) -> None:
-    """Hold a review within one interval of `t` (s): something was changed that left it nothing to do."""
+    """Move the next review to within one interval of `t` (s), because a change from outside needs one."""
     if state.next_review is not None:
         state.next_review = min(state.next_review, t + settings.review_interval_s)

@@ -16,7 +16,7 @@ from stillcal.calib_core.static.settings import DetectorSettings
 
 
 class Watch(StrEnum):
-    """How the engine is looking at the moment."""
+    """How the sensors are used at the moment: without a break, in probes now and then, or not at all."""
 
     CONTINUOUS = "continuous"
     PROBING = "probing"
@@ -27,12 +27,14 @@ class Watch(StrEnum):
 class ScheduleSettings:
     """When the engine does what; all times in s of sample time.
 
-    watch: "auto" spends the energy allowance; "continuous" and "probing" force one way of looking.
-    check_interval_s: between quality checks (4.7: hourly). review_interval_s: between looks at what is
-    gathered. recalibrate_interval_s: at least this long between two full calibrations on charging.
-    attitudes_wanted: distinct attitudes after which gathering rests (Algorithm 1's s). gravity: local g
-    in m/s^2 if known, else None. gyro_patience_s: how far the gyroscope's stream may lag.
-    diagnose_after_checks: how many checks in a row may fail after a calibration before it asks for help.
+    watch: "auto" spends the duty-cycle budget; "continuous" and "probing" force one way of sensing.
+    check_interval_s: between two checks of the calibration (hourly: Grammenos et al. 2018, 4.7).
+    review_interval_s: between two reviews of what was gathered. recalibrate_interval_s: at least this long
+    between two full calibrations on charging. attitudes_wanted: number of distinct attitudes after which
+    gathering pauses (s in Algorithm 1). gravity: local g in m/s^2 if it is known, else None.
+    gyro_patience_s: how far the gyroscope's stream may lag behind the accelerometer's.
+    diagnose_after_checks: how many checks in a row may fail after a new calibration before a diagnosis is
+    asked for.
     """
 
     watch: Literal["auto", "continuous", "probing"] = "auto"
@@ -60,7 +62,7 @@ class ScheduleSettings:
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings:
-    """All that is chosen, by part."""
+    """All settings of the engine, by part."""
 
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
     energy: EnergySettings = field(default_factory=EnergySettings)

@@ -1,6 +1,7 @@
-"""What the engine is told once, and what it remembers: plain records, no behaviour.
+"""The engine's state, as plain records.
 
-`EngineState` is all there is to save; it packs and unpacks (codec) without loss.
+`EngineState` is all that has to be saved for the engine to go on; codec.py packs and unpacks it without loss.
+Its field names are the keys of saved states.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 
 @dataclass(slots=True)
 class Counters:
-    """What the engine did since it first began."""
+    """How often the engine did what since it first began; `turns` counts rotation segments."""
 
     rests: int = 0
     turns: int = 0
@@ -35,7 +36,7 @@ class Counters:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a fit was refused, and what to gather; see NotSupported."""
+    """Why the rests did not support a fit, and what to gather; see NotSupported."""
 
     reason: str
     missing: tuple[str, ...]
@@ -43,7 +44,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """The phone was told at t (s) of another place; left: gravity of where it was before."""
+    """A change of place that was reported at t (s). left: gravity at the place before."""
 
     t: float
     left: Gravity
@@ -51,9 +52,10 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Checks have failed and none has passed since. since: s, the first that did.
+    """A row of failed checks, none of which has passed.
 
-    tried: whether a calibration was tried since; failed: how many checks in a row failed after that.
+    since: s, time of the first failed check. tried: whether a calibration was tried since. failed: how many
+    checks in a row have failed after that calibration.
     """
 
     since: float
@@ -62,24 +64,26 @@ class Trouble:
 
     @property
     def reason(self) -> str:
-        """Say what is the matter, once calibrating anew has not helped."""
-        return f"{self.failed} checks in a row have failed although it was calibrated anew"
+        """The trouble in a sentence, for when a new calibration has not helped."""
+        return f"{self.failed} checks in a row have failed although the phone was calibrated anew"
 
     def after_failed_check(self) -> Trouble:
-        """Return how things stand after one more."""
+        """Return the trouble after one more failed check."""
         return replace(self, failed=self.failed + 1) if self.tried else self
 
 
 @dataclass(slots=True)
 class EngineState:
-    """All that changes. Times in s; None where something has not happened yet.
+    """All that changes while the engine runs. Times in s; None where something has not happened yet.
 
-    waiting: samples not yet looked at; latest: each stream's newest stamp; heard: the clock's last tick.
-    check_due: a check waits for a rest; checked, tried: when the last check and the last try to fit were.
-    attitudes: distinct ones in the pool. fresh: rests gathered since the last try. gyro_tail: what the
-    next turn may be cut from. sound_until: when a calibration that now fails last passed a check. moves:
-    when the place was told anew, of late. refusal: why the last try to fit came to nothing. trouble: None
-    where the last check passed.
+    waiting: samples that the detector has not seen yet. events: events whose time has not come. latest: the
+    newest stamp of each stream. began: stamp of the first sample. heard: the clock's last tick. next_check,
+    next_review: the coming deadlines. check_due: a check waits for a rest. checked, tried: times of the last
+    check and of the last attempt to fit. allowance: the duty-cycle budget. degraded: the calibration failed
+    its check. moves: recent changes of place. attitudes: number of distinct ones in the pool. fresh: rests
+    gathered since the last attempt to fit. gyro_tail: gyroscope samples that the next rotation segment may be
+    cut from. sound_until: when a calibration that now fails last passed a check. refusal: why the last
+    attempt to fit was refused. trouble: None where the last check passed.
     """
 
     detector: DetectorState | None = None
@@ -112,13 +116,13 @@ class EngineState:
 
 
 def first_state(settings: EngineSettings) -> EngineState:
-    """Return what there is before the first sample."""
+    """Return the state before the first sample."""
     known = settings.schedule.gravity
     return EngineState(gravity=Gravity() if known is None else local_gravity.given(known))
 
 
 def without_phone(state: EngineState) -> EngineState:
-    """Return what still holds when another phone takes the place of this one: time, place, charger."""
+    """Return what remains of a state when another phone replaces this one: time, place and charger."""
     return EngineState(
         latest=state.latest,
         heard=state.heard,

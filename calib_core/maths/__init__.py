@@ -1,1 +1,4 @@
-"""Numerical tools that know nothing of sensors."""
+"""Numerical methods that know nothing of sensors.
+
+Damped least squares, rotations, random effects and outliers, Student's t, moving means.
+"""

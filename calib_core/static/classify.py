@@ -1,6 +1,7 @@
-"""Is this window still? Each window against the floor, the ceilings, and what a working sensor does.
+"""The classification of windows: still, or why not.
 
-Memoryless but for the floors and the sensor's coarseness, both handed in; joining windows is not done here.
+Each window is compared with the noise floor, with the ceilings, and with what a working sensor can show. The
+only memory is that of the noise floors and of the sensors' coarseness, which are passed in.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from stillcal.calib_core.static.settings import DetectorSettings, Label
 from stillcal.calib_core.static.windows import (
     COLUMNS,
     D2,
+    FEW_CODES,
     GAP,
     HIGH,
     K_END,
@@ -32,7 +34,7 @@ from stillcal.calib_core.static.windows import (
     spread,
 )
 
-# Fates that one window alone can have, by code; the first that applies is the window's.
+# Labels that one window alone can have, by code; a window gets the first one that applies.
 LABELS = (
     Label.STILL,
     Label.GAP,
@@ -44,7 +46,6 @@ LABELS = (
 )
 STILL, GAPPED, SPARSE, IMPLAUSIBLE, FROZEN, ACCEL_MOVING, GYRO_MOVING = range(7)
 
-_FEW_CODES = 2.5
 Codes = NDArray[np.int8]
 Flags = NDArray[np.bool_]
 
@@ -55,10 +56,10 @@ def _no_step() -> Array:
 
 @dataclass(slots=True)
 class Coarseness:
-    """How often a sensor at rest shows only a few codes, and their step.
+    """How often a sensor at rest shows only a few codes of its quantiser, and the step between them.
 
-    few, many: decayed counts of quiet windows; lsb: (3,) step of the few-code ones, inf unknown. fresh_*: not
-    used before `renewed`.
+    few, many: decayed counts of quiet windows with few and with many codes. lsb: (3,) step of those with few,
+    m/s^2 or rad/s, inf where unknown. fresh_few, fresh_many, fresh_lsb: the same, not used before `renewed`.
     """
 
     few: float = 0.0
@@ -70,39 +71,44 @@ class Coarseness:
 
     @property
     def coarse(self) -> bool:
-        """Whether exact repeats are this sensor's habit at rest, so that a window of them can be genuine."""
+        """Whether this sensor usually repeats itself at rest, so that a constant window can be genuine."""
         return self.few > max(self.many, 2.0)
 
     @property
     def step(self) -> float:
-        """Length of the vector of steps that coarseness alone may move a mean by, standard, SI; 0 if fine."""
+        """Standard uncertainty that quantisation alone puts into a mean, norm over axes, SI; 0 if fine."""
         known = self.lsb[np.isfinite(self.lsb)]
         return float(np.sqrt((known**2).sum() / 12.0)) if self.coarse else 0.0
 
-    def observed(self, half: SensorWindows, looked: Flags, ceiling: float) -> Coarseness:
-        """Count windows that were looked at; nothing changes before `renewed`."""
-        quiet = looked & (half.spread <= ceiling) & (half.rows[:, N] > 0) & ~half.constant
+    def observed(self, windows: SensorWindows, looked: Flags, ceiling: float) -> Coarseness:
+        """Count the windows looked at, (n,), that are quieter than `ceiling`; used only after `renewed`."""
+        quiet = looked & (windows.spread <= ceiling) & (windows.rows[:, N] > 0) & ~windows.constant
         if not quiet.any():
             return self
-        few = quiet & half.few
+        few = quiet & windows.few
         return replace(
             self,
             fresh_few=self.fresh_few + int(few.sum()),
             fresh_many=self.fresh_many + int((quiet & ~few).sum()),
-            fresh_lsb=frozen(half.rows[few, LSB].min(axis=0, initial=np.inf)).clip(max=self.fresh_lsb),
+            fresh_lsb=frozen(windows.rows[few, LSB].min(axis=0, initial=np.inf)).clip(max=self.fresh_lsb),
         )
 
     def renewed(self, settings: DetectorSettings) -> Coarseness:
-        """Let the fresh counts in and forget by as many windows as came."""
-        came = self.fresh_few + self.fresh_many
-        keep = 0.5 ** (came * settings.window_s / settings.half_life_s)
+        """Add the fresh counts to the past ones, which decay by as many windows."""
+        n_fresh = self.fresh_few + self.fresh_many
+        decay = 0.5 ** (n_fresh * settings.window_s / settings.half_life_s)
         lsb = self.fresh_lsb if self.fresh_few else self.lsb
-        return Coarseness(self.few * keep + self.fresh_few, self.many * keep + self.fresh_many, lsb)
+        return Coarseness(self.few * decay + self.fresh_few, self.many * decay + self.fresh_many, lsb)
 
 
 @dataclass(slots=True)
 class SensorWindows:
-    """What one sensor's windows show, whatever the floor: (n,) each. slack: m/s^2 or rad/s squared."""
+    """What one sensor's windows show, whatever the noise floor; (n,) each.
+
+    rows: (n, COLUMNS). spread: standard deviation of single samples, SI. rates: octave of the sampling rate.
+    constant: no value changed. few: few codes on every axis. sparse: too few samples. quantisation_allowance:
+    variance that rounding may add where there are few codes, SI squared.
+    """
 
     rows: Array
     spread: Array
@@ -114,11 +120,11 @@ class SensorWindows:
 
     @classmethod
     def of(cls, rows: Array, settings: DetectorSettings) -> SensorWindows:
-        """Derive from one sensor's rows."""
+        """Derive from one sensor's rows (n, COLUMNS)."""
         if not rows[:, N].any():
             return cls.absent(rows)
         lsb = rows[:, LSB]
-        narrow = rows[:, HIGH] - rows[:, LOW] <= _FEW_CODES * lsb
+        narrow = rows[:, HIGH] - rows[:, LOW] <= FEW_CODES * lsb
         quantisation_allowance = across(np.where(narrow & np.isfinite(lsb), 0.25 * lsb * lsb, 0.0)) / 3.0
         rate = rows[:, N] / ((rows[:, K_END] - rows[:, K]).clip(1.0) * settings.window_s)
         constant = across(rows[:, D2]) == 0
@@ -130,7 +136,7 @@ class SensorWindows:
 
     @classmethod
     def absent(cls, rows: Array) -> SensorWindows:
-        """Return what rows of zeros show: no sample, nothing moved."""
+        """Return the windows of a sensor that is not there: no sample, no change."""
         n = rows.shape[0]
         none, yes, no = np.zeros(n), np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
         return cls(rows, none, np.zeros(n, dtype=np.intp), yes, no, yes, none)
@@ -139,14 +145,14 @@ class SensorWindows:
         return SensorWindows(*(getattr(self, name)[part] for name in self.__slots__))
 
     def exceeds(self, floor: Floor, factor: float, ceiling: float) -> Flags:
-        """Whether the spread is above `factor` floors (a coarse step allowed on top) or the ceiling."""
+        """Tell which spreads exceed `factor` times the floor, with rounding allowed for, or the ceiling."""
         limit = np.sqrt((factor * floor.level[self.rates]) ** 2 + self.quantisation_allowance)
         return np.asarray(self.spread > np.minimum(limit, ceiling))
 
 
 @dataclass(slots=True)
 class Windows:
-    """Windows of both sensors side by side. rows: (n, 2 COLUMNS), gyroscope columns 0 where unusable."""
+    """Windows of both sensors. rows: (n, 2 COLUMNS), gyroscope columns 0 where they are unusable."""
 
     rows: Array
     accel: SensorWindows
@@ -154,7 +160,7 @@ class Windows:
 
     @classmethod
     def of(cls, accel: Array, gyro: Array, widths: Index, settings: DetectorSettings) -> Windows:
-        """Pair two sensors' cell rows. widths: of the window that each accelerometer row joins, in cells."""
+        """Join two sensors' cell rows into windows; widths: cells of the window of each accelerometer row."""
         at, found = matched(accel[:, K], gyro[:, K])
         rows = paired(joined(accel, widths), joined(gyro[found], widths[at[found]]))
         gyro_rows = rows[:, COLUMNS:]
@@ -174,7 +180,10 @@ class Windows:
 def classify(
     windows: Windows, floors: tuple[Floor, Floor], coarse: bool, settings: DetectorSettings
 ) -> Codes:
-    """Return each window's fate as an index into FATES; `coarse`: the accelerometer may repeat itself."""
+    """Return each window's label as an index into LABELS, (n,).
+
+    floors: of accelerometer and gyroscope. coarse: the accelerometer may repeat itself at rest.
+    """
     accel, mean = windows.accel, windows.accel.rows[:, MEAN]
     norm = np.sqrt(mean[:, 0] ** 2 + mean[:, 1] ** 2 + mean[:, 2] ** 2)
     conditions = [
@@ -192,6 +201,6 @@ def classify(
 
 
 def trainable(windows: Windows, codes: Codes) -> tuple[Flags, Flags]:
-    """Which windows may teach the two floors: whole, plausible, and not frozen."""
+    """Tell which windows may train the two noise floors: whole, plausible and not frozen ones."""
     whole = (codes == STILL) | (codes >= ACCEL_MOVING)
     return whole & ~windows.accel.constant, whole & ~windows.gyro.constant

@@ -1,9 +1,9 @@
-"""The stationary detector: Algorithm 1 of Grammenos et al. 2018, streaming, sans-I/O, on sample time.
+"""The static detector: Algorithm 1 of Grammenos et al. 2018, streaming, without I/O, on sample time.
 
-Samples become rows of window statistics (stillness_windows); each window is judged (stillness_judge) against
-a learnt noise floor (stillness_floor); still windows that agree gather into runs (stillness_run), and runs
-become rests (stillness_rests) in either mode (stillness_gather). Everything is computed on whole windows of
-one absolute time grid, never on blocks: a stream cut anywhere gives the same rests to the last bit.
+Samples become rows of window statistics (windows.py). Each window is classified (classify.py) against a
+learnt noise floor (noise_floor.py). Still windows that agree form runs, and runs become rests (interval.py),
+in either mode (gather.py). Everything is computed on whole windows of one absolute time grid, never on the
+blocks that came in: a stream cut anywhere gives the same rests to the last bit.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.static.classify import LABELS, Coarseness, Codes, Flags, Windows, classify, trainable
-from stillcal.calib_core.static.gather import Gathered, Gatherer
+from stillcal.calib_core.static.gather import Gatherer, GatherState
 from stillcal.calib_core.static.noise_floor import Floor, counted, rate_class, renewed
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import DetectorSettings, Label, Ledger, Mode, Sense, Sleep, Want
@@ -24,14 +24,14 @@ from stillcal.calib_core.static.windows import (
     BLOCK,
     COLUMNS,
     K_END,
+    Density,
     K,
     N,
-    Pace,
     Stream,
     matched,
-    moved,
-    paced,
     take,
+    window_cells,
+    with_rows,
 )
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -47,15 +47,20 @@ __all__ = [
     "Want",
 ]
 
-_FIRST_EPOCH, _LAST_EPOCH = BLOCK, 64 * BLOCK  # cells between renewals of the floors, doubling
+_FIRST_EPOCH, _LAST_EPOCH = BLOCK, 64 * BLOCK
+"""Cells between renewals of the noise floors: 4 s at first, so that a floor is known soon, and doubling up to
+four minutes, far below the half-life of what the floor remembers."""
 
 
 @dataclass(slots=True)
 class DetectorState:
-    """All that a detector remembers; packs and unpacks (codec) to go on bit for bit.
+    """All that a detector remembers; one restored from it (codec.py) goes on bit for bit.
 
-    Cells are counted on the absolute grid. next_cell: the first not judged yet; epoch_end: where the floors
-    are renewed next, after epoch_cells; pace: how long windows are.
+    Cells are counted on the absolute grid. accel, gyro: samples and rows not classified yet. gyro_expected:
+    whether accelerometer windows wait for the gyroscope. next_cell: the first one not classified yet.
+    epoch_end: the cell where the noise floors are renewed next, epoch_cells after the last time. pace: the
+    density of samples, which sets the length of windows. floors, coarse: of accelerometer and gyroscope.
+    gathered: the state of gathering.
     """
 
     mode: Mode
@@ -65,18 +70,19 @@ class DetectorState:
     next_cell: float = -math.inf
     epoch_end: float = -math.inf
     epoch_cells: int = _FIRST_EPOCH
-    pace: Pace = field(default_factory=Pace)
+    pace: Density = field(default_factory=Density)
     floors: list[Floor] = field(default_factory=lambda: [Floor(), Floor()])
     coarse: list[Coarseness] = field(default_factory=lambda: [Coarseness(), Coarseness()])
-    gathered: Gathered = field(default_factory=Gathered)
+    gathered: GatherState = field(default_factory=GatherState)
 
 
 def _before(rows: Array, cell: float) -> Array:
+    """Return the rows before a cell."""
     return rows[: np.searchsorted(rows[:, K], cell)]
 
 
 class StationaryDetector:
-    """Finds rests in two streams of samples fed in any interleaving; never waits, never reads a clock."""
+    """Finds rests in two streams of samples, fed in any interleaving; it never waits and reads no clock."""
 
     def __init__(self, settings: DetectorSettings | None = None, state: DetectorState | None = None) -> None:
         self.settings = settings or DetectorSettings()
@@ -88,12 +94,12 @@ class StationaryDetector:
 
     @property
     def state(self) -> DetectorState:
-        """A snapshot of all that is remembered; feeding on does not change it."""
+        """A copy of all that is remembered, which further feeding does not change."""
         return copy.deepcopy(self._state)
 
     @property
     def ledger(self) -> Ledger:
-        """What was asked for and read so far, and the fates of windows and candidate rests."""
+        """What was asked for and read so far, and the labels of windows and candidate rests."""
         return self._state.gathered.ledger.copy()
 
     @property
@@ -102,36 +108,36 @@ class StationaryDetector:
         return self._state.mode
 
     def feed(self, *blocks: Samples) -> list[RestState]:
-        """Take blocks of either sensor, each stream in time order, and return the rests that they complete.
+        """Take blocks of either sensor, each stream in time order; return the rests that they complete.
 
-        An accelerometer window waits for gyroscope samples of the same time, up to max_lag_s of stream time;
-        blocks handed over in one call are taken together. Raises ValueError where a stream runs backwards.
+        An accelerometer window waits for gyroscope samples of the same time, up to max_lag_s of stream time.
+        Blocks passed in one call are taken together. Raises ValueError where a stream runs backwards.
         """
         for block in blocks:
             self._take(block)
         self._advance(self._horizon())
-        return self._gatherer.taken()
+        return self._gatherer.take_rests()
 
     def finish(self) -> list[RestState]:
-        """Judge what is buffered, close the open rest, and return what that completes."""
+        """Classify what is buffered, close the open rest, and return the rests that this completes."""
         state, window = self._state, self.settings.window_s
         state.accel = take(state.accel, Samples.empty(Sensor.ACCELEROMETER), window, close=True)
         state.gyro = take(state.gyro, Samples.empty(Sensor.GYROSCOPE), window, close=True)
         self._advance(math.inf)
         self._gatherer.stop()
-        return self._gatherer.taken()
+        return self._gatherer.take_rests()
 
     def set_mode(self, mode: Mode) -> list[RestState]:
-        """Switch between scanning and probing from the next window on; return the rest that this closes."""
+        """Switch between scanning and probing from the next window on; return the rests that this closes."""
         if mode is not self._state.mode:
             self._gatherer.stop()
             self._state.mode, self._state.gathered.probe = mode, None
-        return self._gatherer.taken()
+        return self._gatherer.take_rests()
 
     def wants(self, now: float) -> Want:
-        """Say what the detector wants at time `now`, s: samples until some time, or none before one.
+        """Return the detector's request at time `now`, s: samples until some time, or none before one.
 
-        A probe for which nothing came is given up, max_lag_s after its end, and the next one drawn.
+        A probe for which no sample came is given up max_lag_s after its end, and the next one is drawn.
         """
         return Sense(math.inf) if self._state.mode is Mode.SCAN else self._gatherer.wants(now)
 
@@ -141,10 +147,10 @@ class StationaryDetector:
         return now if self._state.mode is Mode.SCAN else self._gatherer.due(now / window).start * window
 
     def still_valid(self, rest: RestState) -> bool:
-        """Judge an accepted rest again by the floors as known now.
+        """Tell whether an accepted rest still counts as one by the noise floors as they are known now.
 
-        A rest accepted while the floor was still too high (nothing quieter had been seen) fails later. The
-        rest's pooled sample deviations are compared, at its own sampling rate.
+        A rest accepted while the floor was too high, because nothing quieter had been seen, fails later. The
+        standard deviation of the rest's samples is compared with the floor of its own sampling rate.
         """
         state, k = self._state, self.settings
         pairs = ((rest.force_sd, k.accel_factor), (rest.rate_sd, k.gyro_factor))
@@ -156,12 +162,12 @@ class StationaryDetector:
         return True
 
     def noise_floor(self, rate_hz: float) -> tuple[float, float]:
-        """Return the floors known for a sampling rate, (m/s^2, rad/s), inf where none is known yet."""
+        """Return both sensors' noise floors at a sampling rate, m/s^2 and rad/s, inf where unknown yet."""
         octave = rate_class(np.array([rate_hz]))[0]
         return float(self._state.floors[0].level[octave]), float(self._state.floors[1].level[octave])
 
     def _take(self, block: Samples) -> None:
-        """Add a block to its stream; rows that come too late to be paired or judged are dropped."""
+        """Add a block to its stream; rows that come too late to be classified are dropped."""
         state, accel = self._state, block.sensor is Sensor.ACCELEROMETER
         stream = state.accel if accel else state.gyro
         last = stream.t[-1] if stream.t.size else -math.inf
@@ -177,40 +183,40 @@ class StationaryDetector:
             state.gathered.ledger.gyro_late += late
 
     def _horizon(self) -> float:
-        """Return the first cell not to be judged yet, deciding whether to wait for the gyroscope."""
+        """Return the first cell that is not complete yet, and decide whether to wait for the gyroscope."""
         state, window = self._state, self.settings.window_s
         if state.accel.t.size == 0:
             return -math.inf
         accel = float(math.floor(state.accel.t[-1] / window))
         gyro = float(math.floor(state.gyro.t[-1] / window)) if state.gyro.t.size else -math.inf
         start = float(state.accel.rows[0, K]) if state.accel.rows.shape[0] else accel
-        lost = accel - max(gyro, start) > self.settings.max_lag_s / window
-        state.gyro_expected = not lost and (state.gyro_expected or gyro >= state.next_cell)
+        gyro_missing = accel - max(gyro, start) > self.settings.max_lag_s / window
+        state.gyro_expected = not gyro_missing and (state.gyro_expected or gyro >= state.next_cell)
         return min(accel, gyro) if state.gyro_expected else accel
 
     def _advance(self, horizon: float) -> None:
-        """Judge all windows that are complete before cell `horizon`, epoch by epoch."""
+        """Classify all windows that are complete before cell `horizon`."""
         state = self._state
         accel, gyro = _before(state.accel.rows, horizon), _before(state.gyro.rows, horizon)
         at, found = matched(gyro[:, K], accel[:, K])
         counts = accel[:, N].copy()
         counts[found] = np.minimum(counts[found], gyro[at[found], N])
-        widths = paced(state.pace, accel[:, K], counts, self.settings.min_samples)
+        widths = window_cells(state.pace, accel[:, K], counts, self.settings.min_samples)
         ends = (np.floor(accel[:, K] / widths) + 1.0) * widths
         whole = int(np.searchsorted(ends, horizon, side="right"))
         if whole == 0:
             return
-        if state.mode is Mode.PROBE and self._gatherer.passes_over(float(ends[whole - 1])):
-            self._pass_over(accel[:whole], ends[:whole] - widths[:whole])
+        if state.mode is Mode.PROBE and self._gatherer.skip_to(float(ends[whole - 1])):
+            self._count_unasked(accel[:whole], ends[:whole] - widths[:whole])
         else:
-            self._judge_epochs(Windows.of(accel[:whole], gyro, widths[:whole], self.settings))
-        state.pace = moved(state.pace, accel[:whole, K], counts[:whole])
+            self._classify_epochs(Windows.of(accel[:whole], gyro, widths[:whole], self.settings))
+        state.pace = with_rows(state.pace, accel[:whole, K], counts[:whole])
         state.next_cell = float(ends[whole - 1])
         state.accel.rows = state.accel.rows[whole:]
         state.gyro.rows = state.gyro.rows[np.searchsorted(state.gyro.rows[:, K], state.next_cell) :]
 
-    def _pass_over(self, rows: Array, starts: Array) -> None:
-        """Count cells that no probe asks for, unjudged. starts: (n,) of the windows that they would join."""
+    def _count_unasked(self, rows: Array, starts: Array) -> None:
+        """Count the samples of cells that no probe asks for. starts: (n,) of the windows they belong to."""
         state = self._state
         first = int(np.searchsorted(starts, state.epoch_end))
         while first < starts.size:
@@ -218,19 +224,19 @@ class StationaryDetector:
             first = int(np.searchsorted(starts, state.epoch_end))
         state.gathered.ledger.accel_unasked += int(rows[:, N].sum())
 
-    def _judge_epochs(self, windows: Windows) -> None:
-        """Judge windows, renewing the floors wherever an epoch ends."""
+    def _classify_epochs(self, windows: Windows) -> None:
+        """Classify windows, renewing the noise floors wherever an epoch ends."""
         state, first = self._state, 0
         starts = windows.rows[:, K]
         while first < len(windows):
             if starts[first] >= state.epoch_end:
                 self._renew(starts[first])
             last = int(np.searchsorted(starts, state.epoch_end))
-            self._judge(windows[slice(first, last)])
+            self._classify(windows[slice(first, last)])
             first = last
 
-    def _judge(self, windows: Windows) -> None:
-        """Judge the windows of one epoch, gather rests from them, and learn from those looked at."""
+    def _classify(self, windows: Windows) -> None:
+        """Classify the windows of one epoch, gather rests from them, and learn from those looked at."""
         state = self._state
         steps = (state.coarse[0].step, state.coarse[1].step)
         codes = classify(windows, (state.floors[0], state.floors[1]), state.coarse[0].coarse, self.settings)
@@ -238,18 +244,18 @@ class StationaryDetector:
             looked = np.ones(len(windows), dtype=bool)
             self._gatherer.scan(windows.rows, codes, steps)
         else:
-            looked = self._gatherer.probed(windows.rows, codes, steps)
+            looked = self._gatherer.probe(windows.rows, codes, steps)
         if looked.any():
             self._learn(windows, codes, looked)
         self._count(windows, codes, looked)
 
     def _learn(self, windows: Windows, codes: Codes, looked: Flags) -> None:
-        """Let the windows looked at teach the floors and the sensors' coarseness."""
+        """Train the noise floors and the sensors' coarseness with the windows looked at."""
         state = self._state
         ceilings = (self.settings.accel_ceiling, self.settings.gyro_ceiling)
-        teach = trainable(windows, codes)
+        may_train = trainable(windows, codes)
         for i, half in enumerate((windows.accel, windows.gyro)):
-            use = teach[i] & looked
+            use = may_train[i] & looked
             state.floors[i] = counted(state.floors[i], half.rates[use], half.spread[use])
             state.coarse[i] = state.coarse[i].observed(half, looked, ceilings[i])
 
@@ -268,7 +274,7 @@ class StationaryDetector:
                 ledger.windows[LABELS[code]] = ledger.windows.get(LABELS[code], 0) + count
 
     def _renew(self, cell: float) -> None:
-        """Begin an epoch: use what the last one taught."""
+        """Begin an epoch: use what was learnt in the last one."""
         state, k = self._state, self.settings
         state.floors = [renewed(floor, k) for floor in state.floors]
         state.coarse = [coarse.renewed(k) for coarse in state.coarse]

@@ -1,6 +1,8 @@
-"""Gathering rests from judged windows, in either mode: all of them, or only those that probes ask for.
+"""Rests gathered from classified windows: from all of them, or only from those that probes ask for.
 
-Holds the open run and the probe under way; knows nothing of samples, streams or noise floors.
+This module keeps the open run and the current probe. When to probe and for how long is the random part of
+Algorithm 1: draws are functions of (seed, counter), so that a detector restored from its state draws the same
+times, without a hidden generator. All times of probes are in cells of the grid.
 """
 
 from __future__ import annotations
@@ -12,7 +14,14 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.static.classify import GAPPED, LABELS, SPARSE, STILL, Codes, Flags
-from stillcal.calib_core.static.interval import Run, absorb, contributions, drifted, judged, trimmed
+from stillcal.calib_core.static.interval import (
+    Run,
+    absorb,
+    contributions,
+    drifted,
+    rest_from_windows,
+    trimmed,
+)
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import DetectorSettings, Label, Ledger, Sense, Sleep, Want
 from stillcal.calib_core.static.windows import K_END, K
@@ -22,10 +31,10 @@ _MASK = (1 << 64) - 1
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """A probe on the grid of windows; all in cells.
+    """A probe on the grid of windows, in cells.
 
-    asked: when the sensors are wanted on; start: of the first whole window; full: length, w_max; drawn: the
-    counter after its draws.
+    asked: when the sensors are wanted on. start: of the first whole window. full: its length w_max. drawn:
+    the counter of random draws after its own.
     """
 
     asked: int
@@ -35,16 +44,16 @@ class Probe:
 
     @property
     def end(self) -> int:
-        """The cell after the last that this probe may read."""
+        """The cell after the last one that this probe may read."""
         return self.start + self.full
 
     def begun_at(self, start: int, cells: int) -> Probe:
-        """Return it beginning at `start`, of whole windows of `cells` cells, at least two of them."""
+        """Return the probe beginning at `start`, of whole windows of `cells` cells, at least two."""
         return Probe(self.asked, start, max(math.ceil(self.full / cells), 2) * cells, self.drawn)
 
 
 def uniform(seed: int, counter: int) -> float:
-    """Draw from [0, 1): output `counter` of the SplitMix64 sequence of `seed` (Steele et al. 2014)."""
+    """Return output `counter` of the SplitMix64 sequence of `seed`, in [0, 1) (Steele et al. 2014)."""
     z = (seed + (counter + 1) * 0x9E3779B97F4A7C15) & _MASK
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & _MASK
     z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & _MASK
@@ -70,11 +79,11 @@ Steps = tuple[float, float]
 
 
 @dataclass(slots=True)
-class Gathered:
-    """What is open, and the count of what became of things.
+class GatherState:
+    """The state of gathering.
 
-    run: open run of still windows; end_cell: the cell after the last window seen; probe: due or under way;
-    drawn: counter of random draws.
+    run: open run of still windows. end_cell: the cell after the last window. probe: the current or next one.
+    drawn: counter of random draws. ledger: what was asked for and read.
     """
 
     run: Run = field(default_factory=Run)
@@ -85,30 +94,31 @@ class Gathered:
 
 
 class Gatherer:
-    """Turns judged windows into rests, kept in `found` until taken."""
+    """Turns classified windows into rests, which wait in `rests` until they are taken."""
 
-    def __init__(self, settings: DetectorSettings, state: Gathered) -> None:
+    def __init__(self, settings: DetectorSettings, state: GatherState) -> None:
         self.settings = settings
         self.state = state
-        self.found: list[RestState] = []
-        self._most = cells_of(settings.max_rest_s, settings.window_s)
-        self._least = settings.w_min_s * (1 - 1e-9) / settings.window_s
+        self.rests: list[RestState] = []
+        self._longest = cells_of(settings.max_rest_s, settings.window_s)
+        self._shortest = settings.w_min_s * (1 - 1e-9) / settings.window_s
 
-    def taken(self) -> list[RestState]:
-        """Return the rests found since the last time."""
-        found, self.found = self.found, []
-        return found
+    def take_rests(self) -> list[RestState]:
+        """Return the rests gathered since the last call."""
+        rests, self.rests = self.rests, []
+        return rests
 
     def scan(self, rows: Array, codes: Codes, steps: Steps) -> None:
-        """Gather runs from all windows; anything but a still window that follows on closes the open one.
+        """Gather runs from all windows; anything but a still window without a gap closes the open run.
 
-        rows: joint rows; codes: their fates; steps: what coarseness alone may move the two means by.
+        rows: (n, 2 COLUMNS) joint rows. codes: (n,) their labels. steps: standard uncertainty that coarseness
+        alone puts into the two means.
         """
         state = self.state
         n = rows.shape[0]
         apart = rows[:, K] != np.concatenate(([state.end_cell], rows[:-1, K_END]))
         cuts = np.flatnonzero(np.concatenate(([True], (codes[1:] != codes[:-1]) | apart[1:])))
-        own, short = contributions(rows), rows[:, K_END] - rows[:, K] < self._least
+        own, short = contributions(rows), rows[:, K_END] - rows[:, K] < self._shortest
         parts = zip(
             cuts.tolist(), [*cuts[1:].tolist(), n], apart[cuts].tolist(), codes[cuts].tolist(), strict=True
         )
@@ -125,8 +135,8 @@ class Gatherer:
         state.end_cell = float(rows[-1, K_END])
         state.ledger.asked_s += float((rows[:, K_END] - rows[:, K]).sum()) * self.settings.window_s
 
-    def probed(self, rows: Array, codes: Codes, steps: Steps) -> Flags:
-        """Look only at windows that a probe asks for (Algorithm 1, lines 8-29); say which those were."""
+    def probe(self, rows: Array, codes: Codes, steps: Steps) -> Flags:
+        """Read only windows that a probe asks for (Algorithm 1, lines 8-29); return which these are, (n,)."""
         looked = np.zeros(rows.shape[0], dtype=bool)
         at = 0
         while at < rows.shape[0]:
@@ -140,8 +150,8 @@ class Gatherer:
         self.state.end_cell = float(rows[-1, K_END])
         return looked
 
-    def passes_over(self, end: float) -> bool:
-        """Tell whether the probe due begins no earlier than cell `end`; what lies before it is then past."""
+    def skip_to(self, end: float) -> bool:
+        """Skip all cells before `end` where the next probe begins no earlier; tell whether that was so."""
         state = self.state
         if state.probe is None or end > state.probe.start:
             return False
@@ -149,16 +159,16 @@ class Gatherer:
         return True
 
     def wants(self, now: float) -> Want:
-        """Say what the probe under way or due wants at time `now`, s, giving up one that nothing came for."""
+        """Return the request at time `now`, s; a probe for which no sample came is given up."""
         window, cell = self.settings.window_s, now / self.settings.window_s
         probe = self._awaited(cell)
         return Sleep(probe.start * window) if cell < probe.start else Sense(self._asked_end(probe) * window)
 
     def _awaited(self, cell: float) -> Probe:
-        """Return the probe due at `cell`, giving up those before it that nothing came for.
+        """Return the probe due at `cell`, giving up those before it for which no sample came.
 
-        Each is given up at a time of its own, whoever asks and when: a gap lived through and a gap found
-        in a recording leave the same probes.
+        Each is given up at a time of its own, however often this is called, so that a gap lived through and a
+        gap in a recording leave the same probes.
         """
         probe, lag = self.due(cell), self.settings.max_lag_s / self.settings.window_s
         while not self.state.run.rows.shape[0] and cell > (last := self._asked_end(probe) + lag):
@@ -167,7 +177,7 @@ class Gatherer:
         return probe
 
     def due(self, cell: float) -> Probe:
-        """Return the probe that is under way or due, drawing the first one after `cell`."""
+        """Return the current or next probe, drawing the first one after `cell`."""
         state = self.state
         if state.probe is None:
             state.probe = draw_probe(cell, state.drawn, self.settings)
@@ -175,18 +185,20 @@ class Gatherer:
         return state.probe
 
     def stop(self) -> None:
-        """Close what is open: a run, and the probe that gathers it."""
+        """Close the open run and the probe that it belongs to."""
         if self.state.probe is not None and self.state.run.rows.shape[0]:
             self._end_probe(Label.STILL, self.state.end_cell)
         self._close(Label.STILL)
 
     def _gather(self, rows: Array, own: Array, steps: Steps) -> None:
-        """Add still, adjoining windows to the open run, closing it where they step off or it is full."""
+        """Add still, adjoining windows to the open run; close it where their mean differs or it is full."""
         state = self.state
         ends = np.add.accumulate(rows[:, K_END] - rows[:, K])
-        at, n, gone = 0, rows.shape[0], 0.0
+        at, n, closed_cells = 0, rows.shape[0], 0.0
         while at < n:
-            room = int(np.searchsorted(ends, self._most - state.run.cells + gone, side="right")) - at
+            room = (
+                int(np.searchsorted(ends, self._longest - state.run.cells + closed_cells, side="right")) - at
+            )
             if room <= 0 and state.run.rows.shape[0]:
                 self._close(Label.STILL)
                 continue
@@ -195,18 +207,17 @@ class Gatherer:
             if at + taken < min(end, n):
                 self._close(Label.STEPPED)
             at += taken
-            gone = float(ends[at - 1]) if at else 0.0
+            closed_cells = float(ends[at - 1]) if at else 0.0
 
     def _close(self, ended_by: Label) -> None:
-        """Close the open run: a rest joins `found`, a refusal the ledger."""
+        """Close the open run: count what it made, and keep it if it is a rest."""
         state, run = self.state, self.state.run
         state.run = Run(after=ended_by)
         if run.rows.shape[0]:
-            rest = judged(trimmed(run, ended_by), drifted(run, ended_by), self.settings)
-            fate = rest if isinstance(rest, Label) else Label.STILL
-            state.ledger.count_rest(fate)
+            rest = rest_from_windows(trimmed(run, ended_by), drifted(run, ended_by), self.settings)
+            state.ledger.count_rest(rest if isinstance(rest, Label) else Label.STILL)
             if not isinstance(rest, Label):
-                self.found.append(rest)
+                self.rests.append(rest)
 
     def _read(self, rows: Array, codes: Codes, steps: Steps) -> int:
         """Read windows up to the probe's end or the first that is not still; return how many were read."""
@@ -231,7 +242,7 @@ class Gatherer:
         return first + taken + int(inside)
 
     def _started(self, rows: Array, codes: Codes) -> int:
-        """Skip broken windows while the sensors start up; the probe begins at the first whole one."""
+        """Return how many broken windows to skip at the start; the first whole one begins the probe."""
         probe = self.due(rows[0, K])
         late = probe.asked + cells_of(self.settings.startup_s, self.settings.window_s)
         skip = np.isin(codes, (GAPPED, SPARSE)) & (rows[:, K_END] <= late)
@@ -244,12 +255,12 @@ class Gatherer:
         return first
 
     def _asked_end(self, probe: Probe) -> int:
-        """Return the cell up to which samples are wanted: w_min at first, w_max once that was still."""
+        """Return the cell up to which samples are wanted: w_min at first, w_max once w_min was still."""
         shortest = min(cells_of(self.settings.w_min_s, self.settings.window_s), probe.full)
         return probe.end if self.state.run.cells >= shortest else probe.start + shortest
 
     def _end_probe(self, ended_by: Label, cell: float) -> None:
-        """Close the probe, which ended at `cell`, and draw the next one after that."""
+        """End the probe at `cell`, and draw the next one after that."""
         state, window = self.state, self.settings.window_s
         probe = self.due(cell)
         state.ledger.probes += 1

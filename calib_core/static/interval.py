@@ -1,6 +1,10 @@
-"""From a run of still windows to a rest with honest uncertainties, or to the reason why it is none.
+"""Runs of still windows, and the rests that they make.
 
-Works on the joint rows of stillness_windows (accelerometer columns, then gyroscope's); no state.
+A run collects still windows one after another as long as their means agree. A window whose mean differs from
+the running mean by more than noise explains ends the run, so that a phone turned gently between two windows
+does not join two attitudes. Running sums are strictly sequential (cumulative), hence the same however many
+windows come at a time. `rest_from_windows` turns a closed run into a rest with its uncertainties, or into the
+label that says why it is none. Rows are those of windows.py: accelerometer columns, then the gyroscope's.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ from stillcal.calib_core.static.settings import DetectorSettings, Label
 from stillcal.calib_core.static.windows import (
     COLUMNS,
     D2,
+    FEW_CODES,
     HIGH,
     K_END,
     LOW,
@@ -37,15 +42,29 @@ Flags = NDArray[np.bool_]
 
 _SUMS = 11  # per sensor: samples, degrees of freedom, samples x mean (3), squares (3), squared steps (3)
 _MOTION = (Label.ACCEL_MOVING, Label.GYRO_MOVING, Label.STEPPED, Label.IMPLAUSIBLE)
-_INFLATION = 10.0  # of a window mean's variance by correlated noise; more would be motion
+# Student's t for a two-sided probability of 68.27 %, by degrees of freedom from 1 (JCGM 100:2008, Table G.2).
+_STUDENT = np.array([1.84, 1.32, 1.20, 1.14, 1.11, 1.09, 1.08, 1.07, 1.06, 1.05])
 
+_INFLATION = 10.0
+"""Largest inflation of a mean's variance by correlated noise: that of a correlation of 0.82 from sample to
+sample, as behind a first-order low-pass at 3 % of the sampling rate. Slower change counts as motion."""
+
+_MIN_BATCHES = 4
+"""The standard deviation of four batch means is uncertain by 40 %, that of fewer by more."""
+
+_HELD_SHARE = 0.9
+"""Share of windows without any change beyond which the sensor counts as stuck. A coarse sensor at rest still
+changes its code now and then; a stuck one changes it only where it came to life."""
 
 _NO_ROWS, _NO_SUMS = no_rows(2 * COLUMNS), frozen(np.zeros(2 * _SUMS))
 
 
 @dataclass(slots=True)
 class Run:
-    """Windows gathered so far. rows: joint rows; sums: over them; after: what parted it from the last."""
+    """The windows of a run so far.
+
+    rows: (windows, 2 COLUMNS) joint rows. sums: (2 _SUMS,) over them. after: what ended the run before.
+    """
 
     rows: Array = field(default_factory=lambda: _NO_ROWS)
     sums: Array = field(default_factory=lambda: _NO_SUMS)
@@ -53,7 +72,7 @@ class Run:
 
     @property
     def cells(self) -> int:
-        """Length so far in cells of the grid."""
+        """The length so far in cells of the grid."""
         return int((self.rows[:, K_END] - self.rows[:, K]).sum()) if self.rows.shape[0] else 0
 
 
@@ -73,7 +92,7 @@ def contributions(rows: Array) -> Array:
 
 
 def _steps_off(rows: Array, before: Array, own: Array, factor: float, allowance: float) -> Flags:
-    """Whether each window's mean leaves the mean of all before it. before, own: sums, (_SUMS, n)."""
+    """Tell which windows' means differ from the mean of all windows before. before, own: sums, (_SUMS, n)."""
     n, n_own = before[0], own[0]
     pool = before + own
     squares, steps = pool[5] + pool[6] + pool[7], pool[8] + pool[9] + pool[10]
@@ -90,10 +109,10 @@ def _steps_off(rows: Array, before: Array, own: Array, factor: float, allowance:
 def absorb(
     run: Run, rows: Array, own: Array, coarse: tuple[float, float], settings: DetectorSettings
 ) -> tuple[Run, int]:
-    """Add the leading rows that agree with the run; return it and how many were taken.
+    """Add the leading rows that agree with the run; return the run and how many rows were added.
 
-    own: their `contributions`. coarse: what a sensor's coarseness alone may move a mean by, both sensors,
-    standard.
+    own: the rows' `contributions`. coarse: standard uncertainty that coarse quantisation alone puts into a
+    mean, m/s^2 and rad/s.
     """
     running = np.empty((2 * _SUMS, rows.shape[0] + 1))
     running[:, 0], running[:, 1:] = run.sums, own
@@ -112,27 +131,20 @@ def absorb(
 
 
 def trimmed(run: Run, ended_by: Label) -> Array:
-    """Return the rows without the windows that border on motion: its first samples may lie in them."""
+    """Return the rows without the windows next to motion, which may hold its first or last samples."""
     first = int(run.after in _MOTION)
     last = run.rows.shape[0] - int(ended_by in _MOTION)
     return run.rows[first : max(last, first)]
 
 
 def drifted(run: Run, ended_by: Label) -> bool:
-    """Whether the run's mean drifted off at either end, rather than motion parting it from its neighbours."""
+    """Tell whether the run began or ended because its mean drifted, rather than by motion."""
     return Label.STEPPED in (run.after, ended_by)
-
-
-# Student's t for a two-sided probability of 68.27 %, by degrees of freedom from 1 (JCGM 100:2008, Table G.2).
-_STUDENT = np.array([1.84, 1.32, 1.20, 1.14, 1.11, 1.09, 1.08, 1.07, 1.06, 1.05])
-_MIN_BATCHES = 4
-_FEW_CODES = 2.5  # a range below this many steps: at most three neighbouring codes
-_HELD_SHARE = 0.9  # of windows that never changed, beyond which a rest is a stuck sensor's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sums:
-    """One sensor's windows of a rest, and their sums, each taken once.
+    """One sensor's windows of a rest, with the sums over them.
 
     columns: (COLUMNS, windows), a statistic's values lying side by side; n: samples; total: n x mean, (3,
     windows); mean, m2, d2: (3,), of all samples; m2: about the windows' own means.
@@ -147,7 +159,7 @@ class _Sums:
 
     @classmethod
     def of(cls, rows: Array) -> _Sums:
-        """Take them over rows (windows, COLUMNS)."""
+        """Sum over rows (windows, COLUMNS)."""
         columns = np.ascontiguousarray(rows.T)
         n = float(np.add.reduce(columns[N]))
         total = columns[N] * columns[MEAN]
@@ -165,10 +177,10 @@ class _Sums:
         return self.m2 / self.freedom
 
 
-def judged(rows: Array, drifted: bool, settings: DetectorSettings) -> RestState | Label:
-    """Return the rest that these still windows make, or why they make none.
+def rest_from_windows(rows: Array, drifted: bool, settings: DetectorSettings) -> RestState | Label:
+    """Return the rest that still windows make, or the label that says why they make none.
 
-    rows: joint rows, shape (windows, 2 COLUMNS). drifted: no motion parts them from a neighbour.
+    rows: (windows, 2 COLUMNS) joint rows. drifted: the run began or ended without motion.
     """
     length = float(np.add.reduce(rows[:, K_END] - rows[:, K])) * settings.window_s
     if length < settings.w_min_s * (1 - 1e-9):
@@ -183,12 +195,12 @@ def judged(rows: Array, drifted: bool, settings: DetectorSettings) -> RestState 
     if slope > max(settings.max_tilt_rate, 4.0 * uncertainty):
         return Label.TILTING
     gyro = rows[rows[:, COLUMNS + N] > 0, COLUMNS:]
-    seen = _Sums.of(gyro) if 2 * gyro.shape[0] >= rows.shape[0] else None
-    return _rest(accel, bias, seen, slope + 2.0 * uncertainty)
+    rates = _Sums.of(gyro) if 2 * gyro.shape[0] >= rows.shape[0] else None
+    return _rest(accel, bias, rates, slope + 2.0 * uncertainty)
 
 
 def _rest(accel: _Sums, bias: Array, gyro: _Sums | None, tilt_rate_limit: float) -> RestState:
-    """Put the rest together. bias: what rounding leaves in the force; gyro: where it was there."""
+    """Put the rest together. bias: (3,) m/s^2, what rounding leaves in the mean force."""
     columns = accel.columns
     temperature = float((columns[N] * columns[TEMP]).sum() / accel.n)
     return RestState(
@@ -206,7 +218,7 @@ def _rest(accel: _Sums, bias: Array, gyro: _Sums | None, tilt_rate_limit: float)
 
 
 def _rate_fields(gyro: _Sums, force: Array) -> dict[str, Any]:
-    """Return what a rest says of the rate. All of the rate about the vertical may be rotation, not bias."""
+    """Return a rest's fields on the rate. All of the rate about the vertical may be rotation, not bias."""
     rate, uncertainty = gyro.mean, _mean_uncertainty(gyro, _quantisation(gyro))
     up = force / np.linalg.norm(force)
     return {
@@ -219,13 +231,13 @@ def _rate_fields(gyro: _Sums, force: Array) -> dict[str, Any]:
 
 
 def _mean_uncertainty(sums: _Sums, bias: Array) -> Array:
-    """Return the standard uncertainty of the mean of all samples, shape (3,), honest for coloured noise.
+    """Return the standard uncertainty of the mean of all samples, (3,), with coloured noise allowed for.
 
-    The largest of: white noise inflated by the samples' lag-one correlation, and the scatter of batch means
-    at every batch length that leaves at least 4 batches (fewer, where the rest is that short), each widened
-    by Student's t for so few batches. What the noise remembers for longer than about 1/25 of the rest cannot
-    be seen from inside it and is not in here: the scatter between rests of one attitude tells. Then the
-    quantiser's own `bias` on top, where few codes were seen.
+    It is the largest of two estimates: white noise inflated by the samples' lag-one correlation, and the
+    scatter of batch means at every batch length that leaves at least 4 batches (fewer where the rest is that
+    short), each widened by Student's t for so few batches. Noise with a memory longer than about 1/25 of the
+    rest cannot be seen from inside it and is not included; the scatter between rests of one attitude shows
+    it. `bias`, (3,), what rounding leaves in the mean, is added in square.
     """
     off, n = sums.columns[MEAN] - sums.mean[:, None], sums.n
     squares = sums.m2 + np.add.reduce(sums.columns[N] * off * off, axis=1)
@@ -235,7 +247,7 @@ def _mean_uncertainty(sums: _Sums, bias: Array) -> Array:
 
 
 def _batch_variance(n: Array, means: Array, totals: Array) -> Array:
-    """Variance of the mean by the scatter of batch means, the largest over lengths of 1, 2, 4, ... windows.
+    """Return the largest variance of the mean by the scatter of batch means of 1, 2, 4, ... windows.
 
     n: (windows,); means, totals: (3, windows), totals = n x means.
     """
@@ -257,9 +269,9 @@ def _batch_variance(n: Array, means: Array, totals: Array) -> Array:
 def _quantisation(sums: _Sums) -> Array:
     """Return the standard uncertainty that rounding leaves in the mean, however long it is averaged.
 
-    LSB / sqrt(12) on at most three codes. With more codes the noise dithers, and of the bias there remains
-    LSB / (pi sqrt 2) exp(-2 pi^2 sd^2 / LSB^2), the first term of its Fourier
-    series (Widrow and Kollar 2008).
+    On at most three codes it is LSB / sqrt(12). With more codes the noise acts as dither, and the bias that
+    remains is LSB / (pi sqrt 2) exp(-2 pi^2 sd^2 / LSB^2), the first term of its Fourier series (Widrow and
+    Kollar 2008, Quantization Noise).
     """
     columns = sums.columns
     lsb = np.minimum.reduce(columns[LSB], axis=1)
@@ -267,15 +279,17 @@ def _quantisation(sums: _Sums) -> Array:
     if not known.any():
         return np.zeros(3)
     if not known.all():
-        lsb = np.where(known, lsb, lsb[known].max())  # an axis that never left its code: the others' step
+        lsb = np.where(
+            known, lsb, lsb[known].max()
+        )  # an axis that never changed has no step: take the others'
     ratio = np.minimum(np.sqrt(sums.variance) / lsb, 10.0)
     dithered = lsb / (np.pi * np.sqrt(2.0)) * np.exp(-2.0 * np.pi**2 * ratio**2)
     reach = np.maximum.reduce(columns[HIGH], axis=1) - np.minimum.reduce(columns[LOW], axis=1)
-    return np.asarray(np.where(reach < _FEW_CODES * lsb, lsb / np.sqrt(12.0), dithered))
+    return np.asarray(np.where(reach < FEW_CODES * lsb, lsb / np.sqrt(12.0), dithered))
 
 
 def _tilt(sums: _Sums, bias: Array) -> tuple[float, float]:
-    """Return how fast gravity's direction turned, rad/s, and its standard uncertainty, by least squares."""
+    """Return how fast gravity's direction turned, and its standard uncertainty, rad/s, by least squares."""
     n, windows = sums.columns[N], sums.columns.shape[1]
     t = 0.5 * (sums.columns[T0] + sums.columns[T1])
     t = t - (n * t).sum() / sums.n
@@ -286,7 +300,7 @@ def _tilt(sums: _Sums, bias: Array) -> tuple[float, float]:
     off = sums.columns[MEAN] - sums.mean[:, None]
     slope = np.add.reduce(weighted * off, axis=1) / lever
     left = off - t * slope[:, None]
-    inflation = correlation_inflation(sums.m2, sums.d2, 10.0)
+    inflation = correlation_inflation(sums.m2, sums.d2, _INFLATION)
     scatter = np.add.reduce(n * left * left, axis=1) / max(windows - 2, 1)
     variance = np.maximum(sums.variance * inflation, scatter) + bias * bias * (sums.n / windows)
     norm = max(float(np.linalg.norm(sums.mean)), 1e-12)

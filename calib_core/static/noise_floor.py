@@ -1,8 +1,9 @@
-"""The noise floor: how little a sensor scatters when nothing moves it, learnt and forgotten.
+"""The noise floor: the scatter of a sensor when nothing moves it, learnt while the detector runs.
 
-The paper keeps running minima: one freak quiet window and nothing is ever still again, none seen yet and
-walking passes. Here the spreads of all windows go into a logarithmic histogram with forgetting, one per
-octave of sampling rate (noise grows with bandwidth), and the floor is its lowest well-populated cluster.
+The paper keeps running minima. With these, one freak quiet window makes every later window count as moving,
+and before a quiet window was seen even walking counts as still. Here the standard deviations of all windows
+go into a logarithmic histogram with forgetting, one for each octave of sampling rate (noise grows with
+bandwidth), and the floor is the lowest cluster that holds enough windows.
 """
 
 from __future__ import annotations
@@ -18,9 +19,16 @@ from stillcal.calib_core.static.settings import DetectorSettings
 Index = NDArray[np.intp]
 
 _PER_OCTAVE = 4
-_LOWEST = -18  # log2 of the lowest spread told apart: 4e-6 m/s^2 or rad/s
+"""Bins an octave: 19 % wide, as the spread of a window of 8 samples on three axes is uncertain by 15 %."""
+
+_LOWEST = -18
+"""log2 of the lowest spread told apart: 4e-6 m/s^2 or rad/s, far below any phone sensor's noise."""
+
 _BINS = 24 * _PER_OCTAVE
-_RATES = 9  # octaves of sampling rate, from 2-4 Hz to 512 Hz and above
+"""Up to 2^6 = 64 m/s^2 or rad/s, beyond what any detector setting calls still."""
+
+_RATES = 9
+"""Octaves of sampling rate, from 2-4 Hz to 512 Hz and above."""
 
 
 def _no_counts() -> Array:
@@ -33,7 +41,11 @@ def _no_floors() -> Array:
 
 @dataclass(slots=True)
 class Floor:
-    """One sensor's floor. past: decayed counts; fresh: counts not used yet; level: (rates,), inf unknown."""
+    """One sensor's noise floor.
+
+    past: (rates, bins) decayed counts. fresh: (rates, bins) counts not used yet. level: (rates,) the floor in
+    m/s^2 or rad/s, inf where unknown.
+    """
 
     past: Array = field(default_factory=_no_counts)
     fresh: Array = field(default_factory=_no_counts)
@@ -41,31 +53,31 @@ class Floor:
 
 
 def rate_class(rate: Array) -> Index:
-    """Octave of the sampling rate (Hz) that a window belongs to, as an index."""
+    """Return the octave of sampling rates (Hz), (n,), as an index."""
     octave: Index = (np.log2(np.maximum(rate, 1.0)) - 1.0).astype(np.intp)
     return octave.clip(0, _RATES - 1)
 
 
 def counted(floor: Floor, classes: Index, spreads: Array) -> Floor:
-    """Add windows' spreads to the counts; the level stays until `renewed`. Spreads of 0 do not count."""
-    seen = spreads > 0
-    if not seen.any():
+    """Count spreads by octave of rate; the level stays until `renewed`. Spreads of 0 do not count."""
+    positive = spreads > 0
+    if not positive.any():
         return floor
-    octave = np.log2(spreads[seen]) - _LOWEST
+    octave = np.log2(spreads[positive]) - _LOWEST
     bins = np.clip(np.floor(octave * _PER_OCTAVE), 0, _BINS - 1).astype(np.intp)
-    flat = np.bincount(classes[seen] * _BINS + bins, minlength=_RATES * _BINS)
+    flat = np.bincount(classes[positive] * _BINS + bins, minlength=_RATES * _BINS)
     return Floor(floor.past, frozen(floor.fresh + flat.reshape(_RATES, _BINS)), floor.level)
 
 
 def renewed(floor: Floor, settings: DetectorSettings) -> Floor:
-    """Let the fresh counts in, forget by as many windows as came, and find the levels again."""
+    """Add the fresh counts to the past ones, which decay by as many windows, and find the levels again."""
     if not floor.fresh.any():
         return floor
-    came = floor.fresh.sum(axis=1, keepdims=True)
-    keep = 0.5 ** (came * settings.window_s / settings.half_life_s)
-    past = floor.past * keep + floor.fresh
+    n_fresh = floor.fresh.sum(axis=1, keepdims=True)
+    decay = 0.5 ** (n_fresh * settings.window_s / settings.half_life_s)
+    past = floor.past * decay + floor.fresh
     level = floor.level.copy()
-    for i in np.flatnonzero(came[:, 0]):
+    for i in np.flatnonzero(n_fresh[:, 0]):
         level[i] = lowest_cluster(past[i], settings)
     return Floor(frozen(past), _no_counts(), frozen(level))
 

@@ -1,8 +1,8 @@
-"""A rest of the phone, and rests that share one attitude.
+"""A rest of the phone, and the grouping of rests by attitude.
 
-A `RestState` is what the stationary detector hands on: means over a stretch in which the phone lay
-still, with honest uncertainties. Grammenos et al. 2018, 4.4, store the averages only; the rest's own
-uncertainty is what weights it in every later fit.
+A `RestState` is the result of the static detector: the means over a span of time in which the phone lay
+still, with their uncertainties. Grammenos et al. 2018, 4.4, store the means only; the uncertainty is the
+rest's weight in every later fit.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from stillcal.calib_core.arrays import Array
 
 
 class RestState(msgspec.Struct, frozen=True, eq=False, rename={"undetected_rotation_bound": "spin_admitted"}):
-    """One stretch of stillness. Forces are raw m/s^2, rates raw rad/s, times s of the sensor's stamp.
+    """One rest. Forces are raw m/s^2, rates raw rad/s, times s of the sensor's own stamp.
 
     specific_force, force_sd, force_uncertainty: (3,) mean, standard deviation of single samples, and
-    standard uncertainty of the mean (coloured noise and held samples allowed for). rate, rate_sd,
-    rate_uncertainty: the same for the gyroscope, None where there was none. tilt_rate_limit: rad/s, the
-    fastest turn about a horizontal axis that gravity's direction would not have shown. spin_admitted:
-    rad/s, rotation about the vertical that cannot be told from gyroscope bias in this rest alone.
-    None where nothing bounds it. level: sd of the force's norm (Algorithm 1, line 15), m/s^2.
-    rate_level: sd of the rate (line 16), rad/s, None without gyroscope. temperature: degC or None.
+    standard uncertainty of the mean, with coloured noise and repeated samples allowed for. rate, rate_sd,
+    rate_uncertainty: the same for the gyroscope, None without one. level: standard deviation of the force's
+    norm (Algorithm 1, line 15), m/s^2. rate_level: standard deviation of the rate (line 16), rad/s, None
+    without gyroscope. tilt_rate_limit: rad/s, the fastest rotation about a horizontal axis that the direction
+    of gravity would not have shown. undetected_rotation_bound: rad/s, the rotation about the vertical that
+    this rest alone cannot tell from gyroscope bias, None where nothing bounds it; saved states call it
+    spin_admitted. temperature: degC or None.
     """
 
     t_start: float
@@ -60,9 +61,9 @@ def force_uncertainties(rests: Sequence[RestState]) -> Array:
 
 
 def attitude_labels(raw: Array, angle: float) -> NDArray[np.intp]:
-    """Return the numbers (n,) of the attitudes of raw forces (n, 3), from 0 in order of appearance.
+    """Return the number (n,) of each raw force's (n, 3) attitude, from 0 in order of appearance.
 
-    Two share an attitude where their directions lie within `angle` (rad) of the first that had it.
+    A force belongs to the first attitude whose first member's direction is within `angle` (rad) of its own.
     """
     unit = raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-12)
     labels, free = np.full(len(unit), -1, dtype=np.intp), np.ones(len(unit), dtype=bool)

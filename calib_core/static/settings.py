@@ -1,6 +1,6 @@
-"""What is chosen, asked for and counted by the stationary detector: plain records, no arithmetic.
+"""The static detector's settings, its requests to the sensors, its labels and its ledger, as plain records.
 
-Sources: Grammenos et al. 2018, section 4.4 and Algorithm 1, called "the paper" in the stillness modules.
+Source: Grammenos et al. 2018, section 4.4 and Algorithm 1, called "the paper" in this package.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from typing import Any
 
 
 class Mode(StrEnum):
-    """How the detector runs: `scan` looks at all it is fed, `probe` asks now and then (Algorithm 1)."""
+    """How the detector runs: `scan` uses all samples, `probe` asks for some now and then (Algorithm 1)."""
 
     SCAN = "scan"
     PROBE = "probe"
 
 
 class Label(StrEnum):
-    """What became of one window, or of one candidate rest."""
+    """How one window, or one candidate rest, was classified."""
 
     STILL = "still"
     ACCEL_MOVING = "accel_moving"
@@ -34,14 +34,14 @@ class Label(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Sense:
-    """The detector wants both sensors on now, and samples up to time `until`, s (inf: for good)."""
+    """A request for both sensors on now, and for samples up to time `until`, s (inf: without end)."""
 
     until: float
 
 
 @dataclass(frozen=True, slots=True)
 class Sleep:
-    """The detector wants no samples before time `until`, s."""
+    """No samples are wanted before time `until`, s."""
 
     until: float
 
@@ -51,7 +51,7 @@ Want = Sense | Sleep
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """A closed range that a setting must lie in."""
+    """A closed range that a setting must lie within."""
 
     low: float
     high: float
@@ -96,30 +96,31 @@ def check_ranges(record: Any, allowed: dict[str, Range]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class DetectorSettings:
-    """Every knob of the stationary detector. Times s, forces m/s^2, rates rad/s, angles rad.
+    """The settings of the static detector. Times s, forces m/s^2, rates rad/s, angles rad.
 
-    Windows. window_s: length of the windows that are judged; edges of rests fall on them. min_samples:
-    fewer samples make windows be joined two, four or eight at a time (slow sensors). gap_s: a longer
-    pause between samples cuts. max_lag_s: how long an accelerometer window waits for its gyroscope
-    samples before it is judged alone.
+    Windows. window_s: length of the windows that are classified; rests begin and end at their borders.
+    min_samples: with fewer samples a window, windows are joined two, four or eight at a time (slow sensors).
+    gap_s: a longer pause between samples ends a rest. max_lag_s: how long an accelerometer window waits for
+    its gyroscope samples before it is classified alone.
 
-    Stillness. accel_factor, gyro_factor: the paper's 2 and 3 over the noise floor. accel_ceiling,
+    Thresholds. accel_factor, gyro_factor: the paper's 2 and 3 times the noise floor. accel_ceiling,
     gyro_ceiling: no window noisier than this is still, whatever the floor: three times the 0.05 m/s^2
     that Android's compatibility definition (7.3.1) allowed a phone's accelerometer, and well above what
-    phone gyroscopes show. force_low, force_high: a rest's raw norm must lie between them (biases to
-    2 m/s^2 and scale errors to 15 % do). step_factor: standard uncertainties by which a window's mean
-    may leave the rest's running mean; force_step, rate_step: slow wander of the sensor's bias allowed
-    on top. max_tilt_rate: a rest whose gravity direction turns significantly, and faster, is none.
+    phone gyroscopes show. force_low, force_high: bounds of a rest's raw norm; biases up to 2 m/s^2 and scale
+    errors up to 15 % stay within them. step_factor: a window's mean may differ from the rest's running mean
+    by this many standard uncertainties; force_step, rate_step: and by this much more, for slow wander of the
+    sensor's bias. max_tilt_rate: a rest is refused where gravity's direction turns faster than this and
+    significantly.
 
-    Rests. w_min_s: shortest rest (the paper: never below 1 s). w_spread_s: the paper's b, w_max is
-    drawn from [w_min_s, w_min_s + w_spread_s]. settle_s: a rest that ends or begins by drifting off
-    rather than by motion must be this long. max_rest_s: longest rest in scan mode.
+    Rests. w_min_s: shortest rest (the paper: never below 1 s). w_spread_s: the paper's b; w_max is
+    drawn from [w_min_s, w_min_s + w_spread_s]. settle_s: shortest rest that begins or ends by drifting away
+    rather than by motion. max_rest_s: longest rest in scan mode.
 
-    Probing. probe_min_s, probe_max_s: pause between probes, drawn uniformly. startup_s: how long the
-    sensors may take to deliver the first whole window. seed: of all draws.
+    Probing. probe_min_s, probe_max_s: the pause between probes is drawn uniformly between these. startup_s:
+    how long the sensors may take to deliver the first whole window. seed: of all random draws.
 
-    Noise floor. half_life_s: of remembered windows, in time looked at. cluster_windows, cluster_share:
-    how many windows, and which share of all remembered, make a level of noise a floor.
+    Noise floor. half_life_s: after this much time looked at, a window counts half. cluster_windows,
+    cluster_share: how many windows, and which share of all remembered ones, make a level of noise the floor.
     """
 
     mode: Mode = Mode.SCAN
@@ -159,13 +160,14 @@ class DetectorSettings:
 
 @dataclass(slots=True)
 class Ledger:
-    """What the detector has asked for and read, and why it accepted or not. Counters only grow.
+    """Counts of what the detector asked for, what it read, and how it classified that. Counts only grow.
 
-    asked_s: time for which it wanted the sensors on (their on-time is the energy), s; in scan mode the
-    time it looked at. *_samples: read; *_on_s: time covered by windows read, s; *_unasked: samples fed
-    outside asked intervals and not looked at; gyro_late: windows of gyroscope samples that came after
-    the bounded wait. windows: windows by fate; rests: candidate rests by fate; probes: ended; abandoned:
-    of these, cut off before w_min was full; lapsed: of these, nothing to read came.
+    asked_s: s for which it wanted the sensors on (their on-time is the energy spent); in scan mode the time
+    that it looked at. accel_samples, gyro_samples: samples read. accel_on_s, gyro_on_s: s covered by windows
+    read. accel_unasked: samples that came while none were asked for and were not looked at. gyro_late:
+    windows of gyroscope samples that came after the accelerometer had waited for max_lag_s. probes: probes
+    ended. abandoned: of these, ended before w_min was reached. lapsed: of these, without any sample. windows,
+    rests: windows and candidate rests by label.
     """
 
     asked_s: float = 0.0
@@ -186,5 +188,5 @@ class Ledger:
         self.rests[label] = self.rests.get(label, 0) + 1
 
     def copy(self) -> Ledger:
-        """Return a copy that counting on does not change."""
+        """Return a copy that further counting does not change."""
         return replace(self, windows=dict(self.windows), rests=dict(self.rests))

@@ -1,8 +1,11 @@
-"""Statistics of short windows on one absolute time grid: the only thing the detector knows of samples.
+"""Statistics of short windows on one absolute time grid, and how long a window has to be.
 
-A cell is the stretch [k w, (k+1) w) of the sensor's time. Its row depends on the samples inside it and on
-nothing else, so however a stream is cut into blocks, the rows come out the same to the last bit. Rows are
-joined (two, four, eight) for slow sensors. No thresholds here.
+A cell is the span [k w, (k+1) w) of the sensor's time. Its row of statistics depends on the samples inside it
+and on nothing else, so the rows are the same to the last bit however a stream is cut into blocks.
+
+A slow sensor leaves too few samples in one cell. Then the rows of two, four or eight cells are joined into
+one window, by the density of samples in the last block of eight cells that held any. That density is known
+before the block begins, again however the stream is cut. There are no thresholds here.
 """
 
 from __future__ import annotations
@@ -30,8 +33,15 @@ COLUMNS = 27
 
 BLOCK = 8  # cells of the longest window; everything that changes with time changes between blocks
 
-_CHUNK = 1 << 13  # samples worked on at a time: the scratch arrays then stay in cache
-_SAME = 1e-6  # SI; smaller steps are conversion noise of one and the same code
+FEW_CODES = 2.5
+"""Steps of the quantiser: a range below this holds at most three neighbouring codes."""
+
+_CHUNK = 1 << 13
+"""Samples worked on at a time: the scratch arrays, 0.7 MB, then stay in a second-level cache."""
+
+_SAME = 1e-6
+"""m/s^2 or rad/s: smaller steps are rounding of one and the same code by a conversion to decimals. The finest
+code of phone sensors, 16 bits over 2 g or 125 deg/s, is 6e-4 m/s^2 or 7e-5 rad/s."""
 
 
 def no_rows(columns: int = COLUMNS) -> Array:
@@ -41,9 +51,9 @@ def no_rows(columns: int = COLUMNS) -> Array:
 
 @dataclass(slots=True)
 class Stream:
-    """One sensor's samples of the cell that is not complete yet, and the rows not judged yet.
+    """One sensor's samples of the cell that is not complete yet, and the rows not classified yet.
 
-    temperature: degC, NaN where unknown; None where no sample of the cell has one.
+    t: (n,) s. xyz: (n, 3). temperature: (n,) degC, NaN where unknown, or None where no sample has one.
     """
 
     t: Array = field(default_factory=lambda: frozen(np.empty(0)))
@@ -52,11 +62,12 @@ class Stream:
     rows: Array = field(default_factory=no_rows)
 
     def reshaped(self) -> Stream:
-        """Return it with the shapes that empty arrays lose on their way through a file."""
+        """Return the stream with the shapes that empty arrays lose on their way through a file."""
         return Stream(self.t, self.xyz.reshape(-1, 3), self.temperature, self.rows.reshape(-1, COLUMNS))
 
 
 def _temperatures(stream: Stream, block: Samples) -> Array | None:
+    """Join the temperatures of waiting and new samples; None where neither has any."""
     if stream.temperature is None and block.temperature is None:
         return None
     parts = ((stream.temperature, stream.t), (block.temperature, block.t))
@@ -64,31 +75,36 @@ def _temperatures(stream: Stream, block: Samples) -> Array | None:
 
 
 def take(stream: Stream, block: Samples, window: float, *, close: bool = False) -> Stream:
-    """Add a block to a stream: complete cells become rows, the rest waits. `close`: nothing waits."""
+    """Add a block to a stream: complete cells become rows, other samples wait. close: no sample waits."""
     waiting = stream.t.size > 0
     t = np.concatenate((stream.t, block.t)) if waiting else block.t
     xyz = np.concatenate((stream.xyz, block.xyz)) if waiting else block.xyz
-    warmth = _temperatures(stream, block)
+    temperature = _temperatures(stream, block)
     if t.size == 0:
         return stream
     cells = np.floor(t / window)
     whole = t.size if close else int(np.searchsorted(cells, cells[-1], side="left"))
     if whole == 0:
-        return Stream(frozen(t), frozen(xyz), None if warmth is None else frozen(warmth), stream.rows)
+        return Stream(
+            frozen(t), frozen(xyz), None if temperature is None else frozen(temperature), stream.rows
+        )
     norm = block.sensor is Sensor.ACCELEROMETER
     part, tail = slice(0, whole), slice(whole, None)
-    warm, warm_tail = (None, None) if warmth is None else (warmth[part], frozen(warmth[tail].copy()))
-    rows = reduce_cells(t[part], xyz[part], warm, cells[part], window, norm=norm)
+    inside, waiting_temperature = None, None
+    if temperature is not None:
+        inside, waiting_temperature = temperature[part], frozen(temperature[tail].copy())
+    rows = reduce_cells(t[part], xyz[part], inside, cells[part], window, norm=norm)
     rows = np.concatenate((stream.rows, rows)) if stream.rows.shape[0] else rows
-    return Stream(frozen(t[tail].copy()), frozen(xyz[tail].copy()), warm_tail, frozen(rows))
+    return Stream(frozen(t[tail].copy()), frozen(xyz[tail].copy()), waiting_temperature, frozen(rows))
 
 
 def reduce_cells(
     t: Array, xyz: Array, temperature: Array | None, cells: Array, window: float, *, norm: bool
 ) -> Array:
-    """Return one row per cell that holds a sample. t: (n,) s; xyz: (n, 3); result (rows, COLUMNS).
+    """Return one row for each cell that holds a sample, (rows, COLUMNS).
 
-    cells: (n,) the cell of each sample. The norm's columns stay 0 unless `norm`.
+    t: (n,) s. xyz: (n, 3). temperature: (n,) degC or None. cells: (n,) the cell of each sample. window: s,
+    length of a cell. norm: whether to fill the columns of the vector's norm, which are 0 otherwise.
     """
     starts = np.flatnonzero(np.concatenate(([True], cells[1:] != cells[:-1])))
     counts = np.diff(starts, append=t.size)
@@ -109,7 +125,7 @@ def reduce_cells(
 
 
 def _chunks(starts: Index, size: int) -> list[tuple[int, int]]:
-    """Cut the cells into runs of about _CHUNK samples; where the cuts fall changes no row."""
+    """Return the cells in runs of about _CHUNK samples, as (first, last); the cuts change no row."""
     targets = np.arange(0, size, _CHUNK)
     cuts = np.unique(np.concatenate((np.searchsorted(starts, targets), [0, starts.size])))
     return list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
@@ -124,6 +140,7 @@ def _steps(x: Array, starts: Index) -> Array:
 
 
 def _gaps(t: Array, starts: Index, window: float, out: Array) -> None:
+    """Fill in the longest pause of each cell, s, those at its two borders included."""
     inner = np.maximum.reduceat(_steps(t, starts), starts)
     head = out[:, T0] - out[:, K] * window
     tail = out[:, K_END] * window - out[:, T1]
@@ -133,9 +150,9 @@ def _gaps(t: Array, starts: Index, window: float, out: Array) -> None:
 def _moments(xyz: Array, starts: Index, n: Index, out: Array, room: Array, *, norm: bool) -> None:
     """Fill in the moments of cells that begin at `starts` and hold `n` samples each, of xyz (samples, 3).
 
-    room: (2, any), to work in: fresh memory costs more than what is done in it.
+    room: (2, any), memory to work in: allocating it anew costs more than the work done in it.
     """
-    for cells, width in _alike(n):
+    for cells, width in _by_count(n):
         count = n[cells]
         if isinstance(cells, slice):
             dense = xyz.reshape(-1, width, 3)
@@ -155,8 +172,8 @@ def _moments(xyz: Array, starts: Index, n: Index, out: Array, room: Array, *, no
         _reduced(both, inside, count, out, cells)
 
 
-def _alike(n: Index) -> list[tuple[Index | slice, int]]:
-    """Sort cells by how many samples they hold: which ones, and the most of these; never twice the least."""
+def _by_count(n: Index) -> list[tuple[Index | slice, int]]:
+    """Group cells by their number of samples: the cells and their largest number, below twice the least."""
     common = int(np.bincount(n).argmax())
     if (n == common).all():
         return [(slice(None), common)]
@@ -168,9 +185,10 @@ def _alike(n: Index) -> list[tuple[Index | slice, int]]:
 def _reduced(both: Array, inside: Flags | None, n: Index, out: Array, cells: Index | slice) -> None:
     """Reduce each cell's samples in both[0] (samples, axes and perhaps norm, cells) into its row of `out`.
 
-    inside: (samples, cells), where cells hold unlike numbers of samples: the last is repeated after them.
-    Both parts are written over. numpy adds rows to rows in order (a single column it would sum pairwise; here
-    are three at least), so a cell's sums do not depend on what other cells there are.
+    inside: (samples, cells) which samples are real where cells hold different numbers of them, None where all
+    are; the others repeat the cell's last sample. Both parts of `both` are overwritten. numpy adds rows to
+    rows in order (a single column it would sum pairwise, but there are at least three), so that a cell's sums
+    do not depend on the other cells.
     """
     data, work = both
     width, kinds, count = data.shape
@@ -196,9 +214,10 @@ def _reduced(both: Array, inside: Flags | None, n: Index, out: Array, cells: Ind
 
 
 def joined(rows: Array, widths: Index) -> Array:
-    """Join rows into windows of `widths` cells (given for each row), aligned on the grid.
+    """Join rows into windows of `widths` cells, (n,), one for each row, aligned on the grid.
 
-    Means and squares are combined exactly (Chan et al. 1979). A window that lacks a cell has a GAP of inf.
+    Means and squares are combined exactly (Chan, Golub and LeVeque 1979). A window that lacks a cell has a
+    GAP of inf.
     """
     if rows.shape[0] == 0 or bool((widths == 1).all()):
         return rows
@@ -226,7 +245,7 @@ def joined(rows: Array, widths: Index) -> Array:
 
 
 def matched(keys: Array, wanted: Array) -> tuple[Index, Flags]:
-    """Look up `wanted` in sorted `keys`: where each one is, and whether it is there at all."""
+    """Look up `wanted` in sorted `keys`; return where each one is and whether it is there at all."""
     at = np.searchsorted(keys, wanted)
     found = at < keys.size
     found[found] = keys[at[found]] == wanted[found]
@@ -234,9 +253,9 @@ def matched(keys: Array, wanted: Array) -> tuple[Index, Flags]:
 
 
 def paired(accel: Array, gyro: Array) -> Array:
-    """Set gyroscope rows beside the accelerometer rows of the same cells, shape (n, 2 COLUMNS).
+    """Join accelerometer rows with the gyroscope rows of the same cells, (n, 2 COLUMNS).
 
-    Cells without gyroscope get a row of zeros, N = 0.
+    Cells without gyroscope get zeros there, also for N.
     """
     if gyro.shape[0] == 0:
         both = np.zeros((accel.shape[0], 2 * COLUMNS))
@@ -254,29 +273,33 @@ def paired(accel: Array, gyro: Array) -> Array:
 
 
 def across(columns: Array) -> Array:
-    """Return the sum of three columns, (n, 3) -> (n,): numpy's own along so short an axis takes ten times."""
+    """Return the sum over axes, (n, 3) -> (n,); ten times faster than numpy's own along so short an axis."""
     return np.asarray(columns[:, 0] + columns[:, 1] + columns[:, 2])
 
 
 def spread(rows: Array) -> Array:
-    """Return the standard deviation of single samples about each window's mean, rms of the axes."""
+    """Return the standard deviation of single samples about each window's mean, (n,), rms of the axes."""
     variance = across(rows[:, M2]) / (3.0 * np.maximum(rows[:, N] - 1.0, 1.0))
     return np.asarray(np.sqrt(variance))
 
 
 def correlation_inflation(m2: Array, d2: Array, limit: float) -> Array:
-    """How much the variance of a mean exceeds that of white noise, from lag-one correlation.
+    """Return by which factor the variance of a mean exceeds that of white noise, from lag-one correlation.
 
-    (1 + r) / (1 - r) with 1 - r = d2 / (2 m2), as for a first-order process; between 1 and `limit`. Held
-    (repeated) samples show up here too: each code held h times gives 2 h - 1. Both inputs are sums.
+    It is (1 + r) / (1 - r) with 1 - r = d2 / (2 m2), that of a first-order process, between 1 and `limit`.
+    m2: sum of squares about the mean. d2: sum of squared steps from sample to sample. Repeated samples are
+    allowed for too: where each value is repeated h times, the factor is 2 h - 1.
     """
     apart = np.minimum(np.maximum(d2 / np.maximum(2.0 * m2, 1e-300), 2.0 / (1.0 + limit)), 1.0)
     return np.asarray(2.0 / apart - 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
-    """The block under way: its number, samples and cells so far; before: samples a cell in the last block."""
+class Density:
+    """The density of samples on the grid.
+
+    block: number of the present one. samples, cells: in it so far. before: samples a cell in the one before.
+    """
 
     block: float = -1.0
     samples: float = 0.0
@@ -284,42 +307,45 @@ class Pace:
     before: float = np.inf
 
 
-def paced(pace: Pace, cells: Array, counts: Array, enough: int) -> Index:
-    """Return the window length in cells for each row. cells: (n,) their K; counts: (n,) samples in them."""
-    blocks, index, samples, held = _blocks(pace, cells, counts)
+def window_cells(density: Density, cells: Array, counts: Array, enough: int) -> Index:
+    """Return the window length in cells for each row, (n,).
+
+    cells: (n,) their K. counts: (n,) samples in them. enough: samples that a window should have.
+    """
+    blocks, index, samples, lengths = _blocks(density, cells, counts)
     if blocks.size == 0:
         return np.empty(0, dtype=np.intp)
-    first = pace.before if blocks[0] == pace.block else _density(pace)
-    before = np.concatenate(([first], (samples / held)[:-1]))
+    first = density.before if blocks[0] == density.block else _samples_a_cell(density)
+    before = np.concatenate(([first], (samples / lengths)[:-1]))
     doublings = np.ceil(np.log2(np.maximum(enough / before, 1.0))).astype(np.intp)
     return np.minimum(np.left_shift(1, doublings), BLOCK)[index]
 
 
-def moved(pace: Pace, cells: Array, counts: Array) -> Pace:
-    """Return the pace after these rows have been judged."""
-    blocks, _, samples, held = _blocks(pace, cells, counts)
+def with_rows(density: Density, cells: Array, counts: Array) -> Density:
+    """Return the density after these rows."""
+    blocks, _, samples, lengths = _blocks(density, cells, counts)
     if blocks.size == 0:
-        return pace
+        return density
     if blocks.size > 1:
-        before = float(samples[-2] / held[-2])
+        before = float(samples[-2] / lengths[-2])
     else:
-        before = pace.before if blocks[0] == pace.block else _density(pace)
-    return Pace(float(blocks[-1]), float(samples[-1]), float(held[-1]), before)
+        before = density.before if blocks[0] == density.block else _samples_a_cell(density)
+    return Density(float(blocks[-1]), float(samples[-1]), float(lengths[-1]), before)
 
 
-def _density(pace: Pace) -> float:
-    return pace.samples / pace.cells if pace.cells else np.inf
+def _samples_a_cell(density: Density) -> float:
+    return density.samples / density.cells if density.cells else np.inf
 
 
-def _blocks(pace: Pace, cells: Array, counts: Array) -> tuple[Array, Index, Array, Array]:
-    """Return the blocks that rows fall in, each row's place among them, and their samples and cells."""
+def _blocks(density: Density, cells: Array, counts: Array) -> tuple[Array, Index, Array, Array]:
+    """Return the blocks that rows fall in, each row's index among them, their samples and cells."""
     block = np.floor(cells / BLOCK)
     starts = np.flatnonzero(np.concatenate(([True], block[1:] != block[:-1]))[: block.size])
     lengths = np.diff(starts, append=block.size)
     blocks, index = block[starts], np.repeat(np.arange(starts.size), lengths)
     samples = np.add.reduceat(counts, starts) if starts.size else np.empty(0)
-    held = lengths.astype(np.float64)
-    if blocks.size and blocks[0] == pace.block:
-        samples[0] += pace.samples
-        held[0] += pace.cells
-    return blocks, index, samples, held
+    n_cells = lengths.astype(np.float64)
+    if blocks.size and blocks[0] == density.block:
+        samples[0] += density.samples
+        n_cells[0] += density.cells
+    return blocks, index, samples, n_cells

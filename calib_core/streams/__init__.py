@@ -1,1 +1,1 @@
-"""What flows into the engine: runs of samples and events."""
+"""The engine's input: `samples.Samples`, runs of samples of one sensor, and `events.Event`."""

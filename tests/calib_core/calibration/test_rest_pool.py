@@ -21,7 +21,7 @@ def rest(direction: np.ndarray, t: float, uncertainty: float = 1e-3) -> HeldRest
 def filled(directions: np.ndarray, settings: PoolSettings, uncertainty: float = 1e-3) -> Pool:
     pool, index = Pool(), AttitudeIndex(settings)
     for i, direction in enumerate(directions):
-        pool = index.grown(pool, rest(direction, 100.0 * i, uncertainty))
+        pool = index.with_rest(pool, rest(direction, 100.0 * i, uncertainty))
     return pool
 
 
@@ -37,7 +37,7 @@ def test_of_a_crowded_attitude_the_least_certain_goes_and_the_newest_stays() -> 
     settings = PoolSettings(rests_per_attitude=3)
     pool, index = Pool(), AttitudeIndex(settings)
     for i, uncertainty in enumerate([1e-3, 5e-3, 2e-3, 1e-3, 9e-3]):
-        pool = index.grown(pool, rest(np.array([0, 0, 1.0]), 100.0 * i, uncertainty))
+        pool = index.with_rest(pool, rest(np.array([0, 0, 1.0]), 100.0 * i, uncertainty))
     assert [h.rest.t_start for h in pool.held] == [0.0, 300.0, 400.0]
 
 
@@ -57,8 +57,8 @@ def test_a_crowd_that_follows_a_pool_groups_as_one_that_comes_to_it_anew() -> No
     pool, index = Pool(), AttitudeIndex(settings)
     for i in range(600):
         new = rest(rng.normal(size=3) * [1.0, 1.0, 0.3], 100.0 * i, float(rng.uniform(1e-3, 1e-2)))
-        fresh = AttitudeIndex(settings).grown(pool, new)
-        pool = index.grown(pool, new)
+        fresh = AttitudeIndex(settings).with_rest(pool, new)
+        pool = index.with_rest(pool, new)
         assert pool.held == fresh.held
         seen = max(seen, len(pool.attitudes(settings)))
         assert index.attitudes(pool) == len(pool.attitudes(settings))

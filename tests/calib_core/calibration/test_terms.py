@@ -122,7 +122,7 @@ def test_terms_are_kept_with_the_record(record: CalibrationRecord) -> None:
     ],
 )
 def test_what_cannot_be_applied_is_refused(record: CalibrationRecord, bad: list) -> None:
-    with pytest.raises(NotSupported, match="no finding to apply"):
+    with pytest.raises(NotSupported, match="no finding can be applied"):
         with_terms(record, bad)
 
 

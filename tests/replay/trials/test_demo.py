@@ -105,8 +105,8 @@ def test_an_older_run_is_forgotten_and_nothing_else(tmp_path: Path) -> None:
     [
         ("charging: plugged in t=4596.97 occasion=charging", " 1:16  charging: plugged in"),
         (
-            "watch: the sensors are watched: continuous t=-0.0001",
-            " 0:00  watch: the sensors are watched: continuous",
+            "watch: sensing mode: continuous t=-0.0001",
+            " 0:00  watch: sensing mode: continuous",
         ),
         ("ready", " 0:00  ready"),
     ],
