@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import click
 
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
-from stillcal.daemon.cli.progress import progress
-from stillcal.daemon.store.atomic import write_atomically
-from stillcal.replay.studies import page
-from stillcal.replay.studies import registry as studies
-from stillcal.replay.studies.claim import Study
+
+FROM_A_CHECKOUT = (
+    "the studies come with the source, not with the installed package: "
+    "clone the repository and run pip install --editable '.[evaluation]' there"
+)
 
 NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
 
@@ -54,44 +52,16 @@ def evaluate_command(  # noqa: PLR0917 - click hands every option over by name
 
     What each study found is kept beside its figures: one may be run anew, and the page still holds all.
     """
+    if importlib.util.find_spec("stillcal.replay.studies") is None:
+        raise click.UsageError(FROM_A_CHECKOUT)
+    from stillcal.replay.studies import evaluate  # noqa: PLC0415 - not part of the installed package
+
     if listing:
-        width = max(map(len, studies.STUDIES))
-        click.echo("\n".join(f"{name:{width}}  {studies.title(name)}" for name in studies.STUDIES))
+        click.echo(evaluate.listing())
         return
-    chosen = _chosen(names)
+    chosen = evaluate.chosen(names)
     _require_extra()
-    folder = out / page.FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
-    with progress("evaluating", float(len(chosen)), quiet) as step:
-        for done, name in enumerate(chosen):
-            begin = time.monotonic()
-            study = studies.run(name, data, folder, seed, _within(step, done))
-            write_atomically(page.kept_at(folder, name), page.encoded(study))
-            if not quiet:
-                click.echo(f"{name}: {len(study.claims)} claims, {time.monotonic() - begin:.0f} s")
-    write_atomically(out / page.PAGE, page.page(_kept_studies(folder)).encode())
-    if not quiet:
-        click.echo(f"{out / page.PAGE}")
-
-
-def _within(step: Callable[[float], None], done: int) -> Callable[[float], None]:
-    return lambda share: step(done + share)
-
-
-def _kept_studies(folder: Path) -> list[Study]:
-    """Read what every study left. Raises UsageError where that is damaged."""
-    try:
-        return page.kept(folder)
-    except page.KeptError as error:
-        raise click.UsageError(str(error)) from error
-
-
-def _chosen(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the studies to run. Raises UsageError for a name that is none."""
-    for name in names:
-        if name not in studies.STUDIES:
-            raise click.UsageError(studies.UNKNOWN.format(name=name, known=", ".join(studies.STUDIES)))
-    return names or tuple(studies.STUDIES)
+    evaluate.run(chosen, out, data, seed, quiet)
 
 
 def _require_extra() -> None:

@@ -84,6 +84,17 @@ def test_a_missing_library_is_named_with_its_remedy(tmp_path: Path, monkeypatch:
     assert "no-such-package not installed: pip install 'stillcal[evaluation]'" in result.output
 
 
+def test_an_installed_package_says_where_the_studies_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The wheel does not hold the studies."""
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    result = CliRunner().invoke(evaluate_command, ["--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "the studies come with the source" in result.output
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_damaged_result_is_named_with_its_remedy(tmp_path: Path) -> None:
     folder = tmp_path / "evaluation"
     folder.mkdir()
