@@ -1,4 +1,4 @@
-"""Options that several commands have: said once, so that they mean the same everywhere."""
+"""Options that several commands share, so that they mean the same everywhere."""
 
 from __future__ import annotations
 
@@ -15,16 +15,21 @@ _NAMES = "hhar, imu_tk, mikoff, imucal, phyphox, sensorlogger, sensorlogger_ios,
 
 
 def format_option(what: str = "TRACE", *, rests: bool) -> Option[Any]:
-    """Return --format for `what`. rests: whether a table of rests is taken too."""
+    """Return the option --format for `what`. rests: whether a rest table is accepted too."""
     known = f"csv, rest, {_NAMES}" if rests else f"csv, {_NAMES}"
     text = f"Format of {what}: {known}, or the path of a column map (.toml)."
     return click.option("--format", "format_", default="csv", show_default=True, help=text)
 
 
 gyro_option: Option[Any] = click.option(
-    "--gyro", type=click.Path(path_type=Path), help="The gyroscope's own file, for formats of two files."
+    "--gyro",
+    type=click.Path(path_type=Path),
+    help="The gyroscope's file, where the format has a file for each sensor.",
 )
 config_option: Option[Any] = click.option(
-    "--config", type=click.Path(path_type=Path), help="Settings (TOML); see config/default.toml."
+    "--config", type=click.Path(path_type=Path), help="Settings file (TOML)."
+)
+socket_option: Option[Any] = click.option(
+    "--socket", "path", default="", help="The daemon's socket [default: the user's, else the system's]."
 )
 quiet_option: Option[Any] = click.option("--quiet", is_flag=True, help="Print nothing but errors.")

@@ -1,7 +1,7 @@
 """`stillcal query`: ask a running daemon over its socket, as any varlink client may.
 
-The protocol is plain enough to speak here (JSON, each message ended by a zero byte), which keeps asking
-quick.
+The protocol is simple: JSON messages, each ended by a zero byte. It is written out here, because
+importing a varlink library would take longer than the answer.
 """
 
 from __future__ import annotations
@@ -18,15 +18,19 @@ import msgspec
 
 from stillcal.daemon.cli.exits import BAD_INPUT, NO_DAEMON, REFUSED, TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.cli.options import socket_option
 from stillcal.daemon.system.requirements import LOCAL_SOCKET, require
 from stillcal.daemon.varlink.address import NAME, answering_path
 
 TIMEOUT_S = 10.0
+"""Longest wait for an answer, s: most take milliseconds, a full calibration takes seconds."""
+
 STREAMS = ("Monitor",)
+"""Methods that answer until they are interrupted."""
 
 
 class NoDaemonError(OSError):
-    """Nobody answers."""
+    """No daemon answers at the socket."""
 
 
 @click.command(
@@ -41,10 +45,10 @@ class NoDaemonError(OSError):
 )
 @click.argument("method", default="GetCalibration")
 @click.argument("parameters", default="{}")
-@click.option("--socket", "path", default="", help="The daemon's socket; without it, where daemons answer.")
-@click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON, one object a line.")
+@socket_option
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, one object per line.")
 def query_command(method: str, parameters: str, path: str, as_json: bool) -> None:
-    """Ask a running daemon.
+    """Ask a running daemon for its calibration, status or history.
 
     METHOD is GetCalibration (the default), GetStatus, GetStillness, GetHistory, GetEnergy,
     Correct, Monitor (until interrupted), Calibrate, ZeroNow, Rollback or Reload; or any method by
@@ -82,7 +86,7 @@ def replies(path: Path, question: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _messages(line: socket.socket) -> Iterator[dict[str, Any]]:
-    """Yield replies up to the last one."""
+    """Yield the replies up to the last one."""
     buffer = bytearray()
     while True:
         while (end := buffer.find(0)) >= 0:
@@ -93,7 +97,7 @@ def _messages(line: socket.socket) -> Iterator[dict[str, Any]]:
                 return
         data = line.recv(65_536)
         if not data:
-            raise ConnectionResetError("it hung up")
+            raise ConnectionResetError("the daemon closed the connection")
         buffer += data
 
 
@@ -112,7 +116,7 @@ def _question(method: str, parameters: str) -> dict[str, Any]:
 
 
 def _exit_with_error(error: str, parameters: dict[str, Any]) -> None:
-    """Say in one line why there is no answer, and exit."""
+    """Print in one line why the daemon refused, and exit with the code for it."""
     name = error.rpartition(".")[2]
     missing = ", ".join(parameters.get("missing") or [])
     facts = [str(parameters.get("reason") or ""), f"needed: {missing}" if missing else ""]
@@ -132,7 +136,7 @@ def _print(answer: dict[str, Any], as_json: bool) -> None:
 
 
 def _lines(value: Any, indent: str = "") -> Iterator[str]:
-    """Write a value as indented lines; a table of equal records gets one line each."""
+    """Yield a value as indented lines; a list of records has one line for each."""
     if isinstance(value, dict):
         for key, item in value.items():
             if isinstance(item, dict) or (isinstance(item, list) and any(isinstance(i, list) for i in item)):

@@ -1,4 +1,4 @@
-"""`stillcal watch`: a running daemon, live in a terminal."""
+"""`stillcal watch`: show a running daemon live in a terminal."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rich.live import Live
 
 from stillcal.daemon.cli.exits import NO_DAEMON
 from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.cli.options import socket_option
 from stillcal.daemon.cli.watch.frame import frame
 from stillcal.daemon.cli.watch.snapshot import Snapshot, snapshot
 from stillcal.daemon.cli.watch.sphere import ASCII, Glyphs
@@ -22,15 +23,16 @@ from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.varlink.address import answering_path
 
 PICTURE_WIDTH = 122
+"""Columns of a picture: both columns of the frame and the space between them."""
 
 
 @click.command(
     "watch",
-    short_help="Watch a running daemon in the terminal.",
+    short_help="Show a running daemon live in the terminal.",
     epilog=examples("stillcal watch", "stillcal watch --every 5", "stillcal watch --once > frame.txt"),
 )
-@click.option("--socket", "path", default="", help="The daemon's socket; without it, where daemons answer.")
-@click.option("--once", is_flag=True, help="Print one frame and stop; so it is where no terminal listens.")
+@socket_option
+@click.option("--once", is_flag=True, help="Print one frame and exit, as without a terminal.")
 @click.option("--svg", type=click.Path(path_type=Path), help="Write one frame as a picture to this file.")
 @click.option(
     "--every",
@@ -40,11 +42,11 @@ PICTURE_WIDTH = 122
     help="Seconds between two frames.",
 )
 def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None:
-    """Watch a running daemon: stillness, rests on the sphere of attitudes, calibration, energy.
+    """Show a running daemon: the phone, the calibration, the energy used, the orientations recorded.
 
-    Shows what it waits for and which attitude would help most. A daemon that restarts is found again;
-    Ctrl-C ends it. In a terminal of less than 122 columns the sphere stands below the rest. With --once, exit
-    code 4 where no daemon answers.
+    Also shows what the daemon needs next and which orientation to record next. Reconnects when the daemon
+    restarts. Ctrl-C quits. Best in a terminal of 122 columns or more. Exit code 4 with --once when no daemon
+    answers.
     """
     console, where = Console(), answering_path(path)
     glyphs = ASCII if console.options.ascii_only else Glyphs()
@@ -61,7 +63,7 @@ def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None
         else:
             console.print(frame(first, None, glyphs))
         return
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # which gives the terminal back as Ctrl-C does
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # restores the screen as Ctrl-C does
     try:
         _live(console, where, first, glyphs, every)
     except KeyboardInterrupt:
@@ -69,7 +71,7 @@ def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None
 
 
 def picture(now: Snapshot) -> str:
-    """Return a frame as SVG; it names no font of another host's."""
+    """Return a frame as SVG, without the fonts that rich would load from the web."""
     console = Console(record=True, width=PICTURE_WIDTH, file=io.StringIO())
     console.print(frame(now, None, Glyphs()))
     svg = console.export_svg(title="stillcal watch", unique_id="watch")
@@ -78,7 +80,7 @@ def picture(now: Snapshot) -> str:
 
 
 def _live(console: Console, where: Path, now: Snapshot, glyphs: Glyphs, every: float) -> None:
-    """Show frame after frame on the terminal's other screen until interrupted; it is given back as it was."""
+    """Show frame after frame on the terminal's alternate screen until interrupted."""
     with Live(frame(now, None, glyphs), console=console, screen=True, auto_refresh=False) as live:
         live.refresh()
         while True:

@@ -1,4 +1,4 @@
-"""A snapshot of a running daemon as a frame in a terminal, with rich: pure, one in, one out."""
+"""Draw a snapshot of a running daemon as one frame in a terminal, with rich. Pure: nothing is asked here."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.daemon.cli.watch import sentences as words
+from stillcal.daemon.cli.watch import sentences
 from stillcal.daemon.cli.watch.snapshot import Answer, Snapshot
 from stillcal.daemon.cli.watch.sphere import Glyphs, sphere_map
 
@@ -21,19 +21,19 @@ MAP_WIDTH, TEXT_WIDTH = 63, 56
 DEG = 180 / np.pi
 MG = 1000 / STANDARD
 CONFIDENCE = {"confirmed": "green", "unchecked": "yellow", "failing": "bold red"}
-STILL = {"lies still": "bold green", "moves": "bold yellow", "no phone": "bold red"}
+STILL = {"at rest": "bold green", "moving": "bold yellow", "no phone": "bold red"}
 UNKNOWN = "-"
 
 
 def frame(now: Snapshot, before: Snapshot | None, glyphs: Glyphs) -> RenderableType:
-    """Return a frame. before: the last snapshot, from which stillness shows; None for the first."""
+    """Return a frame. before: the previous snapshot, to tell rest from motion; None for the first frame."""
     if now.absent:
         return absent(now)
     if now.calibration is None:
-        calibration_text: RenderableType = Text(f"none yet: {_reason(now)}", style="yellow")
+        calibration_text: RenderableType = Text(f"no calibration yet: {_reason(now)}", style="yellow")
     else:
         calibration_text = Group(*_calibration(now.calibration))
-    sphere = Panel(_map(now, glyphs), title="rests held, as the phone lay", width=MAP_WIDTH)
+    sphere = Panel(_map(now, glyphs), title="orientations recorded", width=MAP_WIDTH)
     panels = Group(
         Panel(_state(now, before), title="phone", width=TEXT_WIDTH),
         Panel(calibration_text, title="calibration", width=TEXT_WIDTH),
@@ -43,7 +43,7 @@ def frame(now: Snapshot, before: Snapshot | None, glyphs: Glyphs) -> RenderableT
 
 
 def absent(now: Snapshot) -> RenderableType:
-    """Return what is shown while no daemon answers."""
+    """Return the frame that is shown while no daemon answers."""
     text = f"no daemon answers on {now.where} ({now.absent}); start one with `stillcal run`"
     return Panel(Text(text, style="bold red"), title="stillcal", width=MAP_WIDTH)
 
@@ -58,31 +58,30 @@ def _rows(rows: Iterable[tuple[str, RenderableType]]) -> Table:
 
 
 def _state(now: Snapshot, before: Snapshot | None) -> RenderableType:
-    status, still = now.status, words.stillness(now, before)
+    status, still = now.status, sentences.stillness(now, before)
     plugged = {True: ", on the charger", False: ", off the charger", None: ""}[status.get("charging")]
     line = status["device"] if status["connected"] else "not connected"
     return _rows(
         [
             ("phone", Text(f"{status['phone'] or 'unnamed'}{plugged}")),
             ("line", Text(f"{line}, {status['wire']['lost_samples']} samples lost")),
-            ("stillness", Text.assemble((still, STILL.get(still, "")), f"; {words.last_rest(now)}")),
-            ("watch", Text(f"{status['watch']}, up for {words.duration(status['uptime_s'])}")),
-            ("waits for", Text(words.next_step(now), style="bold")),
+            ("stillness", Text.assemble((still, STILL.get(still, "")), f"; {sentences.last_rest(now)}")),
+            ("watch", Text(f"{status['watch']}, running for {sentences.duration(status['uptime_s'])}")),
+            ("next", Text(sentences.next_step(now), style="bold")),
         ]
     )
 
 
 def _map(now: Snapshot, glyphs: Glyphs) -> RenderableType:
-    held, up, wanted = words.attitudes(now), words.up_directions(now), words.wanted_attitude(now)
+    held, up, wanted = sentences.attitudes(now), sentences.up_directions(now), sentences.wanted_attitude(now)
     drawn = sphere_map(held, up[0] if len(up) else None, None if wanted is None else wanted.up, glyphs)
     caption = (
-        f"{now.stillness.get('rests_held', 0)} rests in {len(held)} attitudes; {glyphs.newest} the last one"
+        f"{now.stillness.get('rests_held', 0)} rests in {len(held)} orientations; {glyphs.newest} newest"
     )
     if wanted is None:
-        return Group(drawn, Text(caption), Text("no attitude is missing", style="green"))
-    return Group(
-        drawn, Text(caption), Text(f"{glyphs.wanted} would help most: {wanted.words}", style="bold yellow")
-    )
+        return Group(drawn, Text(caption), Text("all orientations are covered", style="green"))
+    advice = f"{glyphs.wanted} next orientation to record: {wanted.words}"
+    return Group(drawn, Text(caption), Text(advice, style="bold yellow"))
 
 
 def _reason(now: Snapshot) -> str:
@@ -90,11 +89,14 @@ def _reason(now: Snapshot) -> str:
 
 
 def _calibration(calibration: Answer) -> Iterable[RenderableType]:
-    age, checked = words.duration(calibration.get("age_s")), words.duration(calibration.get("checked_age_s"))
-    yield Text.assemble(
-        f"{calibration['id']}, {age} old, checked {checked} ago: ",
-        (calibration["confidence"], CONFIDENCE[calibration["confidence"]]),
-    )
+    age, checked = (sentences.duration(calibration.get(name)) for name in ("age_s", "checked_age_s"))
+    verified = {
+        "unchecked": "not verified yet",
+        "confirmed": f"verified {checked} ago",
+        "failing": f"no longer fits (checked {checked} ago)",
+    }
+    confidence = calibration["confidence"]
+    yield Text.assemble(f"{calibration['id']}, {age} old, ", (verified[confidence], CONFIDENCE[confidence]))
     table = Table(box=None, padding=(0, 1), show_edge=False)
     for name in ("", "x", "y", "z", ""):
         table.add_column(name, justify="left" if not name else "right", no_wrap=True)
@@ -124,7 +126,7 @@ def _fit(calibration: Answer) -> str:
     low, high = calibration.get("temperature_min_c"), calibration.get("temperature_max_c")
     warm = "" if low is None or high is None else f", {low:.0f} to {high:.0f} °C"
     return (
-        f"{part['parameters']} parameters, {part['n_rests']} rests in {part['n_states']} attitudes, "
+        f"{part['parameters']} parameters from {part['n_rests']} rests in {part['n_states']} orientations\n"
         f"{MG * part['rms_residual']:.2g} mg rms{warm}"
     )
 
@@ -142,4 +144,4 @@ def _energy(days: list[dict[str, Any]]) -> RenderableType:
             f"{day['samples']:,}",
             f"{day['cpu_s']:.1f} s",
         )
-    return table if days else Text("nothing spent yet")
+    return table if days else Text("no day recorded yet")

@@ -1,6 +1,6 @@
-"""What a running daemon's answers mean, in sentences: whether the phone lies still, what it waits for.
+"""Sentences about a running daemon: whether the phone is at rest, and what happens next.
 
-Pure functions of two snapshots, the newest and the one before; nothing is drawn or asked here.
+Pure functions of two snapshots, the newest and the one before. Nothing is drawn here and no daemon is asked.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LIMIT = 1.0
 
 
 def duration(seconds: float | None) -> str:
-    """Say a length of time in its two largest units.
+    """Return a length of time (s) in words, in its two largest units.
 
     >>> duration(5025.0), duration(42.4), duration(None)
     ('1 h 23 min', '42 s', '-')
@@ -39,20 +39,20 @@ def duration(seconds: float | None) -> str:
 
 
 def up_directions(now: Snapshot) -> Array:
-    """Return the directions (n, 3), newest first, that pointed up in the rests held."""
+    """Return the unit vectors (n, 3), body axes, that pointed up in the rests held, newest first."""
     forces = [rest["force"] for rest in now.stillness.get("rests", [])]
     return directions(np.array(forces, dtype=np.float64).reshape(-1, 3))
 
 
 def attitudes(now: Snapshot) -> list[tuple[Array, int]]:
-    """Return the distinct attitudes of the rests held and how many rests each has."""
+    """Return the distinct orientations held, as unit vectors (3,), and the number of rests in each."""
     up = up_directions(now)
     labels = attitude_labels(up, PoolSettings().attitude_angle)
     return [(up[labels == k][0], int(np.sum(labels == k))) for k in range(int(labels.max(initial=-1)) + 1)]
 
 
 def wanted_attitude(now: Snapshot) -> Attitude | None:
-    """Return the attitude that would help most; None where those held leave no direction to a guess."""
+    """Return the orientation to record next; None where those held support every direction."""
     held = np.array([up for up, _ in attitudes(now)]).reshape(-1, 3)
     return None if amplification(held) <= LIMIT else most_helpful_attitude(held)
 
@@ -65,16 +65,16 @@ def stillness(now: Snapshot, before: Snapshot | None) -> str:
     if not status.get("sensing"):
         return "sensors asleep"
     if before is None or not before.stillness or not windows:
-        return "being watched"
+        return "measuring"
     still = windows["windows_still"] - before.stillness["windows_still"]
     judged = windows["windows"] - before.stillness["windows"]
     if judged <= 0:
-        return "being watched"
-    return "lies still" if still == judged else "moves" if still == 0 else "comes to rest"
+        return "measuring"
+    return "at rest" if still == judged else "moving" if still == 0 else "partly at rest"
 
 
 def last_rest(now: Snapshot) -> str:
-    """Say when the phone last lay still and for how long."""
+    """Say when the last rest was and how long it lasted."""
     rests = now.stillness.get("rests", [])
     if not rests:
         return "no rest yet"
@@ -84,26 +84,27 @@ def last_rest(now: Snapshot) -> str:
 
 
 def next_step(now: Snapshot) -> str:
-    """Say what the daemon waits for, the most pressing first."""
+    """Say what the daemon needs or does next, the most urgent first."""
     status = now.status
     if status.get("trouble"):
-        return f"the disk: {status['trouble']}"
+        return f"the disk must accept writes again: {status['trouble']}"
     if not status.get("connected"):
-        return "the phone: its line is not open"
+        return "waiting for the phone to connect"
     if now.calibration is None:
         return _missing_for_calibration(now)
     if status.get("degraded"):
-        return "rests: the calibration no longer fits"
+        return "new rests, because the calibration no longer fits"
     due = status.get("decides_in_s")
-    return "nothing" if due is None else f"its next look, in {duration(due)}"
+    return "no decision is planned" if due is None else f"next measurement in {duration(due)}"
 
 
 def _missing_for_calibration(now: Snapshot) -> str:
     status, missing = now.status, now.status.get("missing") or []
     if missing:
-        return f"attitudes: {missing[0]}" + (f", and {len(missing) - 1} more" if len(missing) > 1 else "")
+        more = f"; {len(missing) - 1} more needed after that" if len(missing) > 1 else ""
+        return f"{missing[0]}{more}"
     if not status.get("rests_held"):
-        return "the phone to lie still"
+        return "leave the phone lying still"
     if status.get("charging") is False:
-        return "the charger: it calibrates while the phone charges"
-    return "more attitudes"
+        return "connect the charger: calibration runs while the phone charges"
+    return "leave the phone lying in further orientations"

@@ -1,6 +1,6 @@
-"""What a running daemon says of itself at one moment: questions over its socket, answers as a plain record.
+"""Ask a running daemon over its socket and keep the answers of one moment as a plain record.
 
-Nothing is drawn here. A daemon that does not answer is an answer too.
+Nothing is drawn here. That no daemon answers is recorded too.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from stillcal.daemon.varlink.address import NAME
 Answer = dict[str, Any]
 
 DAYS = 7
+"""Days of energy use that are asked for; the frame shows the last three."""
+
 RESTS = 96
+"""Rests that are asked for: the default of the daemon's own pool, one for each orientation that it keeps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +39,7 @@ class Snapshot:
 
 
 def snapshot(where: Path) -> Snapshot:
-    """Ask the daemon at the socket `where` for all that is shown; never raises for want of a daemon."""
+    """Ask the daemon at the socket `where` for all that is shown; `absent` says why where none answers."""
     try:
         return Snapshot(
             where,
@@ -50,6 +53,6 @@ def snapshot(where: Path) -> Snapshot:
 
 
 def _asked(where: Path, method: str, key: str, **parameters: int) -> Any:
-    """Ask one question; None where the daemon answers with an error, such as that nothing is calibrated."""
+    """Call one method; None where the daemon answers with an error, such as that there is no calibration."""
     (reply,) = replies(where, {"method": f"{NAME}.{method}", "parameters": parameters})
     return (reply.get("parameters") or {}).get(key)

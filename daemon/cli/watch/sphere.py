@@ -1,4 +1,4 @@
-"""The sphere of attitudes in characters: two discs, screen up and screen down, seen from outside the phone.
+"""Draw orientations as a map of characters: a disc for screen up and one for screen down, seen from outside.
 
 Each half of the sphere is laid flat by Lambert's azimuthal equal-area projection (Snyder, Map Projections,
 USGS 1395, Eq. 24-3 and 24-4), so that equal areas of the sphere are equal numbers of characters. In both
@@ -19,11 +19,12 @@ ROWS, COLUMNS = 13, 27
 """Characters of one disc; a character is about twice as high as wide."""
 
 GAP = 5
+"""Columns between the discs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Glyphs:
-    """Characters of the map. newest: the last rest; wanted: the attitude that would help most."""
+    """Characters of the map. newest: the last rest; wanted: the next orientation to record."""
 
     inside: str = "·"
     centre: str = "+"
@@ -39,7 +40,7 @@ Place = tuple[int, int, int]
 
 
 def place(up: Array) -> Place:
-    """Return where a unit vector (3,), body axes, that points up stands on the map."""
+    """Return the place on the map of a unit vector (3,), body axes, that points up."""
     x, y, z = (float(v) for v in up)
     k = np.sqrt(1.0 / (1.0 + abs(z)))  # Eq. 24-3 with 2 taken off: the rim is at 1
     row = round((1.0 - k * y) / 2.0 * (ROWS - 1))
@@ -48,7 +49,7 @@ def place(up: Array) -> Place:
 
 
 def inside() -> NDArray[np.bool_]:
-    """Say which characters (ROWS, COLUMNS) lie within a disc."""
+    """Return a mask (ROWS, COLUMNS) of the characters within a disc."""
     y, x = np.mgrid[0:ROWS, 0:COLUMNS]
     middle = np.array([(ROWS - 1) / 2, (COLUMNS - 1) / 2])
     return np.asarray(
@@ -59,7 +60,7 @@ def inside() -> NDArray[np.bool_]:
 def sphere_map(
     counts: list[tuple[Array, int]], newest: Array | None, wanted: Array | None, glyphs: Glyphs
 ) -> Text:
-    """Draw attitudes (unit vector and number of rests, up to 9 as a digit) as ROWS + 2 lines of text."""
+    """Draw orientations (unit vector and number of rests, up to 9 as a digit) as ROWS + 2 lines of text."""
     marks: dict[Place, tuple[str, str]] = {
         (disc, ROWS // 2, COLUMNS // 2): (glyphs.centre, "centre") for disc in (0, 1)
     }

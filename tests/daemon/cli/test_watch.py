@@ -82,7 +82,7 @@ def _snapshot(windows: int = 10, still: int = 10, rests: Any = (), **status: Any
 
 @pytest.mark.parametrize(
     ("windows", "still", "said"),
-    [(14, 14, "lies still"), (14, 10, "moves"), (14, 12, "comes to rest"), (10, 10, "being watched")],
+    [(14, 14, "at rest"), (14, 10, "moving"), (14, 12, "partly at rest"), (10, 10, "measuring")],
 )
 def test_stillness_is_what_the_windows_since_the_last_frame_were(windows: int, still: int, said: str) -> None:
     assert words.stillness(_snapshot(windows, still), _snapshot()) == said
@@ -91,10 +91,10 @@ def test_stillness_is_what_the_windows_since_the_last_frame_were(windows: int, s
 def test_it_says_what_is_waited_for_the_most_pressing_first() -> None:
     assert "disk" in words.next_step(_snapshot(trouble="no space left", connected=False))
     assert "phone" in words.next_step(_snapshot(connected=False))
-    assert words.next_step(_snapshot()) == "the phone to lie still"
+    assert words.next_step(_snapshot()) == "leave the phone lying still"
     assert "charger" in words.next_step(_snapshot(rests_held=8, charging=False))
     wanting = _snapshot(rests_held=8, missing=["lay it on its face", "another"])
-    assert words.next_step(wanting) == "attitudes: lay it on its face, and 1 more"
+    assert words.next_step(wanting) == "lay it on its face; 1 more needed after that"
     calibrated = replace(_snapshot(degraded=True), calibration={"id": "x"})
     assert "no longer fits" in words.next_step(calibrated)
 
@@ -144,12 +144,12 @@ def test_one_frame_shows_rests_and_what_is_missing(folder: Path) -> None:
             )
             result = await asyncio.to_thread(watched, folder)
             assert result.exit_code == 0, result.output
-            assert "would help most" in result.output and "none yet" in result.output
+            assert "next orientation to record" in result.output and "no calibration yet" in result.output
             picture = folder / "frame.svg"
             drawn = await asyncio.to_thread(watched, folder, "--svg", str(picture))
             assert drawn.exit_code == 0, drawn.output
             text = picture.read_text()
-            assert text.startswith("<svg") and "would" in text and "url(http" not in text
+            assert text.startswith("<svg") and "orientation" in text and "url(http" not in text
 
     within_reason(test())
 
@@ -161,7 +161,7 @@ def test_one_frame_shows_the_calibration_in_the_units_that_people_use(folder: Pa
     async def test() -> None:
         async with answering(folder):
             result = await asyncio.to_thread(watched, folder)
-            for shown in (record.id, "unchecked", "3.06", "-0.1146", "20 to 35 °C", "0.11 mg rms"):
+            for shown in (record.id, "not verified yet", "3.06", "-0.1146", "20 to 35 °C", "0.11 mg rms"):
                 assert shown in result.output
 
     within_reason(test())
@@ -214,7 +214,7 @@ def test_it_outlives_a_daemon_and_gives_the_terminal_back(folder: Path, number: 
         terminal.until("no daemon answers")
         for _ in range(2 if number is signal.SIGINT else 1):
             running.append(daemon(folder))
-            terminal.until("waits for")
+            terminal.until("waiting for the phone")
             running[-1].terminate()
             running[-1].wait()
             terminal.until("no daemon answers")
