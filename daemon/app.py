@@ -1,6 +1,6 @@
-"""`stillcal run`: the daemon put together, from its start to its clean end.
+"""The daemon that `stillcal run` starts: its parts put together, from the start to the clean end.
 
-One event loop holds the phone's line, the socket and the signals. The engine runs in one thread and
+One event loop serves the phone's line, the socket and the signals. The engine runs in one thread and
 the disk is written in another (service/engine_thread.py, service/storage.py). Neither delays the loop.
 """
 
@@ -36,10 +36,10 @@ from stillcal.daemon.varlink.address import socket_path
 from stillcal.daemon.varlink.server import serving
 
 SAVE_EVERY_S = 10.0
-"""At most so often is the state written for new rests, s; after a full calibration it is at once."""
+"""Least time between two writes of the state for new rests, s: so much a crash can lose."""
 
 SAVE_AT_LEAST_S = 600.0
-"""So often it is written anyway, s."""
+"""Longest time between two writes of the state, s: clock and energy ledger change without rests."""
 
 RETRY_EVERY_S = 2.0
 """So often it is tried again where the disk refused, s."""
@@ -48,10 +48,10 @@ STOP_TIMEOUT_S = 0.5
 """A clean stop waits at most this long for the phone session, and again for the engine, s."""
 
 HEARTBEAT_S = 10.0
-"""How often the manager hears of the service where its watchdog does not ask for more, s."""
+"""Time between two status messages to systemd, s, unless its watchdog wants them more often."""
 
-REMEDY = "record a day of it, temperature included, and see what is left out: stillcal diagnose RECORDING"
-"""What a person can do where calibrating does not help."""
+REMEDY = "record a day with temperature and run `stillcal diagnose RECORDING`"
+"""Advice where recalibrating does not help."""
 
 STUCK_SHARE = 0.5
 """An engine job that takes longer than this share of the watchdog's time counts as stuck."""
@@ -77,7 +77,7 @@ class Service:
         self._save_now = False
 
     def open(self) -> None:
-        """Lock the store and take up the state where it was left. Raises StoreError and SettingsError."""
+        """Lock the store and continue from the saved state. Raises StoreError and SettingsError."""
         self._refuse_shared_paths()
         loaded = self.storage.open()
         if loaded.note:
@@ -101,26 +101,26 @@ class Service:
             if Path(os.path.realpath(path)) in taken:
                 raise SettingsError(f"{name} and [store] path are the same: {path}: give another path")
 
-    # What is known, for those who ask
+    # What the socket answers from
 
     @property
     def view(self) -> View:
-        """What the engine thinks."""
+        """The engine's view after its last job."""
         return self.engine_thread.view
 
     @property
     def document(self) -> StoreDocument:
-        """What the store holds."""
+        """The contents of the store."""
         return self.storage.document
 
     @property
     def source(self) -> Source:
-        """The phone's line."""
+        """The source of samples: the phone's line or the machine's own sensors."""
         return self.session.source
 
     @property
     def trouble(self) -> str:
-        """Why the last write to the disk failed, empty where it did not."""
+        """Why the last write to the disk failed; empty after a write that succeeded."""
         return self.storage.trouble
 
     @property
@@ -130,7 +130,7 @@ class Service:
 
     @property
     def uptime_s(self) -> float:
-        """For how long the daemon has been running, s."""
+        """Time since the daemon started, s."""
         return self._clock() - self._started_at
 
     @property
@@ -140,14 +140,14 @@ class Service:
 
     @property
     def current_id(self) -> str | None:
-        """Id of the calibration in the store."""
+        """Id of the current calibration; None where there is none."""
         current = self.storage.document.current
         return None if current is None else current.id
 
     # Running
 
     async def run(self) -> None:
-        """Serve until a signal says to stop, or something fails that must not; then it is raised."""
+        """Serve until a signal asks to stop. Raises what ended one of the tasks before that."""
         self._listen_to_signals()
         self.session = self._new_session()
         async with serving(self, self.settings.socket, self._options.passed):
@@ -168,16 +168,16 @@ class Service:
             self._notifier.stopping("saving")
         await self._end(*jobs)
         for error in failed:
-            raise error or RuntimeError("a part of the service has ended by itself")
+            raise error or RuntimeError("a task of the service ended unexpectedly")
 
     def stop(self) -> None:
-        """Begin a clean end."""
+        """Stop cleanly: `run` then saves and returns."""
         self._stop.set()
 
     # Jobs
 
     async def _serving_phone(self) -> None:
-        """Serve the phone's line, and the next one where the settings come to name another."""
+        """Serve the source, and after a reload that changes [source], the new one."""
         served: PhoneSession | None = None
         while served is not self.session:
             served = self.session
@@ -186,7 +186,7 @@ class Service:
         await self._stop.wait()
 
     async def _saving(self) -> None:
-        """Write what changes: calibrations at once, the state now and then."""
+        """Write calibrations at once, and the state at most every SAVE_EVERY_S."""
         saved_at, changed = self._clock() - SAVE_EVERY_S, False
         while True:
             with contextlib.suppress(TimeoutError):
@@ -212,7 +212,7 @@ class Service:
             await asyncio.sleep(HEARTBEAT_S)
 
     async def _sending_heartbeats(self) -> None:
-        """Tell the manager that the loop lives, as long as the engine's thread does too."""
+        """Tell systemd that the service is alive, unless the engine's thread is stuck."""
         watchdog = self._notifier.watchdog_s
         while True:
             self._notifier.status(self.describe())
@@ -221,7 +221,7 @@ class Service:
             await asyncio.sleep(HEARTBEAT_S if watchdog is None else min(watchdog / 4, HEARTBEAT_S))
 
     async def save(self) -> bool:
-        """Write the state; say whether it is on the disk."""
+        """Write the state; return whether it is on the disk."""
         saved = replace(self.saved, clock=copy.deepcopy(self.saved.clock), energy=self.saved.energy.copy())
         try:
             data = await self.engine_thread.encoded(saved)
@@ -231,7 +231,7 @@ class Service:
         return await self.storage.save(data)
 
     async def _end(self, serving: asyncio.Task[None], *others: asyncio.Task[None]) -> None:
-        """Take what has arrived, save, and let go of everything."""
+        """Feed what has arrived, save the state, and release the source, the thread and the store."""
         self.session.source.close()
         await asyncio.wait([serving], timeout=STOP_TIMEOUT_S)
         for job in (serving, *others):
@@ -250,7 +250,7 @@ class Service:
     # What the engine wants done
 
     def act(self, actions: list[Action]) -> None:
-        """Do what the engine wants done; nothing here waits."""
+        """Carry out the engine's actions without waiting: log, store, notify."""
         for action in actions:
             if isinstance(action, Log):
                 say(str(action.level), action.what, action.why, t=action.t, **action.fields)
@@ -267,17 +267,17 @@ class Service:
         self.subscribers.announce(action)
 
     async def calibrate(self) -> CalibrationRecord:
-        """Try a full calibration now. Raises ValueError where nothing comes of it."""
-        return self._outcome(await self.engine_thread.calibrate(), "there is nothing to calibrate from")
+        """Try a full calibration now. Raises ValueError with the reason where there is no better one."""
+        return self._outcome(await self.engine_thread.calibrate(), "no rests are held yet")
 
     async def zero(self) -> CalibrationRecord:
-        """Measure the gyroscope's bias now. Raises ValueError where no rest shows it."""
+        """Measure the gyroscope's bias now. Raises ValueError where there is no recent rest."""
         return self._outcome(
-            await self.engine_thread.zero(), "no rest of late shows it, or nothing is calibrated yet"
+            await self.engine_thread.zero(), "there is no calibration yet, or no recent rest"
         )
 
     def _outcome(self, reply: EngineReply, otherwise: str) -> CalibrationRecord:
-        """Do what follows and return the calibration that came of it. Raises ValueError with why none did."""
+        """Carry out a reply and return its calibration. Raises ValueError where it has none."""
         self.act(reply.actions)
         for action in reply.actions:
             if isinstance(action, Publish):
@@ -287,14 +287,14 @@ class Service:
         raise ValueError(next((a.why for a in reply.actions if isinstance(a, Log)), otherwise))
 
     async def rollback(self, target: int | str) -> CalibrationRecord | None:
-        """Make an earlier calibration current. Raises ValueError where there is none such."""
+        """Make an earlier calibration current. Raises ValueError where the history has none such."""
         document = await self.storage.rollback(target)
         await self.engine_thread.hold(document.current)
         self._unsaved.set()
         if document.current is not None:
             say("info", "rollback", "an earlier calibration is current again", calibration=self.current_id)
             self.subscribers.notify(
-                Notification("rolled_back", self.now or 0.0, "as asked over the socket", document.current)
+                Notification("rolled_back", self.now or 0.0, "requested over the socket", document.current)
             )
         return document.current
 
@@ -307,12 +307,12 @@ class Service:
         loop.add_signal_handler(signal.SIGHUP, lambda: loop.create_task(self.reload()))
 
     async def reload(self) -> str:
-        """Read the settings again. Bad ones are refused, the reason logged and returned, the old kept."""
+        """Read the settings again. Returns why they were refused (the old ones then stay), or nothing."""
         self._notifier.reloading()
         try:
             await self._apply(self._options.settings())
         except SettingsError as error:
-            say("error", "reload", f"refused, the old settings stay: {error}")
+            say("error", "reload", f"refused, the old settings stay in force: {error}")
             return str(error)
         finally:
             self._notifier.ready(self.describe())
@@ -322,7 +322,7 @@ class Service:
     async def _apply(self, settings: Settings) -> None:
         old, self.settings = self.settings, settings
         for name in needs_restart(old, settings):
-            say("warning", "reload", f"{name} has changed: that takes a restart")
+            say("warning", "reload", f"{name} has changed: restart the daemon to apply it")
         log.set_level(settings.log.level)
         self.storage.configure(settings.store)
         if settings.engine != old.engine:
@@ -337,9 +337,9 @@ class Service:
         return PhoneSession(source, self.engine_thread, self.saved, rate_hz, self.act, clock=self._clock)
 
     def describe(self) -> str:
-        """Say in a sentence how things are."""
+        """Return the daemon's state in one line, for systemctl status."""
         view, device = self.engine_thread.view, self.session.source.device
         phone = f"phone on {device}" if device else "no phone"
         held = f"calibration {self.current_id}" if self.current_id else "no calibration yet"
-        state = " that no longer fits" if view.degraded else ""
+        state = " (no longer fits)" if view.degraded else ""
         return f"{phone}; {held}{state}; {view.watch} watch; {view.rests_held} rests held"

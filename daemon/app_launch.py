@@ -1,4 +1,4 @@
-"""What a daemon is given from outside, and the settings that come of it."""
+"""The options that a daemon is started with, and the settings that follow from them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings)
 
 @dataclass(frozen=True, slots=True)
 class LaunchOptions:
-    """What was given from outside. config: the settings file, read again on SIGHUP.
+    """The command line's options and systemd's sockets. config: the settings file, read again on SIGHUP.
 
-    port, store, socket: stand in for the file's, where they are given. passed: sockets systemd opened.
+    port, store, socket: override the file where they are given. passed: sockets that systemd opened.
     """
 
     config: Path | None = None
@@ -30,7 +30,7 @@ class LaunchOptions:
     passed: Sequence[Socket] = ()
 
     def settings(self) -> Settings:
-        """Read the settings. Raises SettingsError where they cannot serve."""
+        """Read the settings file and apply the options. Raises SettingsError."""
         from_file = load_settings(self.config)
         settings = replace(
             from_file,
@@ -43,9 +43,9 @@ class LaunchOptions:
 
 
 def serial_settings(settings: Settings) -> SerialSettings:
-    """Return the line's settings, or how the machine's own sensors are looked for.
+    """Return the settings of the serial line, or of the search for the machine's own sensors.
 
-    Raises SettingsError where no device is named or they make no sense.
+    Raises SettingsError where no device is named or a value is out of range.
     """
     source = settings.source
     port = source.port or (DEVICES if source.kind == "iio" else "")
@@ -59,7 +59,7 @@ def _with(part: Part, **overrides: Any) -> Part:
 
 
 def needs_restart(old: Settings, new: Settings) -> list[str]:
-    """Return the names of what has changed and cannot change while running."""
+    """Return the names of the changed settings that take effect at a restart only."""
     changed = {
         "[store] path": (old.store.path, new.store.path),
         "[socket] path": (old.socket.path, new.socket.path),

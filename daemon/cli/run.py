@@ -1,4 +1,4 @@
-"""`stillcal run`: the daemon in the foreground, as systemd wants it."""
+"""`stillcal run`: run the daemon in the foreground."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stillcal.daemon.system.systemd import Notifier, passed_sockets
 
 @click.command(
     "run",
-    short_help="Keep a phone calibrated, live.",
+    short_help="Keep a connected phone calibrated.",
     epilog=examples(
         "stillcal run --port /dev/ttyACM0",
         "stillcal run --port '/dev/serial/by-id/usb-Arduino*' --store store.json",
@@ -27,15 +27,16 @@ from stillcal.daemon.system.systemd import Notifier, passed_sockets
     ),
 )
 @config_option
-@click.option("--port", help="The phone's serial device or a pattern, in place of [source] port.")
-@click.option("--store", type=click.Path(path_type=Path), help="The store, in place of [store] path.")
-@click.option("--socket", help="Where to answer questions, in place of [socket] path.")
+@click.option("--port", help="The phone's serial device or a pattern; overrides [source] port.")
+@click.option("--store", type=click.Path(path_type=Path), help="The store's file; overrides [store] path.")
+@click.option("--socket", help="The socket for queries; overrides [socket] path.")
 def run_command(config: Path | None, port: str | None, store: Path | None, socket: str | None) -> None:
-    """Keep a phone calibrated: read its sensors, answer on a socket, until SIGTERM.
+    """Run the daemon: read a phone's sensors, keep it calibrated and answer queries until SIGTERM.
 
-    The phone is on a serial line, or with kind = "iio" under [source] this machine is the phone. SIGHUP reads
-    the settings again. Logs go to standard error. Exit code 2 where settings, store or socket cannot serve,
-    75 where the machine cannot for now (disk, memory, descriptors): start it again.
+    The phone is connected by a serial line. With kind = "iio" under [source], the daemon reads this machine's
+    own sensors instead. SIGHUP reads the settings again. Logs go to standard error. Exit code 2 when the
+    settings are wrong, or the store or the socket cannot be used; 75 after a passing fault of the machine
+    (disk, memory, descriptors): start it again.
     """
     require("stillcal run", DAEMON)
     from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has

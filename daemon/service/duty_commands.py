@@ -1,7 +1,7 @@
-"""What the phone is told, so that its sensors are on only when the engine looks: pure decisions.
+"""Decide which commands keep the phone's sensors on only when the engine needs them. Pure.
 
-The engine's wants come in, commands go out. All times are the engine's, in s; whoever sends the commands
-turns them into the phone's.
+The engine's wish comes in, commands go out. All times are the engine's, in s; the sender converts them to
+the phone's.
 """
 
 from __future__ import annotations
@@ -13,32 +13,32 @@ from stillcal.calib_core.static.settings import Sense, Sleep
 from stillcal.daemon.wire.messages import Grant
 
 PROBE_STEP_S = 1.0
-"""A phone in step with the engine goes on by this at most during a probe, which may be given up early."""
+"""Most credit at once during a probe, s: the probe may end early."""
 
 STEP_S = 60.0
-"""The same where the engine names no time at all."""
+"""Credit where the engine plans no decision, s."""
 
 
 @dataclass(slots=True)
 class DutyCommands:
-    """Remembers what the phone was told last. asleep_until: None where it was told nothing or to sense."""
+    """Remembers the last command. asleep_until: None where it was to sense or there was none."""
 
     asleep_until: float | None = None
     commanded: bool = False
 
     def forget(self) -> None:
-        """Assume nothing of the phone, as after it was plugged in or has restarted."""
+        """Assume nothing about the phone, as after a connection or a restart."""
         self.asleep_until, self.commanded = None, False
 
     def asleep(self, now: float) -> bool:
-        """Say whether the phone sleeps at `now` as far as it was told."""
+        """Return whether the phone sleeps at `now`, by the last command."""
         return self.asleep_until is not None and now < self.asleep_until
 
     def due(self, want: Sense | Sleep, decides: float, now: float) -> list[Sense | Sleep]:
-        """Return the commands that bring the phone to what is wanted.
+        """Return the commands that bring the phone into the wanted state.
 
-        decides: when the engine decides anew. A sleep that lasts to its next decision is ordered without
-        end, so that the phone does not wake for a decision that concerns no sample.
+        decides: time of the engine's next decision. A sleep that lasts until then is commanded without end,
+        so that the phone does not wake for a decision that needs no sample.
         """
         if isinstance(want, Sense):
             return self._sense(want, now)
@@ -59,7 +59,7 @@ class DutyCommands:
 
 
 def credit(want: Sense | Sleep, decides: float, now: float) -> Grant:
-    """Let a phone in step with the engine go on to the next time at which its orders may change."""
+    """Return credit up to the next time at which the commands may change (flow control of the wire)."""
     goal = min(want.until, decides)
     if isinstance(want, Sense) and want.until < decides:
         goal = min(goal, now + PROBE_STEP_S)

@@ -1,8 +1,8 @@
 """The engine in a thread of its own, so that no fit delays samples or answers.
 
-One thread, jobs in order; the engine is touched nowhere else. What other code may see of it comes as
-frozen views. The interpreter changes threads within SWITCH_S, and numpy lets go of it in long calls. A
-process of its own for the fit was tried and left out: the loop is no less late then (docs/faults.md).
+The thread does its jobs in order, and nothing else touches the engine. Other code sees frozen views of it.
+The interpreter switches threads within SWITCH_S, and numpy releases it during long calls. A separate process
+for the fit was tried: the event loop is no less late with it (docs/faults.md).
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from stillcal.daemon.system.worker import Worker
 T = TypeVar("T")
 
 SWITCH_S = 0.001
-"""How long one thread may keep the interpreter from another that waits for it, s."""
+"""Longest time that a thread may keep the interpreter from another, s; it bounds the loop's lateness."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the engine thinks at one moment. decides: when it decides anew, s, inf where it does not."""
+    """The engine's state at one moment. decides: time of its next decision, s; inf where none is planned."""
 
     want: Sense | Sleep
     decides: float
@@ -59,7 +59,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class EngineReply:
-    """What came of feeding: what is to be done, what the engine thinks now, and samples it refused."""
+    """The result of one job: actions to carry out, the view after it, and why samples were refused."""
 
     actions: list[Action]
     view: View
@@ -67,7 +67,7 @@ class EngineReply:
 
 
 class EngineThread:
-    """The engine behind a thread. Every coroutine here waits for the jobs before it."""
+    """The engine behind a thread. Every coroutine waits for the jobs before it. clock: for `busy_for`."""
 
     def __init__(
         self,
@@ -85,19 +85,19 @@ class EngineThread:
         sys.setswitchinterval(SWITCH_S)
 
     async def feed(self, items: Sequence[Samples | Event]) -> EngineReply:
-        """Feed the engine in order; what it refuses is named and left out."""
+        """Feed items in order; samples that the engine refuses are skipped, and the reply says why."""
         return self._with_view(await self._run(self._feed, items))
 
     async def encoded(self, saved: SavedState) -> bytes:
-        """Return the state file's contents: the engine as it is now, the rest as given."""
+        """Return the state file's contents: the engine's current state, the rest from `saved`."""
         return await self._run(lambda: encode(replace(saved, engine=self._engine.state)))
 
     async def change(self, settings: EngineSettings) -> None:
-        """Go on with other settings."""
+        """Continue with other settings."""
         await self._ask(lambda engine: engine.change_settings(settings))
 
     async def hold(self, record: CalibrationRecord | None) -> None:
-        """Take `record` for the current calibration, as after a rollback."""
+        """Make `record` the current calibration, as after a rollback."""
         await self._ask(lambda engine: engine.use_calibration(record))
 
     async def calibrate(self) -> EngineReply:
@@ -109,19 +109,19 @@ class EngineThread:
         return await self._ask(lambda engine: engine.update_bias())
 
     async def forget(self, reason: str) -> EngineReply:
-        """Begin anew with another phone."""
+        """Start from scratch with another phone."""
         return await self._ask(lambda engine: engine.forget(reason))
 
     def busy_for(self) -> float:
-        """Return for how long (s) the job at hand has been going on; 0 where there is none."""
+        """Return how long the current job has been running, s; 0 where there is none."""
         return self._clock() - self._since if self._jobs else 0.0
 
     async def idle(self, timeout_s: float) -> bool:
-        """Wait for the jobs at hand; say whether they were over within `timeout_s`."""
+        """Wait for the queued jobs; return whether they ended within `timeout_s`."""
         return await self._thread.idle(timeout_s)
 
     def close(self) -> None:
-        """Take no more jobs."""
+        """Stop the thread after its current job."""
         self._thread.close()
 
     def _feed(self, items: Sequence[Samples | Event]) -> EngineReply:
@@ -150,7 +150,7 @@ class EngineThread:
         return reply
 
     async def _run(self, job: Callable[..., T], *arguments: object) -> T:
-        """Do a job in the thread, after those before it."""
+        """Run a job in the thread, after those before it."""
         if not self._jobs:
             self._since = self._clock()
         self._jobs += 1
@@ -191,5 +191,5 @@ def _view(engine: Engine) -> View:
 
 
 def _diagnosis(trouble: Trouble | None, after: int) -> str:
-    """Say why a diagnosis is wanted; nothing where it is not."""
+    """Return why a diagnosis is advised; empty where it is not."""
     return trouble.reason if trouble is not None and trouble.failed >= after else ""

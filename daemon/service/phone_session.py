@@ -1,6 +1,6 @@
-"""From the wire to the engine and back: records in, time mapped, the engine fed, the phone told.
+"""One phone's session: takes its records, maps their time, feeds the engine, sends commands back.
 
-One coroutine; it never waits for a disk or a client. What the engine wants done is handed on.
+One coroutine that never waits for a disk or a client. The engine's actions are passed on to the service.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from stillcal.daemon.system.log import say
 from stillcal.daemon.wire.messages import Hello, Identify, Rate, Status, Temperature
 
 BATCH_S = 0.2
-"""How long what a phone in real time sends gathers before it is read, s."""
+"""How long records of a real-time phone gather before they are read, s: fewer wake-ups cost less power."""
 
 GATHER_S = 1.0
-"""How long its samples wait for the engine while that watches without a break, s: they decide nothing yet."""
+"""How long samples wait for the engine under continuous watch while no decision is due, s."""
 
 LATE_S = 0.3
-"""How much later than its time a sleeping phone's decision is taken, for what is still on the wire, s."""
+"""How much later than planned a sleeping phone's decision is taken, s: records may still be on the wire."""
 
 SILENCE_S = 10.0
-"""A phone that should be sensing and says nothing for so long is asked again, s."""
+"""A phone that should be sensing is asked to identify itself after this much silence, s."""
 
 
 class PhoneSession:
-    """One phone's line and what is known of the phone. `saved` holds what is kept over a restart."""
+    """The session on one source. saved: what outlives the daemon. act: takes the engine's actions."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class PhoneSession:
         self.refused = 0
 
     async def run(self) -> None:
-        """Serve the line until its source is closed."""
+        """Serve the source until it is closed."""
         while (records := await self._receive()) is not None:
             for record in join_blocks(records):
                 await self._on_record(record)
@@ -78,7 +78,7 @@ class PhoneSession:
                 await self.source.let_gather(BATCH_S)
 
     def _must_feed_now(self, records: list[Record]) -> bool:
-        """Say whether the engine is to be woken for these records now."""
+        """Return whether these records must reach the engine now, rather than gather."""
         only_samples = (
             records and not self._in_step and all(isinstance(record, Samples) for record in records)
         )
@@ -89,7 +89,7 @@ class PhoneSession:
         )
 
     async def _receive(self) -> list[Record] | None:
-        """Return what came; nothing where it is time to look up without, None once the source is closed."""
+        """Return the records that arrived, [] after a timeout, None once the source is closed."""
         try:
             async with asyncio.timeout(None if self.source.pending else self._timeout()):
                 records = await self.source.take()
@@ -110,7 +110,7 @@ class PhoneSession:
     # Time without samples
 
     def _timeout(self) -> float | None:
-        """Return for how long (s) there is nothing to do unless something comes."""
+        """Return how long to wait for records, s; None for as long as it takes."""
         if self._items:
             return GATHER_S
         if not self.source.connected or self._in_step:
@@ -124,13 +124,18 @@ class PhoneSession:
         return max(due - self._clock(), 0.0)
 
     def _on_timeout(self) -> None:
-        """Tell the engine the time while the phone sleeps; ask a phone that should not be silent."""
+        """Tell the engine the time while the phone sleeps; ask a silent phone to identify itself."""
         clock, host = self._saved.clock, self._clock()
         now = clock.now(host)
         if self._commands.asleep(clock.newest) and now is not None:
             self._items.append(Tick(min(now, max(self._engine_thread.view.decides, clock.newest))))
         elif host - self._heard_at >= SILENCE_S:
-            say("warning", "silent", "the phone says nothing: asking it", device=self.source.device)
+            say(
+                "warning",
+                "silent",
+                f"no data for {SILENCE_S:.0f} s: asking the phone to identify itself",
+                device=self.source.device,
+            )
             self._heard_at = host
             self._commands.forget()
             self.source.send(Identify())
@@ -161,7 +166,7 @@ class PhoneSession:
             self._items.append(item)
 
     def _with_temperature(self, samples: Samples) -> Samples:
-        """Give samples the thermometer's last reading where they bring none."""
+        """Add the thermometer's last reading to samples without a temperature."""
         if samples.temperature is not None or self._celsius is None:
             return samples
         return replace(samples, temperature=frozen(np.full(len(samples), self._celsius)))
@@ -181,13 +186,13 @@ class PhoneSession:
             say(
                 "warning",
                 "restarted",
-                "the phone has restarted: its time is carried on",
+                "the phone restarted; its new time stamps continue from the old ones",
                 session=hello.session,
             )
         say(
             "info",
             "phone",
-            "the phone said hello",
+            "the phone identified itself",
             device=self._saved.device,
             flow=hello.flow,
             session=hello.session,
@@ -196,17 +201,15 @@ class PhoneSession:
             self.source.send(Rate(self.rate_hz))
 
     async def _check_identity(self, device: str) -> None:
-        """Begin anew where the phone says it is another one than before; one that says nothing is not."""
+        """Start from scratch where the phone gives another name than before."""
         before = self._saved.device
         if before and device and device != before:
             await self._feed_engine()
-            reply = await self._engine_thread.forget(
-                f"another phone, {device}, has taken the place of {before}"
-            )
+            reply = await self._engine_thread.forget(f"the phone changed from {before} to {device}")
             say(
                 "warning",
                 "another phone",
-                "what was gathered is dropped; stillcal store rollback brings a calibration back",
+                "all rests are dropped; `stillcal store rollback` restores an earlier calibration",
                 device=device,
                 before=before,
             )
@@ -220,7 +223,7 @@ class PhoneSession:
             say(
                 "info",
                 "connected",
-                "the phone's line is open",
+                "line opened",
                 device=record.device,
                 attempts=record.attempts,
             )
@@ -229,10 +232,10 @@ class PhoneSession:
         else:
             say("info", "waiting", f"no phone: {record.reason}")
 
-    # The engine and its orders
+    # The engine and its commands
 
     async def _feed_engine(self) -> None:
-        """Feed what has gathered, hand on what is to be done, and tell the phone what is wanted now."""
+        """Feed the engine, pass on its actions, and send the phone the commands that follow."""
         items, self._items = list(join_blocks(self._items)), []
         self._fed_at = self._clock()
         if items:
@@ -257,7 +260,7 @@ class PhoneSession:
             self.source.send(type(command)(clock.phone(command.until)))
 
     def _answer_stop(self, record: Tick | End) -> None:
-        """Let a phone in step go on, and any phone go whose stream has come to its end."""
+        """Answer a stop: credit for a phone that waits for it, sleep at the end of a stream."""
         clock, view = self._saved.clock, self._engine_thread.view
         if isinstance(record, End):
             self._commands.forget()

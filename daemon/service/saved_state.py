@@ -23,16 +23,16 @@ from stillcal.daemon.system.files import NotRegularError, TooLargeError, read_re
 HEAD = b"stillcal state 1\n"
 MAX_BYTES = 64 * 2**20
 ASIDE = 10
-"""How many unreadable states are kept; a further one takes the place of the last."""
+"""How many unreadable state files are kept; a further one replaces the last."""
 
 
 class StateError(ValueError):
-    """A state file that cannot be used; the message says why."""
+    """The state file cannot be used; the message says why."""
 
 
 @dataclass(slots=True)
 class SavedState:
-    """All that the daemon remembers besides the store. device: what the phone says it is."""
+    """What the daemon remembers besides the store. device: the name that the phone gives itself."""
 
     engine: EngineState
     clock: PhoneClock = field(default_factory=PhoneClock)
@@ -42,14 +42,14 @@ class SavedState:
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """What was found. state: None where there is none; note: what was wrong, to be logged."""
+    """The result of loading. state: None where there is none. note: what was wrong, for the log."""
 
     state: SavedState | None = None
     note: str = ""
 
 
 def state_path(store: Path) -> Path:
-    """Return where the state of the daemon with this store is kept."""
+    """Return the path of the state file that belongs to a store."""
     return store.with_suffix(".state")
 
 
@@ -63,13 +63,13 @@ def decode(data: bytes) -> SavedState:
     """Read a file's contents. Raises StateError where they are foreign, damaged or of another version."""
     body = data[len(HEAD) + 32 :]
     if not data.startswith(HEAD):
-        raise StateError("not a state of this version")
+        raise StateError("not a state file of this version")
     if hashlib.sha256(body).digest() != data[len(HEAD) : len(HEAD) + 32]:
         raise StateError("the checksum does not match")
     try:
         return unpacked(body, SavedState)
     except (msgspec.MsgspecError, ValueError, TypeError, KeyError) as error:
-        raise StateError(f"not what this version keeps: {error}") from error
+        raise StateError(f"does not fit this version: {error}") from error
 
 
 def load(path: Path) -> Loaded:
@@ -84,7 +84,7 @@ def load(path: Path) -> Loaded:
     except (StateError, NotRegularError, TooLargeError) as error:
         aside = _free(path)
         path.replace(aside)
-        return Loaded(note=f"{path}: {error}; set aside as {aside.name}, rests are gathered anew")
+        return Loaded(note=f"{path}: {error}; moved to {aside.name}; rests are collected again from scratch")
 
 
 def save(path: Path, data: bytes) -> None:

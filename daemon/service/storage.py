@@ -1,7 +1,7 @@
-"""What the daemon writes: the store and the state, in a thread of their own, because fsync takes its time.
+"""Write the store and the state in a thread of their own, because fsync is slow.
 
-Writes happen in the order they were asked for, so that the state never knows of a calibration that the
-store has not got. A write that fails is tried again later and holds up nothing else.
+Writes keep their order, so that the state never refers to a calibration that the store does not have. A
+write that fails is tried again later and delays nothing else.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ FOLDER_MODE = 0o750
 """Of the store's folder, where it has to be made."""
 
 MAX_QUEUED = 64
-"""Changes of the store that wait for a disk that refuses them; beyond this, the oldest rejected one goes."""
+"""Changes that wait for a disk that refuses writes; of more, the oldest rejected candidate is dropped."""
 
 
 class Storage:
-    """The store, locked for this process, and the state file. note: is told what is out of the ordinary."""
+    """The store, locked for this process, and the state file. note: receives what is unusual, for the log."""
 
     def __init__(self, store: Store, note: Callable[[str], None]) -> None:
         self._store, self._note = store, note
@@ -131,7 +131,7 @@ class Storage:
         return await self._thread.idle(timeout_s)
 
     def close(self) -> None:
-        """Let other writers in."""
+        """Finish the write in progress and unlock the store."""
         self._thread.close()
         self._store.close()
 

@@ -1,4 +1,4 @@
-"""News of the calibration for those who asked to be told: bounded queues, nobody waits for a slow one."""
+"""Publish changes of the calibration to subscribers, each with a bounded queue."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Forget, Publish, Reject
 
 BACKLOG = 64
+"""Unread notifications of one subscriber; a client that does not read would otherwise fill the memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Notification:
-    """What happened. what: calibrated, zeroed, rejected, forgotten or rolled_back; t: s of engine time."""
+    """One change. what: calibrated, zeroed, rejected, forgotten or rolled_back; t: s of engine time."""
 
     what: str
     t: float
@@ -24,20 +25,20 @@ class Notification:
 
 @dataclass(slots=True, eq=False)
 class Subscriber:
-    """One who listens; `overflowed` where it was too slow and has been dropped."""
+    """One subscriber's queue; `overflowed` once it was too slow and was dropped."""
 
     queue: asyncio.Queue[Notification | None] = field(default_factory=lambda: asyncio.Queue(BACKLOG + 1))
     overflowed: bool = False
 
     def close(self) -> None:
-        """End the listening: what waits is forgotten."""
+        """End the subscription; what is unread is dropped."""
         while not self.queue.empty():
             self.queue.get_nowait()
         self.queue.put_nowait(None)
 
 
 class Subscribers:
-    """Everybody who listens."""
+    """All subscribers."""
 
     def __init__(self) -> None:
         self._subscribers: set[Subscriber] = set()
@@ -46,19 +47,19 @@ class Subscribers:
         return len(self._subscribers)
 
     def subscribe(self) -> tuple[Subscriber, Callable[[], None]]:
-        """Begin to listen; the second value ends it."""
+        """Subscribe; the second value is a function that unsubscribes."""
         subscriber = Subscriber()
         self._subscribers.add(subscriber)
         return subscriber, lambda: self._subscribers.discard(subscriber)
 
     def announce(self, action: Publish | Reject | Forget) -> None:
-        """Tell of what the engine decided."""
+        """Notify all subscribers of an action of the engine."""
         names = {Reject: "rejected", Forget: "forgotten"}
         what = names.get(type(action)) or _kind(action.record)
         self.notify(Notification(what, action.t, action.reason, action.record))
 
     def notify(self, notification: Notification) -> None:
-        """Tell everybody; who has too much unread is dropped."""
+        """Notify all subscribers; one with a full queue is dropped."""
         for subscriber in list(self._subscribers):
             if subscriber.queue.qsize() >= BACKLOG:
                 subscriber.overflowed = True

@@ -156,7 +156,7 @@ def test_another_phone_begins_anew_and_the_olds_calibration_is_in_the_history(
             await until(lambda: service.document.current is None)
             assert service.view.record is None and service.view.rests_held < held
             (entry,) = [e for e in service.document.history if e.what == "replaced"]
-            assert entry.calibration.id == first and "another phone, new" in entry.reason
+            assert entry.calibration.id == first and "changed from old to new" in entry.reason
             assert service.saved.device == "new"
 
     within_reason(test())
