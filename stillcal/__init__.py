@@ -13,6 +13,8 @@ change. Importing stillcal alone loads neither numpy nor scipy: the daemon impor
 
 from typing import TYPE_CHECKING, Any
 
+from stillcal._version import __version__
+
 if TYPE_CHECKING:
     from stillcal.api import (
         Calibration,
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
         load,
         simulate,
     )
-
-    __version__: str
 
 __all__ = [
     "Calibration",
@@ -46,10 +46,6 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is asked for (PEP 562)."""
-    if name == "__version__":
-        from importlib.metadata import version  # noqa: PLC0415 - few ask, and the daemon does not
-
-        return version("stillcal")
     if name not in __all__:
         raise AttributeError(f"module 'stillcal' has no attribute {name!r}")
     from stillcal import api  # noqa: PLC0415 - it imports numpy and scipy

@@ -48,7 +48,7 @@ class NoDaemonError(OSError):
 @socket_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, one object per line.")
 def query_command(method: str, parameters: str, path: str, as_json: bool) -> None:
-    """Ask a running daemon for its calibration, status or history.
+    """Ask a running daemon.
 
     METHOD is GetCalibration (the default), GetStatus, GetStillness, GetHistory, GetEnergy,
     Correct, Monitor (until interrupted), Calibrate, ZeroNow, Rollback or Reload; or any method by
