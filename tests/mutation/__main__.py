@@ -158,7 +158,7 @@ def mutant(change: Change) -> Mutant | None:
         return None
     pairs = zip(text.splitlines(), changed.splitlines(), strict=False)
     before, after = next((a.strip(), b.strip()) for a, b in pairs if a != b)
-    return Mutant(change, before, after)
+    return None if before == "*," else Mutant(change, before, after)  # where keyword arguments begin
 
 
 def _worthwhile(name: str) -> bool:
@@ -171,7 +171,8 @@ def _worthwhile(name: str) -> bool:
 def _silent(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     """Return the places that no test can or need notice.
 
-    Those are type annotations, which are not evaluated, and how a dataclass is made (frozen, slots).
+    Those are type annotations, which are not evaluated; `Literal[...]`; how a dataclass is made (frozen,
+    slots); and `strict=True` of a zip, which guards against slips and changes nothing where there is none.
     """
     found: list[ast.expr | None] = []
     for node in ast.walk(ast.parse(text)):
@@ -181,6 +182,10 @@ def _silent(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
             found.append(node.returns)
         elif isinstance(node, ast.ClassDef):
             found += [k.value for d in node.decorator_list if isinstance(d, ast.Call) for k in d.keywords]
+        elif isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name):
+            found.append(node if node.value.id == "Literal" else None)
+        elif isinstance(node, ast.keyword) and node.arg == "strict":
+            found.append(node.value)
     return [
         ((n.lineno, n.col_offset), (n.end_lineno or 0, n.end_col_offset or 0)) for n in found if n is not None
     ]
