@@ -1,4 +1,4 @@
-"""What a replay found: as rows of text for a person, and put into a store as the daemon would."""
+"""The result of a replay: as rows of text for a person, and put into a store as the daemon would."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def keep_in_store(
 ) -> list[str]:
     """Put the calibrations that a replay accepted and rejected into a store, in order.
 
-    source: the recording's name, kept as their provenance. Returns what was out of the ordinary, a line
-    each. Raises StoreError where the store is damaged, or another process holds it.
+    source: the recording's name, kept as their provenance. Returns the store's notes, one line each. Raises
+    StoreError where the store is damaged, or another process holds it.
     """
     notes: list[str] = []
     with Store(path, settings) as opened:
@@ -40,27 +40,29 @@ def current_in_store(path: Path | str) -> CalibrationRecord:
     document = Store(path).load()
     record = None if document is None else document.current
     if record is None:
-        raise StoreError(f"{path}: holds no calibration: run stillcal replay or the daemon first")
+        raise StoreError(f"{path}: has no calibration; run stillcal replay or the daemon first")
     return record
 
 
 def why_not(outcome: Outcome) -> str:
-    """Say in a phrase why a replay ended without a calibration, and what is needed for one."""
+    """Return in a phrase why a replay ended without a calibration, and what is needed for one."""
     if outcome.refusal is not None:
         needed = ", ".join(outcome.refusal.missing)
         return f"{outcome.refusal.reason}{f'; needed: {needed}' if needed else ''}"
     rests = outcome.state.counters.rests if outcome.state else 0
-    return "no rest was found" if rests == 0 else f"{rests} rests were found, but no occasion to calibrate"
+    if rests == 0:
+        return "no rest was found: the phone never lay still for long enough"
+    return f"{rests} rests were found, but the recording ended before a calibration was due"
 
 
 def outcome_rows(outcome: Outcome, store: Path | None = None) -> list[tuple[str, str]]:
-    """Return what was read, what was found and where it was kept, as (name, value)."""
+    """Return the recording's length, its rests, the calibration and its store, as (name, value)."""
     rows = [("Recording", _length(outcome)), ("Rests", _rests(outcome))]
     record = outcome.record
     if record is None:
         return rows
     rows += record_rows(record)
-    return rows if store is None else [*rows, ("Kept in", f"{store} as {record.id}")]
+    return rows if store is None else [*rows, ("Stored in", f"{store} as {record.id}")]
 
 
 def record_rows(record: CalibrationRecord) -> list[tuple[str, str]]:
@@ -89,19 +91,19 @@ def _span(seconds: float) -> str:
 def _rests(outcome: Outcome) -> str:
     state, ledger = outcome.state, outcome.ledger
     if state is None or ledger.accel_samples == 0:
-        return "as the table gives them"
+        return "the rows of the table"
     share = 100 * min(1.0, ledger.asked_s / outcome.duration) if outcome.duration else 100.0
-    counts = f"{state.counters.rests} found, {state.counters.turns} turns between them"
+    counts = f"{state.counters.rests} found, {state.counters.turns} rotations between them"
     return f"{counts}, sensors on {share:.1f} % of the time"
 
 
 def _gravity(gravity: Gravity) -> str:
     sources = {
-        "default": "standard value: the location is unknown",
+        "default": "standard value, as the location is unknown",
         "location": "from the location",
         "given": "as given",
     }
-    common = f"; leaves {100 * gravity.scale_uncertainty:.2g} % on all scales alike"
+    common = f"; adds {100 * gravity.scale_uncertainty:.2g} % uncertainty to all scales"
     return f"{gravity.value:.5f} m/s² ({sources[gravity.source]}{common if gravity.uncertainty else ''})"
 
 
@@ -136,10 +138,13 @@ def _gyroscope(part: GyroscopeRecord) -> list[tuple[str, str]]:
     if part.rms_nominal is not None and part.rms_residual is not None:
         before, after = _DEG * part.rms_nominal, _DEG * part.rms_residual
         rows.append(
-            ("  gravity over a turn", f"{before:.3g}° before, {after:.3g}° after (rms), {part.n_turns} turns")
+            (
+                "  gravity after a rotation",
+                f"{before:.3g}° before, {after:.3g}° after (rms), {part.n_turns} rotations",
+            )
         )
     if part.missing:
-        rows.append(("  to learn more", "; ".join(part.missing)))
+        rows.append(("  to improve", "; ".join(part.missing)))
     return rows
 
 

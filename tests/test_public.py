@@ -249,7 +249,7 @@ def test_other_faults_are_refused_too(sample: stillcal.Recording, tmp_path: Path
         stillcal.load(columns(sample), events=[{"t": 0.0, "event": "charging", "on": "perhaps"}])
     with pytest.raises(ValueError, match=r"let it end in \.csv"):
         sample.save(tmp_path / "copy.txt")
-    with pytest.raises(stillcal.UserError, match="holds no calibration"):
+    with pytest.raises(stillcal.UserError, match="has no calibration"):
         stillcal.apply(sample, tmp_path / "none.json")
     with pytest.raises(ValueError, match="no such file, and not one of"):
         stillcal.simulate("nowhere")

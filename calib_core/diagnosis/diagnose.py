@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
-from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, Where, verdict_of
+from stillcal.calib_core.diagnosis.model.records import NAME, Claims, Diagnosis, Finding, Where, verdict_of
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Turn, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
@@ -132,7 +132,11 @@ def examine(
             turns = turn_scene(affine, slow, claims.gravity)
             stated += turn_statements(turns, without)
     stated = [replace(s, finding=_named(s.finding, without)) for s in _without_delay(stated, claims.gravity)]
-    said = [*limits(bins, gyroscope is not None), *_hidden(streams, claims), *_unjudged(spoiled)]
+    said = [
+        *limits(bins, gyroscope=gyroscope is not None, thermometer=accelerometer.temperature is not None),
+        *_hidden(streams, claims),
+        *_unjudged(spoiled),
+    ]
     return Examination(
         accelerometer, gyroscope, claims, slow, streams, residuals, affine, turns, stated, said
     )
@@ -173,14 +177,15 @@ def _is_of(spoiled: Finding | None, sensor: str) -> bool:
 def _unjudged(spoiled: Finding | None) -> list[str]:
     if spoiled is None:
         return []
-    return [f"the {spoiled.sensor} sensor's axes were exchanged: its slow effects, and turns, are not judged"]
+    name = NAME[spoiled.sensor].capitalize()
+    return [f"{name} axes were exchanged: its slow effects and rotations were not checked"]
 
 
 def _named(found: Finding, without: Collection[str]) -> Finding:
     """Take the name off a finding that the catalogue does not have."""
     if found.effect not in without:
         return found
-    say = f"Something outside the catalogue shows in the {found.sensor}: it follows {found.where.driver}."
+    say = f"Unknown effect ({found.sensor}); it follows {found.where.driver}."
     return replace(found, effect="unknown", alternatives=[], statement=say)
 
 
@@ -328,38 +333,72 @@ def without_group_delay(found: list[Finding], gravity: float) -> list[Finding]:
     return [f for f in found if not explained(f)]
 
 
-def limits(bins: Bins, gyroscope: bool) -> list[str]:
-    """Say what this recording, with or without a gyroscope, cannot show."""
+NEVER_STILL = (
+    "The phone never lies still for long enough: bias, scale, temperature effects and noise could not be"
+    " checked; only time stamps, values and motion were"
+)
+
+
+def _too_little_rest(bins: Bins, table: bool) -> str:
+    """Return how much rest there is, and how much slow effects need at this recording's length of a bin."""
+    if table:
+        return f"Only {len(bins)} rests; slow effects need {thresholds.LEAST_BINS}"
+    still = float(bins.duration.sum())
+    needed = still * thresholds.LEAST_BINS / len(bins)
+    need = f"Only {still:.0f} s at rest; slow effects need {needed:.0f} s"
+    return f"{need}. Leave the phone lying still for longer"
+
+
+def limits(bins: Bins, *, gyroscope: bool, thermometer: bool, table: bool = False) -> list[str]:
+    """Return sentences that say which checks this recording does not allow, and why.
+
+    gyroscope, thermometer: whether the recording has samples of each. table: whether the bins are the rows of
+    a table of rests.
+    """
     said = []
     if len(bins) == 0:
-        said.append("the phone never lies still: only stamps, values and motion are judged")
+        said.append(NEVER_STILL)
     elif len(bins) < thresholds.LEAST_BINS:
-        need = thresholds.LEAST_BINS
-        said.append(f"{len(bins)} still bins of 10 s: slow effects need {need}; let the phone lie")
+        said.append(_too_little_rest(bins, table))
     if not gyroscope:
-        said.append("no gyroscope: nothing is said of it, nor of the time between the sensors")
+        said.append(
+            "No gyroscope data: the gyroscope and the time offset between the sensors were not checked"
+        )
     elif bins.rate is None and len(bins):
-        said.append("shaken all along, as in a car: no rate at rest tells the gyroscope's bias")
-    if bins.temperature is None:
-        said.append("no temperature: thermal effects are only seen through charging and use")
+        said.append(
+            "Vibration throughout, as in a moving vehicle: the gyroscope's bias could not be measured"
+        )
+    if not thermometer:
+        guess = "" if table else " (only guessed from charging and use)"
+        said.append(f"No temperature column: temperature effects cannot be identified{guess}")
     if len(np.unique(bins.rest)) < 6:
-        said.append("fewer than six rests: scale, nonlinearity and g-sensitivity are not separable from bias")
+        said.append(
+            "Fewer than six rests: scale errors, nonlinearity and g-sensitivity cannot be told from bias"
+        )
     return said
 
 
 def _hidden(streams: Sequence[Stream], claims: Claims) -> list[str]:
-    """Say what hides the noise, or what it cannot be held against."""
+    """Return sentences that say which checks of noise and clock were not possible, and why."""
     said = []
     for stream in streams:
-        name = "accelerometer" if stream.sensor == "accel" else "gyroscope"
+        name = NAME[stream.sensor]
         if stream.steps.blurs_level():
-            said.append(f"the {name}'s steps are coarser than its noise, which hides its density and tails")
+            said.append(
+                f"The {name}'s quantisation step is larger than its noise: density and tails were not checked"
+            )
         elif stream.spectra is None and stream.still.pieces:
             said.append(
-                f"too little rest for the {name}'s noise: density, tails and bandwidth are not judged"
+                f"Too little rest to measure the {name}'s noise: density, tails, bandwidth were not checked"
             )
         elif noise.claimed(stream.sensor, claims) is None:
-            said.append(f"no claimed noise density of the {name}: its level is not judged")
+            said.append(
+                f"The {name}'s datasheet noise is not given, so its noise level was not checked"
+                f" (add {stream.sensor}_noise_density to NAME.json)"
+            )
     if streams[0].samples.t_arrival is None and not claims.nominal_rate_hz:
-        said.append("neither times of arrival nor a nominal rate: the clock's rate is not judged")
+        said.append(
+            "No nominal rate and no arrival times given, so clock drift was not checked"
+            " (add nominal_rate_hz to NAME.json)"
+        )
     return said

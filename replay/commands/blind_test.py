@@ -1,7 +1,4 @@
-"""`stillcal challenge …` and `stillcal prove`: recordings with concealed effects, answers, and their scores.
-
-Only click and rich live here; the challenge is replay.challenge's.
-"""
+"""`stillcal challenge …` and `stillcal prove`: the blind test of the diagnosis."""
 
 from __future__ import annotations
 
@@ -29,38 +26,40 @@ from stillcal.replay.blind_test.make import ChallengeError, commit, make, read_m
 from stillcal.replay.blind_test.scores import Line, Score
 
 _folder = click.Path(path_type=Path)
-_trials = click.option("--trials", default=1000, show_default=True, type=click.IntRange(1), help="Cases.")
+_trials = click.option(
+    "--trials", default=1000, show_default=True, type=click.IntRange(1), help="Number of recordings."
+)
 _seed = click.option(
-    "--seed", default=1, show_default=True, type=click.IntRange(0), help="Decides every draw."
+    "--seed", default=1, show_default=True, type=click.IntRange(0), help="Seed of all random draws."
 )
 _jobs = click.option(
-    "--jobs", default=1, show_default=True, type=click.IntRange(1), help="Processes at a time."
+    "--jobs", default=1, show_default=True, type=click.IntRange(1), help="Number of processes."
 )
 _json = click.option(
     "--json", "json_path", type=_folder, help="Write all scores there ('-': standard output)."
 )
 
 
-@click.group("challenge", short_help="Challenge the diagnosis with concealed recordings.")
+@click.group("challenge", short_help="Test the diagnosis on recordings with hidden effects.")
 def challenge_group() -> None:
-    """Challenge the diagnosis: make concealed recordings, have them answered, reveal.
+    """Test the diagnosis blind: make recordings with hidden effects, diagnose them, reveal and score.
 
-    See docs/proof.md, also for how to challenge with recordings of your own.
+    See docs/proof.md, also for a test with recordings of your own.
     """
 
 
 @challenge_group.command(
     "make",
-    short_help="Write concealed recordings, seals and keys.",
+    short_help="Write recordings with hidden effects, and sealed keys.",
     epilog=examples("stillcal challenge make blind --keys sealed --trials 200"),
 )
 @click.argument("recordings", type=_folder)
-@click.option("--keys", type=_folder, required=True, help="Folder for the sealed keys; keep it to yourself.")
+@click.option("--keys", type=_folder, required=True, help="Folder for the sealed keys; do not publish it.")
 @_trials
 @_seed
 @_jobs
 def make_command(recordings: Path, keys: Path, trials: int, seed: int, jobs: int) -> None:
-    """Write recordings and a manifest of seals into RECORDINGS, the keys elsewhere."""
+    """Write recordings with hidden effects and the manifest of seals into RECORDINGS, the keys elsewhere."""
     with _refusals(), _progress() as tick:
         done = [0]
 
@@ -74,13 +73,13 @@ def make_command(recordings: Path, keys: Path, trials: int, seed: int, jobs: int
 
 @challenge_group.command(
     "commit",
-    short_help="Seal keys of your own.",
+    short_help="Seal your own keys.",
     epilog=examples("stillcal challenge commit mine --keys my-keys"),
 )
 @click.argument("recordings", type=_folder)
 @click.option("--keys", type=_folder, required=True, help="Folder of your keys, NAME.json each.")
 def commit_command(recordings: Path, keys: Path) -> None:
-    """Seal keys of your own and write the manifest that commits you to them."""
+    """Seal your own keys and write the manifest of their seals into RECORDINGS."""
     with _refusals():
         manifest = commit(recordings, keys)
     click.echo(f"{recordings}: manifest of {len(manifest.seals)} seals; sealed keys in {keys}")
@@ -88,7 +87,7 @@ def commit_command(recordings: Path, keys: Path) -> None:
 
 @challenge_group.command(
     "answer",
-    short_help="Diagnose the recordings, without the keys.",
+    short_help="Diagnose the recordings without the keys.",
     epilog=examples("stillcal challenge answer blind --out answers"),
 )
 @click.argument("recordings", type=_folder)
@@ -96,7 +95,7 @@ def commit_command(recordings: Path, keys: Path) -> None:
 @click.option("--solver", type=click.Choice(answering.SOLVERS), default="diagnosis", show_default=True)
 @_jobs
 def answer_command(recordings: Path, out: Path, solver: str, jobs: int) -> None:
-    """Diagnose all of RECORDINGS in processes that are given this folder alone."""
+    """Diagnose all of RECORDINGS in processes that can read this folder only."""
     with _refusals(), _progress() as tick:
         names = list(read_manifest(recordings).seals)
         answering.answer_all(
@@ -107,15 +106,21 @@ def answer_command(recordings: Path, out: Path, solver: str, jobs: int) -> None:
 
 @challenge_group.command(
     "reveal",
-    short_help="Check seals, open keys, score answers.",
+    short_help="Check the seals, open the keys, score the answers.",
     epilog=examples("stillcal challenge reveal blind --keys sealed --answers answers"),
 )
 @click.argument("recordings", type=_folder)
 @click.option("--keys", type=_folder, required=True, help="Folder of the keys.")
-@click.option("--answers", type=_folder, required=True, multiple=True, help="Answers; the first is judged.")
+@click.option(
+    "--answers",
+    type=_folder,
+    required=True,
+    multiple=True,
+    help="Folder of answers; the first one is judged.",
+)
 @_json
 def reveal_command(recordings: Path, keys: Path, answers: tuple[Path, ...], json_path: Path | None) -> None:
-    """Check the seals, open the keys, score the answers. Exit code 1 where a bar is not met."""
+    """Check the seals, open the keys, score the answers. Exit code 1: a required score is missed."""
     with _refusals():
         opened = revealing.open_keys(read_manifest(recordings), keys)
         verdict = proof.judged(opened, {folder.name: folder for folder in answers})
@@ -124,7 +129,7 @@ def reveal_command(recordings: Path, keys: Path, answers: tuple[Path, ...], json
 
 @click.command(
     "prove",
-    short_help="Prove the diagnosis blind, run whole.",
+    short_help="Run the whole blind test of the diagnosis and score it.",
     epilog=examples("stillcal prove --trials 200 --seed 7 --json proof.json --jobs 2"),
 )
 @_trials
@@ -133,9 +138,10 @@ def reveal_command(recordings: Path, keys: Path, answers: tuple[Path, ...], json
 @_json
 @click.option("--keep", type=_folder, help="Keep recordings, keys and answers in this new folder.")
 def prove_command(trials: int, seed: int, jobs: int, json_path: Path | None, keep: Path | None) -> None:
-    """Prove the diagnosis blind: conceal, commit, answer, reveal, score.
+    """Run the whole blind test: hide effects, seal the keys, diagnose, reveal, score.
 
-    Exit code 0 where every stated bar holds, 1 else. Some 6 s a case and process, 3 MB of disk a case.
+    Exit code 0: every required score is reached; 1: one is missed. Takes about 6 s a recording and process,
+    and 3 MB of disk a recording.
     """
     with _refusals(), _working_folder(keep) as folder, _progress() as tick:
         verdict = proof.prove(folder, trials, seed, jobs, tick)
@@ -183,7 +189,9 @@ def _show_verdict(verdict: proof.Verdict, json_path: Path | None) -> None:
     console.print(_table(verdict.scores))
     console.print(_comparison(verdict.comparison))
     console.print(_confusion(verdict.scores[0]))
-    console.print("Every stated bar holds." if verdict.holds else "Not every stated bar holds.")
+    console.print(
+        "All required scores are reached." if verdict.holds else "Not all required scores are reached."
+    )
     text = pretty({"schema": 1, **plain(verdict)}) + "\n"
     if json_path == Path("-"):
         click.echo(text, nl=False)
@@ -193,14 +201,14 @@ def _show_verdict(verdict: proof.Verdict, json_path: Path | None) -> None:
 
 
 def _table(scores: list[Score]) -> Table:
-    """Return all scores, one column a solver; bars are the first one's."""
+    """Return all scores, one column a solver; the requirements are for the first one."""
     table = Table(title="Scores with 95 % bounds")
     table.add_column("score")
     for score in scores:
         table.add_column(score.solver, justify="right")
     table.add_column("n", justify="right")
-    table.add_column("bar")
-    table.add_column("holds")
+    table.add_column("required")
+    table.add_column("reached")
     others = [{line.what: line for line in score.lines} for score in scores[1:]]
     for line in scores[0].lines:
         cells = [_cell(line), *(_cell(lines.get(line.what)) for lines in others)]
@@ -224,7 +232,7 @@ def _holds(line: Line) -> str:
 
 def _comparison(lines: list[Line]) -> Table:
     table = Table(title="Against the baselines")
-    for heading in ("score", "share", "n", "bar", "holds"):
+    for heading in ("score", "share", "n", "required", "reached"):
         table.add_column(heading)
     for line in lines:
         table.add_row(line.what, _cell(line), str(line.n), line.bar, _holds(line))
@@ -232,9 +240,9 @@ def _comparison(lines: list[Line]) -> Table:
 
 
 def _confusion(score: Score) -> Table:
-    table = Table(title="What was said of clear effects (d' >= 8)")
+    table = Table(title="Names given to clear effects (d' >= 8)")
     table.add_column("true effect")
-    table.add_column("said, and how often")
+    table.add_column("names given, and how often")
     for effect, answers in score.confusion.items():
         table.add_row(
             effect, ", ".join(f"{name} {n}" for name, n in sorted(answers.items(), key=lambda i: -i[1]))

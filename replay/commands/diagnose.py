@@ -42,25 +42,25 @@ class _Asked(NamedTuple):
 
 @click.command(
     "diagnose",
-    short_help="Say what physics a recording shows beyond its twin.",
+    short_help="Find where a recording differs from a simulation, and why.",
     epilog=examples(
         "stillcal diagnose walk.csv",
         "stillcal diagnose walk.csv --report walk.html --json walk.diagnosis.json",
         "stillcal diagnose walk.csv --phone-out better.toml",
         "stillcal simulate day --phone better.toml --out day.csv",
-        "stillcal diagnose walk.csv --phone mpu6050        # what does this simulation leave out?",
-        "stillcal diagnose walk.csv --simulated day.csv    # two recordings side by side",
+        "stillcal diagnose walk.csv --phone mpu6050        # compare with a simulated phone",
+        "stillcal diagnose walk.csv --simulated day.csv    # compare with a simulated recording",
         "stillcal diagnose Phones_accelerometer.csv --format hhar --json -",
         "stillcal diagnose esgi.csv --format rest",
     ),
 )
 @click.argument("trace", type=_path)
-@click.option("--phone", help="The simulation to be judged: a ready phone, or a phone.toml.")
-@click.option("--simulated", type=_path, help="A simulated recording to be compared with TRACE.")
+@click.option("--phone", help="The simulated phone to compare with: a ready one, or a phone.toml.")
+@click.option("--simulated", type=_path, help="A simulated recording to compare with TRACE.")
 @click.option("--json", "json_path", type=_path, help="Write the findings ('-': print them).")
-@click.option("--report", type=_path, help="Write a page to be read in a browser (.html).")
+@click.option("--report", type=_path, help="Write a report page for a browser (.html).")
 @click.option(
-    "--phone-out", type=_path, help="Write the better phone (.toml), for stillcal simulate --phone."
+    "--phone-out", type=_path, help="Write a phone with the effects found (.toml), for simulate --phone."
 )
 @format_option(rests=True)
 @gyro_option
@@ -76,10 +76,11 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     gyro: Path | None,
     quiet: bool,
 ) -> None:
-    """Say where a recording differs from its simulated twin, and what physics was left out.
+    """Find where a recording differs from a simulated sensor, and name the effects that explain it.
 
-    Silence is an answer: most recordings differ in nothing. What could not be checked is said. Exit code 3
-    where there is too little data.
+    The simulation is an ideal sensor with constant errors, or the one that --phone names. Many recordings
+    show no difference. Checks that the recording does not allow are listed with the reason. Exit code 3: too
+    little data.
     """
     asked = _Asked(trace, phone, simulated, json_path, report, phone_out, format_, gyro)
     _check(asked)
@@ -98,14 +99,14 @@ def _check(asked: _Asked) -> None:
     """Refuse early what would fail late. Raises UsageError."""
     report, phone_out = asked.report, asked.phone_out
     if report is not None and report.suffix not in (".html", ".htm"):
-        raise click.UsageError(f"{report} is no name of a page: let it end in .html")
+        raise click.UsageError(f"{report}: a report is an HTML page; choose a name that ends in .html")
     if phone_out is not None and phone_out.suffix != ".toml":
-        raise click.UsageError(f"{phone_out} is no name of a phone file: let it end in .toml")
+        raise click.UsageError(f"{phone_out}: choose a name that ends in .toml for a phone file")
     if asked.format == "rest" and any(
         x is not None for x in (asked.phone, asked.simulated, report, phone_out)
     ):
         raise click.UsageError(
-            "a rest table holds no samples: --phone, --simulated, --report and --phone-out need them"
+            "a rest table has no samples, which --phone, --simulated, --report and --phone-out need"
         )
     reads = [*recording_files(asked.trace), *files(asked.gyro)]
     reads += [] if asked.simulated is None else recording_files(asked.simulated)
@@ -133,7 +134,7 @@ def _loaded(name: str) -> Phone:
 
 @contextmanager
 def _stages(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Give a function that says on standard error what is being done."""
+    """Give a function that shows the present stage on standard error."""
     if quiet:
         yield lambda stage: None
         return
@@ -142,7 +143,7 @@ def _stages(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 
 def _write(answer: Answer, asked: _Asked) -> None:
-    """Write what was asked for, each file whole or not at all."""
+    """Write the files that were asked for, each whole or not at all."""
     if asked.report is not None and answer.page is not None:
         write_atomically(asked.report, answer.page.encode())
     if asked.phone_out is not None and answer.phone is not None:

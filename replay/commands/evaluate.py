@@ -1,4 +1,4 @@
-"""`stillcal evaluate`: what the papers claim, beside what comes out here, as a page with figures."""
+"""`stillcal evaluate`: the papers' claims beside the results here, as a page with figures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
 
 @click.command(
     "evaluate",
-    short_help="Try four papers' claims and write the page.",
+    short_help="Test the claims of four papers and write the results.",
     epilog=examples(
         "stillcal evaluate --list",
         "stillcal evaluate --data ~/recordings",
@@ -29,7 +29,7 @@ NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
     ),
 )
 @click.argument("names", nargs=-1, metavar="[NAME]...")
-@click.option("--list", "listing", is_flag=True, help="Name the studies and stop.")
+@click.option("--list", "listing", is_flag=True, help="List the studies and stop.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -43,7 +43,9 @@ NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
     envvar="STILLCAL_DATA",
     help="The folder of real recordings (default: STILLCAL_DATA); without it some claims cannot be tested.",
 )
-@click.option("--seed", default=0, type=click.IntRange(0), show_default=True, help="For all that is drawn.")
+@click.option(
+    "--seed", default=0, type=click.IntRange(0), show_default=True, help="Seed of all random draws."
+)
 @quiet_option
 def evaluate_command(  # noqa: PLR0917 - click hands every option over by name
     names: tuple[str, ...], listing: bool, out: Path, data: Path | None, seed: int, quiet: bool

@@ -1,4 +1,4 @@
-"""`stillcal fleet` and `stillcal fleet-report`: thousands of recordings, and what only many can tell."""
+"""`stillcal fleet`, `fleet-report` and `fleet-first`: many recordings at once, and a fleet's prior."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from stillcal.replay.fleet.worker import Task
 
 _BAD, _NAMED = ("error", "lost"), 3
-_LACKING = "this needs what the extra `fleet` brings: pip install 'stillcal[fleet]' ({})"
+_LACKING = "this needs the extra `fleet`: pip install 'stillcal[fleet]' ({})"
 
 
 @click.command(
     "fleet",
-    short_help="Calibrate and diagnose many recordings side by side.",
+    short_help="Calibrate and diagnose many recordings in parallel.",
     epilog=examples(
         "stillcal fleet recordings/ --out results",
         "stillcal fleet 'logs/**/*_accelerometer.csv' --format hhar --out results",
@@ -47,14 +47,14 @@ _LACKING = "this needs what the extra `fleet` brings: pip install 'stillcal[flee
     "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of results."
 )
 @click.option("--scheduler", help="Address of a Dask scheduler; its workers read the same paths.")
-@click.option("--workers", type=click.IntRange(1), help="Local processes [default: one a core].")
+@click.option("--workers", type=click.IntRange(1), help="Number of local processes [default: one per core].")
 @format_option("RECORDINGS", rests=True)
 @click.option(
     "--watch",
     type=click.Choice(["auto", "continuous", "probing"]),
     default="continuous",
     show_default=True,
-    help="How the engine looks: a recording costs no energy.",
+    help="When the sensors are on; a recording costs no energy.",
 )
 @click.option("--no-diagnosis", is_flag=True, help="Calibrate only.")
 @quiet_option
@@ -68,12 +68,12 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
     no_diagnosis: bool,
     quiet: bool,
 ) -> None:
-    """Calibrate and diagnose all RECORDINGS, a folder or a pattern in quotes, side by side.
+    """Calibrate and diagnose all RECORDINGS, a folder or a pattern in quotes, in parallel.
 
-    Leaves recordings.parquet (one row a recording: whose it is, parameters with standard deviations,
-    verdict) and findings.parquet in the folder of results. What is finished is kept: called again, it
-    goes on with what is new or has changed. A bad recording is a row that says what is wrong with it, and
-    the exit code is 0 even so.
+    Writes recordings.parquet (one row per recording: device, parameters with standard deviations, verdict)
+    and findings.parquet into the folder of results. Called again, it continues with recordings that are new
+    or have changed. A recording that cannot be used becomes a row with the reason; the exit code is 0 all the
+    same.
     """
     try:
         from stillcal.replay.fleet import discovery, results_folder  # noqa: PLC0415 - an extra
@@ -90,7 +90,7 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
     todo = results.todo(tasks)
     if not quiet:
         click.echo(
-            f"{len(recordings_found)} recordings, {len(recordings_found) - len(todo)} of them finished before"
+            f"{len(recordings_found)} recordings, {len(recordings_found) - len(todo)} of them already done"
         )
     began = time.monotonic()
     if todo:
@@ -110,7 +110,7 @@ def _client(scheduler: str | None, workers: int | None) -> AbstractContextManage
 
 
 def _examine(todo: list[Task], results: object, opened: AbstractContextManager[Client], quiet: bool) -> None:
-    """Have what is to do done; however that ends, what was finished is on the disk."""
+    """Examine the recordings; however this ends, finished ones are on the disk."""
     from stillcal.replay.fleet import dask_jobs, results_folder  # noqa: PLC0415 - Dask takes its time
     from stillcal.replay.fleet.worker import Examined  # noqa: PLC0415
 
@@ -127,19 +127,25 @@ def _examine(todo: list[Task], results: object, opened: AbstractContextManager[C
 
             dask_jobs.run(client, todo, keep)
     except dask_jobs.SchedulerError as error:
-        raise click.UsageError(f"{error} ({done} of {len(todo)} finished and kept)") from error
+        raise click.UsageError(f"{error} ({done} of {len(todo)} finished and stored)") from error
     except KeyboardInterrupt:
-        click.echo(f"stillcal: {done} of {len(todo)} finished and kept: the same command goes on", err=True)
+        click.echo(
+            f"stillcal: {done} of {len(todo)} finished and stored; repeat the command to continue", err=True
+        )
         raise
     finally:
         results.flush()
 
 
 def _bad(rows: list[dict[str, object]]) -> list[str]:
-    """Name the first recordings that could not be examined, each with what is wrong with it."""
+    """Return a line for each of the first recordings that could not be used, with the reason."""
     failures = [[str(row[k]) for k in ("status", "name", "reason")] for row in rows if row["status"] in _BAD]
     bad = [f"{status}: {why if name in why else f'{name}: {why}'}" for status, name, why in failures]
-    more = [f"and {len(bad) - _NAMED} more: `reason` in recordings.parquet"] if len(bad) > _NAMED else []
+    more = (
+        [f"and {len(bad) - _NAMED} more: see the column `reason` in recordings.parquet"]
+        if len(bad) > _NAMED
+        else []
+    )
     return bad[:_NAMED] + more
 
 
@@ -152,16 +158,18 @@ def _counted(rows: list[dict[str, object]]) -> dict[str, int]:
 
 @click.command(
     "fleet-report",
-    short_help="Say what only many recordings tell.",
+    short_help="Summarise a fleet: spread, outliers, clusters, priors.",
     epilog=examples("stillcal fleet-report results", "stillcal fleet-report results --json report.json"),
 )
 @click.argument("results", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write all of it ('-': print it).")
+@click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Write the summary as JSON ('-': print it)."
+)
 def report_command(results: Path, json_path: Path | None) -> None:
-    """Say what the RESULTS of stillcal fleet show: spread by model, outliers, clusters, priors.
+    """Summarise the RESULTS of stillcal fleet: spread by model, outliers, clusters, priors.
 
-    The JSON holds the priors, mean and covariance of a new phone's parameters by model. Exit code 3 where no
-    device was calibrated.
+    The JSON has the priors: mean and covariance of a new phone's parameters, by model. Exit code 3: no device
+    was calibrated.
     """
     try:
         from stillcal.replay.fleet.report import report  # noqa: PLC0415 - an extra
@@ -179,7 +187,7 @@ def report_command(results: Path, json_path: Path | None) -> None:
         for table in _tables(fleet):
             Console().print(table)
         for limit in fleet.limits:
-            click.echo(f"not seen: {limit}")
+            click.echo(f"Note: {limit}")
     if not fleet.spreads:
         click.echo(f"stillcal: {results}: no device was calibrated", err=True)
         sys.exit(TOO_LITTLE)
@@ -272,7 +280,7 @@ def _priors(report: Report) -> list[tuple[str, ...]]:
 
 @click.command(
     "fleet-first",
-    short_help="Calibrate a new phone with what a fleet knows.",
+    short_help="Calibrate a new phone from few rests and a fleet's prior.",
     epilog=examples(
         "stillcal fleet-report results --json fleet.json",
         "stillcal fleet-first new-phone.csv --prior fleet.json",
@@ -289,10 +297,10 @@ def _priors(report: Report) -> list[tuple[str, ...]]:
 def first_command(
     trace: Path, report_path: Path, model: str | None, json_path: Path | None, format_: str
 ) -> None:
-    """Calibrate a new phone's accelerometer from however few rests, with what a fleet says of its model.
+    """Calibrate a new phone's accelerometer from any number of rests and the fleet's prior of its model.
 
-    What the rests do not show stays what the fleet makes likely; how far each parameter is the rests' own is
-    said beside it. Rests that contradict the prior are refused. Exit code 3 where no rest was found.
+    Parameters that the rests do not determine keep the prior's value; the share that comes from the rests is
+    printed beside each. Rests that contradict the prior are refused. Exit code 3: no rest was found.
     """
     from stillcal.calib_core.errors import NotSupported  # noqa: PLC0415
     from stillcal.replay.fleet.first_calibration import document, first_calibration  # noqa: PLC0415
@@ -319,4 +327,4 @@ def first_command(
     sds = fit.covariance.diagonal() ** 0.5
     for name, value, sd, share in zip(prior.names, fit.values, sds, fit.shown, strict=True):
         click.echo(f"  {name:5} {value:+9.4f} ± {sd:.4f}   {share:4.0%} from the rests")
-    click.echo(f"  norm at rest known to {fit.worst_norm_uncertainty:.3f} m/s² along the worst direction")
+    click.echo(f"  norm at rest is known to {fit.worst_norm_uncertainty:.3f} m/s² along the worst direction")

@@ -1,4 +1,4 @@
-"""Where a command may write: never over what it reads, never two things in one place, never half.
+"""Where a command may write: never over its inputs and never two outputs into one file.
 
 Checked before any work is done, so that a refusal leaves nothing behind.
 """
@@ -17,7 +17,7 @@ STANDARD_OUTPUT = Path("-")
 
 
 def files(*paths: Path | None) -> list[Path]:
-    """Return those that are files: neither left out nor standard output."""
+    """Return the paths that are files: neither None nor standard output."""
     return [path for path in paths if path is not None and path != STANDARD_OUTPUT]
 
 
@@ -28,9 +28,9 @@ def recording_files(path: Path) -> list[Path]:
 
 
 def new_recording_files(path: Path) -> list[Path]:
-    """Return the files that writing a recording makes. Raises UsageError where the name is no recording's."""
+    """Return the files that a new recording consists of. Raises UsageError for another ending of the name."""
     if not path.name.endswith((".csv", ".csv.gz")):
-        raise click.UsageError(f"{path} is no name of a recording: let it end in .csv or .csv.gz")
+        raise click.UsageError(f"{path}: choose a name that ends in .csv or .csv.gz for a recording")
     return [path, beside(path, ".events.jsonl"), beside(path, ".json")]
 
 
@@ -44,11 +44,9 @@ def refuse_collisions(writes: Iterable[Path], reads: Iterable[Path]) -> None:
     inputs, outputs = {p.resolve() for p in reads if p.exists()}, set[Path]()
     for path in writes:
         if path.resolve() in inputs:
-            raise click.UsageError(f"{path} is read by this command: choose another name to write to")
+            raise click.UsageError(f"{path} is read by this command; choose another file to write")
         if path.resolve() in outputs:
-            raise click.UsageError(f"{path} would be written twice: choose two names")
+            raise click.UsageError(f"{path} would be written twice; choose two names")
         if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-            raise click.UsageError(
-                f"{path} cannot be written: {path.parent} is no folder that can be written to"
-            )
+            raise click.UsageError(f"{path} cannot be written: {path.parent} is not a writable folder")
         outputs.add(path.resolve())

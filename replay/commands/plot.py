@@ -29,12 +29,12 @@ from stillcal.replay.runner import with_choices
 
 ENDINGS = (".png", ".svg", ".pdf")
 NOISE = ("allan", ALL)
-"""What takes the samples of a long rest: the recording is then read three times, else once."""
+"""Figures that need the samples of a long rest: the recording is then read three times, else once."""
 
 
 @click.command(
     "plot",
-    short_help="Draw a recording or a store.",
+    short_help="Draw figures of a recording or of a store.",
     epilog=examples(
         "stillcal plot walk.csv --out walk.png",
         "stillcal plot store.json --out history.svg --what history",
@@ -51,7 +51,7 @@ NOISE = ("allan", ALL)
     type=click.Choice([*FIGURES, ALL]),
     default=ALL,
     show_default=True,
-    help="Attitudes gathered, residuals before and after, history of parameters, Allan curves, or all.",
+    help="Attitudes covered, residuals before and after, history of parameters, Allan curves, or all.",
 )
 @format_option("a recording", rests=False)
 @gyro_option
@@ -60,14 +60,14 @@ NOISE = ("allan", ALL)
 def plot_command(  # noqa: PLR0917 - click hands every option over by name
     source: Path, out: Path, what: str, format_: str, gyro: Path | None, config: Path | None, quiet: bool
 ) -> None:
-    """Draw a recording, run through the daemon's own engine, or a store.
+    """Draw figures of a recording, calibrated with the daemon's own engine, or of a store.
 
-    A store holds no samples, so it has no Allan curves. Exit code 3 where there is nothing to draw it from.
+    A store has no samples, so it has no Allan curves. Exit code 3: there is nothing to draw.
     """
     if out.suffix not in ENDINGS:
-        raise click.UsageError(f"{out} is no name of a figure: let it end in {', '.join(ENDINGS)}")
+        raise click.UsageError(f"{out}: choose a name that ends in {', '.join(ENDINGS)} for a figure")
     if importlib.util.find_spec("matplotlib") is None:
-        raise click.UsageError("matplotlib is not installed: pip install 'stillcal[report]' has it")
+        raise click.UsageError("matplotlib is not installed: pip install 'stillcal[report]'")
     refuse_collisions([out], [source])
     try:
         if _is_store(source):
@@ -87,7 +87,7 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
 
 
 def _is_store(path: Path) -> bool:
-    """Say whether a file is a store: JSON that says so itself."""
+    """Whether a file is a store, by the format that it names itself."""
     if path.suffix != ".json" or not path.is_file():
         return False
     try:
@@ -100,7 +100,7 @@ def _is_store(path: Path) -> bool:
 def _stored(path: Path) -> Material:
     document = Store(path).load()
     if document is None:
-        raise StoreError(f"{path}: holds no calibration: run stillcal replay or the daemon first")
+        raise StoreError(f"{path}: has no calibration; run stillcal replay or the daemon first")
     return of_record(document.current, path.name, tuple(_moments(document)))
 
 
@@ -111,7 +111,7 @@ def _moments(document: StoreDocument) -> list[Moment]:
 
 
 def _since(record: CalibrationRecord) -> float | None:
-    """Return since when a calibration is as it is, s: its fit, or when its gyroscope was zeroed after it."""
+    """Return when a calibration last changed, s: its fit, or a later update of the gyroscope's bias."""
     zeroed = None if record.gyroscope is None else record.gyroscope.zeroed_at
     times = [t for t in (record.fitted_at, zeroed) if t is not None]
     return max(times, default=None)

@@ -1,4 +1,4 @@
-"""`stillcal replay` and `stillcal apply`: a recording through the engine, and through what was found."""
+"""`stillcal replay` and `stillcal apply`: calibrate from a recording, and correct a recording."""
 
 from __future__ import annotations
 
@@ -51,16 +51,16 @@ _existing = click.Path(path_type=Path)
     ),
 )
 @click.argument("trace", type=_existing)
-@click.option("--store", "store_path", type=_existing, help="Keep the calibration in this store.")
+@click.option("--store", "store_path", type=_existing, help="Store the calibration in this file.")
 @click.option(
     "--json", "json_path", type=_existing, help="Write the calibration as JSON ('-': standard output)."
 )
 @format_option(rests=True)
 @gyro_option
 @config_option
-@click.option("--gravity", type=float, help="Local gravity in m/s^2, where it is known.")
+@click.option("--gravity", type=float, help="Local gravity in m/s^2, if it is known.")
 @click.option(
-    "--watch", type=click.Choice(["auto", "continuous", "probing"]), help="Override how the engine looks."
+    "--watch", type=click.Choice(["auto", "continuous", "probing"]), help="Override when the sensors are on."
 )
 @quiet_option
 def replay_command(  # noqa: PLR0917 - click hands every option over by name
@@ -74,10 +74,10 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     watch: str | None,
     quiet: bool,
 ) -> None:
-    """Run a recording through the daemon's own engine, as fast as it goes.
+    """Calibrate from a recording with the daemon's own engine, as fast as possible.
 
-    Leaves the store that a live run would leave. Exit code 3 where the recording cannot support a
-    calibration; why is said, and which attitude is missing.
+    The store is the same as after a live run. Exit code 3: the recording does not allow a calibration; the
+    message says why and which attitude is missing.
     """
     refuse_collisions(_output_files(store_path, json_path), _input_files(trace, gyro))
     settings = load_settings(config)
@@ -103,21 +103,19 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
 
 @click.command(
     "apply",
-    short_help="Correct a recording by a calibration.",
+    short_help="Correct a recording with a stored calibration.",
     epilog=examples("stillcal apply walk.csv --store store.json --out walk-true.csv"),
 )
 @click.argument("trace", type=_existing)
 @click.option("--store", "store_path", type=_existing, required=True, help="The store with the calibration.")
-@click.option(
-    "--out", type=_existing, required=True, help="Where the calibrated recording goes (.csv, .csv.gz)."
-)
+@click.option("--out", type=_existing, required=True, help="The corrected recording (.csv, .csv.gz).")
 @format_option(rests=False)
 @gyro_option
 @quiet_option
 def apply_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path, store_path: Path, out: Path, format_: str, gyro: Path | None, quiet: bool
 ) -> None:
-    """Write the recording as it would have been from true sensors: scale @ (raw - bias)."""
+    """Write the recording with its sensor errors corrected: scale @ (raw - bias)."""
     record = current_in_store(store_path)
     refuse_collisions(new_recording_files(out), [*_input_files(trace, gyro), *store_files(store_path)])
     opened = open_trace(trace, format_, gyro)
@@ -126,14 +124,14 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
             write(chunk)
             step(opened.bytes_read)
     if not quiet:
-        Console().print(f"{out}: corrected by calibration {record.id}")
+        Console().print(f"{out}: corrected with calibration {record.id}")
 
 
 @contextmanager
 def _writer(opened: Trace, out: Path, record: CalibrationRecord) -> Iterator[Callable[[Chunk], None]]:
-    """Give a writer of corrected chunks; nothing is left behind where it ends in an error.
+    """Give a function that writes corrected chunks; an error leaves no file behind.
 
-    The first chunk says which optional columns there are. The maker's claims of noise and range stay
+    The first chunk shows which optional columns there are. The maker's claims about noise and range stay
     true to first order; those about raw counts do not.
     """
     first = next(iter(opened.chunks(max_rows=64)))
@@ -190,7 +188,7 @@ def _write_json(path: Path, outcome: Outcome) -> None:
 
 
 def _run_figures(outcome: Outcome) -> dict[str, Any]:
-    """Return what the engine did and what it cost: the sensors' on-time is the energy."""
+    """Return what the engine did, and how long the sensors were on for it (their energy)."""
     counters = {} if outcome.state is None else plain(outcome.state.counters)
     return {
         "duration": outcome.duration,

@@ -1,4 +1,4 @@
-"""`stillcal simulate`: a recording of the simulated phone, as a real one would have been written.
+"""`stillcal simulate`: the recording of a simulated phone, in the format of a real one.
 
 Or the phone itself, on a pseudo-terminal that a daemon opens as it would a USB device.
 """
@@ -29,7 +29,7 @@ from stillcal.replay.phone.simulation import Chunk, TrueModel
 
 @click.command(
     "simulate",
-    short_help="Simulate a phone: a recording, or live on a line.",
+    short_help="Simulate a phone: write its recording, or stream it live.",
     epilog=examples(
         "stillcal simulate lab --out lab.csv --seed 7",
         "stillcal simulate day --phone mpu6050 --out day.csv.gz --truth day.truth.json",
@@ -39,14 +39,14 @@ from stillcal.replay.phone.simulation import Chunk, TrueModel
 )
 @click.argument("scenario")
 @click.option("--out", type=click.Path(path_type=Path), help="The recording (.csv or .csv.gz).")
+@click.option("--serial", is_flag=True, help="Stream on a pseudo-terminal instead; its path is printed.")
 @click.option(
-    "--serial", is_flag=True, help="Be the phone on a pseudo-terminal instead; its path is printed."
+    "--port", type=click.Path(path_type=Path), help="With --serial: make this a link to the terminal."
 )
-@click.option("--port", type=click.Path(path_type=Path), help="With --serial: a link to the terminal there.")
 @click.option(
     "--speed",
     type=click.FloatRange(0, min_open=True),
-    help="With --serial: seconds of its time a second [default: as fast as it is read].",
+    help="With --serial: simulated seconds per second [default: as fast as it is read].",
 )
 @click.option(
     "--seed",
@@ -69,17 +69,17 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
     truth: Path | None,
     quiet: bool,
 ) -> None:
-    """Write a recording of the simulated phone living through SCENARIO.
+    """Write the recording that a simulated phone makes in SCENARIO.
 
     SCENARIO is a ready one (lab, tables, desk, day, night, drive, laundry, starved, week) or a TOML file.
-    Beside the recording stand its events (.events.jsonl) and what the maker claims (.json); what a real
-    phone would not tell goes into --truth only. With --serial it speaks to a daemon instead, until that
-    has heard all of it.
+    The events (.events.jsonl) and the maker's claims (.json) are written beside the recording; the true
+    sensor errors only with --truth. With --serial the phone streams to a daemon instead, until the daemon has
+    received everything.
     """
     if serial == (out is not None):
-        raise click.UsageError("give either --out, for a recording, or --serial, for a phone on a line")
+        raise click.UsageError("give either --out for a recording, or --serial for a live stream")
     if not serial and (port is not None or speed is not None):
-        raise click.UsageError("--port and --speed are for --serial")
+        raise click.UsageError("--port and --speed need --serial")
     simulation = _simulation(scenario, phone, seed)
     inputs = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
     outputs = [*([] if out is None else new_recording_files(out)), *files(truth, port)]
@@ -107,7 +107,7 @@ def _write(simulation: Simulation, out: Path, quiet: bool) -> None:
 
 
 def _serve(simulation: Simulation, speed: float, port: Path | None, quiet: bool) -> None:
-    """Be the phone on a pseudo-terminal until a daemon has heard its end, or a signal ends it."""
+    """Stream the phone on a pseudo-terminal until a daemon has received its end, or a signal ends it."""
     require("stillcal simulate --serial", PSEUDO_TERMINAL)
     from stillcal.replay.serial_phone.link import (  # noqa: PLC0415 - imports what only POSIX has
         LinkSettings,
@@ -115,7 +115,7 @@ def _serve(simulation: Simulation, speed: float, port: Path | None, quiet: bool)
     )
 
     settings = LinkSettings(speed=speed, credit=speed > 1.0)
-    with progress("living", simulation.duration, quiet) as step:
+    with progress("streaming", simulation.duration, quiet) as step:
 
         def chunks() -> Iterator[Chunk]:
             for chunk in simulation.chunks():

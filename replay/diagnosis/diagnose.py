@@ -74,18 +74,20 @@ def diagnose_recording(recording: Recording, name: str, without: str | None = No
 
 def facts(recording: Recording, bins: Bins) -> Facts:
     """Return what a recording offers to be checked on."""
-    arrivals = recording.accelerometer.t_arrival is not None
-    return facts_of(bins, len(recording.accelerometer), arrivals=arrivals)
+    accel = recording.accelerometer
+    return facts_of(
+        bins,
+        len(accel),
+        arrivals=accel.t_arrival is not None,
+        thermometer=accel.temperature is not None,
+        gyroscope=recording.gyroscope is not None,
+    )
 
 
 def answer_of(result: Diagnosis, facts: Facts) -> dict[str, Any]:
-    """Return a diagnosis as plain values, with what was and what could not be checked."""
+    """Return a diagnosis as plain values, with the checks that were made and those that were not possible."""
     answer: dict[str, Any] = plain(result)
-    coverage_limits = limits(facts)
-    answer["limits"] = [
-        *coverage_limits,
-        *(text for text in answer["limits"] if not (facts.bins == 0 and "still" in text)),
-    ]
+    answer["limits"] = [*limits(facts), *answer["limits"]]
     answer["checked"] = [plain(check) for check in checks(facts)]
     return answer
 
@@ -133,9 +135,8 @@ def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None 
     bins, timed = rest_bins(rests), _timed(rests)
     findings = _findings_of_rests(bins, claims or Claims(), timed=timed)
     facts = facts_of(bins, 0, stamps=timed)
-    core_limits = [
-        text for text in diagnosis.limits(bins, bins.rate is not None) if timed or "charging" not in text
-    ]
+    thermometer, gyroscope = bins.temperature is not None, bins.rate is not None
+    core_limits = diagnosis.limits(bins, gyroscope=gyroscope, thermometer=thermometer, table=True)
     return answer_of(Diagnosis(1, name, verdict_of(findings), findings, core_limits), facts)
 
 

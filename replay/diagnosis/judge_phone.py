@@ -98,7 +98,7 @@ def judge_phone(recording: Recording, name: str, phone: Phone) -> PhoneJudgement
     diagnosis = replace(raw, findings=new_findings, verdict=verdict_of(new_findings))
     only_simulated = _only_simulated(phone, raw, new_findings)
     if not same_rate:
-        why = f"the phone file samples at {phone.accel.rate_hz:g} Hz, the recording at {rate_hz:.4g} Hz"
+        why = f"the phone file says {phone.accel.rate_hz:g} Hz, the recording has {rate_hz:.4g} Hz"
         only_simulated.append({"effect": "rate", "why": why})
     return PhoneJudgement(diagnosis, already_simulated, only_simulated, phone)
 
@@ -226,7 +226,7 @@ def _only_simulated(phone: Phone, raw: Diagnosis, new_findings: list[Finding]) -
     absent = [e for e in phone.effects if e.name.endswith(ON_SAMPLES) and e.name not in shown]
     absent = [e for e in absent if not e.name.endswith(("saturation", "quantisation", "noise_level"))]
     return [
-        {"effect": e.name, "why": f"the phone file has {_settings_text(e)}, the recording shows none"}
+        {"effect": e.name, "why": f"the phone file has {_settings_text(e)}, the recording does not show it"}
         for e in absent
     ]
 

@@ -1,4 +1,4 @@
-"""What the page and the terminal say in words: titles, equations, what to record next, verdicts."""
+"""Words of the page and the terminal: verdicts, titles, equations, what to record next."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.slow.effects import slow_entries
 
 VERDICTS = {
-    "adequate": "the simulated twin already explains this recording",
-    "explained": "it differs from its twin, and what was left out explains it",
-    "partly_explained": "some of what differs from its twin has a name, some has none",
-    "unexplained": "it differs from its twin, and nothing in the catalogue explains it",
+    "adequate": (
+        "No difference found: this recording looks like a sensor with constant bias, scale and plain noise"
+    ),
+    "explained": "Differences found, all identified",
+    "partly_explained": "Differences found, some identified, some of unknown cause",
+    "unexplained": "Differences found, of unknown cause",
 }
+"""The verdicts of `diagnose --json` as sentences; the simulation is an ideal sensor."""
+
+SAME_AS_PHONE = "No difference found between this recording and the simulated phone"
+"""The verdict `adequate` where the simulation is a phone file."""
+
+JUDGED_SHARE = 1.0 / 3.0
+"""With fewer than this share of the checks possible, no difference found is no verdict."""
 
 SENSORS = {"accel": "accelerometer", "gyro": "gyroscope", "timing": "stamps"}
 
@@ -42,21 +51,21 @@ EQUATIONS = {
 """Forward equations by the end of an effect's name; parameters in bold. Trusted HTML."""
 
 NEXT = {
-    "unknown": "repeat it with one thing changed at a time: temperature, charger, attitude, support",
-    "saturation": "set a larger range, or move more gently",
-    "quantisation": "choose a smaller range or a raw stream; rests in motion of a few steps dither it",
-    "tone": "record once on another support, and once with whatever hums switched off",
-    "skew": "record with arrival times against a disciplined clock for some hours",
+    "unknown": "repeat it with one condition changed at a time: temperature, charger, attitude, support",
+    "saturation": "set a larger range, or move the phone more gently",
+    "quantisation": "choose a smaller range or the raw data stream, or vibrate the phone slightly at rest",
+    "tone": "record once on another support, and once with fans and motors nearby switched off",
+    "skew": "record with arrival times, on a host with a synchronised clock, for some hours",
     "jitter": "record at another rate, and with the processor idle",
     "samples": "record with other applications closed",
     "bursts": "record with a shorter batch length",
-    "offset": "turn the phone by hand, quickly, for some minutes",
-    "bandwidth": "record at the highest rate there is: its noise shows the filter's shape",
-    "arm": "turn it about another pivot: the sensor's place moves by as much",
-    "walk": "record for many hours at rest, in one place and temperature",
-    "noise_level": "record a still hour in another mode or at another rate",
-    "axes": "record a still hour in three attitudes: the sensor's noise stays with its axis",
-    "tailed": "record a still hour on another support: knocks show in both sensors, noise in one",
+    "offset": "rotate the phone by hand, quickly, for some minutes",
+    "bandwidth": "record at the highest rate available: its noise shows the filter's shape",
+    "arm": "rotate the phone about another point: the estimated position should shift by the same distance",
+    "walk": "record for many hours at rest, in one place and at one temperature",
+    "noise_level": "record one hour at rest in another mode or at another rate",
+    "axes": "record one hour at rest in three attitudes: the sensor's own noise stays with its axis",
+    "tailed": "record one hour at rest on another support: knocks show in both sensors, noise in one",
 }
 """What to record next, by the end of an effect's name, where the catalogue does not say."""
 
@@ -68,7 +77,7 @@ def ending(effect: str, table: dict[str, str]) -> str:
 
 
 def to_record(finding: Finding) -> str:
-    """Return the recording that would tell more."""
+    """Return which recording would tell more about a finding; "" where nothing is known."""
     if finding.sensor in ("accel", "gyro"):
         for entry in slow_entries(finding.sensor):
             if entry.effect == finding.effect and entry.decides:
@@ -83,21 +92,27 @@ def title(finding: Finding) -> str:
 
 
 def certainty(p: float) -> str:
-    """Return how sure a p value makes one, in words."""
-    for limit, words in ((1e-9, "beyond doubt"), (1e-5, "very sure"), (1e-2, "sure")):
+    """Return the confidence that goes with a p-value, in words."""
+    for limit, words in ((1e-9, "very high"), (1e-5, "high"), (1e-2, "good")):
         if p < limit:
             return words
-    return "likely"
+    return "moderate"
 
 
-def headline(verdict: str, checked: int, of: int) -> str:
-    """Return the verdict in words, with how much of what could be checked was."""
+def headline(verdict: str, checked: int, of: int, *, against_phone: bool = False) -> str:
+    """Return the verdict as sentences, with how many of the checks were possible.
+
+    against_phone: whether the simulation is a phone file, and not an ideal sensor.
+    """
+    if verdict == "adequate" and checked < JUDGED_SHARE * of:
+        return (
+            f"Not judged: {of - checked} of {of} checks need more data (see below)."
+            f" No difference found in the other {checked}."
+        )
+    text = SAME_AS_PHONE if verdict == "adequate" and against_phone else VERDICTS[verdict]
     if checked >= of:
-        return VERDICTS[verdict]
-    missed = f"{of - checked} of {of} checks could not be made"
-    if verdict == "adequate":
-        return f"nothing that could be checked speaks against its simulated twin; {missed}"
-    return f"{VERDICTS[verdict]}; {missed}"
+        return f"{text}."
+    return f"{text}. {of - checked} of {of} checks were not possible."
 
 
 def number(value: float) -> str:
@@ -106,15 +121,18 @@ def number(value: float) -> str:
 
 
 def judged_against(phone: str) -> str:
-    """Return what is judged where a phone file is the twin."""
-    return f"judged beside the phone {phone}: of what both have, parameters are the difference"
+    """Return the sentence that says what a recording was compared with."""
+    return (
+        f"Compared with the phone {phone}. Where both have a slow effect, its parameters are the difference"
+        " between them."
+    )
 
 
 def readable(text: str) -> str:
-    """Return units and what has units in it as people write them: m/s² for m/s^2."""
+    """Return a text with its units as people write them: m/s² for m/s^2."""
     return text.replace("^2", "²").replace("^3", "³")
 
 
 def counted(count: int, one: str) -> str:
-    """Return a number with its noun, in the plural where it is not one."""
+    """Return a number with its noun, in the plural unless the number is 1."""
     return f"{count} {one}" if count == 1 else f"{count} {one}s"

@@ -1,4 +1,4 @@
-"""Handing recordings out to Dask's workers: local processes, or a scheduler somewhere else.
+"""Distributing recordings to Dask's workers: local processes, or those of a scheduler elsewhere.
 
 A bounded number is under way at a time, so a fleet's length costs neither the scheduler nor this process
 memory. A worker that dies costs the recordings it had in hand some time: they go to another.
@@ -69,7 +69,7 @@ def remote(address: str, timeout: float = _CONNECT_S) -> Iterator[Client]:
         client = Client(address, timeout=timeout)
     except (OSError, ValueError) as error:
         raise SchedulerError(
-            f"{address}: no scheduler answers ({error}): start one with dask scheduler"
+            f"{address}: no scheduler answers ({error}); start one with: dask scheduler"
         ) from error
     with client:
         yield client
@@ -106,6 +106,8 @@ def _outcome(task: Task, future: Any) -> Examined:
         outcome: Examined = future.result()
         return outcome
     if future.status == "cancelled":
-        raise SchedulerError("the scheduler is lost: start it again and repeat the command, which goes on")
+        raise SchedulerError(
+            "the connection to the scheduler is lost; start it again and repeat the command to continue"
+        )
     error = future.exception()
     return Examined({**identity(task), "status": LOST, "reason": f"{type(error).__name__}: {error}"})

@@ -65,8 +65,8 @@ def find(where: str, format: str = "csv") -> list[FoundRecording]:
     recordings_found = [_found_recording(p, root, rules) for p in recordings if p not in others]
     if not recordings_found:
         there = f"no {' or '.join(PLAIN)} below" if root.exists() else "no file or folder"
-        what = "no file fits" if wild else there
-        raise NoRecordingsError(f"{what} {where}: name a folder of recordings or a pattern in quotes")
+        what = "no file matches" if wild else there
+        raise NoRecordingsError(f"{what} {where}; name a folder of recordings or a pattern in quotes")
     return recordings_found
 
 

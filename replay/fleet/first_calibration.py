@@ -15,7 +15,7 @@ from stillcal.calib_core.static.rest import RestState, attitude_labels, force_un
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Trace
 
-_REST = "let the phone lie still for half a minute, in as many attitudes as may be"
+_REST = "leave the phone lying still for half a minute, in as many attitudes as possible"
 _STRANGE = "check --format's unit and --model, or calibrate from its rests alone: stillcal replay"
 
 
@@ -39,7 +39,8 @@ def first_calibration(trace: Trace, prior: FleetPrior) -> tuple[PriorFit, list[R
     off = fleet_prior.surprise(fit, prior)
     if off.squared > off.limit:
         whose = prior.model or "any model"
-        what = f"its rests contradict the prior of {whose}: {off.parameter} is {off.sds:.1f} sd from its mean"
+        distance = f"{off.parameter} is {off.sds:.1f} standard deviations from its mean"
+        what = f"its rests contradict the prior of {whose}: {distance}"
         raise TraceError(trace.path, what, _STRANGE)
     return fit, rests
 

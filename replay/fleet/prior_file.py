@@ -52,15 +52,19 @@ def read_prior(path: Path, model: str | None = None, claimed: str | None = None)
     except OSError as error:
         raise TraceError(path, f"cannot be read ({error.strerror})", "check the path") from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise TraceError(path, f"no fleet's report: {error}", "make one: stillcal fleet-report") from None
+        raise TraceError(
+            path,
+            f"not a report of stillcal fleet-report: {error}",
+            "make one with stillcal fleet-report RESULTS --json FILE",
+        ) from None
     if report.schema != _SCHEMA:
-        raise TraceError(path, f"schema {report.schema}, where {_SCHEMA} is known", _REMEDY)
+        raise TraceError(path, f"its schema is {report.schema}, but only {_SCHEMA} can be read", _REMEDY)
     if not report.priors:
         raise TraceError(path, "holds no prior", "calibrate at least five devices first")
     own = _chosen(path, report.priors, model, claimed)
     wrong = _wrong(own)
     if wrong is not None:
-        raise TraceError(path, f"the prior of {own.model or 'any model'} means nothing: {wrong}", _REMEDY)
+        raise TraceError(path, f"the prior of {own.model or 'any model'} is not valid: {wrong}", _REMEDY)
     return FleetPrior(frozen(own.mean), frozen(own.covariance), own.scatter, own.devices, own.model)
 
 
@@ -80,7 +84,7 @@ def _chosen(path: Path, priors: list[_Written], model: str | None, claimed: str 
     prior = by_model.get(claimed or "", by_model.get(""))
     if prior is None:
         which = f"of {claimed!r} nor of any model" if claimed else "of any model"
-        raise TraceError(path, f"holds no prior {which}", f"say which of its models it is, --model: {known}")
+        raise TraceError(path, f"holds no prior {which}", f"choose one of its models with --model: {known}")
     return prior
 
 
@@ -111,7 +115,7 @@ def _spread(covariance: Array, sd: list[float] | None) -> str | None:
     if np.linalg.eigvalsh(correlation).min() < _SINGULAR:
         return "its covariance is not positive definite"
     if sd is not None and not (len(sd) == 9 and np.allclose(sd, root, rtol=_ROUNDED, atol=0.0)):
-        return "its sd are not those of its covariance"
+        return "its standard deviations do not agree with its covariance"
     return None
 
 
@@ -121,5 +125,5 @@ def _mean(mean: Array) -> str | None:
         return f"its bias is {np.linalg.norm(twelve[:3]):.3g} m/s^2, more than gravity"
     scales = np.linalg.eigvalsh(twelve[3:].reshape(3, 3))
     if scales.min() < _SCALES[0] or scales.max() > _SCALES[1]:
-        return f"its scale is {scales.min():.3g} to {scales.max():.3g}, which is no phone's (about 1)"
+        return f"its scale is {scales.min():.3g} to {scales.max():.3g}, but a phone's is about 1"
     return None

@@ -110,7 +110,7 @@ def outliers(fleet: Devices, limits: list[str]) -> list[Outlier]:
     values = fleet.values[:, :_PARAMETERS]
     judged_distances = distances(values, fleet.covariances[:, :_PARAMETERS, :_PARAMETERS])
     if not judged_distances.robust:
-        limits.append(f"{len(fleet)} devices: outliers judged by each parameter alone")
+        limits.append(f"{len(fleet)} devices: outliers are judged by each parameter separately")
     return [_outlier(fleet, values, judged_distances, int(row)) for row in judged_distances.outliers]
 
 

@@ -220,13 +220,17 @@ def _read_head(path: Path, size: int = 1 << 16) -> str:
         raise TraceError(path, "is a folder", "name a file in it")
     try:
         with path.open("rb") as file:
+            if not file.seekable():
+                raise TraceError(path, "cannot read from a pipe", "save the recording as a file first")
             head = _unpacked(file).read(size)
     except FileNotFoundError:
         raise TraceError(path, "no such file", "check the path") from None
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise _bad_gzip(path, error) from None
     except OSError as error:
-        raise TraceError(path, f"cannot be opened ({error.strerror})", "check its permissions") from None
+        raise TraceError(
+            path, f"cannot be opened ({error.strerror or error})", "check its permissions"
+        ) from None
     if not head.strip():
         raise TraceError(path, "the file is empty", "give a recording with samples")
     return _decoded(path, head)

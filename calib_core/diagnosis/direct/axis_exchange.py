@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Seen, unknown
-from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import cuts
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -142,7 +142,7 @@ def _stated(found: list[Step], size: Array, span: tuple[int, int], sensor: str, 
         f"{AXES[a]} is {'-' if change[a].sum() < 0 else ''}{AXES[int(np.argmax(np.abs(change[a])))]}"
         for a in axes
     )
-    say = f"From {start:.0f} to {end:.0f} s the {sensor} sensor's axes are not what they were: {told}."
+    say = f"From {start:.0f} to {end:.0f} s the {NAME[sensor]}'s axes are exchanged: {told}."
     before = float(np.sqrt(np.mean(size[inside] ** 2)))
     usual = float(np.sqrt(np.mean(size[~inside] ** 2))) if (~inside).any() else 0.0
     gain = float(inside.sum() * 2.0 * np.log(max(before / max(usual, 1e-3), 1.0)))

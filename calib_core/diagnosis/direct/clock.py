@@ -101,7 +101,7 @@ def _skew(t: Array, arrived: Array | None, claims: Claims, period: float, where:
         total = sure[0][1]
     value = total.value
     sigmas, _, leads = max(sure, key=lambda b: b[0])
-    say = f"The sensor's clock runs {value * 1e6:+.0f} ppm against its reference."
+    say = f"The sensor's clock runs {abs(value) * 1e6:.0f} ppm {'fast' if value > 0.0 else 'slow'}."
     parameter = {"relative": total.parameter("1")}
     seen = _of_line(leads, sigmas)
     return direct_finding("clock_skew", "timing", [], where, parameter, statement=say, seen=seen)
@@ -155,9 +155,7 @@ def _bursts(t: Array, arrived: Array, period: float, where: Where) -> Finding | 
     sigmas = measured.beyond(0.0, thresholds.BURST_TOLERANCE)
     if sigmas < SIGNIFICANT - 2.0:
         return None
-    say = (
-        f"{fraction:.1%} of the samples were delivered in bursts; take the sensor's stamps, not the arrival."
-    )
+    say = f"{fraction:.1%} of the samples arrive in bursts; use the sensor's time stamps, not the arrivals."
     seen = of_counts(np.minimum(hits, of), of, thresholds.BURST_TOLERANCE, sigmas)
     parameter = {"fraction": measured.parameter("1")}
     return direct_finding("arrival_bursts", "timing", [], where, parameter, statement=say, seen=seen)

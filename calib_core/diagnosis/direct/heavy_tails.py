@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     direct_finding,
     unknown,
 )
-from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 
 AXES = [0, 1, 2]
 FAR = 4.0
@@ -117,7 +117,7 @@ def tails(still: Quiet, sensor: str, where: Where, step: float) -> Finding | Non
     if fit.fraction.value > MOST_WIDE:
         return None
     share = fit.fraction.value
-    say = f"{share:.1%} of the {sensor} sensor's samples scatter {fit.ratio.value:.1f} times wider."
+    say = f"{share:.1%} of the {NAME[sensor]}'s samples have {fit.ratio.value:.1f} times the usual noise."
     parameters = {
         "ratio": fit.ratio.parameter("1"),
         "fraction": fit.fraction.parameter("1"),
@@ -139,7 +139,7 @@ def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) ->
         return None
     size = float(np.median(np.abs(z[:, axes])[far]))
     n = int(far.sum())
-    say = f"{n} single samples of the {sensor} sensor at rest are off by some {size:.0f} times its noise."
+    say = f"{n} single {NAME[sensor]} samples at rest are outliers, of about {size:.0f} times the noise."
     sizes = {"count": (float(far.sum()), "1"), "size": (size, "of the noise")}
     return unknown(sensor, axes, where, sizes, statement=say, seen=seen)
 

@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding
-from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.samples import Samples
 
@@ -181,7 +181,7 @@ def bandwidth(spectrum: Spectra, sensor: str, where: Where) -> Finding | None:
     found = spectrum.low_pass
     if found is None:
         return None
-    say = f"The {sensor} sensor's output is low-passed at {found.cutoff.value:.2g} Hz."
+    say = f"The {NAME[sensor]}'s output is low-pass filtered at {found.cutoff.value:.2g} Hz."
     seen = _left_out(spectrum, found)
     parameters = {"cutoff": found.cutoff.parameter("Hz")}
     return direct_finding("bandwidth", sensor, [0, 1, 2], where, parameters, statement=say, seen=seen)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.left_out import of_counts
 from stillcal.calib_core.diagnosis.model.measurement import Index, unknown
-from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Number, Where
+from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Number, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
 
@@ -40,7 +40,7 @@ def dead_bits(samples: Samples, sensor: str) -> Finding | None:
         return None
     axes = list(found)
     told = ", ".join(f"{bit} of {AXES[a]}" for a, (bit, _) in found.items())
-    say = f"A bit of the {sensor} sensor never changes ({told}): every other run of 2^bit values is missing."
+    say = f"One bit of the {NAME[sensor]}'s values never changes ({told}), so half of the values never occur."
     pairs = float(min(pairs for _, pairs in found.values()))
     one = np.full(10, pairs / 10.0)
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")
@@ -88,9 +88,7 @@ def dead_zone(samples: Samples, sensor: str) -> Finding | None:
     axes = list(zones)
     width = float(np.median([width for width, _ in zones.values()]))
     named, size = ", ".join(AXES[a] for a in axes), f"{width:.2g} {UNIT[sensor]}"
-    say = (
-        f"The {sensor} sensor reads one value on {named} where its input is within {size} of it: a dead zone."
-    )
+    say = f"Dead zone: the {NAME[sensor]} reads one constant value on {named} for inputs within {size} of it."
     visits = float(min(visits for _, visits in zones.values()))
     one = np.full(10, visits / 10.0)
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Spectra
 from stillcal.calib_core.diagnosis.direct.noise_level import Levels
 from stillcal.calib_core.diagnosis.model.left_out import rms
 from stillcal.calib_core.diagnosis.model.measurement import FOLDS, Index, Seen, unknown
-from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
 LEAST_PIECES = 5
@@ -186,10 +186,11 @@ def _stated(fit: _Fit, measured: Levels, sensor: str, rate: float) -> Finding:
     if fit.course.driver == "time":
         inside = fit.course.design[:, 1] > 0.5
         ratio = ratio if (inside == fit.high).all() else 1.0 / ratio
-        say = f"From {start:.0f} to {end:.0f} s the {sensor} sensor's noise is {ratio:.2f} times its usual."
+        span = f"From {start:.0f} to {end:.0f} s"
+        say = f"{span} the {NAME[sensor]}'s noise is {ratio:.2f} times its usual level."
     else:
         change = f"{ratio:.2f} times between low and high"
-        say = f"The {sensor} sensor's noise follows {fit.course.driver}: {change}."
+        say = f"The {NAME[sensor]}'s noise changes with {fit.course.driver}: {change}."
     where = Where(start, end, (0.0, rate / 2.0), fit.course.driver)
     return unknown(sensor, axes, where, {"ratio": (ratio, "1")}, statement=say, seen=fit.seen)
 

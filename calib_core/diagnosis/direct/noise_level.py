@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     mean_of,
     vector,
 )
-from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Claims, Finding, Where
 
 LINE = 1.5
 USABLE = 0.3
@@ -174,8 +174,8 @@ def _unequal(
     axes = [a for a in others if sigmas[a] >= SIGNIFICANT]
     if not axes:
         return None
-    text = ", ".join(f"{v:.2f}" for v in ratio)
-    say = f"The {sensor} sensor's white noise is not alike on its axes: {text} of their usual level."
+    text = ", ".join(f"{AXES[a]} is {ratio[a]:.2f} times as noisy as the sensor's own level" for a in axes)
+    say = f"{NAME[sensor].capitalize()} noise differs between axes: {text}."
     relative = measured.pieces[:, axes] / measured.pieces[:, base].mean(axis=1, keepdims=True)
     seen = of_means(relative, (1.0 / top, top), max(sigmas))
     parameters = {"ratio": vector(ratio, error, "1")}
@@ -190,7 +190,7 @@ def _level(sensor: str, measured: Levels, base: list[int], claim: float, where: 
     sigmas = ratio.beyond(1.0 / top, top)
     if sigmas < SIGNIFICANT:
         return None
-    say = f"The {sensor} sensor's white noise is {ratio.value:.2f} times what is declared."
+    say = f"{NAME[sensor].capitalize()} white noise is {ratio.value:.2f} times the datasheet value."
     seen = of_means(measured.pieces[:, base].mean(axis=1) / claim, (1.0 / top, top), sigmas)
     parameters = {"ratio": ratio.parameter("1")}
     return direct_finding("noise_level", sensor, base, where, parameters, statement=say, seen=seen)

@@ -10,7 +10,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.left_out import blocks, of_counts, rms
 from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
-from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import COMB_SAMPLES, UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
 
@@ -93,7 +93,7 @@ def quantisation(samples: Samples, sensor: str, seen: Steps, lsb: float | None) 
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "value")
     half = max(step * 1e-3, 1e-7)
     size = f"{step:.4g} {UNIT[sensor]}"
-    say = f"The {sensor} sensor's values come in steps of {size}, coarser than declared or than its noise."
+    say = f"The {NAME[sensor]}'s values come in steps of {size}, coarser than declared or than its noise."
     parameter = {"step": Parameter(step, [step - half, step + half], UNIT[sensor])}
     evidence = _on_grid(samples.xyz[:, axes[0]])
     return direct_finding(
@@ -148,9 +148,10 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
     rows = np.flatnonzero(on)
     where = Where(float(samples.t[rows[0]]), float(samples.t[rows[-1]]), (0.0, 0.0), "own input")
     share = rows.size / size.shape[0]
+    faster = "larger acceleration" if sensor == "accel" else "faster rotation"
     say = (
-        f"The {sensor} sensor stops at {limit:.4g} {UNIT[sensor]}, where {rows.size} samples"
-        f" ({share:.2%}) lie; nothing beyond is to be trusted."
+        f"The {NAME[sensor]} saturates at {limit:.4g} {UNIT[sensor]} ({rows.size} samples, {share:.2%});"
+        f" {faster} is clipped."
     )
     parameter = {"limit": Parameter(limit, [limit - 1.96 * error, limit + 1.96 * error], UNIT[sensor])}
     near = (size[:, axes] > limit - 3.0 * width).any(axis=1)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.model.left_out import of_counts
 from stillcal.calib_core.diagnosis.model.measurement import unknown
-from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.streams.samples import Samples
 
 BLOCK_S = 1.0
@@ -53,7 +53,7 @@ def doubled(samples: Samples, count: int) -> Finding | None:
     if count < LEAST_COUNT or share < LEAST_SHARE:
         return None
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "delivery")
-    say = f"{share:.2%} of the samples were delivered twice, stamp and all."
+    say = f"{share:.2%} of the samples were delivered twice, with the same time stamp."
     seen = of_counts(np.full(40, count / 40.0), np.full(40, len(samples) / 40.0), LEAST_SHARE, 30.0)
     return unknown("timing", [], where, {"fraction": (share, "1")}, statement=say, seen=seen)
 
@@ -110,8 +110,8 @@ def held(samples: Samples, sensor: str) -> tuple[Finding | None, float]:
     )
     longest = _longest(same.all(axis=2).ravel())
     say = (
-        f"{share:.2%} of the {sensor} sensor's samples repeat the one before exactly on all axes, up to"
-        f" {longest} in a row: values are held, not measured."
+        f"{share:.2%} of the {NAME[sensor]}'s samples repeat the previous one on all axes, up to {longest}"
+        " in a row: the driver repeats values."
     )
     seen = of_counts(
         together.astype(np.float64),

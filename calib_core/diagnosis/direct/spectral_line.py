@@ -12,7 +12,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.steady_segments import INDEPENDENT, NEIGHBOURS, Stretches, stretches
 from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model.measurement import SIGNIFICANT, Index, Seen, direct_finding, vector
-from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.streams.samples import Samples
 
@@ -230,9 +230,9 @@ def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle:
     )
     rate = 2.0 * float(seen.f[-1])
     say = (
-        f"The {sensor} sensor's data hold a vibration at {frequency:.2f} Hz,"
-        f" {amplitude.max():.3g} {UNIT[sensor]}"
-        f" (or at {rate - frequency:.1f} or {rate + frequency:.1f} Hz, sampled too slowly)."
+        f"Vibration at {frequency:.2f} Hz in the {NAME[sensor]}'s data, amplitude"
+        f" {amplitude.max():.3g} {UNIT[sensor]} (could be an alias of {rate - frequency:.1f} or"
+        f" {rate + frequency:.1f} Hz)."
     )
     return direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, seen=evidence)
 

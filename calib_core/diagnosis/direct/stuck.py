@@ -13,7 +13,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.repeated_values import at_limits
 from stillcal.calib_core.diagnosis.model.left_out import of_counts
 from stillcal.calib_core.diagnosis.model.measurement import unknown
-from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.streams.samples import Samples
 
 BLOCK_S = 1.0
@@ -50,7 +50,7 @@ def stuck(samples: Samples, sensor: str) -> Finding | None:
     where = Where(float(t[first]), float(t[last]), (0.0, 0.0), "values")
     value = float(samples.xyz[first, axis])
     span = f"From {t[first]:.0f} to {t[last]:.0f} s"
-    say = f"{span} the {sensor} sensor's axis {AXES[axis]} is stuck at {value:.4g}."
+    say = f"{span} the {NAME[sensor]}'s {AXES[axis]} axis is stuck at {value:.4g}."
     of = np.full(10, length / 10.0)
     seen = of_counts(of, of, chance, 30.0)
     sizes = {"value": (value, "m/s^2" if sensor == "accel" else "rad/s"), "samples": (float(length + 1), "1")}

@@ -148,7 +148,7 @@ def jitter(grid: Grid, where: Where) -> Finding | None:
     sigmas = sigma.beyond(0.0, max(allowed, 1.5 * np.sqrt(rounding)))
     if sigmas < SIGNIFICANT:
         return None
-    say = f"Stamps scatter by {sigma.value * 1e3:.2f} ms about an even rate; resample by the fitted clock."
+    say = f"Time stamps jitter by {sigma.value * 1e3:.2f} ms about an even rate."
     parameter = {"sigma": sigma.parameter("s")}
     seen = of_spread(grid.apart / np.sqrt(grid.factor), allowed, sigmas)
     return direct_finding("timestamp_jitter", "timing", [], where, parameter, statement=say, seen=seen)

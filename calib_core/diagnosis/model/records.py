@@ -8,6 +8,8 @@ from typing import Any
 from stillcal.calib_core.gravity import STANDARD
 
 AXES = ("x", "y", "z")
+NAME = {"accel": "accelerometer", "gyro": "gyroscope"}
+"""What a person calls a sensor."""
 
 SLOW_BAND = (0.0, 0.05)
 """Frequencies that means over bins of 10 s and more can show, Hz."""

@@ -36,7 +36,7 @@ def lever_arm(sums: Regression, apart: float, where: Where) -> Finding | None:
     error = np.hypot(error, apart * arm)
     axes = [a for a in range(3) if abs(arm[a]) > thresholds.AXIS_SIGMA * error[a]]
     text = ", ".join(f"{100.0 * x:.1f}" for x in arm)
-    say = f"The accelerometer sits {text} cm from the point that the phone turns about."
+    say = f"The accelerometer is {text} cm (x, y, z) away from the point about which the phone turns."
     parameters = {"position": vector(arm, error, "m")}
     seen = sums.seen(sigmas)
     return direct_finding("lever_arm", "accel", axes, where, parameters, statement=say, seen=seen)

@@ -173,7 +173,7 @@ def _delayed(delay: Measured, sums: Regression, where: Where, interval: float) -
     ):
         return None
     side = "behind" if delay.value > 0 else "ahead of"
-    say = f"The gyroscope is {abs(delay.value) * 1e3:.1f} ms {side} the accelerometer; shift its stamps."
+    say = f"The gyroscope is {abs(delay.value) * 1e3:.1f} ms {side} the accelerometer; shift its time stamps."
     seen = sums.seen(sigmas, ARM)
     # A second-order low-pass of this cutoff delays as much; beyond the band no noise would show it.
     cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))

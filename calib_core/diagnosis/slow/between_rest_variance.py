@@ -15,9 +15,17 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
-from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Evidence, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.records import (
+    AXES,
+    NAME,
+    SLOW_BAND,
+    Evidence,
+    Finding,
+    Parameter,
+    Where,
+)
 from stillcal.calib_core.diagnosis.model.residuals import View
-from stillcal.calib_core.diagnosis.slow.effects_bias import NAME, UNIT
+from stillcal.calib_core.diagnosis.slow.effects_bias import UNIT
 from stillcal.calib_core.diagnosis.slow.search import Scored
 
 DRIVER = "the rest it lies in"
@@ -83,8 +91,8 @@ def finding(scene: Scene, found: Jumps) -> Finding:
     spread = 1.96 / np.sqrt(2.0 * freedom)
     ci = np.stack([size * np.exp(-spread), size * np.exp(spread)], axis=1)
     say = (
-        f"The {NAME[scene.sensor]}'s bias is another in every rest, by {size.max():.2g}"
-        f" {UNIT[scene.sensor]} (one standard deviation), as strain that moves leave or a field about it do."
+        f"The {NAME[scene.sensor]}'s bias changes from rest to rest by {size.max():.2g} {UNIT[scene.sensor]}"
+        " (one standard deviation); possible causes are strain after handling and surrounding fields."
     )
     where = Where(*scene.bins.span, SLOW_BAND, DRIVER)
     evidence = Evidence(max(1.0 - float(sure.max()), 1e-12), 0.0, 0.0, 0.0, 0)

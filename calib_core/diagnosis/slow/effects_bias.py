@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.model.hypothesis import (
     curves,
     no_hypotheses,
 )
+from stillcal.calib_core.diagnosis.model.records import NAME
 from stillcal.calib_core.diagnosis.slow import regressors as drivers
 
 DRIFT_HANDICAP = 1.5
@@ -26,7 +27,6 @@ ROUGH = 0.25
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 SIZE = {"accel": 0.3, "gyro": 0.02}
 PER_KELVIN = {"accel": 0.02, "gyro": 2e-3}
-NAME = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 
 def _near_step(entry: Entry, scene: Scene, grid: dict[str, float]) -> list[Hypothesis]:
@@ -71,7 +71,7 @@ def _thermal(sensor: str) -> list[Entry]:
             follows="temperature",
             propose=curves(drivers.temperature),
             parameters=(Linear("slope", f"{unit}/K", 3, PER_KELVIN[sensor]),),
-            sentence=f"The {name}'s bias follows temperature on {{axes}}.",
+            sentence=f"The {name}'s bias changes with temperature on {{axes}}.",
             look_alikes=(warmup, drift, f"{sensor}_scale_temperature"),
             decides="let the phone warm and cool twice, in several attitudes",
         ),
@@ -93,7 +93,7 @@ def _thermal(sensor: str) -> list[Entry]:
             follows="charging and use",
             propose=curves(drivers.latent_heat),
             parameters=(Linear("amplitude", unit, 3, size),),
-            sentence=f"The {name}'s bias on {{axes}} follows a slow curve like heat from charging and use.",
+            sentence=f"The {name}'s bias on {{axes}} follows the heat of charging and use (no thermometer).",
             look_alikes=(warmup, f"{sensor}_charging_bias", drift),
             decides="record temperature, or let the phone cool unplugged",
             grid_units={"tau_s": "s"},
@@ -140,7 +140,7 @@ def _timed(sensor: str) -> list[Entry]:
             follows="charging",
             propose=curves(drivers.charging),
             parameters=(Linear("step", unit, 3, size),),
-            sentence=f"The {name}'s bias switches with the charger on {{axes}}.",
+            sentence=f"The {name}'s bias changes while charging on {{axes}}.",
             look_alikes=(thermal, f"{sensor}_bias_step", "thermal_latent"),
             decides="plug in and out several times, some minutes apart",
         ),

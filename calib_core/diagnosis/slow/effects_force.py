@@ -66,7 +66,7 @@ def distinct(up: Array, angle: float = 0.2) -> int:
 
 def accelerometer_entries() -> list[Entry]:
     """Return the accelerometer's entries that follow its own input."""
-    sentence = "The accelerometer is not linear on {axes}."
+    sentence = "The accelerometer is nonlinear on {axes}."
     return [
         Entry(
             "accel_scale_temperature",
@@ -74,7 +74,7 @@ def accelerometer_entries() -> list[Entry]:
             "temperature x own force",
             _scale_temperature,
             (Linear("slope", "1/K", 3, 1e-3),),
-            "The accelerometer's scale follows temperature on {axes}.",
+            "The accelerometer's scale changes with temperature on {axes}.",
             ("accel_bias_temperature",),
             "turn the phone over while it is warm",
         ),
@@ -110,7 +110,7 @@ def gyroscope_entries() -> list[Entry]:
             "attitude",
             _g_sensitivity,
             (Linear("matrix", "(rad/s)/(m/s^2)", 9, 1e-3),),
-            "The gyroscope's bias on {axes} follows gravity's direction and comes back with it.",
+            "The gyroscope is sensitive to acceleration (g-sensitivity) on {axes}.",
             ("gyro_bias_temperature",),
             "return to the same attitudes at another temperature",
             by_row=True,

@@ -33,16 +33,14 @@ CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
 
 ACT = {
-    "temperature": "; correct it by the thermometer",
-    "temperature x own force": "; correct it by the thermometer",
-    "temperature x rate of turn": "; correct it by the thermometer",
-    "time since start": "; leave the first minutes out, or let the phone settle",
-    "charging and use": "; record temperature, and calibrate at the heat of use",
+    "temperature": "; to correct it: stillcal store adopt-terms",
+    "temperature x own force": "; calibrate at the temperature of use",
+    "temperature x rate of turn": "; calibrate at the temperature of use",
+    "time since start": "; let the phone warm up, or leave out the first minutes",
+    "charging and use": "; record the temperature, or calibrate at the temperature of use",
     "charging": "; calibrate with and without the charger",
-    "time": "; calibrate again, and more often",
-    "attitude": "; correct it by the accelerometer",
-    "own force": "; correct it by its curve",
-    "rate of turn": "; correct it by its curve",
+    "time": "; calibrate more often",
+    "attitude": "; to correct it: stillcal store adopt-terms",
 }
 """What a person can do about an effect, by what it follows."""
 
@@ -234,12 +232,18 @@ def named_axes(found: Estimate) -> list[str]:
 
 
 def _size(found: Estimate, axes: list[str]) -> str:
-    """Return the first parameter's largest component on the named axes, in words."""
+    """Return the first parameter in words: its value on each named axis, or the largest of a matrix."""
     first = found.hypothesis.entry.parameters[0]
-    named = np.isin(found.hypothesis.axis_of[: first.count], [AXES.index(a) for a in axes])
-    top = int(np.argmax(np.abs(found.value[: first.count]) * named))
     unit = "" if first.unit == "1" else f" {first.unit}"
-    return f"{first.name} {found.value[top]:.3g}{unit}"
+    value = found.value[: first.count]
+    rows = [AXES.index(a) for a in axes]
+    if first.count == 3:
+        return ", ".join(f"{axis} {value[row]:+.3g}" for axis, row in zip(axes, rows, strict=True)) + unit
+    top = int(np.argmax(np.abs(value) * np.isin(found.hypothesis.axis_of[: first.count], rows)))
+    if first.count == 9:
+        row, column = AXES[top // 3], AXES[top % 3]
+        return f"up to {value[top]:.3g}{unit} ({row} by {column}); all 9 numbers are in --json"
+    return f"{first.name} {value[top]:.3g}{unit}"
 
 
 def _where(scene: Scene, hypothesis: Hypothesis) -> Where:
@@ -256,4 +260,4 @@ def _statement(found: Estimate, axes: list[str], alternatives: list[Alternative]
     if not alike:
         return text
     decides = f" To decide: {entry.decides}." if entry.decides else ""
-    return f"{text} This recording cannot tell it from {' or '.join(alike)}.{decides}"
+    return f"{text} This recording cannot distinguish it from {' or '.join(alike)}.{decides}"

@@ -12,8 +12,16 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
-from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Evidence, Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.slow.effects_bias import NAME, UNIT
+from stillcal.calib_core.diagnosis.model.records import (
+    AXES,
+    NAME,
+    SLOW_BAND,
+    Evidence,
+    Finding,
+    Parameter,
+    Where,
+)
+from stillcal.calib_core.diagnosis.slow.effects_bias import UNIT
 
 BOUNDED = 2.0
 """How far beyond what a walk may have a slow Gauss-Markov process must begin to be called a walk."""
@@ -85,7 +93,7 @@ def random_walk(scene: Scene, reduced: Sequence[Reduced]) -> list[Finding]:
     unit = f"{UNIT[scene.sensor]}/sqrt(s)"
     density = Parameter([n[0] for n in numbers], [[n[1], n[2]] for n in numbers], unit)
     worst = max(n[0] for n in numbers)
-    say = f"The {NAME[scene.sensor]}'s bias walks at random, {worst:.2g} {unit}: zero it often."
+    say = f"The {NAME[scene.sensor]}'s bias random walk is {worst:.2g} {unit}; update the bias often."
     where = Where(*scene.bins.span, SLOW_BAND, "nothing")
     evidence = Evidence(max(1.0 - sure, 1e-12), 0.0, 0.0, 0.0, 0)
     return [

@@ -93,11 +93,11 @@ SCALE = Entry(
     "temperature x rate of turn",
     no_hypotheses,
     (Linear("slope", "1/K", 3, 1e-3),),
-    "The gyroscope's scale follows temperature on {axes}.",
+    "The gyroscope's scale changes with temperature on {axes}.",
     ("gyro_bias_temperature",),
     "turn the phone about every axis, cold and warm",
 )
-SAY = "The gyroscope is not linear on {axes}."
+SAY = "The gyroscope is nonlinear on {axes}."
 HANDICAP = 0.6
 """Score that nonlinearity gives away: errors of turns have longer tails than those of rests."""
 
@@ -136,7 +136,7 @@ AGEING = replace(
 LOPSIDED = replace(
     AGEING,
     follows="size of the rate of turn",
-    sentence=SAY_NAMELESS + "which way it turns.",
+    sentence=SAY_NAMELESS + "the direction of rotation.",
     handicap=HANDICAP + thresholds.UNKNOWN_HANDICAP,
 )
 

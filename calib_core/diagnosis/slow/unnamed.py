@@ -29,7 +29,7 @@ from stillcal.calib_core.diagnosis.slow.effects_force import distinct, own_force
 STRETCH_CUTS = 14
 GAIN = 0.02
 SLOPE = 1e-3
-SAY = "Something outside the catalogue moves the bias on {axes}: it follows "
+SAY = "Unknown effect on the bias of {axes}; it follows "
 GRID = {"t_start": "s", "t_end": "s", "period_s": "s"}
 
 

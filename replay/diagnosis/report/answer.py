@@ -25,10 +25,10 @@ from stillcal.replay.phone.phone import Phone
 
 
 class Request(NamedTuple):
-    """What was asked for beside the findings.
+    """What the user asked for beside the findings.
 
-    phone: the simulation to be judged, called `phone_name`. simulated: a recording to compare with. report:
-    the page. phone_file: the better phone.
+    phone: the simulated phone to compare with, named `phone_name`. simulated: a recording to compare with.
+    report: whether the page is made; phone_file: whether the phone with the effects found is.
     """
 
     phone: Phone | None = None
@@ -40,7 +40,7 @@ class Request(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer as plain values, and the files' text where they were asked for."""
+    """The answer as plain values, with the text of the page and of the phone file if they were asked for."""
 
     answer: dict[str, Any]
     page: str | None = None
@@ -55,20 +55,20 @@ def diagnose_table(table: Path) -> Answer:
 def diagnose_recording(
     recording: Recording, request: Request, show_stage: Callable[[str], None] = lambda stage: None
 ) -> Answer:
-    """Diagnose a recording and make what is wanted of it. Raises NotSupported on too little data.
+    """Diagnose a recording and make what was asked for. Raises NotSupported on too little data.
 
     show_stage: is called with the name of each stage as it begins.
     """
     name = recording.name
-    show_stage("judging: stamps, noise, bias, motion")
+    show_stage("checking time stamps, noise, bias and motion")
     if request.phone is None:
         judgement = PhoneJudgement(diagnosis_of(recording, name))
     else:
         judgement = judge_phone(recording, name, request.phone)
-    show_stage("mapping where it departs")
+    show_stage("locating the differences")
     case = case_of(recording, judgement.diagnosis, judgement.known())
     answer = answer_of(judgement.diagnosis, facts(recording, case.bins))
-    answer |= {"map": case.departure_map.plain(), **judgement.plain()}
+    answer |= {"map": case.departure_map.plain(), **judgement.plain(), "simulation": _simulation(request)}
     if request.phone is not None:
         answer["judged_phone"] = request.phone_name
     if request.simulated is not None:
@@ -84,6 +84,11 @@ def diagnose_recording(
     show_stage("drawing" if request.report else "writing")
     phone = phone_text(case.phone(), case.mapped, name) if request.phone_file else None
     return Answer(answer, page(case, answer, resimulated) if request.report else None, phone)
+
+
+def _simulation(request: Request) -> str:
+    """Return the name of what the recording is compared with."""
+    return request.phone_name or "built-in" if request.simulated is None else request.simulated.name
 
 
 def _compared(case: Case, other: Recording) -> dict[str, Any]:

@@ -120,7 +120,7 @@ def _compare_stamps(one: Recording, other: Recording) -> Iterator[Compared]:
     tolerances = (
         ("mean interval", "s", thresholds.RATE_TOLERANCE * period),
         ("scatter of intervals", "s", 2.0 * thresholds.JITTER_TOLERANCE * period),
-        ("part of samples missing", "1", 10.0 * thresholds.DROP_TOLERANCE),
+        ("missing samples per sample recorded", "1", 10.0 * thresholds.DROP_TOLERANCE),
     )
     for i, (what, unit, tolerance) in enumerate(tolerances):
         yield _compare_pieces(what, "stamps", unit, (sides[0][i], sides[1][i]), tolerance)

@@ -84,7 +84,7 @@ def drawing(height: float = HEIGHT) -> Iterator[tuple[Figure, Axes, list[str]]]:
 
 
 def map_figure(departure_map: DepartureMap) -> str:
-    """Draw where the recording departs from its twin."""
+    """Draw when and in which channel the recording differs from the simulation."""
     rows = departure_map.channels
     with drawing(0.9 + 0.27 * len(rows)) as (figure, axes, out):
         minutes = (departure_map.edges - departure_map.edges[0]) / 60.0
@@ -99,7 +99,7 @@ def map_figure(departure_map: DepartureMap) -> str:
         axes.set_xlabel("time, min")
         bar = figure.colorbar(colours, ax=axes, location="top", shrink=0.8, aspect=40, extend="both")
         bar.set_ticks([-CLIP, -CLIP / 2, 0.0, CLIP / 2, CLIP])
-        bar.set_label("departure, in units of each channel's noise")
+        bar.set_label("difference, in units of each channel's noise")
     return out[0]
 
 
@@ -118,7 +118,7 @@ def _against(curve: Curve, scale: float, unit: str) -> str:
         axes.plot(curve.x, y, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
         if curve.partial_component is None:
             x, middle = running_median(curve.x, y)
-            axes.plot(x, middle, color=BEFORE, lw=1.8, label="running median: no name")
+            axes.plot(x, middle, color=BEFORE, lw=1.8, label="running median (cause unknown)")
         else:
             order = np.argsort(curve.x)
             axes.plot(
@@ -133,21 +133,21 @@ def _in_time(curve: Curve, scale: float, unit: str) -> str:
     with drawing() as (_, axes, out):
         minutes = curve.t / 60.0
         if curve.span[1] - curve.span[0] < SHADED_BELOW * (curve.edges[-1] - curve.edges[0]):
-            axes.axvspan(curve.span[0] / 60.0, curve.span[1] / 60.0, color="#f1e3d6", label="where it is")
+            axes.axvspan(curve.span[0] / 60.0, curve.span[1] / 60.0, color="#f1e3d6", label="effect present")
         axes.plot(minutes, curve.point * scale, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
         if curve.held_out is None:
             x, y = running_median(minutes, curve.point, 30)
-            axes.plot(x, y * scale, color=BEFORE, lw=1.8, label="running median: no name")
+            axes.plot(x, y * scale, color=BEFORE, lw=1.8, label="running median (cause unknown)")
         else:
             remaining = (curve.point - curve.held_out) * scale
-            axes.plot(minutes, remaining, ".", color=AFTER, ms=3, alpha=0.5, label="left after it")
+            axes.plot(minutes, remaining, ".", color=AFTER, ms=3, alpha=0.5, label="residual")
             axes.plot(
-                minutes, curve.held_out * scale, color=AFTER, lw=1.6, label="held out: from the other fifths"
+                minutes, curve.held_out * scale, color=AFTER, lw=1.6, label="cross-validated prediction"
             )
             for edge in curve.edges[1:-1] / 60.0:
                 axes.axvline(edge, color="#bbbbbb", lw=0.8, ls=":")
         axes.set_xlabel(
-            "time, min (dotted: fifths held out in turn)" if curve.held_out is not None else "time, min"
+            "time, min (dotted: parts left out in turn)" if curve.held_out is not None else "time, min"
         )
         axes.set_ylabel(f"bias {curve.axis}, {readable(unit)}")
     return out[0]
@@ -181,7 +181,7 @@ def spectrum_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, mar
         if mark is not None:
             axes.axvline(mark, color="#999999", lw=1.0, ls=":")
         axes.set_xlabel("frequency, Hz" if mark is None else f"frequency, Hz (dotted: {mark:.4g} Hz)")
-        axes.set_ylabel(f"density, loudest axis,\n{readable(unit)}/√Hz")
+        axes.set_ylabel(f"density, noisiest axis,\n{readable(unit)}/√Hz")
     return out[0]
 
 
@@ -200,8 +200,8 @@ def values_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, axis:
             share = np.histogram(p, edges)[0] / max(p.size, 1)
             axes.stairs(share, edges * scale, color=colour, lw=1.3, label=label)
         axes.set_yscale("log")
-        axes.set_xlabel(f"sample less its bin's mean, {'xyz'[axis]}, {readable(name)}")
-        axes.set_ylabel("part of samples")
+        axes.set_xlabel(f"sample minus the interval's mean, {'xyz'[axis]}, {readable(name)}")
+        axes.set_ylabel("share of samples")
     return out[0]
 
 
@@ -223,7 +223,7 @@ def intervals_figure(recorded_and_simulated: RecordedAndSimulated, *, arrival: b
             axes.stairs(np.histogram(steps, edges)[0] / steps.size, edges, color=colour, lw=1.3, label=label)
         axes.set_yscale("log")
         axes.set_xlabel(f"interval between {'arrivals' if arrival else 'stamps'}, ms")
-        axes.set_ylabel("part of intervals")
+        axes.set_ylabel("share of intervals")
     return out[0]
 
 
@@ -237,7 +237,7 @@ def extremes_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, lim
         axes.axvline(limit, color="#999999", lw=1.0, ls=":")
         axes.set_yscale("log")
         axes.set_xlabel(f"largest value of a sample, {readable(unit)} (dotted: {limit:.4g})")
-        axes.set_ylabel("part of samples")
+        axes.set_ylabel("share of samples")
     return out[0]
 
 
@@ -248,5 +248,5 @@ def held_out_figure(before: float, after: float) -> str:
         axes.set_yticks([1.0, 0.0], ["without it", "with it"])
         axes.tick_params(axis="y", length=0)
         axes.set_xlim(0.0, 1.1 * max(before, after))
-        axes.set_xlabel("residual of what was held out, rms")
+        axes.set_xlabel("cross-validation residual, rms")
     return out[0]

@@ -92,7 +92,7 @@ def resimulate_before_and_after(
     case: Case, show_stage: ShowStage = lambda stage: None
 ) -> tuple[Resimulation, Resimulation]:
     """Simulate the recording's day with the phone before and after the findings, and compare both with it."""
-    show_stage("simulating the phone before and after")
+    show_stage("simulating the recording without and with the effects")
     phone = case.phone()
     before = plain_phone(phone, case.mapped, case.known, case.recording, case.plain)
     side = case.side()

@@ -18,7 +18,7 @@ from stillcal.replay.diagnosis.report.curves import UNIT, is_slow
 from stillcal.replay.diagnosis.report.inputs import Case, Resimulation
 from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.report.pictures import Picture, pictures
-from stillcal.replay.diagnosis.report.summary import comparison_text
+from stillcal.replay.diagnosis.report.summary import comparison_text, simulated_verdict
 from stillcal.replay.diagnosis.wording import (
     EQUATIONS,
     certainty,
@@ -48,25 +48,29 @@ code,.equation{font-family:ui-monospace,monospace;font-size:.92rem}
 """
 
 SIMULATED_LAST = {
-    "adequate": "Its simulated twin",
-    "unexplained": "A phone simulated as it was measured, without what has no name",
+    "adequate": "A phone with constant errors and plain noise, as measured here",
+    "unexplained": "A phone with the errors measured here, without the effects of unknown cause",
 }
-"""What was simulated last, by verdict, where it is not a phone with what was found."""
+"""What was simulated last, by verdict, where it is not a phone with the effects found."""
 
 
 def page(case: Case, answer: dict[str, Any], resimulated: tuple[Resimulation, Resimulation] | None) -> str:
-    """Return the page's HTML. answer: the plain diagnosis; both: the twins before and after, if made."""
+    """Return the page's HTML.
+
+    answer: the diagnosis as plain values. resimulated: the recordings simulated without and with the effects
+    found, None where they were not made.
+    """
     name = escape(case.diagnosis.recording)
     parts = [
         f"<h1>Why {name} differs from its simulation</h1>" if answer["findings"] else f"<h1>{name}</h1>",
         *_verdict(case, answer),
-        "<h2>Where it departs</h2>",
+        "<h2>Where it differs</h2>",
         _figure(_map(case), wide=True),
         *_findings(case, answer, resimulated),
         *_comparison(answer),
         *_checked(answer),
         "<footer>Made by <code>stillcal diagnose</code>. Intervals are 95 %; p-values carry the size of the"
-        " search. The method stands in docs/diagnosis.md, this page in docs/report.md.</footer>",
+        " search. docs/diagnosis.md describes the method, docs/report.md this page.</footer>",
     ]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -79,31 +83,32 @@ def page(case: Case, answer: dict[str, Any], resimulated: tuple[Resimulation, Re
 def _verdict(case: Case, answer: dict[str, Any]) -> Iterator[str]:
     checks = answer["checked"]
     done = sum(c["done"] for c in checks)
-    kind, words = answer["verdict"], headline(answer["verdict"], done, len(checks))
-    verdict = kind.replace("_", " ").capitalize()
-    yield f'<p class="verdict {escape(kind)}"><strong>{escape(verdict)}</strong>: {escape(words)}.</p>'
-    if "judged_phone" in answer:
-        sentence = judged_against(answer["judged_phone"])
-        yield f"<p>{escape(sentence[0].upper() + sentence[1:])}.</p>"
+    kind, judged_phone = answer["verdict"], answer.get("judged_phone")
+    words = headline(kind, done, len(checks), against_phone=judged_phone is not None)
+    strong = words.partition(":" if ":" in words else ".")[0]
+    rest = words.removeprefix(strong)
+    yield f'<p class="verdict {escape(kind)}"><strong>{escape(strong)}</strong>{escape(rest)}</p>'
+    if judged_phone is not None:
+        yield f"<p>{escape(judged_against(judged_phone))}</p>"
     yield _list(readable(f["statement"]) for f in answer["findings"])
     yield _outcome(answer)
     known = [f"{k['effect']} ({k['sensor']}): {k['why']}" for k in answer.get("already_simulated", ())]
     if known:
-        yield "<p>Already in the simulation, and so no news:</p>" + _list(known)
+        yield "<p>In the recording and in the simulated phone:</p>" + _list(known)
     absent = [f"{k['effect']}: {k['why']}" for k in answer.get("only_simulated", ())]
     if absent:
-        yield "<p>In the simulation, and not in the recording:</p>" + _list(absent)
+        yield "<p>Only in the simulated phone:</p>" + _list(absent)
     if answer["limits"]:
-        yield "<p>What this recording cannot show:</p>" + _list(answer["limits"])
+        yield "<p>Not possible with this recording:</p>" + _list(answer["limits"])
 
 
 def _outcome(answer: dict[str, Any]) -> str:
-    """Say beside the verdict whether the simulation is now the recording's: a verdict may not hide that."""
+    """Return whether the last simulation matches the recording: a verdict may not hide that."""
     after = answer.get("comparison_after")
     if after is None:
         return ""
-    which = SIMULATED_LAST.get(answer["verdict"], "A phone simulated with what was found")
-    return f"<p>{which}, on this recording's own day: {escape(comparison_text(after))}.</p>"
+    which = SIMULATED_LAST.get(answer["verdict"], "A phone with the effects found")
+    return f"<p>{which}, simulated with this recording's motion, {escape(comparison_text(after))}.</p>"
 
 
 def _list(items: Iterable[str]) -> str:
@@ -116,15 +121,15 @@ def _map(case: Case) -> Picture:
     minutes = (case.departure_map.edges[-1] - case.departure_map.edges[0]) / 60.0
     size = _largest(loudest.departure)
     alt = (
-        f"Map of departures over {minutes:.0f} minutes for {len(case.departure_map.channels)} channels; the"
+        f"Map of differences over {minutes:.0f} minutes for {len(case.departure_map.channels)} channels; the"
         f" largest is {size:.0f} units of noise in {loudest.name}."
     )
     caption = (
         "Each row is a channel: the norm of gravity and the rates at rest, the spread of single samples at"
-        " rest, how far intervals are off the period. Each column is a stretch of time; grey is where the"
-        " phone moved or nothing was recorded. Colour is the departure from the twin before anything found is"
-        f" taken off; beyond {figures.CLIP:.0f} units it is full. One unit of noise in the row that departs"
-        f" most, {loudest.name}, is {number(loudest.noise)} {readable(loudest.unit)}."
+        " rest, the deviation of sample intervals from the period. Each column is a span of time; grey is"
+        " where the phone moved or nothing was recorded. Colour is the difference from the simulation without"
+        f" the effects found, in units of noise; the scale ends at {figures.CLIP:.0f}. One unit of noise in"
+        f" the row that differs most, {loudest.name}, is {number(loudest.noise)} {readable(loudest.unit)}."
     )
     return Picture(figures.map_figure(case.departure_map), alt, caption)
 
@@ -148,7 +153,7 @@ def _findings(
 ) -> Iterator[str]:
     if not case.mapped:
         return
-    yield "<h2>What was found</h2>"
+    yield "<h2>Effects found</h2>"
     for mapped in case.mapped:
         yield from _finding(case, mapped, resimulated)
 
@@ -171,23 +176,30 @@ def _finding(
     if following:
         yield f"<p>What to record next: {escape(following)}.</p>"
     if mapped.effect is None:
-        yield f"<p>In the phone file: {escape(mapped.why)}.</p>"
+        yield f"<p>Phone file: {escape(mapped.why)}.</p>"
+
+
+NOT_PREDICTED = ("saturation", "quantisation")
+"""Effects that change which values occur and not what is expected next: cross-validation does not apply."""
 
 
 def _sure(finding: Finding, start: float) -> str:
+    """Return how sure a finding is, as trusted HTML. start: s, the recording's first stamp."""
     e, where = finding.evidence, finding.where
     unit = readable(UNIT[finding.sensor]) + " " if is_slow(finding) else ""
-    span = f"from {where.t_start - start:.0f} to {where.t_end - start:.0f} s after the start"
-    text = f"How sure: {certainty(e.p_value)} (p = {tables.p_words(e.p_value)}), {span},"
-    text += f" following {escape(where.driver)}."
-    better = "falls" if e.heldout_rmse_after < e.heldout_rmse_before else "does not fall"
-    rms = f"{number(e.heldout_rmse_before)} to {number(e.heldout_rmse_after)} {unit}rms"
+    span = f"{where.t_start - start:.0f} to {where.t_end - start:.0f} s"
+    text = f"Confidence: {certainty(e.p_value)} (p = {tables.p_words(e.p_value)}). Seen from {span}."
+    if finding.effect.endswith(NOT_PREDICTED):
+        return f"{text} (Cross-validation does not apply to {finding.effect.rpartition('_')[2]}.)"
+    rms = f"from {number(e.heldout_rmse_before)} to {number(e.heldout_rmse_after)} {unit}rms"
+    falls = e.heldout_rmse_after < e.heldout_rmse_before
     if e.folds:
         gain = e.heldout_log_score_gain
-        text += f" Held out in {e.folds} parts, the residual {better}: {rms}; the log score"
-        text += f" {'gains' if gain > 0.0 else 'loses'} {number(abs(gain))} nats."
+        score = f"the log score {'gains' if gain > 0.0 else 'loses'} {number(abs(gain))} nats"
+        change = f"falls {rms}" if falls else f"goes {rms}"
+        text += f" In {e.folds}-fold cross-validation the residual {change}; {score}."
     elif e.heldout_rmse_before > 0.0:
-        text += f" The residual {better}: {rms}."
+        text += f" The residual {'falls' if falls else 'goes'} {rms}."
     return text
 
 
@@ -198,40 +210,36 @@ def _alternatives(finding: Finding) -> str:
         (
             escape(a.effect.replace("_", " ")),
             number(a.heldout_log_score_gain),
-            "cannot be told apart here" if a.indistinguishable else "explains it less well",
+            "cannot be distinguished here" if a.indistinguishable else "explains it less well",
         )
         for a in finding.alternatives
     ]
-    return "<p>What else was tried for it:</p>" + tables.table(
+    return "<p>Other explanations that were tried:</p>" + tables.table(
         ("effect", "held-out log score gain", "verdict"), rows
     )
 
 
 def _comparison(answer: dict[str, Any]) -> Iterator[str]:
-    with_simulated = answer.get("comparison")
-    if with_simulated is not None:
-        yield "<h2>Beside the simulated recording</h2>"
-        yield (
-            f"<p>The simulated recording: {escape(comparison_text(with_simulated))}.</p>"
-            + tables.comparison(with_simulated)
-        )
+    if "comparison" in answer:
+        yield "<h2>Comparison with the simulated recording</h2>"
+        yield f"<p>{escape(simulated_verdict(answer))}</p>" + tables.comparison(answer["comparison"])
     before, after = answer.get("comparison_before"), answer.get("comparison_after")
     if before is None or after is None:
         return
     if not answer["findings"]:
-        yield "<h2>Beside its simulated twin</h2>"
+        yield "<h2>Comparison with a simulation</h2>"
         yield (
-            "<p>A simulated phone, with the affine errors and the noise measured here, lives through this"
-            f" recording's own day. Its recording: {escape(comparison_text(after))}.</p>"
+            "<p>The recording's motion was simulated with a phone that has the constant errors and the noise"
+            f" measured here. The simulation {escape(comparison_text(after))}.</p>"
         )
         yield tables.comparison(after)
         return
-    yield "<h2>The simulation before and after</h2>"
+    yield "<h2>The simulation without and with the effects</h2>"
+    yield "<p>The recording's motion was simulated twice: without and with the effects found.</p>"
     yield (
-        "<p>A simulated phone lives through this recording's own day, rest by rest, once as it was and once"
-        " with what was found; both recordings are then compared with this one.</p>"
+        f"<p>Without them the simulation {escape(comparison_text(before))}. With them it"
+        f" {escape(comparison_text(after))}.</p>"
     )
-    yield f"<p>Before: {escape(comparison_text(before))}. After: {escape(comparison_text(after))}.</p>"
     yield tables.comparison(before, after)
 
 
@@ -241,6 +249,6 @@ def _checked(answer: dict[str, Any]) -> Iterator[str]:
         (escape(c["what"]), "yes" if c["done"] else '<span class="no">no</span>', escape(c["how"]))
         for c in answer["checked"]
     ]
-    yield tables.table(("departures", "checked", "on what, or why not"), rows)
+    yield tables.table(("effects", "checked", "on what, or why not"), rows)
     if answer["findings"]:
-        yield "<p>After what was found, nothing else passed the threshold of the search.</p>"
+        yield "<p>No other effect passed the threshold of the search.</p>"

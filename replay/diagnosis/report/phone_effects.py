@@ -1,4 +1,4 @@
-"""From findings to the effects of a phone file, by name; what has no place there is said."""
+"""From findings to the effects of a phone file, by name, with the reason for a finding that has none."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WHOLE_RECORDING = 0.9
 
 @dataclass(frozen=True, slots=True)
 class MappedFinding:
-    """A finding and its effect in a phone file; effect None: why says where it went."""
+    """A finding with its effect in a phone file; where effect is None, why gives the reason."""
 
     finding: Finding
     effect: Effect | None
@@ -39,10 +39,10 @@ def map_findings(findings: Sequence[Finding], bins: Bins, conditions: Conditions
 
 def _map_finding(finding: Finding, bins: Bins, conditions: Conditions) -> MappedFinding:
     if finding.effect in WHITE_NOISE_FINDINGS:
-        return MappedFinding(finding, None, "in the white noise of its sensor")
+        return MappedFinding(finding, None, "included in the white noise of its sensor")
     kind = EFFECTS.get(finding.effect)
     if kind is None:
-        return MappedFinding(finding, None, "no physics named: the simulation has no term for it")
+        return MappedFinding(finding, None, "the cause is unknown, so the simulation has no term for it")
     values: dict[str, Any] = {name: p.value for name, p in finding.parameters.items()}
     known = {k: v for k, v in values.items() if k in kind.__struct_fields__}
     known |= {"sensor": finding.sensor} if "sensor" in kind.__struct_fields__ else {}
@@ -51,7 +51,7 @@ def _map_finding(finding: Finding, bins: Bins, conditions: Conditions) -> Mapped
     try:
         return MappedFinding(finding, msgspec.convert({"name": finding.effect, **known}, type=kind))
     except (msgspec.ValidationError, ValueError) as error:
-        return MappedFinding(finding, None, f"the simulation does not take it: {error}")
+        return MappedFinding(finding, None, f"the simulation cannot represent it: {error}")
 
 
 def _step_time(

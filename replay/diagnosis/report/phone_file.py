@@ -282,11 +282,11 @@ def _matrix(values: Array) -> Matrix:
 
 
 def phone_text(phone: Phone, mapped: Sequence[MappedFinding], name: str) -> str:
-    """Return the phone as TOML, with what no effect could be written for as comments."""
-    lines = [f"# The phone of {name}, as `stillcal diagnose` found it; see docs/report.md."]
+    """Return the phone as TOML; findings that have no effect in a phone file become comments."""
+    lines = [f"# A phone with the errors of {name}, measured by `stillcal diagnose`; see docs/report.md."]
     for m in mapped:
         if m.effect is None:
-            lines += [f"# Not an effect here: {m.finding.effect} ({m.finding.sensor}): {m.why}."]
+            lines += [f"# Not in this file: {m.finding.effect} ({m.finding.sensor}): {m.why}."]
             lines += [f"#   {m.finding.statement}"]
     plain = [" ".join(line.split()) for line in lines]
     return "\n".join(plain) + "\n" + dump_phone(phone)

@@ -1,4 +1,4 @@
-"""Which pictures stand beside a finding, with what they show in words."""
+"""Which pictures illustrate a finding, with what they show in words."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def _of_held_out(finding: Finding) -> list[Picture]:
     before, after = finding.evidence.heldout_rmse_before, finding.evidence.heldout_rmse_after
     if not before > 0.0:
         return []
-    alt = f"Held-out residual without it {before:.3g} rms, with it {after:.3g}."
-    caption = "What predicts the parts of the recording that were left out, without and with it."
+    alt = f"Cross-validation residual without it {before:.3g} rms, with it {after:.3g}."
+    caption = "Prediction error on parts of the recording that were left out of the fit, without and with it."
     return [Picture(figures.held_out_figure(before, after), alt, caption)]
 
 
@@ -58,15 +58,15 @@ def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
     against = Picture(
         svgs[0],
         f"Bias of axis {curve.axis} against {curve.x_name}, {size}, with the curve of {effect}.",
-        f"Axis {curve.axis}: each point is a still bin, by what the finding follows.",
+        f"Axis {curve.axis}: bias in each static interval, against {readable(curve.x_name)}.",
     )
     in_time = Picture(
         svgs[-1],
-        f"Bias of axis {curve.axis} in time, {size}, with the held-out prediction of {effect}.",
-        f"Axis {curve.axis}: the line in each fifth was fitted to the other four; the dots about zero are"
-        " what it leaves."
+        f"Bias of axis {curve.axis} in time, {size}, with the cross-validated prediction of {effect}.",
+        f"Axis {curve.axis}: the line in each fifth was fitted to the other four fifths; the dots about zero"
+        " are the residual."
         if curve.held_out is not None
-        else f"Axis {curve.axis} in time: what no effect of the catalogue explains.",
+        else f"Axis {curve.axis} in time: the part that no known effect explains.",
     )
     return [in_time] if len(svgs) == 1 else [against, in_time]
 
@@ -80,7 +80,7 @@ def _of_samples(
     if recorded_and_simulated is None or kind is None:
         return []
     draw, what, caption = kind
-    alt = f"{what}: recorded, simulated before and simulated after."
+    alt = f"{what}: recorded, simulated without and with the effects found."
     return [Picture(draw(recorded_and_simulated, UNIT.get(finding.sensor, "")), alt, caption)]
 
 
@@ -96,23 +96,22 @@ def _kind(finding: Finding) -> tuple[Draw, str, str] | None:
         return (
             draw,
             "Noise density at rest",
-            "Noise inside rests, by frequency: with what was found the dashed line should lie on what was"
-            " recorded.",
+            "Noise density at rest: with the effects found, the dashed line should lie on the recorded one.",
         )
     if finding.effect in LIMITED:
         limit = _number(finding, "limit") or 1.0
         return (
             lambda t, unit: figures.extremes_figure(t, unit, limit),
             "Histogram of largest values",
-            "How often a sample's largest value is how large. Between rests the simulated phone moves roughly"
-            " as recorded, and may not reach the limit.",
+            "Histogram of the largest axis value of each sample. Between rests the simulated phone moves only"
+            " roughly as recorded, and may not reach the limit.",
         )
     if finding.sensor == "timing":
         late = finding.effect == "arrival_bursts"
-        caption = "How often an interval is how long, on a logarithmic scale."
+        caption = "Histogram of sample intervals (log scale)."
         return lambda t, _: figures.intervals_figure(t, arrival=late), "Histogram of intervals", caption
     if finding.effect in VALUED and finding.where.driver != "rate of turn":
-        caption = "How far single samples lie from the mean of their still bin, on a logarithmic scale."
+        caption = "Histogram of samples about the mean of their static interval (log scale)."
         return lambda t, unit: figures.values_figure(t, unit, axis), "Histogram of samples at rest", caption
     return None
 
@@ -131,8 +130,8 @@ def _recorded_and_simulated(
     """Return the sensor's samples recorded, before and after; None where there are none."""
     recordings = [
         (case.recording, case.bins, "recorded", figures.RECORDED),
-        (resimulated[0].recording, resimulated[0].bins, "simulated before", figures.BEFORE),
-        (resimulated[1].recording, resimulated[1].bins, "simulated after", figures.AFTER),
+        (resimulated[0].recording, resimulated[0].bins, "simulated without", figures.BEFORE),
+        (resimulated[1].recording, resimulated[1].bins, "simulated with effects", figures.AFTER),
     ]
     rows = []
     for recording, bins, label, colour in recordings:

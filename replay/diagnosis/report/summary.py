@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from stillcal.replay.diagnosis.wording import counted, headline, judged_against
+from stillcal.replay.diagnosis.wording import counted, headline, judged_against, number, readable
 
 LINES = 10
 
 
 def summary(answer: dict[str, Any]) -> list[str]:
-    """Return at most `LINES` lines."""
+    """Return at most `LINES` lines. answer: the diagnosis as plain values."""
     lines = [
         _verdict(answer),
         *_judged_phone(answer),
@@ -21,13 +21,13 @@ def summary(answer: dict[str, Any]) -> list[str]:
     ]
     if len(lines) <= LINES:
         return lines
-    return [*lines[: LINES - 1], f"  and {len(lines) - LINES + 1} lines more: --json or --report has all"]
+    return [*lines[: LINES - 1], f"  {len(lines) - LINES + 1} more lines are in --json and --report"]
 
 
 def _verdict(answer: dict[str, Any]) -> str:
-    checks = answer["checked"]
-    words = headline(answer["verdict"], sum(c["done"] for c in checks), len(checks))
-    return f"{answer['recording']}: {answer['verdict'].replace('_', ' ')} - {words}"
+    done = [check["done"] for check in answer["checked"]]
+    words = headline(answer["verdict"], sum(done), len(done), against_phone="judged_phone" in answer)
+    return f"{answer['recording']}: {words}"
 
 
 def _judged_phone(answer: dict[str, Any]) -> Iterator[str]:
@@ -38,38 +38,51 @@ def _judged_phone(answer: dict[str, Any]) -> Iterator[str]:
 def _findings(answer: dict[str, Any]) -> Iterator[str]:
     for finding in answer["findings"]:
         where = " ".join([finding["sensor"], *finding["axes"]])
-        yield f"  {finding['effect']} ({where}): {finding['statement']}"
+        yield f"  {finding['effect']} ({where}): {readable(finding['statement'])}"
         indistinguishable = [a["effect"] for a in finding["alternatives"] if a["indistinguishable"]]
-        if indistinguishable and "cannot tell" not in finding["statement"]:
-            yield f"    this recording cannot tell it from {', '.join(indistinguishable)}"
+        if indistinguishable and "cannot distinguish" not in finding["statement"]:
+            yield f"    This recording cannot distinguish it from {', '.join(indistinguishable)}."
     for known in answer.get("already_simulated", ()):
-        yield f"  already in the simulation: {known['effect']} ({known['sensor']})"
+        yield f"  {known['effect']} ({known['sensor']}): in the recording and in the simulated phone"
     for missing in answer.get("only_simulated", ()):
-        yield f"  only in the simulation: {missing['effect']}: {missing['why']}"
+        yield f"  {missing['effect']}: only in the simulated phone: {missing['why']}"
 
 
 def _comparisons(answer: dict[str, Any]) -> Iterator[str]:
-    better = "the phone with what was found" if answer["findings"] else "its simulated twin"
-    for name, what in (
-        ("comparison", "the simulated recording"),
-        ("comparison_before", "the phone before"),
-        ("comparison_after", better),
-    ):
-        if name in answer and (answer["findings"] or name != "comparison_before"):
-            yield f"  {what}: {comparison_text(answer[name])}"
+    if "comparison" in answer:
+        yield f"  {simulated_verdict(answer)}"
+    if "comparison_after" not in answer:
+        return
+    if not answer["findings"]:
+        yield f"  The simulation of this recording {comparison_text(answer['comparison_after'])}."
+        return
+    yield f"  Without these effects, the simulation {comparison_text(answer['comparison_before'])}."
+    yield f"  With these effects added, the simulation {comparison_text(answer['comparison_after'])}."
+
+
+def simulated_verdict(answer: dict[str, Any]) -> str:
+    """Return whether the simulated recording that was given matches, as a sentence."""
+    comparison, name = answer["comparison"], answer.get("simulation", "The simulated recording")
+    if comparison["accepted"]:
+        return f"{name} matches the recording: it {comparison_text(comparison)}."
+    return f"{name} does NOT match the recording: it {comparison_text(comparison)}."
 
 
 def comparison_text(comparison: dict[str, Any]) -> str:
-    """Return a comparison's outcome in a phrase."""
+    """Return the outcome of a comparison as the end of a sentence, with the worst of the tests that fail."""
     tests = comparison["tests"]
-    different = [t for t in tests if t["p_corrected"] < comparison["level"]]
-    if not different:
-        return f"cannot be told from the recording by {counted(len(tests), 'statistic')}"
-    first = ", ".join(f"{t['statistic']} ({t['channel']})" for t in different[:2])
-    most = "most in " if len(different) > 2 else ""
-    return f"differs in {len(different)} of {counted(len(tests), 'statistic')}, {most}{first}"
+    failed = [t for t in tests if t["p_corrected"] < comparison["level"]]
+    if not failed:
+        return f"passes all {counted(len(tests), 'test')}"
+    worst = failed[0]
+    unit = "" if worst["unit"] == "1" else f" {readable(worst['unit'])}"
+    simulated, recorded = (f"{number(worst[side])}{unit} {side}" for side in ("simulated", "recorded"))
+    return (
+        f"fails {len(failed)} of {counted(len(tests), 'test')}; worst: {worst['statistic']}"
+        f" ({worst['channel']}), {simulated}, {recorded}"
+    )
 
 
 def _limits(answer: dict[str, Any]) -> Iterator[str]:
     for limit in answer.get("limits", ()):
-        yield f"  not seen: {limit}"
+        yield f"  Note: {limit}"

@@ -1,6 +1,6 @@
-"""The page's tables: on a narrow screen every row becomes a block with its heads beside its cells.
+"""The page's tables. On a narrow screen every row becomes a block, each cell labelled by its column.
 
-Cells are trusted HTML: who makes them escapes what came from a file.
+Cells are trusted HTML: the caller escapes text that came from a file.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _flat(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _interval(low: float, high: float) -> str:
-    return "counted" if low == high else f"{number(low)} to {number(high)}"
+    return "exact" if low == high else f"{number(low)} to {number(high)}"
 
 
 def p_words(p: float, level: float | None = None) -> str:
@@ -84,7 +84,7 @@ def p_words(p: float, level: float | None = None) -> str:
 
 
 def comparison(before: dict[str, Any], after: dict[str, Any] | None = None) -> str:
-    """Return the statistics that differ most, in the only simulation or in one before and one after."""
+    """Return the tests that differ most, for one simulation or for one before and one after."""
     sides = [before] if after is None else [before, after]
     tests = [{(t["statistic"], t["channel"]): t for t in side["tests"]} for side in sides]
     keys = sorted({k: 0 for side in tests for k in side}, key=lambda k: _least(tests, k))
@@ -95,13 +95,13 @@ def comparison(before: dict[str, Any], after: dict[str, Any] | None = None) -> s
     value_heads = (f"{what}{time}" for time in times for what in ("simulated", "p"))
     heads = ("statistic", "channel", "unit", "recorded", *value_heads)
     what = (
-        f"All {len(keys)} statistics"
+        f"All {len(keys)} tests"
         if len(shown_keys) == len(keys)
-        else f"{len(shown_keys)} of {len(keys)} statistics"
+        else f"{len(shown_keys)} of {len(keys)} tests"
     )
     note = (
         f"<p>{what}, most different first. The p-values are corrected for their number; below {level:g}"
-        " the simulation is not the recording's.</p>"
+        " the simulation is rejected.</p>"
     )
     return note + table(heads, [_compared(tests, key, level) for key in shown_keys])
 

@@ -60,7 +60,7 @@ def interrupted(call: list[str], out: Path) -> str:
 def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp_path: Path) -> None:
     out = tmp_path / "results"
     said = interrupted(command("fleet", phones, "--out", out, "--workers", "1"), out)
-    assert "finished and kept: the same command goes on" in said
+    assert "finished and stored; repeat the command to continue" in said
     assert "Traceback" not in said
     before, _ = results_folder.read(out)
     assert 0 < len(before) < 5
@@ -68,7 +68,7 @@ def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp
 
     again = called("fleet", phones, "--out", out, "--workers", 1)
     assert (again.returncode, again.stderr) == (0, "")
-    assert f"5 recordings, {len(before)} of them finished before" in again.stdout
+    assert f"5 recordings, {len(before)} of them already done" in again.stdout
     assert again.stdout.count("Spoilt/phone-0000/recording.csv:3: column 'ax' holds nan") == 1
     rows, _ = results_folder.read(out)
     assert [row["status"] for row in rows].count("calibrated") == 4

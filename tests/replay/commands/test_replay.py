@@ -129,7 +129,7 @@ def test_degrees_for_radians_are_recognised(tmp_path: Path, run: Run, lab: Path)
         (["replay", "lab", "--gravity", "98"], "gravity"),
         (["replay", "lab", "--json", "no/folder/c.json"], "no/folder"),
         (["replay", "lab", "--store", "no/folder/s.json"], "no/folder"),
-        (["apply", "lab", "--store", "none.json", "--out", "out.csv"], "none.json: holds no calibration"),
+        (["apply", "lab", "--store", "none.json", "--out", "out.csv"], "none.json: has no calibration"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_a_line(

@@ -70,8 +70,8 @@ def test_a_signal_takes_the_phone_and_its_link_away(folder: Path, number: signal
     [
         ([], "either --out"),
         (["--serial", "--out", "a.csv"], "either --out"),
-        (["--out", "a.csv", "--speed", "1"], "for --serial"),
-        (["--out", "a.csv", "--port", "b"], "for --serial"),
+        (["--out", "a.csv", "--speed", "1"], "need --serial"),
+        (["--out", "a.csv", "--port", "b"], "need --serial"),
         (["--serial", "--port", "taken"], "another path"),
     ],
 )

@@ -68,7 +68,7 @@ def recording(folder: Path, samples: Samples) -> Path:
         (("covariance", 0, 0), 0.0, "its variance of b_x is 0"),
         (("covariance", 0, 1), 0.1, "not symmetric"),
         (("covariance", 8), [0.0] * 3, "not 9 by 9"),
-        (("sd", 0), -0.4, "its sd are not those"),
+        (("sd", 0), -0.4, "its standard deviations do not agree"),
         (("scatter",), -0.01, "its scatter is -0.01"),
         (("devices",), -4, "-4 devices"),
         (("names",), ["b_x"] * 9, "its parameters are b_x"),
@@ -93,9 +93,9 @@ def test_spreads_that_no_sensor_can_have_together_are_refused(tmp_path: Path) ->
 
 def test_a_prior_not_finite_and_another_schema_are_refused(tmp_path: Path) -> None:
     path = written(tmp_path, spoilt(("mean", 0), float("nan")))
-    with pytest.raises(TraceError, match=r"no fleet's report: .*; make one"):
+    with pytest.raises(TraceError, match=r"not a report of stillcal fleet-report: .*; make one"):
         read_prior(path)
-    with pytest.raises(TraceError, match="schema 2, where 1 is known"):
+    with pytest.raises(TraceError, match="its schema is 2, but only 1 can be read"):
         read_prior(written(tmp_path, prior_document(PRIOR), schema=2))
 
 

@@ -59,5 +59,5 @@ def test_nothing_there_is_said(tmp_path: Path) -> None:
         find(str(tmp_path))
     with pytest.raises(NoRecordingsError, match="no file or folder"):
         find(str(tmp_path / "nowhere"))
-    with pytest.raises(NoRecordingsError, match="no file fits"):
+    with pytest.raises(NoRecordingsError, match="no file matches"):
         find(f"{tmp_path}/*.csv")

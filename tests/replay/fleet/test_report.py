@@ -98,5 +98,5 @@ def test_a_new_phone_is_calibrated_from_its_first_minutes(phones: Path, tmp_path
 
 def test_what_is_no_report_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "store.json").write_text("{}")
-    with pytest.raises(TraceError, match="no fleet's report"):
+    with pytest.raises(TraceError, match="not a report of stillcal fleet-report"):
         read_prior(tmp_path / "store.json")

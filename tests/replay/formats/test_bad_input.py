@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -185,3 +186,13 @@ def test_any_damage_gives_samples_or_a_trace_error(
     else:
         assert np.isfinite(recording.accelerometer.xyz).all()
         assert (np.diff(recording.accelerometer.t) > 0).all()
+
+
+def test_a_pipe_is_refused_with_what_to_do() -> None:
+    reading, writing = os.pipe()
+    try:
+        with pytest.raises(TraceError, match="cannot read from a pipe; save the recording as a file first"):
+            read_all(f"/dev/fd/{reading}")
+    finally:
+        os.close(reading)
+        os.close(writing)

@@ -77,7 +77,7 @@ def test_one_page_says_all_and_needs_nothing_else(recording: Maker, written: Wri
 def test_a_legend_lies_on_no_curve_however_it_runs() -> None:
     """Three curves that fill all of the axes; the legend is beyond them and still within the figure."""
     with drawing() as (figure, axes, _):
-        for label in ("recorded", "left after it", "held out: from the other fifths"):
+        for label in ("recorded", "residual", "cross-validated prediction"):
             axes.plot([0.0, 1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0], label=label)
     legend = axes.get_legend()
     assert legend is not None
@@ -135,10 +135,11 @@ def test_a_recording_without_stillness_is_not_called_adequate_without_a_word(rec
     samples = Samples.checked(Sensor.ACCELEROMETER, t, turning)
     answer = diagnose_recording(Recording(samples, None, [], real.claims, []), "shaken.csv")
     assert any("never lies still for long enough" in text for text in answer["limits"])
-    undone = [c["what"] for c in answer["checked"] if not c["done"]]
-    assert "slow bias at rest" in undone and "temperature" in undone
+    undone = {c["what"]: c["how"] for c in answer["checked"] if not c["done"]}
+    assert undone["slow changes of bias at rest"] == "the phone never lies still"
+    assert "temperature" in undone
     first = summary(answer)[0]
-    assert re.search(r"\d+ of \d+ checks could not be made", first)
+    assert re.search(r"Not judged: \d+ of \d+ checks need more data", first)
 
 
 def test_a_table_of_rests_is_judged_by_norms_and_says_what_it_cannot_show(tmp_path: Path) -> None:
@@ -169,7 +170,7 @@ def test_an_accelerometer_alone_has_a_page(written: Writer, tmp_path: Path) -> N
     with TraceWriter(tmp_path / "a.csv", gyroscope=False, temperature=True, claims=made.claims) as writer:
         writer.write(made.accelerometer, None, tuple(made.events))
     said = run(tmp_path / "a.csv", "--report", tmp_path / "a.html")
-    assert "no gyroscope" in said and "accel_bias_temperature" in said
+    assert "No gyroscope data" in said and "accel_bias_temperature" in said
     assert "no gyroscope was recorded" in (tmp_path / "a.html").read_text()
 
 

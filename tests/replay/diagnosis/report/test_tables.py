@@ -40,7 +40,7 @@ def test_every_number_stands_beside_its_own_interval() -> None:
     ]
     assert cells(parameters(finding(Parameter(value, pairs, "m^2")))) == wanted
     alone = finding(Parameter(4.0, [4.0, 4.0], "samples"))
-    assert cells(parameters(alone)) == [["matrix", "4", "counted", "samples"]]
+    assert cells(parameters(alone)) == [["matrix", "4", "exact", "samples"]]
 
 
 def test_what_differs_only_afterwards_is_shown_too() -> None:

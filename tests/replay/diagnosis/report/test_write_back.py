@@ -1,4 +1,4 @@
-"""What is found is written back, and a phone simulated with it cannot be told from the recorded one."""
+"""Effects found are written into a phone file; a simulation with it matches the recording."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def test_what_has_no_place_in_a_phone_file_is_a_comment(recording: Maker) -> Non
     unnamed = [m for m in case.mapped if m.effect is None]
     text = phone_text(case.phone(), case.mapped, case.diagnosis.recording)
     assert unnamed
-    assert text.count("# Not an effect here: unknown") == len(unnamed)
-    assert text.startswith("# The phone of a name, as")
+    assert text.count("# Not in this file: unknown") == len(unnamed)
+    assert text.startswith("# A phone with the errors of a name, measured")
 
 
 @pytest.mark.slow
