@@ -25,6 +25,16 @@ def test_files_that_the_page_names_are_there() -> None:
     assert [name for name in named if not (ROOT / name).is_file()] == []
 
 
+def test_every_task_is_done_where_its_page_says() -> None:
+    text = (ROOT / "docs" / "tasks.md").read_text()
+    rows = re.findall(r"^\| .+ \| `([^`]+)` \| `([^`]+)` \|$", text, flags=re.MULTILINE)
+    assert len(rows) == 10
+    assert [row for row in rows if row[1] not in (ROOT / row[0]).read_text()] == []
+    folders = "calib_core|daemon|replay|config|tests"
+    named = re.findall(rf"`((?:{folders})/[\w./]*)`", text)
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
 def test_every_package_is_installed_but_the_proofs() -> None:
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
     folders = [f for layer in ("calib_core", "daemon", "replay", "config") for f in (ROOT / layer).rglob("*")]

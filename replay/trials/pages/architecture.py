@@ -44,6 +44,9 @@ replayed from a file therefore give the same calibration, to the bit.
 """
 
 TAIL = """
+`stillcal/api.py` is the public Python interface ([api.md](api.md)), above all three layers.
+`stillcal/__init__.py` imports it when it is used, so that the daemon does not. `config` holds data files only.
+
 The commands are imported when they are called, so that the daemon, which runs for months, holds only numpy,
 pyserial, msgspec, click and asyncvarlink. `replay.studies`, `replay.real_data` and `replay.trials` prove the
 product. Only `stillcal evaluate` imports one of them, and they come with a checkout, not with the installed
@@ -53,6 +56,8 @@ Two more rules are import contracts: the simulated phone shares no formula with 
 mistake would hide in both; the examiner of the blind test shares none with the diagnosis.
 
 ## Where to begin reading
+
+For a given task, [tasks.md](tasks.md) names the place; [glossary.md](glossary.md) explains the words.
 
 - `calib_core/engine/engine.py`: `feed`, `wants`, and what follows from them.
 - `calib_core/static/detector.py`: the rests. `calib_core/accelerometer/fit.py` and
