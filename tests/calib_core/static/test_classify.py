@@ -275,11 +275,11 @@ def test_the_smallest_step_of_coarse_windows_is_kept_by_axis():
 
 
 def test_counts_are_let_in_and_halve_with_a_half_life_of_windows():
-    """At half a second a window and a half-life of 60 s, 120 windows halve what was."""
+    """At half a second a window and a half-life of 60 s, 240 windows leave a quarter of what was."""
     settings = DetectorSettings(half_life_s=60.0)
-    before = Coarseness(few=8.0, many=4.0, lsb=np.full(3, 0.5), fresh_few=90, fresh_many=30)
+    before = Coarseness(few=8.0, many=4.0, lsb=np.full(3, 0.5), fresh_few=210, fresh_many=30)
     kept = before.renewed(settings)
-    assert (kept.few, kept.many) == (pytest.approx(4.0 + 90), pytest.approx(2.0 + 30))
+    assert (kept.few, kept.many) == (pytest.approx(2.0 + 210), pytest.approx(1.0 + 30))
     assert (kept.fresh_few, kept.fresh_many) == (0, 0)
     assert np.isinf(kept.fresh_lsb).all()
 

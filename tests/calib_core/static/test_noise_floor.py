@@ -88,13 +88,13 @@ def test_what_was_learnt_is_let_in_once():
 
 
 def test_half_is_forgotten_by_a_half_life_of_windows_of_the_same_rate():
-    """At half a second a window and a half-life of 60 s, 120 windows halve what was; other rates stay."""
+    """At half a second a window and a half-life of 60 s, 240 windows leave a quarter; other rates stay."""
     settings = DetectorSettings(half_life_s=60.0)
     floor = learnt((64, 0.02), settings=settings)
     floor = learnt((10, 0.02), rate=200.0, settings=settings, floor=floor)
     assert floor.past[4].sum() == pytest.approx(64)
-    floor = learnt((120, 0.02), settings=settings, floor=floor)
-    assert floor.past[4].sum() == pytest.approx(32 + 120)
+    floor = learnt((240, 0.02), settings=settings, floor=floor)
+    assert floor.past[4].sum() == pytest.approx(16 + 240)
     assert floor.past[6].sum() == pytest.approx(10)
 
 
