@@ -1,7 +1,7 @@
-"""Rests as equations on an accelerometer's parameters: each must have gravity's norm when calibrated.
+"""Rests as equations on the accelerometer's parameters: each rest's calibrated norm must be gravity's.
 
-Grammenos et al. 2018, Eq. 4 and 5, in units of gravity so that bias and scale are of one size. Solves them
-for given rests; which rests and which parameters is decided in accelerometer.py.
+Grammenos et al. 2018, Eq. 4 and 5, in units of gravity, so that bias and scale are of one size. `solve`
+minimises Eq. 5 for given rests and parameters; which these are is decided in fit.py.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.maths import random_effects
 from stillcal.calib_core.maths.levenberg_marquardt import Damping, Residuals, minimise
+from stillcal.calib_core.static.rest import directions
 
 _IDENTITY = np.r_[np.zeros(3), np.eye(3).ravel()]
-_LEAST_SD = 1e-12  # of gravity: no rest is weighted as better known than this
+_LEAST_SD = 1e-12  # of gravity: no rest gets the weight of a smaller uncertainty, so that none is infinite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Norms:
     """Rests in units of gravity.
 
-    raw, sd: (n, 3) forces and their standard uncertainties; target: (n,) norms wanted, about 1; labels:
-    (n,) attitudes numbered from 0; matrix: (12, p) basis of the parameters that are fitted.
+    raw, sd: (n, 3) forces and their standard uncertainties. target: (n,) local gravity, about 1. labels: (n,)
+    number of each rest's attitude, from 0. matrix: (12, p) basis of the parameters that are fitted.
     """
 
     raw: Array
@@ -35,19 +35,19 @@ class Norms:
     matrix: Array
 
     def only(self, mask: NDArray[np.bool_]) -> Norms:
-        """Keep some rests, attitudes numbered anew."""
+        """Return the rests where `mask` (n,) holds, with their attitudes numbered anew."""
         labels = np.unique(self.labels[mask], return_inverse=True)[1]
         return replace(self, raw=self.raw[mask], sd=self.sd[mask], target=self.target[mask], labels=labels)
 
     def directions(self) -> Array:
         """Return the unit vectors of the attitudes, (m, 3), each the mean of its rests."""
-        sums = [np.bincount(self.labels, column) for column in observability.directions(self.raw).T]
-        return observability.directions(np.column_stack(sums))
+        sums = [np.bincount(self.labels, column) for column in directions(self.raw).T]
+        return directions(np.column_stack(sums))
 
     def residuals(self, v: Array) -> tuple[Array, Array]:
-        """Return Eq. 4 over twice the norm wanted, (n,), and its Jacobian (n, p).
+        """Return Eq. 4 divided by twice the target, (n,), and its Jacobian (n, p), at parameters v (p,).
 
-        To first order the calibrated norm less the one wanted.
+        To first order it is the calibrated norm less the target.
         """
         bias, scale = self._unpacked(v)
         shifted = np.ascontiguousarray(self.raw.T) - bias[:, None]
@@ -60,13 +60,13 @@ class Norms:
         return values, (self.matrix.T @ slopes).T
 
     def own_variances(self, v: Array) -> Array:
-        """Return each rest's own variance of its calibrated norm, (n,), through the model `v`."""
+        """Return each calibrated norm's variance by its rest's uncertainty, (n,), at parameters v (p,)."""
         bias, scale = self._unpacked(v)
-        slopes = observability.directions((self.raw - bias) @ scale.T) @ scale
+        slopes = directions((self.raw - bias) @ scale.T) @ scale
         return np.asarray(np.maximum(((slopes * self.sd) ** 2).sum(axis=1), _LEAST_SD**2))
 
     def start(self) -> Array:
-        """Return the parameters of a sensor without error, (p,)."""
+        """Return the parameters of an ideal sensor, (p,)."""
         return np.asarray(np.linalg.lstsq(self.matrix, _IDENTITY, rcond=None)[0], dtype=np.float64)
 
     def _unpacked(self, v: Array) -> tuple[Array, Array]:
@@ -76,7 +76,11 @@ class Norms:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Parameters (p,) with covariance, and the excess variances of rests (within) and attitudes (between)."""
+    """Fitted parameters in units of gravity.
+
+    v: (p,). covariance: (p, p). within, between: variance of the norm beyond the declared uncertainty,
+    between rests of one attitude and between attitudes.
+    """
 
     v: Array
     covariance: Array
@@ -86,13 +90,17 @@ class Solution:
     converged: bool
 
     def variances(self, norms: Norms) -> Array:
-        """Return each rest's variance about the model, (n,), its own and the excess."""
+        """Return each rest's variance about the model, (n,): its own and the excess."""
         return norms.own_variances(self.v) + self.within + self.between
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Weights:
-    """pooling: (m, n) means over each attitude's rests; variances: (m,) of these; the excess behind them."""
+    """How rests are weighted.
+
+    pooling: (m, n) means over the rests of each of m attitudes. variances: (m,) of these means. within,
+    between: the excess variances in them.
+    """
 
     pooling: Array
     variances: Array
@@ -105,10 +113,10 @@ class _Weights:
 
 
 def solve(norms: Norms, damping: Damping, rounds: int, start: Array | None = None) -> Solution:
-    """Minimise Eq. 5 and reweigh its terms in turn until the weights settle, `rounds` times at most.
+    """Minimise Eq. 5 and weight its terms anew, in turn, until the weights settle or `rounds` times.
 
-    Starts from a sensor without error unless told otherwise. Rests that share an attitude enter as their
-    weighted mean, so that an attitude held often does not outvote the others.
+    start: (p,); None starts from an ideal sensor. Rests that share an attitude enter as their weighted mean,
+    so that an attitude held often does not outvote the others.
     """
     v = norms.start() if start is None else start
     iterations, converged = 0, False
@@ -125,7 +133,7 @@ def solve(norms: Norms, damping: Damping, rounds: int, start: Array | None = Non
 
 
 def _weights(norms: Norms, v: Array) -> _Weights:
-    """Weigh rests by their own variance and by what they scatter besides, within attitudes and between."""
+    """Weight rests by their own variance and by the excess variances within and between attitudes."""
     residuals, jacobian = norms.residuals(v)
     own = norms.own_variances(v)
     within = random_effects.within_variance(residuals, norms.labels, own)
@@ -143,6 +151,8 @@ def pooling(labels: NDArray[np.intp], weights: Array) -> Array:
 
 
 def _whitened(norms: Norms, whitening: Array) -> Residuals:
+    """Return the weighted residuals of Eq. 5 as a function of the parameters."""
+
     def residuals(v: Array) -> tuple[Array, Array]:
         values, jacobian = norms.residuals(v)
         return whitening @ values, whitening @ jacobian

@@ -1,9 +1,9 @@
 """Accelerometer calibration from rests whose attitudes nobody knows (Grammenos et al. 2018, 4.2).
 
 calibrated = scale @ (raw - bias) such that every rest has gravity's norm. The cost is that of Eq. 5, each
-squared-norm difference weighted by its rest's own uncertainty and by what rests are found to scatter
-besides; the steps are Eq. 6-8 (damped.py). Rests that share an attitude count once together. Which model
-the attitudes support is judged in attitudes.py; known attitudes are fitted in sixface.py.
+squared-norm difference weighted by its rest's own uncertainty and by the scatter of rests beyond it. The
+steps are Eq. 6-8 (maths/levenberg_marquardt.py). Rests that share an attitude count once together. Which
+model the attitudes support is judged in observability.py; known attitudes are fitted in known_attitudes.py.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from stillcal.calib_core.maths import random_effects
 from stillcal.calib_core.maths.levenberg_marquardt import Damping
 from stillcal.calib_core.maths.student_t import quantile
 from stillcal.calib_core.model import SensorModel
-from stillcal.calib_core.static.rest import attitude_labels
+from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 
 
 @dataclass(frozen=True, slots=True)
 class AccelerometerSettings:
-    """What a fit asks of its rests, and how it proceeds.
+    """What a fit requires of its rests, and how it proceeds.
 
-    damping: of the Gauss-Newton steps. attitude_angle: rad, rests nearer than this share an attitude.
-    max_amplification: the calibrated norm may be known, along the worst direction, this many times worse
-    than one rest is measured. The default sets what an omitted 1 % of cross-axis sensitivity costs (a
-    phone's MEMS datasheet figure; half of it, 0.05 m/s^2, along the worst direction) against the 0.01 m/s^2
-    by which a phone's rests scatter: beyond it, leaving the cross-axis terms out does less harm.
-    max_norm_sd: m/s^2, the same cost as a bound on the outcome. spare_attitudes: how many more than
-    parameters "auto" wants before it takes more than 6, so that the fit can be checked at all.
-    outlier_level: chance of dropping any rest where none is bad; 0 drops none. max_outliers: most rests
-    dropped, as a fraction. max_bias: m/s^2 and max_scale_error: beyond these it is not a phone's
-    accelerometer. rounds: of reweighting.
+    damping: of the Gauss-Newton steps. attitude_angle: rad, rests closer than this share an attitude.
+    max_amplification: along the worst direction, the calibrated norm may be known this many times worse than
+    one rest is measured. The default is the ratio of what an omitted 1 % of cross-axis sensitivity costs (a
+    phone's MEMS datasheet figure; half of it, 0.05 m/s^2, along the worst direction) to the 0.01 m/s^2 by
+    which a phone's rests scatter: beyond it, leaving the cross-axis terms out does less harm. max_norm_sd:
+    m/s^2, the same cost as a bound on the result. spare_attitudes: "auto" takes more than 6 parameters only
+    with this many more attitudes than parameters, so that the fit can be checked at all. outlier_level:
+    probability of dropping any rest where none is bad; 0 drops none. max_outliers: largest fraction of rests
+    dropped. max_bias, m/s^2, and max_scale_error: a fit beyond these is refused, as of no phone's
+    accelerometer. rounds: of weighting anew.
     """
 
     damping: Damping = field(default_factory=Damping)
-    attitude_angle: float = 0.0872665  # 5 degrees
+    attitude_angle: float = ATTITUDE_ANGLE
     max_amplification: float = 5.0
     max_norm_sd: float = 0.05
     spare_attitudes: int = 1
@@ -72,7 +72,7 @@ class AccelerometerSettings:
 
 
 class AttitudesMissing(NotSupported):
-    """The attitudes do not support the model. attitudes: those to add, with their unit directions."""
+    """Refusal of a fit because the attitudes do not support the model; attitudes: those to add."""
 
     def __init__(self, reason: str, wanted: tuple[Attitude, ...]) -> None:
         super().__init__(reason, [a.words for a in wanted])
@@ -81,7 +81,10 @@ class AttitudesMissing(NotSupported):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """One model to be fitted. least: distinct attitudes wanted; local: (n,) gravity, m/s^2."""
+    """One model to be fitted to rests.
+
+    least: number of distinct attitudes required. local: (n,) gravity of each rest's place, m/s^2.
+    """
 
     norms: Norms
     parameters: int
@@ -93,7 +96,7 @@ class Task:
 
     @property
     def g(self) -> float:
-        """The unit of `norms`, m/s^2."""
+        """The unit of `norms`: mean gravity, m/s^2."""
         return float(self.local.mean())
 
     def supported_by(self, rests: Norms, least: int) -> bool:
@@ -137,6 +140,7 @@ def task_of(  # noqa: PLR0917 - `fit`'s own arguments, in its order
 
 
 def _check_arrays(raw: Array, sd: Array) -> None:
+    """Raise ValueError on forces or uncertainties of wrong shape or value."""
     if raw.ndim != 2 or raw.shape[1] != 3:
         raise ValueError(f"forces have shape {raw.shape}: expected (n, 3)")
     if sd.shape != raw.shape:
@@ -146,6 +150,7 @@ def _check_arrays(raw: Array, sd: Array) -> None:
 
 
 def _check_unit(raw: Array, gravity: float) -> None:
+    """Raise NotSupported where forces seem to be multiples of g instead of m/s^2."""
     norm = float(np.median(np.linalg.norm(raw, axis=1)))
     if 0.5 < norm < 2.0 < gravity:
         reason = f"the forces' norm is about {norm:.2f}: these look like multiples of g, not m/s^2"
@@ -173,19 +178,20 @@ def fit(
     """Fit bias and scale to rests of unknown attitude.
 
     forces: (n, 3) mean raw specific forces, m/s^2. uncertainties: (n, 3) standard uncertainties, or None to
-    weigh all rests alike. gravity: m/s^2, one value or (n,) where the place changed; gravity_uncertainty:
+    weight all rests equally. gravity: m/s^2, one value or (n,) where the place changed. gravity_uncertainty:
     its standard uncertainty, common to all rests. parameters: "auto" takes the largest model that the
-    attitudes support. Raises AttitudesMissing (a NotSupported) where they do not support it, or not even 6;
-    NotSupported where the outcome is no phone's accelerometer; ValueError on arrays that do not fit.
+    attitudes support. form: of a 9-parameter scale, see parameters.py. Raises AttitudesMissing (a
+    NotSupported) where the attitudes do not support the model, or not even 6 parameters; NotSupported where
+    the result cannot be a phone's accelerometer; ValueError on arrays of wrong shape or value.
 
     A sensor with bias and 1 % of scale in eighteen attitudes:
 
     >>> up = observability.places()[:18]
     >>> raw = 9.81 * up @ np.diag([1 / 1.01, 1.0, 1 / 0.99]) + [0.3, -0.2, 0.1]
-    >>> found = fit(raw, None, gravity=9.81)
-    >>> found.parameters, found.model.bias.round(6).tolist()
+    >>> result = fit(raw, None, gravity=9.81)
+    >>> result.parameters, result.model.bias.round(6).tolist()
     (9, [0.3, -0.2, 0.1])
-    >>> np.diag(found.model.scale).round(6).tolist()
+    >>> np.diag(result.model.scale).round(6).tolist()
     [1.01, 1.0, 0.99]
     """
     if parameters != "auto":
@@ -202,33 +208,38 @@ def _fit(task: Task) -> AccelerometerFit:
     _require_support(task)
     used, solution = _robust(task)
     _require_plausible(task, solution)
-    found = _report(task, solution, used)
-    worst, limit = found.worst_norm_uncertainty, task.settings.max_norm_sd
+    result = _result(task, solution, used)
+    worst, limit = result.worst_norm_uncertainty, task.settings.max_norm_sd
     if worst > limit:
         wanted = observability.most_helpful_attitude(task.norms.only(used).directions(), task.parameters)
-        reason = f"{task.parameters} parameters would leave {worst:.2g} m/s^2 open along the worst direction"
+        reason = (
+            f"{task.parameters} parameters would leave {worst:.2g} m/s^2 uncertain along the worst direction"
+        )
         raise AttitudesMissing(f"{reason}, more than {limit:g}", (wanted,))
-    return found
+    return result
 
 
 def _require_support(task: Task) -> None:
+    """Raise AttitudesMissing where the attitudes do not support the model."""
     if task.supported_by(task.norms, task.least):
         return
     up, limit = task.norms.directions(), task.settings.max_amplification
     reason = f"{len(up)} distinct attitudes do not support {task.parameters} parameters"
     if len(up) >= task.least:
         worst = observability.amplification(up, task.parameters)
-        reason += f": the worst direction would be known {worst:.3g} times worse than a rest measures it"
-        reason += f", the limit is {limit:g}"
+        reason += (
+            f": they are too similar (uncertainty along the worst direction {worst:.3g} times that of a rest,"
+        )
+        reason += f" limit {limit:g})"
     wanted = observability.missing_attitudes(up, task.parameters, limit, task.least)
     raise AttitudesMissing(reason, wanted)
 
 
 def _robust(task: Task) -> tuple[NDArray[np.bool_], Solution]:
-    """Fit, drop what does not belong as long as the model stays supported, and fit again."""
+    """Fit, drop outliers as long as the model stays supported, and fit again."""
     damping, rounds = task.settings.damping, task.settings.rounds
     solution = solve(task.norms, damping, rounds)
-    used = _without(task, _suspects(task, solution))
+    used = _without(task, _outliers(task, solution))
     if used.all():
         return used, solution
     solution = solve(task.norms.only(used), damping, rounds, solution.v)
@@ -238,11 +249,11 @@ def _robust(task: Task) -> tuple[NDArray[np.bool_], Solution]:
     return again, solve(task.norms.only(again), damping, rounds, solution.v)
 
 
-def _suspects(task: Task, solution: Solution) -> list[int]:
-    """Return the rests that do not belong, worst first.
+def _outliers(task: Task, solution: Solution) -> list[int]:
+    """Return the rows of outlying rests, worst first.
 
-    Where the attitudes determine nine parameters, a rest that nine would explain is not a bad one, though
-    six be fitted: what a smaller model leaves over is its own want, not the rest's.
+    Where the attitudes determine nine parameters, a rest that nine would explain is no outlier even if six
+    are fitted: its residual comes from the smaller model, not from the rest.
     """
     if task.settings.outlier_level == 0.0:
         return []
@@ -256,7 +267,7 @@ def _suspects(task: Task, solution: Solution) -> list[int]:
 
 
 def _without(task: Task, rows: list[int]) -> NDArray[np.bool_]:
-    """Drop rows, worst first, each only if what is left still supports the model."""
+    """Return which rests to use, (n,), without `rows`, worst first, as far as the model stays supported."""
     used = np.ones(len(task.local), dtype=bool)
     for row in rows:
         used[row] = False
@@ -266,7 +277,7 @@ def _without(task: Task, rows: list[int]) -> NDArray[np.bool_]:
 
 
 def _explained(task: Task, solution: Solution, fitted: int) -> NDArray[np.bool_]:
-    """Tell which rests the fitted ones explain, given the scatter that these show among themselves."""
+    """Tell which rests, (n,), the fitted ones explain, given the scatter that those show."""
     residuals, jacobian = task.norms.residuals(solution.v)
     predicted = np.einsum("ij,jk,ik->i", jacobian, solution.covariance, jacobian)
     free = max(fitted - jacobian.shape[1], 1)
@@ -276,6 +287,7 @@ def _explained(task: Task, solution: Solution, fitted: int) -> NDArray[np.bool_]
 
 
 def _require_plausible(task: Task, solution: Solution) -> None:
+    """Raise NotSupported where the fit did not converge or cannot be a phone's accelerometer."""
     settings = task.settings
     model = _model(task, solution)
     bias = float(np.abs(model.bias).max())
@@ -283,7 +295,9 @@ def _require_plausible(task: Task, solution: Solution) -> None:
     if not solution.converged:
         raise NotSupported("the fit did not converge", ["rests in more attitudes"])
     if bias > settings.max_bias or error > settings.max_scale_error:
-        reason = f"no phone's accelerometer: a bias of {bias:.2g} m/s^2 and a scale off by {error:.0%}"
+        reason = (
+            f"this is no phone's accelerometer: a bias of {bias:.2g} m/s^2 and a scale off by {error:.0%}"
+        )
         raise NotSupported(reason, ["rests, in m/s^2, of a phone that lies still"])
 
 
@@ -300,31 +314,31 @@ def _covariance(task: Task, solution: Solution) -> Array:
 
 
 def _degrees_of_freedom(solution: Solution, rests: int, states: int) -> float:
-    """Return on how many degrees of freedom the covariance rests; see AccelerometerFit."""
+    """Return the degrees of freedom of the covariance; see AccelerometerFit."""
     if solution.between > 0.0:
         return float(states - len(solution.v))
     return float(rests - states) if solution.within > 0.0 else float("inf")
 
 
-def _report(task: Task, solution: Solution, used: NDArray[np.bool_]) -> AccelerometerFit:
-    """Put a solution in m/s^2 and beside it what a reader needs to judge it."""
-    model, kept = _model(task, solution), task.norms.only(used)
+def _result(task: Task, solution: Solution, used: NDArray[np.bool_]) -> AccelerometerFit:
+    """Return a solution in m/s^2, with what is needed to judge it."""
+    model, fitted = _model(task, solution), task.norms.only(used)
     residuals = np.linalg.norm(model.apply(task.g * task.norms.raw), axis=1) - task.local
-    states = int(kept.labels.max()) + 1
+    states = int(fitted.labels.max()) + 1
     return AccelerometerFit(
         model=model,
         parameters=task.parameters,
         form=task.form,
         names=names(task.parameters, task.form),
         covariance=_covariance(task, solution),
-        degrees_of_freedom=_degrees_of_freedom(solution, len(kept.raw), states),
-        coverage=observability.coverage(kept.directions(), task.parameters, task.form),
+        degrees_of_freedom=_degrees_of_freedom(solution, len(fitted.raw), states),
+        coverage=observability.coverage(fitted.directions(), task.parameters, task.form),
         residuals=frozen(residuals),
         rms_residual=float(np.sqrt(np.mean(residuals**2))),
         dropped=_dropped(residuals, used),
         n_rests=len(used),
         n_states=states,
-        repeatability=_repeatability(residuals[used], kept.labels),
+        repeatability=_repeatability(residuals[used], fitted.labels),
         excess_rest=task.g * float(np.sqrt(solution.within)),
         excess_attitude=task.g * float(np.sqrt(solution.between)),
         gravity=task.g,
@@ -334,7 +348,7 @@ def _report(task: Task, solution: Solution, used: NDArray[np.bool_]) -> Accelero
 
 
 def _repeatability(residuals: Array, labels: NDArray[np.intp]) -> float | None:
-    """Return the sd of norms within an attitude, pooled over those held more than once; None without."""
+    """Return the standard deviation of norms within attitudes, m/s^2; None where none was held twice."""
     if labels.size == np.unique(labels).size:
         return None
     return float(np.sqrt(random_effects.within_variance(residuals, labels, np.zeros(labels.size))))

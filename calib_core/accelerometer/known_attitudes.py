@@ -23,6 +23,7 @@ from stillcal.calib_core.accelerometer.observability import describe
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.static.rest import directions
 
 FACE_DIRECTIONS = np.vstack([sign * np.eye(3)[k] for k in range(3) for sign in (-1.0, 1.0)])
 """(6, 3): -x, +x, -y, +y, -z, +z, the paper's order of a(1) to a(6) (3.3.1)."""
@@ -30,10 +31,10 @@ FACE_DIRECTIONS = np.vstack([sign * np.eye(3)[k] for k in range(3) for sign in (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownFit:
-    """A fit of raw = X a + y. X: (3, 3); y: (3,) m/s^2.
+    """A fit of raw = X a + y.
 
-    covariance: (12, 12) of X row by row and y, from residuals, None where four attitudes leave none.
-    residuals: (n, 3) raw less model, m/s^2.
+    X: (3, 3). y: (3,) m/s^2. covariance: (12, 12) of X, row by row, and y, from the residuals; None where
+    four attitudes leave no residuals. residuals: (n, 3) raw less model, m/s^2.
     """
 
     X: Array
@@ -43,7 +44,7 @@ class KnownFit:
 
     @property
     def model(self) -> SensorModel:
-        """Eq. 20: calibrated = X^-1 (raw - y)."""
+        """The correction, Eq. 20: calibrated = X^-1 (raw - y)."""
         return SensorModel.of(np.linalg.inv(self.X), self.y)
 
 
@@ -59,14 +60,14 @@ def fit_known(forces: ArrayLike, truth: ArrayLike) -> KnownFit:
     design = np.column_stack((known / unit, np.ones(len(known))))
     if np.linalg.matrix_rank(design, tol=1e-6 * np.sqrt(max(len(design), 1))) < 4:
         raise NotSupported("the known attitudes lie in one plane", ["faces on every side of the phone"])
-    found = np.linalg.lstsq(design, raw, rcond=None)[0]
-    residuals = raw - design @ found
-    x = found[:3].T / unit
-    return KnownFit(frozen(x), frozen(found[3]), _covariance(design, residuals, unit), frozen(residuals))
+    solution = np.linalg.lstsq(design, raw, rcond=None)[0]
+    residuals = raw - design @ solution
+    x = solution[:3].T / unit
+    return KnownFit(frozen(x), frozen(solution[3]), _covariance(design, residuals, unit), frozen(residuals))
 
 
 def six_faces(forces: ArrayLike, gravity: float) -> KnownFit:
-    """Return the closed form for the six faces (3.3.1); rows in the order of FACE_DIRECTIONS, m/s^2."""
+    """Return the closed-form fit of the six faces (3.3.1); rows in the order of FACE_DIRECTIONS, m/s^2."""
     raw = np.asarray(forces, dtype=np.float64)
     if raw.shape != (6, 3):
         raise ValueError(f"forces have shape {raw.shape}: expected (6, 3), one row a face")
@@ -83,8 +84,7 @@ def faces_up(forces: ArrayLike, tilt: float = np.pi / 4) -> Array:
     tilt: rad, farthest from the face's own direction.
     """
     raw = np.asarray(forces, dtype=np.float64)
-    unit = raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-12)
-    cosines = unit @ FACE_DIRECTIONS.T
+    cosines = directions(raw) @ FACE_DIRECTIONS.T
     return np.where(cosines.max(axis=1) >= np.cos(tilt), cosines.argmax(axis=1), -1)
 
 
@@ -94,7 +94,7 @@ def missing_faces(up: Array) -> tuple[str, ...]:
 
 
 def _covariance(design: Array, residuals: Array, unit: float) -> Array | None:
-    """Pooled over the three axes, as one noise; order X row by row, then y."""
+    """Return the covariance of X, row by row, and y, (12, 12), by one noise pooled over the three axes."""
     free = 3 * (len(design) - 4)
     if free == 0:
         return None
@@ -106,24 +106,25 @@ def _covariance(design: Array, residuals: Array, unit: float) -> Array | None:
 
 
 class Method(StrEnum):
-    """How a phone's faces were turned into a model."""
+    """How a model was fitted to a phone's faces."""
 
     KNOWN_FACES = "approach 2"
     SIX_PARAMETERS = "6 parameters"
 
 
 class Broken(NotSupported):
-    """The sensor itself does not work; no further rest would help."""
+    """Refusal because the sensor itself does not work; no further rest would help."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaceSettings:
-    """What is asked of faces.
+    """What is required of faces.
 
-    max_off_axis: rad, a rest farther than this from every face is none. max_norm_error: fraction of g beyond
-    which the sensor is broken. max_spread: m/s^2, samples that scatter more were not at rest. max_tilt: rad,
-    rms irregularity of the faces beyond which they are not known well enough: half of it would pass for
-    cross-axis sensitivity, and half a percent of that is what leaving it out costs (1 % in datasheets).
+    max_off_axis: rad, a rest farther than this from every face is not used. max_norm_error: fraction of g
+    beyond which the sensor counts as broken. max_spread: m/s^2, a recording with a larger standard deviation
+    was not at rest. max_tilt: rad, root mean square irregularity of the faces beyond which they do not count
+    as known: half of it would pass for cross-axis sensitivity, and half a percent of that is what leaving it
+    out costs (1 % in datasheets).
     """
 
     max_off_axis: float = 0.5
@@ -146,8 +147,8 @@ class FaceSettings:
 class FaceCalibration:
     """A phone calibrated from its faces.
 
-    faces: number of rests used. tilt: rad, rms of what approach 2 leaves over: opposite faces that are not
-    opposite. rms_residual: m/s^2, of the norm; nothing is left of it by 6 parameters from 6 faces.
+    faces: number of rests used. tilt: rad, root mean square residual of approach 2 as an angle, by which
+    opposite faces are not opposite. rms_residual: m/s^2, of the norm; 0 for 6 parameters from 6 faces.
     """
 
     model: SensorModel
@@ -163,8 +164,9 @@ _DEFAULT = FaceSettings()
 def calibrate_faces(
     forces: Array, spreads: Array, uncertainties: Array, gravity: float, settings: FaceSettings = _DEFAULT
 ) -> FaceCalibration:
-    """Calibrate from mean raw forces (n, 3) of faces, m/s^2, with the sd of their samples and of the means.
+    """Calibrate from mean raw forces of faces, (n, 3) m/s^2.
 
+    spreads: (n, 3) standard deviation of the samples. uncertainties: (n, 3) of the means. gravity: m/s^2.
     Raises Broken where the sensor does not work; NotSupported where a face is missing, naming it.
     """
     _require_working(forces, spreads, gravity, settings)
@@ -190,18 +192,19 @@ def calibrate_faces(
 
 
 def _six_parameters(forces: Array, uncertainties: Array, gravity: float) -> SensorModel:
+    """Fit bias and scale factors to norms alone."""
     settings = AccelerometerSettings()
     return accelerometer.fit(forces, uncertainties, gravity, parameters=6, settings=settings).model
 
 
 def _tilt(known: KnownFit, gravity: float) -> float:
-    """Return the rms of what the linear model leaves over, as an angle; two axes of each face show tilt."""
+    """Return the rms residual of the linear model as an angle, rad; two axes of each face show tilt."""
     free = max(2 * (len(known.residuals) - 4), 1)
     return float(np.sqrt((known.residuals**2).sum() / free) / gravity)
 
 
 def _require_working(forces: Array, spreads: Array, gravity: float, settings: FaceSettings) -> None:
-    """Raise Broken for a sensor that repeats one value, does not follow gravity, or is far off its size."""
+    """Raise Broken for a sensor that repeats one value or whose norm is far off gravity."""
     frozen_rows = np.flatnonzero((spreads == 0.0).all(axis=1))
     if frozen_rows.size:
         raise Broken(

@@ -1,9 +1,9 @@
-"""What a set of attitudes can tell about an accelerometer, and which one to add, in words.
+"""The observability of an accelerometer's parameters from a set of attitudes, and which attitude to add.
 
-Judged from directions alone, before and apart from any fit: each attitude counts as one rest of unit
-noise. The measure is that of G-optimal design (Kiefer and Wolfowitz 1960): the standard error that a fit
-to these attitudes would leave on the norm of a force along the worst direction of the sphere, in units of
-one rest's noise. At or below one no direction is extrapolated to; many means that some are.
+It is judged from directions alone, before and apart from any fit: each attitude counts as one rest of unit
+noise. The measure, called amplification, is that of G-optimal design (Kiefer and Wolfowitz 1960): the
+standard error that a fit to these attitudes would leave in the norm of a force along the worst direction of
+the sphere, in units of one rest's noise. At 1 or below no direction is extrapolated to.
 
 Axes are Android's: x to the right, y to the top, z out of the screen; the axis that points up reads +g.
 """
@@ -26,14 +26,17 @@ FACES = (
 )
 """How a phone lies when +x or -x, +y or -y, +z or -z points up."""
 
-_RIDGE = 1e-6  # of one rest: makes the ranking of candidates finite where nothing is known yet
-_SINGULAR = 1e-9  # least eigenvalue of the information, of the largest, that still counts as known
-_MOST_MISSING = 9  # no model needs more than nine attitudes to be added to none
+_RIDGE = 1e-6  # information, in rests, that makes the ranking of candidates finite before the first rest
+_SINGULAR = 1e-9  # eigenvalues of the information below this part of the largest are rounding errors
+_MOST_MISSING = 9  # attitudes proposed at most: nine suffice for any model even where there are none yet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attitude:
-    """A way to lay the phone. up: (3,) unit vector, body axes, that points up. words: for a person."""
+    """A way to lay the phone.
+
+    up: (3,) unit vector in body axes that points up. words: the attitude in words; part of stored records.
+    """
 
     up: Array
     words: str
@@ -41,13 +44,13 @@ class Attitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """What attitudes support. Directions are raw, which is near enough.
+    """What a set of attitudes supports. Directions are those of raw forces, which is close enough.
 
-    parameters, names: of the model asked about; n_attitudes: distinct ones. amplification: standard error of
-    the calibrated norm along the worst direction over one rest's noise, infinite where a parameter is not
-    determined. observability: (p,) for each parameter, its standard error from as many evenly spread
-    attitudes over that from these: 1 is as good as evenly spread, 0 not observed. unobservable: what no rest
-    can show. weakest: the attitude that would help most.
+    parameters, names: of the model asked about. n_attitudes: number of distinct attitudes. amplification:
+    standard error of the calibrated norm along the worst direction over one rest's noise, infinite where a
+    parameter is not determined. observability: (p,) for each parameter, its standard error from as many
+    evenly spread attitudes over that from these: 1 is as good as evenly spread, 0 is not observed.
+    unobservable: what no rest can show. weakest: the attitude that would help most.
     """
 
     parameters: int
@@ -60,7 +63,7 @@ class Coverage:
 
 
 def describe(up: Array) -> str:
-    """Say in words how to lay a phone so that `up` (3,), body axes, points up; to the nearest eighth turn.
+    """Say in words how to lay a phone so that `up` (3,), body axes, points up, to the nearest 45 degrees.
 
     >>> describe(np.array([9.7, 0.3, -0.2]))
     'lay it on its left edge (x axis up)'
@@ -73,15 +76,10 @@ def describe(up: Array) -> str:
     return f"prop it up halfway between {', '.join(faces[:-1])} and {faces[-1]}"
 
 
-def directions(forces: Array) -> Array:
-    """Return the unit vectors of raw forces (n, 3)."""
-    return np.asarray(forces / np.maximum(np.linalg.norm(forces, axis=1, keepdims=True), 1e-12))
-
-
 def coverage(up: Array, parameters: int = 9, form: Form = "symmetric") -> Coverage:
-    """Judge distinct attitudes, unit vectors (n, 3), for a model of 6, 9 or 12 parameters.
+    """Return what distinct attitudes, unit vectors (n, 3), support of a model of 6, 9 or 12 parameters.
 
-    Of 12 parameters gravity alone shows 9; the other three are one rotation common to all axes.
+    Gravity alone shows 9 of 12 parameters; the other three are one rotation common to all axes.
     """
     information = _information(up, parameters)
     return Coverage(
@@ -96,7 +94,7 @@ def coverage(up: Array, parameters: int = 9, form: Form = "symmetric") -> Covera
 
 
 def amplification(up: Array, parameters: int = 9) -> float:
-    """Return the worst standard error of a calibrated norm over one rest's noise; see Coverage."""
+    """Return the worst standard error of a calibrated norm over one rest's noise, inf where undetermined."""
     information = _information(up, parameters)
     if not _determined(information):
         return float("inf")
@@ -104,7 +102,7 @@ def amplification(up: Array, parameters: int = 9) -> float:
 
 
 def most_helpful_attitude(up: Array, parameters: int = 9) -> Attitude:
-    """Return the attitude to add to distinct ones `up` (n, 3), which may be none.
+    """Return the attitude to add to distinct ones `up`, unit vectors (n, 3); n may be 0.
 
     >>> all_but_one_face = np.delete(places()[:6], 0, axis=0)
     >>> most_helpful_attitude(all_but_one_face, parameters=6).words
@@ -114,40 +112,45 @@ def most_helpful_attitude(up: Array, parameters: int = 9) -> Attitude:
 
 
 def missing_attitudes(up: Array, parameters: int, limit: float, least: int = 0) -> tuple[Attitude, ...]:
-    """Return attitudes to add until `amplification` is within `limit`, most helpful first.
+    """Return the attitudes to add until `amplification` is within `limit`, most helpful first.
 
-    least: number of distinct attitudes needed besides. Empty where nothing is missing.
+    up: unit vectors (n, 3). least: number of distinct attitudes required. Empty where nothing is missing.
     """
-    found: list[Attitude] = []
-    held = up
-    while len(found) < _MOST_MISSING and (len(held) < least or amplification(held, parameters) > limit):
-        found.append(most_helpful_attitude(held, parameters))
-        held = np.vstack((held, found[-1].up))
-    return tuple(found)
+    wanted: list[Attitude] = []
+    with_wanted = up
+    while len(wanted) < _MOST_MISSING and (
+        len(with_wanted) < least or amplification(with_wanted, parameters) > limit
+    ):
+        wanted.append(most_helpful_attitude(with_wanted, parameters))
+        with_wanted = np.vstack((with_wanted, wanted[-1].up))
+    return tuple(wanted)
 
 
 def _gauge(parameters: int) -> Array:
-    """Return the basis of what rests can show: a symmetric scale stands for all its rotations."""
+    """Return the basis (12, p) of what rests can show: a symmetric scale stands for all its rotations."""
     return basis(min(parameters, 9))
 
 
 def _information(up: Array, parameters: int) -> Array:
+    """Return the information of unit rests along directions, (p, p)."""
     rows = norm_rows(np.reshape(up, (-1, 3)), _gauge(parameters))
     return np.asarray(rows.T @ rows)
 
 
 def _determined(information: Array) -> bool:
+    """Tell whether the information determines every parameter."""
     eigenvalues = np.linalg.eigvalsh(information)
     return bool(eigenvalues[0] > _SINGULAR * eigenvalues[-1])
 
 
 def _variances(candidates: Array, information: Array, parameters: int) -> Array:
+    """Return the variance of the calibrated norm along candidate directions, (n,)."""
     rows = norm_rows(candidates, _gauge(parameters))
     return np.asarray(np.einsum("ij,ij->i", rows, np.linalg.solve(information, rows.T).T))
 
 
 def _weakest(information: Array, parameters: int) -> Attitude:
-    """Return the named place of largest predicted variance: adding it shrinks the covariance most."""
+    """Return the named attitude of largest predicted variance: adding it shrinks the covariance most."""
     eased = information + _RIDGE * np.eye(len(information))
     variances = _variances(places(), eased, parameters)
     first = int(np.argmax(variances >= 0.999 * variances.max()))
@@ -155,6 +158,7 @@ def _weakest(information: Array, parameters: int) -> Attitude:
 
 
 def _observability(up: Array, parameters: int, form: Form) -> Array:
+    """Return each parameter's observability, (p,); see Coverage."""
     if parameters == 12:
         # in the symmetric gauge entries (i, j) and (j, i) are one number
         entries = np.abs(basis(12).T @ basis(9)).argmax(axis=1)
@@ -170,7 +174,7 @@ def _observability(up: Array, parameters: int, form: Form) -> Array:
 
 
 def _even_moments(matrix: Array) -> Array:
-    """Mean of the information over the sphere, by the 14-point rule exact to degree 5 (McLaren 1963)."""
+    """Return the mean information over the sphere, by the 14-point rule exact to degree 5 (McLaren 1963)."""
     cube = places()
     faces, corners = cube[:6], cube[18:]
     weights = np.r_[np.full(6, 1 / 15), np.full(8, 3 / 40)]

@@ -1,9 +1,9 @@
 """The 6, 9 and 12 parameters of an accelerometer, as linear maps onto (bias, scale).
 
 Every model here is calibrated = scale @ (raw - bias) (Grammenos et al. 2018, Eq. 2); they differ in what
-they let `scale` be, and each choice is a linear subspace of its nine entries. So one Jacobian, that of all
-twelve, serves every model: multiply it by `basis`. Lengths are in units of gravity, so that bias and scale
-are of one size. No fitting here.
+they let `scale` be, and each choice is a linear subspace of its nine entries. The Jacobian of all twelve
+parameters times `basis` therefore serves every model. Forces are in units of gravity, so that bias and scale
+are of one size.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def basis(parameters: int, form: Form = "symmetric") -> Array:
 
 
 def norm_rows(directions: Array, matrix: Array) -> Array:
-    """Return how the norm of a calibrated force along each unit direction follows each parameter, (n, p).
+    """Return the derivative of a calibrated force's norm along unit directions (n, 3) by parameters, (n, p).
 
-    The Jacobian of Eq. 4 over 2 g at bias 0 and scale 1, bias in units of gravity: (-u, u u^T).
+    It is the Jacobian of Eq. 4 over 2 g at bias 0 and scale 1, bias in units of gravity: (-u, u u^T).
     """
     products = directions[:, :, None] * directions[:, None, :]
     return np.hstack((-directions, products.reshape(-1, 9))) @ matrix

@@ -21,7 +21,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths.levenberg_marquardt import Damping, minimise
 from stillcal.calib_core.model import SensorModel
-from stillcal.calib_core.static.rest import attitude_labels
+from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 
 NOMINAL = np.r_[np.zeros(3), np.ones(3), np.zeros(3)]
 """Bias, diagonal and cross-axis entries of a sensor without error."""
@@ -32,7 +32,6 @@ _UNKNOWN = 1.0  # variance of what a device's fit did not estimate, far beyond a
 _ROUNDS, _SETTLED = 500, 1e-6
 _REWEIGHED = 2
 _HARDLY_EVER = 1e-6
-ATTITUDE_ANGLE = 0.0872665  # 5 degrees, as in AccelerometerSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)

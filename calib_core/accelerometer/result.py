@@ -1,6 +1,6 @@
-"""The result of an accelerometer fit, and what follows from it: intervals, uncertainty of what it corrects.
+"""The result of an accelerometer fit, with its intervals and the uncertainty of what it corrects.
 
-Grammenos et al. 2018, 4.2. No estimation here; a fit is a value that can be stored.
+Grammenos et al. 2018, 4.2. A result is a plain value; it is estimated in fit.py.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from stillcal.calib_core.model import SensorModel
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
-    """A rest left out of a fit: its row, and why."""
+    """A rest left out of a fit: its row, and the reason."""
 
     row: int
     reason: str
@@ -29,17 +29,18 @@ class Dropped:
 class AccelerometerFit:
     """An accelerometer's model with its evidence. Forces in m/s^2, scale dimensionless.
 
-    parameters: 6, 9 or 12, called `names`. form: of a 9-parameter scale; 12 parameters from gravity alone are
-    the symmetric ones, the full matrix nearest the raw axes, since any rotation of it fits as well.
-    covariance: (p, p), of rests; what gravity's own uncertainty adds is in gravity_uncertainty and is
-    put in by the methods. degrees_of_freedom: of the scatter that the covariance rests on: attitudes beyond
-    parameters where these scatter more than their rests explain, else rests beyond attitudes where rests
-    repeat worse than declared, else infinite: the declared uncertainties are taken as they are. coverage:
-    what the attitudes support. residuals: (n,) calibrated norm less gravity, of all rests; rms_residual: over
-    all of them, dropped or not. dropped: rests left out, with reasons. n_states: distinct attitudes.
-    repeatability: sd of the norm between rests of one attitude, None where none was held twice.
-    excess_rest, excess_attitude: sd beyond declared uncertainty, between rests of one attitude and between
-    attitudes. gravity: mean local g that the norm was fitted to. iterations: Gauss-Newton steps tried.
+    parameters: 6, 9 or 12, called `names`. form: of a 9-parameter scale. Where 12 parameters are asked for,
+    gravity alone shows 9 of them, and the symmetric scale is taken: any rotation of it fits as well, and this
+    one is nearest to the raw axes. covariance: (p, p), by the rests alone; the methods add what the
+    uncertainty of gravity, gravity_uncertainty, contributes. degrees_of_freedom: of the covariance: attitudes
+    less parameters where attitudes scatter more than their rests explain; else rests less attitudes where
+    rests repeat worse than declared; else infinite, with the declared uncertainties taken as they are.
+    coverage: what the attitudes support. residuals: (n,) calibrated norm less gravity, of all rests.
+    rms_residual: their root mean square, dropped ones included. dropped: rests left out, with reasons.
+    n_states: number of distinct attitudes. repeatability: standard deviation of the norm between rests of one
+    attitude, None where none was held twice. excess_rest, excess_attitude: standard deviation beyond the
+    declared uncertainty, between rests of one attitude and between attitudes. gravity: mean local g that the
+    norm was fitted to. iterations: number of Gauss-Newton steps tried.
     """
 
     model: SensorModel
@@ -68,25 +69,25 @@ class AccelerometerFit:
 
     @property
     def used(self) -> NDArray[np.bool_]:
-        """Which rests the fit stands on, (n,)."""
+        """Which rests were fitted, (n,)."""
         mask = np.ones(self.n_rests, dtype=bool)
         mask[[d.row for d in self.dropped]] = False
         return mask
 
     @property
     def common_scale_uncertainty(self) -> float:
-        """Relative standard uncertainty that gravity's own puts on the whole scale; no rest can show it."""
+        """Relative standard uncertainty of the whole scale by that of gravity, which no rest can show."""
         return self.gravity_uncertainty / self.gravity
 
     @property
     def total_covariance(self) -> Array:
-        """Covariance of the parameters, (p, p), with the common scale's part."""
+        """Covariance of the parameters, (p, p), with the uncertainty of the common scale."""
         back = np.linalg.pinv(basis(self.parameters, self.form))
         return np.asarray(back @ self._full_covariance() @ back.T)
 
     @property
     def sensor_covariance(self) -> Array:
-        """Covariance of (scale row by row 9, bias 3), (12, 12), with the common scale's part."""
+        """Covariance of (scale row by row 9, bias 3), (12, 12), with the uncertainty of the common scale."""
         order = np.r_[3:12, 0:3]
         return np.asarray(self._full_covariance()[np.ix_(order, order)])
 
@@ -97,7 +98,7 @@ class AccelerometerFit:
         return float(np.sqrt(np.einsum("ij,jk,ik->i", rows, self._from_rests(), rows).max()))
 
     def interval(self, level: float = 0.95) -> Array:
-        """Return the parameters' two-sided intervals at `level`, (p, 2), by Student's t where it applies."""
+        """Return two-sided intervals of the parameters at `level`, (p, 2), by Student's t or the normal."""
         from scipy.special import ndtri, stdtrit  # noqa: PLC0415 - the daemon stays light
 
         tail = 0.5 + level / 2.0
@@ -107,9 +108,10 @@ class AccelerometerFit:
         return np.column_stack((self.values - reach * sd, self.values + reach * sd))
 
     def uncertainty(self, raw: Array) -> Array:
-        """Return the calibration's standard uncertainty of calibrated vectors, as `raw` (..., 3) in m/s^2.
+        """Return the standard uncertainty that the calibration leaves in calibrated readings of `raw`.
 
-        Per axis; the noise of the reading itself is not in it, nor a rotation common to all axes.
+        raw and result: (..., 3) m/s^2, per axis. The noise of the reading itself is not included, nor a
+        rotation common to all axes.
         """
         shifted = np.asarray(raw, dtype=np.float64) - self.model.bias
         by_bias = np.broadcast_to(-self.model.scale, (*shifted.shape, 3))
@@ -130,7 +132,7 @@ class AccelerometerFit:
         return np.asarray(self._from_rests() + np.outer(common, common))
 
     def _norm_rows(self, up: Array) -> Array:
-        """Jacobian of the norm of a rest calibrated to gravity along unit vectors `up`, (n, 12)."""
+        """Return the Jacobian of the norm of rests calibrated to gravity along unit vectors `up`, (n, 12)."""
         shifted = self.gravity * up @ np.linalg.inv(self.model.scale).T
         products = up[:, :, None] * shifted[:, None, :]
         return np.asarray(np.hstack((-up @ self.model.scale, products.reshape(-1, 9))))

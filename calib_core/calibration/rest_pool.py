@@ -17,8 +17,10 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.static.rest import (
+    ATTITUDE_ANGLE,
     RestState,
     attitude_labels,
+    directions,
     force_uncertainties,
     forces,
     group_attitudes,
@@ -35,7 +37,7 @@ class PoolSettings:
     rests are taken to come from there.
     """
 
-    attitude_angle: float = 0.0872665  # 5 degrees
+    attitude_angle: float = ATTITUDE_ANGLE
     rests_per_attitude: int = 12
     attitudes: int = 96
     turns: int = 64
@@ -149,7 +151,7 @@ class AttitudeIndex:
     def _rebuild(self, held: tuple[HeldRest, ...]) -> None:
         rests = [h.rest for h in held]
         raw = forces(rests)
-        self._held, self._up = held, _directions(raw)
+        self._held, self._up = held, directions(raw)
         self._ends = np.array([rest.t_end for rest in rests])
         self._uncertainty = np.linalg.norm(force_uncertainties(rests), axis=1)
         labels = attitude_labels(raw, self._settings.attitude_angle)
@@ -157,7 +159,7 @@ class AttitudeIndex:
 
     def _add(self, held: HeldRest) -> None:
         n = self._first.size
-        up = _directions(forces([held.rest]))
+        up = directions(forces([held.rest]))
         firsts = np.flatnonzero(self._first == np.arange(n))
         near = firsts[self._is_near(self._up[firsts], up[0])]
         self._held = (*self._held, held)
@@ -212,8 +214,3 @@ class AttitudeIndex:
 
     def _is_near(self, up: Array, other: Array) -> Flags:
         return np.asarray(up[:, 0] * other[0] + up[:, 1] * other[1] + up[:, 2] * other[2] >= self._near)
-
-
-def _directions(raw: Array) -> Array:
-    """Return the unit vectors of raw forces (n, 3)."""
-    return np.asarray(raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-12))

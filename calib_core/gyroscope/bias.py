@@ -1,9 +1,9 @@
-"""The gyroscope's bias from rests, and what rotation those rests may have hidden in it.
+"""The gyroscope's bias from rests, and a bound on the rotation that those rests may have hidden in it.
 
-At rest a gyroscope reads its bias. What turns slowly and steadily reads as bias too: about a horizontal
-axis gravity's direction betrays it, about the vertical nothing does (RestState.spin_admitted). Rests in
-different attitudes put the vertical along different axes of the body and so bound it. A bias that
-follows gravity (g-sensitivity) shows here as wander between attitudes, not as a bias of its own.
+At rest a gyroscope reads its bias. Slow, steady rotation reads as bias too. About a horizontal axis gravity's
+direction shows it; about the vertical nothing in a single rest does (RestState.undetected_rotation_bound).
+Rests in different attitudes have the vertical along different axes of the body and so bound it together. A
+bias that follows gravity (g-sensitivity) shows here as wander between attitudes, not as a bias of its own.
 """
 
 from __future__ import annotations
@@ -16,22 +16,23 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState, forces
 
 _OUTLIER = 4.5  # robust standard deviations; 1 in 150 000 normal draws lies beyond
-_MAD_TO_SD = 1.4826  # of a normal distribution
-_UNBOUNDED_SPIN = 1e3  # rad/s; stands for "nothing bounds it", far beyond any gyroscope's range
+_UNBOUNDED_SPIN = 1e3  # rad/s; stands for a rotation that nothing bounds, far beyond any gyroscope's range
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BiasEstimate:
-    """Bias of a gyroscope. bias: (3,) raw rad/s. covariance: (3, 3) of that mean.
+    """The bias of a gyroscope.
 
-    wander: (3,) rad/s, how far the bias of single rests strays from it beyond their own uncertainty.
-    admitted: (3,) rad/s, standard size of the error that slow rotation in the rests may have put into
-    each axis unseen; inf where nothing bounds it. n_rests: rests with rates. outliers: indices of those
-    left out, for having turned or jumped.
+    bias: (3,) raw rad/s. covariance: (3, 3) of that mean. wander: (3,) rad/s, standard deviation of the bias
+    of single rests about it, beyond their own uncertainty. undetected_rotation_bound: (3,) rad/s, standard
+    size of the error that slow rotation in the rests may have put into each axis undetected; inf where
+    nothing bounds it. n_rests: number of rests with rates. outliers: indices of the rests left out because
+    the phone turned or the bias jumped.
     """
 
     bias: Array
@@ -43,21 +44,21 @@ class BiasEstimate:
 
 
 def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
-    """Estimate the bias from rests' mean rates, weighted by their uncertainty plus the wander between.
+    """Estimate the bias from the mean rates of rests, weighted by their uncertainty and their wander.
 
-    A random-effects mean (DerSimonian and Laird 1986) of the rests within 4.5 robust standard deviations
-    of the median. What the wander adds to the covariance is widened as Student's t has it for few rests.
-    Rests without rates are passed over. Raises NotSupported where none has any.
+    It is a random-effects mean (DerSimonian and Laird 1986) of the rests within 4.5 robust standard
+    deviations of the median. What the wander adds to the covariance is widened for few rests as in Student's
+    t. Rests without rates are left out. Raises NotSupported where no rest has a rate.
     """
     rates, variances = rest_rates(rests)
-    kept = _near(rates, variances)
-    n = int(kept.sum())
-    wander = _wander(rates[kept], variances[kept])
-    total = variances[kept] + wander**2 * (n - 1) / max(n - 3, 0.5)
+    near = _near(rates, variances)
+    n = int(near.sum())
+    wander = _wander(rates[near], variances[near])
+    total = variances[near] + wander**2 * (n - 1) / max(n - 3, 0.5)
     weights = 1.0 / total
-    bias = (weights * rates[kept]).sum(axis=0) / weights.sum(axis=0)
+    bias = (weights * rates[near]).sum(axis=0) / weights.sum(axis=0)
     with_rates = [i for i, r in enumerate(rests) if r.rate is not None]
-    used = [i for i, k in zip(with_rates, kept.tolist(), strict=True) if k]
+    used = [i for i, k in zip(with_rates, near.tolist(), strict=True) if k]
     return BiasEstimate(
         bias=bias,
         covariance=np.diag(1.0 / weights.sum(axis=0)),
@@ -71,14 +72,15 @@ def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
 def update_bias(
     model: SensorModel, rests: Sequence[RestState], known: BiasEstimate | None = None
 ) -> tuple[SensorModel, BiasEstimate]:
-    """Renew the bias of a gyroscope's model from recent rests (Grammenos et al. 2018, 4.7).
+    """Update the bias of a gyroscope's model from recent rests (Grammenos et al. 2018, 4.7).
 
-    With a `known` bias the rests are weighed against it, it being uncertain by its covariance and its
-    wander: a short rest then moves the bias less than a long one. Raises NotSupported without rates.
+    This is a zero angular rate update (ZARU). With a `known` bias the two are averaged by their weights, the
+    known one being uncertain by its covariance and its wander: a short rest then moves the bias less than a
+    long one. Raises NotSupported where no rest has a rate.
 
     >>> sd = np.full(3, 1e-4)
-    >>> told = {"rate": np.array([0.01, -0.02, 0.0]), "rate_sd": sd, "rate_uncertainty": sd}
-    >>> rest = RestState(0.0, 10.0, 500, np.array([0, 0, 9.8]), sd, sd, 1e-3, **told)
+    >>> rates = {"rate": np.array([0.01, -0.02, 0.0]), "rate_sd": sd, "rate_uncertainty": sd}
+    >>> rest = RestState(0.0, 10.0, 500, np.array([0, 0, 9.8]), sd, sd, 1e-3, **rates)
     >>> model, estimate = update_bias(SensorModel.identity(), [rest])
     >>> model.bias.tolist(), estimate.n_rests
     ([0.01, -0.02, 0.0], 1)
@@ -90,7 +92,7 @@ def update_bias(
 
 
 def _combined(known: BiasEstimate, fresh: BiasEstimate) -> BiasEstimate:
-    """Weigh both; hidden rotation cannot have moved the bias by more than it moved."""
+    """Return the weighted mean of both; rotation cannot have moved the bias by more than it moved."""
     prior = known.covariance + np.diag(known.wander**2)
     gain = prior @ np.linalg.inv(prior + fresh.covariance)
     change = fresh.bias - known.bias
@@ -108,9 +110,9 @@ def _combined(known: BiasEstimate, fresh: BiasEstimate) -> BiasEstimate:
 
 
 def rest_rates(rests: Sequence[RestState]) -> tuple[Array, Array]:
-    """Stack the mean raw rates and their variances, (n, 3) each, of the rests that have any.
+    """Stack the mean raw rates, rad/s, and their variances, (n, 3) each, of the rests that have them.
 
-    Raises NotSupported where none has.
+    Raises NotSupported where no rest has a rate.
     """
     pairs = [(r.rate, r.rate_uncertainty) for r in rests if r.rate is not None]
     if not pairs:
@@ -121,17 +123,17 @@ def rest_rates(rests: Sequence[RestState]) -> tuple[Array, Array]:
 
 
 def _near(rates: Array, variances: Array) -> NDArray[np.bool_]:
-    """Tell which rests lie near the median, by the median absolute deviation; of two, both do."""
+    """Tell which rests are near the median, by the median absolute deviation; of two, both are."""
     if len(rates) < 3:
         return np.full(len(rates), True)
     distance = np.abs(rates - np.median(rates, axis=0))
-    scatter = np.maximum(_MAD_TO_SD * np.median(distance, axis=0), np.sqrt(variances))
+    scatter = np.maximum(MAD_TO_SD * np.median(distance, axis=0), np.sqrt(variances))
     near: NDArray[np.bool_] = np.all(distance <= _OUTLIER * scatter, axis=1)
     return near
 
 
 def _wander(rates: Array, variances: Array) -> Array:
-    """Scatter of the rests beyond their own uncertainty, per axis, rad/s."""
+    """Return the standard deviation of the rests beyond their own uncertainty, (3,) rad/s."""
     if len(rates) < 2:
         return np.zeros(3)
     scatter: Array = rates.var(axis=0, ddof=1) - variances.mean(axis=0)
@@ -139,10 +141,11 @@ def _wander(rates: Array, variances: Array) -> Array:
 
 
 def _undetected_rotation_bound(rests: Sequence[RestState], variances: Array) -> Array:
-    """Error that rotation hidden in the rests may leave in the bias, per axis, rad/s.
+    """Return the error that undetected rotation in the rests may leave in the bias, (3,) rad/s.
 
-    Each rest tells the bias across its vertical up to tilt_rate_limit and along it up to spin_admitted;
-    what that leaves open beyond the rests' own noise is what rotation may have put there.
+    Each rest shows the bias across its vertical up to tilt_rate_limit and along it up to its
+    undetected_rotation_bound. What this leaves uncertain beyond the rests' own noise is what rotation may
+    have put there.
     """
     up = forces(rests)
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
@@ -151,7 +154,7 @@ def _undetected_rotation_bound(rests: Sequence[RestState], variances: Array) -> 
     spin = np.array([_UNBOUNDED_SPIN if bound is None else bound for bound in bounds])
     tilt = np.array([r.tilt_rate_limit or 0.0 for r in rests])
     noise = variances.mean(axis=1)
-    vertical, across = (1.0 / (noise + hidden**2) for hidden in (spin, tilt))
+    vertical, across = (1.0 / (noise + rotation**2) for rotation in (spin, tilt))
     information = np.einsum("k,kij->ij", vertical - across, along) + across.sum() * np.eye(3)
     values, vectors = np.linalg.eigh(information)
     with_rotation = vectors**2 @ (1.0 / np.maximum(values, _UNBOUNDED_SPIN**-2))

@@ -1,11 +1,13 @@
-"""Gyroscope scale and misalignment from rest to rest (Grammenos et al. 2018, Eq. 9-15).
+"""The gyroscope's scale and misalignment, fitted from rest to rest (Grammenos et al. 2018, Eq. 9-15).
 
-Gravity as the calibrated accelerometer sees it at one rest is carried by the gyroscope to the next and
-compared there. Unlike the paper, which disregards the bias, each turn takes its bias from the rests
-around it and from the force along it (bias_walk.py), with their covariance, and one shift common to all
-turns is estimated along with the scale. Rotation about the vertical moves no gravity, so every axis must
-be turned about while it lies level. The frame is the accelerometer's. Integration lives in rotation.py,
-slopes and weights in carried.py, the search in gyro_solver.py.
+Gravity as the calibrated accelerometer measures it at one rest is propagated by the gyroscope to the next
+rest and compared there. The paper disregards the bias. Here each rotation segment takes its bias from the
+rests around it and from the force during it (bias_trajectory.py), with their covariance, and one shift common
+to all segments is estimated along with the scale. Rotation about the vertical does not move gravity, so the
+phone must be turned about every axis while that axis is level. The frame is the accelerometer's.
+
+Rotations are integrated in maths/rotation.py, residuals and slopes computed in gravity_propagation.py, the
+minimum found in solver.py.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from stillcal.calib_core.gyroscope.solver import (
     Parameters,
     Problem,
     Solution,
-    held,
+    nominal,
     solve,
 )
 from stillcal.calib_core.model import SensorModel
@@ -37,17 +39,17 @@ __all__ = ["GyroscopeFit", "GyroscopeSettings", "Parameters", "fit", "residuals"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroscopeFit:
-    """A fitted gyroscope. calibrated = model.scale @ (raw - model.bias).
+    """A fitted gyroscope: calibrated = model.scale @ (raw - model.bias).
 
-    covariance: (12, 12) of the scale, row by row, then the bias (rad/s); zero where held fixed. bias: what
-    the rests say, with its caveats. shift, shift_uncertainty: (3,) rad/s, bias while turning less that at
-    rest; the model's bias is that at rest. g_sensitivity, g_sensitivity_uncertainty: (3, 3)
-    (rad/s)/(m/s^2), what force adds to the bias, as the rests show it. before, after: (K,) rad, angle
-    between gravity carried and measured, with the nominal scale and with the fitted one, the bias from
-    the rests taken off in both.
-    gravity_rms_*: the same in m/s^2, rms over the turns used. rejected: indices of turns left out.
-    turned: (3,) rad, path about each axis over the turns used. variance_factor: squared residuals over
-    what their uncertainties promise. missing: what to do to get a larger model.
+    covariance: (12, 12) of the scale, row by row, then the bias (rad/s); zero for fixed parameters. bias: the
+    bias from rests; it is the model's bias. shift, shift_uncertainty: (3,) rad/s, bias during rotation less
+    that at rest. g_sensitivity, g_sensitivity_uncertainty: (3, 3) (rad/s)/(m/s^2), what force adds to the
+    bias, as the rests show it. before, after: (K,) rad, angle between gravity propagated and measured, with
+    the nominal and with the fitted scale, the bias taken off in both. rms_before, rms_after: rad, their root
+    mean squares over the segments used; gravity_rms_before, gravity_rms_after: the same in m/s^2. rejected:
+    indices of segments left out. turned: (3,) rad, path about each axis over the segments used.
+    variance_factor: squared residuals over what their uncertainties promise. missing: what to gather for a
+    larger model.
     """
 
     model: SensorModel
@@ -77,7 +79,7 @@ class GyroscopeFit:
 
 
 def fit(
-    turns: Sequence[RotationSegment],
+    segments: Sequence[RotationSegment],
     accel: SensorModel,
     gravity: float,
     *,
@@ -85,59 +87,61 @@ def fit(
     parameters: Parameters | None = None,
     settings: GyroscopeSettings | None = None,
 ) -> GyroscopeFit:
-    """Fit the gyroscope to `turns` under the accelerometer's model; gravity in m/s^2.
+    """Fit the gyroscope to rotation segments under the accelerometer's model; gravity in m/s^2.
 
-    rests: further rests for the bias. parameters: what to estimate; None takes the largest model that
-    the turns support and says in `missing` what a larger one needs. Raises NotSupported where the
-    model asked for is beyond the turns, or no rest has a gyroscope mean. Without any turn it is the bias:
+    rests: further rests for the bias. parameters: what to estimate; None takes the largest model that the
+    segments support and says in `missing` what a larger one needs. Raises NotSupported where the segments do
+    not support the parameters asked for, or where no rest has a gyroscope mean. Without any segment the bias
+    alone is estimated:
 
     >>> sd = np.full(3, 1e-4)
-    >>> told = {"rate": np.array([0.01, -0.02, 0.0]), "rate_sd": sd, "rate_uncertainty": sd}
-    >>> rest = RestState(0.0, 10.0, 500, np.array([0, 0, 9.8]), sd, sd, 1e-3, **told)
-    >>> found = fit([], SensorModel.identity(), gravity=9.81, rests=[rest])
-    >>> found.model.bias.tolist(), len(found.missing)  # turns to make before a scale can be known
+    >>> rates = {"rate": np.array([0.01, -0.02, 0.0]), "rate_sd": sd, "rate_uncertainty": sd}
+    >>> rest = RestState(0.0, 10.0, 500, np.array([0, 0, 9.8]), sd, sd, 1e-3, **rates)
+    >>> result = fit([], SensorModel.identity(), gravity=9.81, rests=[rest])
+    >>> result.model.bias.tolist(), len(result.missing)  # rotations needed before a scale can be estimated
     ([0.01, -0.02, 0.0], 3)
     """
-    bias = bias_from_rests(_distinct(turns, rests))
-    if not turns:
-        return _without_turns(bias, parameters)
-    problem = Problem.of(turns, accel, settings or GyroscopeSettings())
+    bias = bias_from_rests(_distinct(segments, rests))
+    if not segments:
+        return _bias_alone(bias, parameters)
+    problem = Problem.of(segments, accel, settings or GyroscopeSettings())
     missing: tuple[str, ...] = ()
     for choice in (parameters,) if parameters else (Parameters.FULL9, Parameters.SCALE3):
         try:
             posed, solution = solve(problem, choice)
-            return _reported(posed, solution, choice, bias=bias, gravity=gravity, missing=missing)
+            return _result(posed, solution, choice, bias=bias, gravity=gravity, missing=missing)
         except NotSupported as refusal:
             if parameters:
                 raise
             missing = missing or refusal.missing
-    return _reported(problem, held(problem), Parameters.BIAS, bias=bias, gravity=gravity, missing=missing)
+    return _result(problem, nominal(problem), Parameters.BIAS, bias=bias, gravity=gravity, missing=missing)
 
 
 def residuals(
-    turns: Sequence[RotationSegment], accel: SensorModel, scale: Array, shift: Array | None = None
+    segments: Sequence[RotationSegment], accel: SensorModel, scale: Array, shift: Array | None = None
 ) -> Array:
-    """Angles between gravity carried through each turn and measured, (K,) rad: Eq. 15, for any turns.
+    """Return the angles between gravity propagated through each segment and measured, (K,) rad (Eq. 15).
 
-    The bias is that of the rests around each turn and the force along it, plus `shift`, (3,) rad/s.
+    scale: (3, 3). The bias is that of the rests around each segment and the force during it, plus `shift`,
+    (3,) rad/s.
     """
     theta = np.concatenate((scale.ravel(), np.zeros(3) if shift is None else shift))
-    problem = Problem.of(turns, accel, GyroscopeSettings()).along(theta)
+    problem = Problem.of(segments, accel, GyroscopeSettings()).along(theta)
     return problem.at(theta, 0.0).propagated.angle
 
 
-def _distinct(turns: Sequence[RotationSegment], rests: Sequence[RestState]) -> list[RestState]:
-    """All rests at hand once each, in time order."""
-    ends = (r for turn in turns for r in (turn.before, turn.after))
-    found = {(r.t_start, r.t_end): r for r in (*rests, *ends)}
-    return [found[key] for key in sorted(found)]
+def _distinct(segments: Sequence[RotationSegment], rests: Sequence[RestState]) -> list[RestState]:
+    """Return all rests once each, in time order."""
+    ends = (r for segment in segments for r in (segment.before, segment.after))
+    by_time = {(r.t_start, r.t_end): r for r in (*rests, *ends)}
+    return [by_time[key] for key in sorted(by_time)]
 
 
-def _without_turns(bias: BiasEstimate, parameters: Parameters | None) -> GyroscopeFit:
-    """Report the bias alone. Raises NotSupported where a scale was asked for."""
+def _bias_alone(bias: BiasEstimate, parameters: Parameters | None) -> GyroscopeFit:
+    """Return a fit of the bias alone. Raises NotSupported where a scale was asked for."""
     missing = tuple(TURN_ABOUT.format(axis=axis) for axis in "xyz")
     if parameters not in {None, Parameters.BIAS}:
-        raise NotSupported("there is no turn between two rests", missing)
+        raise NotSupported("there is no rotation between two rests", missing)
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = bias.covariance
     return GyroscopeFit(
@@ -163,7 +167,7 @@ def _without_turns(bias: BiasEstimate, parameters: Parameters | None) -> Gyrosco
     )
 
 
-def _reported(
+def _result(
     problem: Problem,
     solution: Solution,
     choice: Parameters,
@@ -172,7 +176,7 @@ def _reported(
     gravity: float,
     missing: tuple[str, ...],
 ) -> GyroscopeFit:
-    """Put a solution into the record that users see."""
+    """Return a solution as the fit that users get."""
     scale, shift = solution.theta[:9].reshape(3, 3), solution.theta[9:]
     covariance = solution.covariance.copy()
     covariance[9:], covariance[:, 9:] = 0.0, 0.0

@@ -1,7 +1,8 @@
-"""Gravity carried from rest to rest by the gyroscope: residuals of Eq. 15, their slopes, their covariance.
+"""Gravity propagated from rest to rest by the gyroscope: residuals of Eq. 15, their slopes and covariance.
 
-All turns are one flat run of samples: a product over one turn is the quotient of two running products, so
-a single scan in logarithmic depth serves turns of any length. Nothing here decides; gyroscope.py does.
+Grammenos et al. 2018, Eq. 15. All rotation segments are laid end to end as one run of samples. The product of
+rotations over one segment is the quotient of two running products, so that a single scan in logarithmic depth
+serves segments of any length. What follows from the residuals is decided in solver.py.
 
 Derivatives are sums of the rotated basis: with q(t) from the body at t to the body at the start,
 d u_end = R (u_start x sum q(t) dS (raw - bias) dt), exact for small dS.
@@ -27,10 +28,10 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rests:
-    """The distinct rests at the ends of K turns, in time order.
+    """The n distinct rests at the ends of K rotation segments, in time order.
 
-    rests: n of them. before, after: (K,) index of each turn's ends. up, up_covariance: (n, 3) direction of
-    the calibrated specific force and (n, 3, 3) its covariance, rad^2. forces: (n, 3) m/s^2, calibrated.
+    before, after: (K,) indices of the rests at each segment's ends. up: (n, 3) unit vectors of the calibrated
+    specific force. up_covariance: (n, 3, 3) their covariance, rad^2. forces: (n, 3) m/s^2, calibrated.
     """
 
     rests: tuple[RestState, ...]
@@ -41,17 +42,17 @@ class Rests:
     forces: Array
 
     @classmethod
-    def of(cls, turns: Sequence[RotationSegment], accel: SensorModel) -> Rests:
-        """Collect the rests of `turns` and their directions under the accelerometer's model."""
-        found = {_key(r): r for turn in turns for r in (turn.before, turn.after)}
-        keys = sorted(found)
+    def of(cls, segments: Sequence[RotationSegment], accel: SensorModel) -> Rests:
+        """Collect the rests of rotation segments and their directions under the accelerometer's model."""
+        by_time = {_key(r): r for segment in segments for r in (segment.before, segment.after)}
+        keys = sorted(by_time)
         index = {key: i for i, key in enumerate(keys)}
-        rests = tuple(found[key] for key in keys)
+        rests = tuple(by_time[key] for key in keys)
         up, covariance = directions(rests, accel)
         return cls(
             rests=rests,
-            before=np.array([index[_key(t.before)] for t in turns], dtype=np.intp),
-            after=np.array([index[_key(t.after)] for t in turns], dtype=np.intp),
+            before=np.array([index[_key(t.before)] for t in segments], dtype=np.intp),
+            after=np.array([index[_key(t.after)] for t in segments], dtype=np.intp),
             up=up,
             up_covariance=covariance,
             forces=accel.apply(stack(rests)),
@@ -61,8 +62,8 @@ class Rests:
 def directions(rests: Sequence[RestState], accel: SensorModel) -> tuple[Array, Array]:
     """Return the unit calibrated forces (n, 3) and the covariances (n, 3, 3) of these directions, rad^2.
 
-    Besides each rest's own uncertainty, what the norms scatter beyond it stands for what the accelerometer's
-    model leaves across gravity too.
+    Besides each rest's own uncertainty they hold what the accelerometer's model leaves uncertain across
+    gravity, which is taken as large as the scatter of the norms beyond the rests' own uncertainty.
     """
     force = accel.apply(stack(rests))
     variance = force_uncertainties(rests) ** 2
@@ -77,11 +78,12 @@ def directions(rests: Sequence[RestState], accel: SensorModel) -> tuple[Array, A
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bundle:
-    """K turns laid end to end, integrated as far as can be done before the scale is known.
+    """K rotation segments laid end to end, integrated as far as possible before the scale is known.
 
-    angles, cones: (N, 3) each interval's integrated raw rate and raw coning term; steps: (N, 1) its length,
-    s; a row of zeros opens each turn. nodes: (N, 4) the same angles and steps, spread onto the samples.
-    starts, ends: (K,) each turn's first and last row. up_before, up_after: (K, 3) gravity at either end.
+    angles, cones: (N, 3) rad, each interval's integrated raw rate and raw coning term. steps: (N, 1) s, its
+    length. A row of zeros opens each segment. nodes: (N, 4) the same angles and steps, distributed to the
+    samples. starts, ends: (K,) each segment's first and last row. up_before, up_after: (K, 3) direction of
+    gravity at either end.
     """
 
     angles: Array
@@ -94,16 +96,16 @@ class Bundle:
     up_after: Array
 
     @classmethod
-    def of(cls, turns: Sequence[RotationSegment], biases: Sequence[Array], rests: Rests) -> Bundle:
-        """Lay out `turns` with each one's bias, (3,) or (n, 3) for n samples, taken off."""
-        lengths = np.array([t.t.size for t in turns])
+    def of(cls, segments: Sequence[RotationSegment], biases: Sequence[Array], rests: Rests) -> Bundle:
+        """Lay out segments after taking off each one's bias, (3,) or (n, 3) for n samples, rad/s."""
+        lengths = np.array([t.t.size for t in segments])
         ends = np.cumsum(lengths) - 1
         starts = ends + 1 - lengths
-        rates = [turn.rates - bias for turn, bias in zip(turns, biases, strict=True)]
+        rates = [segment.rates - bias for segment, bias in zip(segments, biases, strict=True)]
         opening = np.zeros((1, 3))
-        pieces = [(opening, rotation.mean_rate_angles(t.t, w)) for t, w in zip(turns, rates, strict=True)]
+        pieces = [(opening, rotation.mean_rate_angles(t.t, w)) for t, w in zip(segments, rates, strict=True)]
         angles = np.concatenate([part for piece in pieces for part in piece])
-        stamps = np.concatenate([turn.t for turn in turns])
+        stamps = np.concatenate([segment.t for segment in segments])
         steps = np.diff(stamps, prepend=stamps[0])[:, None]
         cones = np.concatenate((opening, rotation.coning_angles(stamps, np.concatenate(rates))))
         steps[starts], cones[starts] = 0.0, 0.0
@@ -120,17 +122,20 @@ class Bundle:
         )
 
     def path(self) -> Array:
-        """Return the raw angle turned about each axis regardless of sign, (K, 3) rad."""
+        """Return the raw angle turned about each axis, whatever its sign, (K, 3) rad."""
         total: Array = np.add.reduceat(np.abs(self.angles), self.starts, axis=0)
         return total
 
     def durations(self) -> Array:
-        """Return how long each turn takes, (K,) s."""
+        """Return the duration of each segment, (K,) s."""
         total: Array = np.add.reduceat(self.steps[:, 0], self.starts)
         return total
 
     def propagate(self, scale: Array, shift: Array) -> PropagatedGravity:
-        """Carry gravity through every turn with rates scale @ (raw - bias - shift)."""
+        """Propagate gravity through every segment with rates scale @ (raw - bias - shift).
+
+        scale: (3, 3). shift: (3,) rad/s.
+        """
         body = self._bodies(scale, shift)
         first = body[self.starts].transpose(0, 2, 1)
         turned = (first @ body[self.ends]).transpose(0, 2, 1)
@@ -142,14 +147,14 @@ class Bundle:
         return PropagatedGravity.of(self, turned, rate_sums.reshape(-1, 3, 9), -sums[..., 3] @ scale)
 
     def up_along(self, scale: Array, shift: Array) -> list[Array]:
-        """Return for each turn the direction of gravity's specific force at its samples, (n, 3)."""
+        """Return the direction of gravity's specific force at each segment's samples, (n, 3) each."""
         body = self._bodies(scale, shift)
         fixed = (body[self.starts] @ self.up_before[:, :, None])[..., 0]
         spans = zip(fixed, self.starts, self.ends + 1, strict=True)
         return [up @ body[a:b] for up, a, b in spans]
 
     def _bodies(self, scale: Array, shift: Array) -> Array:
-        """Attitude at every sample, (N, 3, 3): from the body to the body at the first sample of all."""
+        """Return the attitude at every sample, (N, 3, 3): from the body to that at the very first sample."""
         cofactor = np.linalg.det(scale) * np.linalg.inv(scale).T
         steps = (self.angles - self.steps * shift) @ scale.T + self.cones @ cofactor.T
         return rotation.matrix(rotation.running_product(rotation.exponential(steps)))
@@ -157,11 +162,11 @@ class Bundle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PropagatedGravity:
-    """Gravity after every turn under one scale and one bias shift, across gravity as it was measured.
+    """Gravity propagated through every segment under one scale and shift, against gravity measured.
 
-    angle: (K,) rad between both. residuals: (K, 2) of Eq. 15, the part along gravity being none.
-    scale_slopes: (K, 2, 9) by the scale, row by row. bias_slopes: (K, 2, 3) by the bias, per rad/s.
-    before_slopes, after_slopes: (K, 2, 3) by gravity's direction at either end.
+    angle: (K,) rad, between the two. residuals: (K, 2) rad, those of Eq. 15 across gravity; there is none
+    along it. scale_slopes: (K, 2, 9) derivatives by the scale, row by row. bias_slopes: (K, 2, 3) by the
+    bias, per rad/s. before_slopes, after_slopes: (K, 2, 3) by the direction of gravity at either end.
     """
 
     angle: Array
@@ -173,7 +178,11 @@ class PropagatedGravity:
 
     @classmethod
     def of(cls, bundle: Bundle, turned: Array, by_scale: Array, by_bias: Array) -> PropagatedGravity:
-        """Compare with measured gravity; turned: (K, 3, 3); by_*: (K, 3, m) in the first body."""
+        """Compare with measured gravity.
+
+        turned: (K, 3, 3) rotation of each segment. by_scale, by_bias: (K, 3, 9) and (K, 3, 3) derivatives of
+        the rotation vector in the body at the start.
+        """
         arrived = np.einsum("kij,kj->ki", turned, bundle.up_before)
         across = _across(bundle.up_after)
         to_end = across @ turned
@@ -190,10 +199,10 @@ class PropagatedGravity:
         )
 
     def covariance(self, rests: Rests, bias: Array, walk: Array) -> Array:
-        """Covariance of the residuals, (2 K, 2 K) rad^2, with what neighbouring turns share.
+        """Return the covariance of the residuals, (2 K, 2 K) rad^2, with what neighbouring segments share.
 
-        bias: (3, K, K) covariance of the turns' biases for each axis. walk: (K,) rad^2, what the rate's
-        noise adds to each turn.
+        bias: (3, K, K) covariance of the segments' biases for each axis. walk: (K,) rad^2, what the rate's
+        noise adds over each segment.
         """
         k = len(self.angle)
         ends = np.zeros((k, 2, len(rests.rests), 3))
@@ -209,7 +218,7 @@ class PropagatedGravity:
 
 
 def _across(up: Array) -> Array:
-    """Two unit vectors square to each of `up` (K, 3), as rows: (K, 2, 3)."""
+    """Return two unit vectors perpendicular to each of `up` (K, 3), as rows: (K, 2, 3)."""
     helper = np.eye(3)[np.abs(up).argmin(axis=1)]
     first = np.cross(up, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -217,7 +226,7 @@ def _across(up: Array) -> Array:
 
 
 def _cross_matrix(v: Array) -> Array:
-    """Matrices X with X w = v x w, for vectors (K, 3)."""
+    """Return matrices X with X w = v x w, (K, 3, 3), for vectors v (K, 3)."""
     x, y, z = v.T
     zero = np.zeros_like(x)
     return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)

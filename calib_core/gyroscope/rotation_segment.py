@@ -1,7 +1,7 @@
-"""A turn: the gyroscope's samples between two rests, with all that later fits need of the rests.
+"""Rotation segments: the gyroscope's samples between two rests, together with the two rests.
 
-Forces and rates stay raw, so a turn serves any accelerometer model fitted later. Cutting and refusing
-turns lives here; estimating anything from them does not.
+Forces and rates stay raw, so that a segment serves any accelerometer model fitted later. Segments are cut and
+refused here; estimation from them is in fit.py.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from stillcal.calib_core.streams.samples import Samples
 
 
 class NoSegment(StrEnum):
-    """Why two rests and the samples between them make no turn."""
+    """Why two rests and the samples between them make no rotation segment."""
 
     DISORDERED = "the second rest does not follow the first"
     NO_RATES = "a rest has no gyroscope mean to take the bias from"
@@ -29,11 +29,11 @@ class NoSegment(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RotationSegmentSettings:
-    """How turns are cut.
+    """How rotation segments are cut.
 
-    margin: s, how far into each rest the integration reaches (at most half the rest). max_duration: s,
-    longest turn; a longer one is more drift than turn. max_gap: s, longest step between two samples.
-    min_angle: rad, least excursion of the integrated rate.
+    margin: s, how far into each rest the integration reaches (at most half the rest). max_duration: s, the
+    longest segment; in a longer one drift outweighs the rotation. max_gap: s, the longest step between two
+    samples. min_angle: rad, the least excursion of the integrated rate.
     """
 
     margin: float = 0.1
@@ -51,7 +51,10 @@ class RotationSegmentSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RotationSegment:
-    """The gyroscope between two rests. t: (n,) s; rates: (n, 3) raw rad/s, from rest into rest."""
+    """The gyroscope between two rests, from within the first into the second.
+
+    before, after: the rests. t: (n,) s. rates: (n, 3) raw rad/s.
+    """
 
     before: RestState
     after: RestState
@@ -72,11 +75,11 @@ class RotationSegment:
 def cut_rotation_segment(
     before: RestState, after: RestState, gyro: Samples, settings: RotationSegmentSettings | None = None
 ) -> RotationSegment | NoSegment:
-    """Cut the turn between two successive rests out of `gyro`, or say why there is none.
+    """Cut the rotation segment between two successive rests out of `gyro`, or say why there is none.
 
-    gyro: raw samples that reach at least from the end of `before` to the start of `after`; more is
-    ignored. The turn begins within the first rest and ends within the second, so that gravity's
-    direction at either end is that of the rest.
+    gyro: raw samples that reach at least from the end of `before` to the start of `after`; others are
+    ignored. The segment begins within the first rest and ends within the second, so that the direction of
+    gravity at either end is that of the rest.
     """
     settings = settings or RotationSegmentSettings()
     if after.t_start < before.t_end:
@@ -88,19 +91,20 @@ def cut_rotation_segment(
     if t_end - t_start > settings.max_duration:
         return NoSegment.TOO_LONG
     span = gyro.between(t_start, np.nextafter(t_end, np.inf))
-    fault = _fault(span, before, after, settings)
-    return fault or RotationSegment(before, after, np.array(span.t), np.array(span.xyz))
+    refusal = _refusal(span, before, after, settings)
+    return refusal or RotationSegment(before, after, np.array(span.t), np.array(span.xyz))
 
 
 def excursion(t: Array, rates: Array) -> float:
-    """Largest angle, rad, that the summed-up rates (n, 3) reach away from where they began."""
+    """Return the largest angle, rad, of the integral of rates (n, 3), rad/s, at t (n,), s, from its start."""
     angle = np.cumsum(np.diff(t)[:, None] * 0.5 * (rates[1:] + rates[:-1]), axis=0)
     return float(np.sqrt((angle**2).sum(axis=1).max(initial=0.0)))
 
 
-def _fault(
+def _refusal(
     span: Samples, before: RestState, after: RestState, settings: RotationSegmentSettings
 ) -> NoSegment | None:
+    """Return why the samples between two rests make no segment, or None where they do."""
     if len(span) < 3 or span.t[0] > before.t_end + settings.max_gap:
         return NoSegment.NOT_COVERED
     if span.t[-1] < after.t_start - settings.max_gap:

@@ -1,7 +1,8 @@
-"""The search behind gyroscope.py: what stays fixed, what is sought, how well the turns tell it.
+"""The solver of the gyroscope's fit: weighted Gauss-Newton on Eq. 15 of Grammenos et al. 2018.
 
-Weighted Gauss-Newton on Eq. 15 of Grammenos et al. 2018, turns that nothing fits left out, and the
-uncertainty of what was found. What a user asks for and gets is gyroscope.py's.
+It leaves out rotation segments that no parameters fit and returns the parameters with their covariance.
+Parameters are theta (12,): the scale, row by row, then one shift of the bias, rad/s, common to all segments.
+The public fit is fit.py.
 """
 
 from __future__ import annotations
@@ -25,19 +26,20 @@ from stillcal.calib_core.static.rest import RestState
 Mask = NDArray[np.bool_]
 
 TURN_ABOUT = "a few turns about {axis} with {axis} level, from rest to rest"
+"""What to gather for an axis. It is part of a record, hence of a calibration's identifier: do not reword."""
 NOMINAL = np.concatenate((np.eye(3).ravel(), np.zeros(3)))
-"""The parameters before anything is known: scale 1, row by row, then no shift of the bias."""
+"""The parameters of an ideal gyroscope: scale 1, row by row, then no shift of the bias."""
 
 _MEDIAN_RAYLEIGH = np.sqrt(2.0 * np.log(2.0))  # median length of a standard normal 2-vector
-_SHRINK = 0.1  # of the allowance for a wrong start, per iteration
-_NEGLIGIBLE = 2e-3  # allowance below which there is none
-_ROUGH = 1e-3  # step of the scale that ends the first search; force along the turns is not known better
-_FINEST = 1e-6  # rad; no turn is integrated better, however little noise the rests claim
-_IMPLAUSIBLE = 0.5  # of a scale element off its nominal value: the search went astray
+_SHRINK = 0.1  # factor on the allowance for a wrong start in each iteration
+_NEGLIGIBLE = 2e-3  # an allowance below this is dropped: it is less than max_uncertainty
+_ROUGH = 1e-3  # step of the scale that ends the first search; force along the segments is not known better
+_FINEST = 1e-6  # rad; no segment is integrated more accurately, however little noise the rests claim
+_IMPLAUSIBLE = 0.5  # a scale element this far from its nominal value: the search went astray
 
 
 class Parameters(StrEnum):
-    """What is estimated: the bias alone, with the three scale factors, or with all nine elements."""
+    """What is estimated: the bias alone, also the three scale factors, or also all nine scale elements."""
 
     BIAS = "bias"
     SCALE3 = "scale3"
@@ -48,24 +50,19 @@ _FREE = {
     Parameters.SCALE3: np.concatenate((np.eye(3, dtype=bool).ravel(), np.full(3, True))),
     Parameters.FULL9: np.full(12, True),
 }
-
-
-_FREE = {
-    Parameters.SCALE3: np.concatenate((np.eye(3, dtype=bool).ravel(), np.full(3, True))),
-    Parameters.FULL9: np.full(12, True),
-}
+"""Which of the parameters (12,), scale row by row and shift, each choice estimates."""
 
 
 @dataclass(frozen=True, slots=True)
 class GyroscopeSettings:
     """How the fit is made and when it is refused.
 
-    nominal_error: how far the scale may be off at first. bias_shift: rad/s, typical difference of the
-    bias while turning from that at rest (what a 16-bit word over 2000 deg/s rounds off where no noise
-    dithers it). g_sensitivity: (rad/s)/(m/s^2), typical element of the gyroscope's response to force
-    (0.1 deg/s per g). max_uncertainty: largest standard uncertainty of a scale element that still counts
-    as observed. outlier: robust standard deviations beyond which a turn is left out. tolerance: of the
-    scale, ends the iteration.
+    nominal_error: how far the scale may be off at the start. bias_shift: rad/s, prior standard deviation of
+    the bias during rotation less that at rest (what a 16-bit word over 2000 deg/s rounds off where no noise
+    dithers it). g_sensitivity: (rad/s)/(m/s^2), prior standard deviation of an element of the gyroscope's
+    sensitivity to force (0.1 deg/s per g). max_uncertainty: largest standard uncertainty of a scale element
+    that still counts as observed. outlier: robust standard deviations beyond which a segment is left out.
+    tolerance: step of the scale that ends the iteration. max_iterations: of each search.
     """
 
     nominal_error: float = 0.15
@@ -88,13 +85,13 @@ class GyroscopeSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What stays the same while the scale is sought.
+    """What stays the same while the scale is estimated.
 
-    bias: what the rests say of it. bias_covariance: (3, K, K) of the turns' biases. random_walk: (K,)
-    rad^2, what the rate's noise adds up to over each turn.
+    bias: its trajectory as the rests show it. bias_covariance: (3, K, K) of the segments' biases.
+    random_walk: (K,) rad^2, what the rate's noise adds up to over each segment.
     """
 
-    turns: Sequence[RotationSegment]
+    segments: Sequence[RotationSegment]
     rests: Rests
     bundle: Bundle
     bias: BiasTrajectory
@@ -103,22 +100,24 @@ class Problem:
     settings: GyroscopeSettings
 
     @classmethod
-    def of(cls, turns: Sequence[RotationSegment], accel: SensorModel, settings: GyroscopeSettings) -> Problem:
-        """Pose the problem; force along a turn is at first taken for the mean of its two rests."""
-        rests = Rests.of(turns, accel)
+    def of(
+        cls, segments: Sequence[RotationSegment], accel: SensorModel, settings: GyroscopeSettings
+    ) -> Problem:
+        """Pose the problem; the force during a segment is first taken to be the mean of its two rests."""
+        rests = Rests.of(segments, accel)
         bias = BiasTrajectory.of(*rest_rates(rests.rests), rests.forces, settings.g_sensitivity)
         mean = 0.5 * (rests.forces[rests.before] + rests.forces[rests.after])
-        return _posed(turns, rests, bias, list(mean[:, None]), settings)
+        return _posed(segments, rests, bias, list(mean[:, None]), settings)
 
     def along(self, theta: Array) -> Problem:
-        """Pose it anew with gravity's force along each turn as these parameters (12,) carry it."""
+        """Pose the problem anew with the force during each segment as parameters (12,) propagate it."""
         up = self.bundle.up_along(theta[:9].reshape(3, 3), theta[9:])
         norms = np.linalg.norm(self.rests.forces[self.rests.before], axis=1)
         along = [norm * u for norm, u in zip(norms, up, strict=True)]
-        return _posed(self.turns, self.rests, self.bias, along, self.settings)
+        return _posed(self.segments, self.rests, self.bias, along, self.settings)
 
     def at(self, theta: Array, allowance: float) -> System:
-        """Residuals, slopes and covariance at parameters (12,), the scale still wrong by `allowance`."""
+        """Linearise at parameters (12,), for a scale that may still be wrong by `allowance`."""
         propagated = self.bundle.propagate(theta[:9].reshape(3, 3), theta[9:])
         covariance = propagated.covariance(self.rests, self.bias_covariance, self.random_walk)
         still_wrong = allowance * np.linalg.norm(self.bundle.path(), axis=1)
@@ -129,14 +128,14 @@ class Problem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class System:
-    """The problem made linear at one point. slopes: (K, 2, 12); covariance: (2 K, 2 K) rad^2."""
+    """The problem linearised at one point. slopes: (K, 2, 12); covariance: (2 K, 2 K) rad^2."""
 
     propagated: PropagatedGravity
     slopes: Array
     covariance: Array
 
     def lengths(self) -> Array:
-        """Each turn's residual in standard deviations, (K,)."""
+        """Return each segment's residual in standard deviations, (K,)."""
         k = len(self.slopes)
         own = self.covariance.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)]
         r = self.propagated.residuals
@@ -144,7 +143,7 @@ class System:
         return np.sqrt(squared)
 
     def whitened(self, used: Mask) -> tuple[Array, Array]:
-        """Slopes (2 K', 12) and residuals (2 K',) of the turns used, independent and of unit variance."""
+        """Return slopes (2 K', 12) and residuals (2 K',) of the K' segments used, whitened."""
         rows = np.repeat(used, 2)
         root = np.linalg.cholesky(self.covariance[np.ix_(rows, rows)])
         both = np.column_stack((self.slopes.reshape(-1, 12), self.propagated.residuals.ravel()))
@@ -154,7 +153,11 @@ class System:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Where the search ended. theta: (12,) scale row by row and shift; covariance: (12, 12)."""
+    """The result of a search.
+
+    theta: (12,) scale row by row and shift. used: (K,) segments used. covariance: (12, 12). variance_factor:
+    squared residuals over what their uncertainties promise.
+    """
 
     theta: Array
     used: Mask
@@ -164,16 +167,16 @@ class Solution:
 
 
 def solve(problem: Problem, choice: Parameters) -> tuple[Problem, Solution]:
-    """Find the scale; returns it with the problem as finally posed. Raises NotSupported.
+    """Estimate the scale; return the problem as finally posed and the solution. Raises NotSupported.
 
-    The turns must tell what is asked both beforehand, going by their directions and uncertainties, and
-    afterwards, going by their residuals. The second search knows how gravity ran along each turn.
+    The segments must determine the parameters both beforehand, by their directions and uncertainties, and
+    afterwards, by their residuals. The first search gives the force during each segment to the second one.
     """
     if choice is Parameters.BIAS:
-        return problem, held(problem)
+        return problem, nominal(problem)
     free, limit = _FREE[choice], problem.settings.max_uncertainty
-    slopes, misfit = problem.at(NOMINAL, 0.0).whitened(np.full(len(problem.turns), True))
-    normal, _ = _normal_equations(slopes, misfit, NOMINAL, problem.settings)
+    slopes, residuals = problem.at(NOMINAL, 0.0).whitened(np.full(len(problem.segments), True))
+    normal, _ = _normal_equations(slopes, residuals, NOMINAL, problem.settings)
     _require_observed(_covariance(normal, free, 1.0), limit)
     settings = problem.settings
     rough = _searched(problem, free, NOMINAL, settings.nominal_error, _ROUGH)
@@ -184,51 +187,54 @@ def solve(problem: Problem, choice: Parameters) -> tuple[Problem, Solution]:
     return refined, replace(solution, iterations=rough.iterations + solution.iterations)
 
 
-def held(problem: Problem) -> Solution:
-    """Keep the nominal scale, seeking nothing."""
-    everything = np.full(len(problem.turns), True)
-    misfit = problem.at(NOMINAL, 0.0).whitened(everything)[1]
-    return Solution(NOMINAL, everything, np.zeros((12, 12)), float(misfit @ misfit) / misfit.size, 0)
+def nominal(problem: Problem) -> Solution:
+    """Return the nominal scale as a solution, without estimating anything."""
+    everything = np.full(len(problem.segments), True)
+    residuals = problem.at(NOMINAL, 0.0).whitened(everything)[1]
+    return Solution(NOMINAL, everything, np.zeros((12, 12)), float(residuals @ residuals) / residuals.size, 0)
 
 
 def _posed(
-    turns: Sequence[RotationSegment],
+    segments: Sequence[RotationSegment],
     rests: Rests,
     bias: BiasTrajectory,
     along: Sequence[Array],
     settings: GyroscopeSettings,
 ) -> Problem:
-    """Take every turn's bias off, with what the force along it, (n, 3) or (1, 3), adds."""
+    """Pose the problem with the bias of every segment taken off.
+
+    along: for each segment the force during it, (n, 3) or (1, 3) m/s^2, which adds to its bias.
+    """
     mean_force = np.array([force.mean(axis=0) for force in along])
     walk, covariance = bias.between(rests.before, rests.after, mean_force)
     biases = [w + force @ bias.sensitivity.T for w, force in zip(walk, along, strict=True)]
-    bundle = Bundle.of(turns, biases, rests)
+    bundle = Bundle.of(segments, biases, rests)
     random_walk = bundle.durations() * _rate_density(rests.rests) + _FINEST**2
-    return Problem(turns, rests, bundle, bias, covariance, random_walk, settings)
+    return Problem(segments, rests, bundle, bias, covariance, random_walk, settings)
 
 
 def _rate_density(rests: Sequence[RestState]) -> float:
-    """Variance of the integrated rate per second, rad^2/s: angle random walk, from rests' mean rates."""
-    seen = [(r.duration, r.rate_uncertainty) for r in rests if r.rate_uncertainty is not None]
-    return float(np.median([t * np.mean(u * u) for t, u in seen])) if seen else 0.0
+    """Return the variance of the integrated rate per second, rad^2/s, from the rests' mean rates."""
+    known = [(r.duration, r.rate_uncertainty) for r in rests if r.rate_uncertainty is not None]
+    return float(np.median([t * np.mean(u * u) for t, u in known])) if known else 0.0
 
 
 def _searched(problem: Problem, free: Mask, start: Array, allowance: float, tolerance: float) -> Solution:
-    """Gauss-Newton on Eq. 15, weighted, leaving out turns that nothing fits. free, start: (12,).
+    """Minimise Eq. 15 by weighted Gauss-Newton, without segments that no parameters fit. free, start: (12,).
 
     A start wrong by `allowance` is allowed for by a variance that grows with the angle turned and shrinks
-    with every iteration, so that long turns, which may wrap around, speak last. Once there is none left,
-    a turn left out stays out, so that none can go in and out for ever.
+    with every iteration, so that long segments, which may wrap around, gain weight last. Once no allowance is
+    left, a segment that was left out stays out, so that none can alternate for ever.
     """
     settings = problem.settings
     theta = start.copy()
-    used = np.full(len(problem.turns), True)
+    used = np.full(len(problem.segments), True)
     for _iteration in range(1, settings.max_iterations + 1):
         system = problem.at(theta, allowance)
         inside = _inliers(system.lengths(), int(free[:9].sum()), settings.outlier)
         used = inside if allowance > 0.0 else inside & used
-        slopes, misfit = system.whitened(used)
-        normal, gradient = _normal_equations(slopes, misfit, theta, settings)
+        slopes, residuals = system.whitened(used)
+        normal, gradient = _normal_equations(slopes, residuals, theta, settings)
         step = np.linalg.solve(normal[np.ix_(free, free)], -gradient[free])
         theta[free] += step
         if allowance == 0.0 and np.abs(step[:-3]).max(initial=0.0) < tolerance:
@@ -237,12 +243,12 @@ def _searched(problem: Problem, free: Mask, start: Array, allowance: float, tole
     else:
         raise NotSupported(f"the gyroscope fit did not settle in {settings.max_iterations} iterations")
     freedom = max(2 * int(used.sum()) - int(free[:9].sum()), 1)
-    factor = float(misfit @ misfit + (theta[9:] @ theta[9:]) * settings.bias_shift**-2) / freedom
+    factor = float(residuals @ residuals + (theta[9:] @ theta[9:]) * settings.bias_shift**-2) / freedom
     return Solution(theta, used, _covariance(normal, free, factor), factor, _iteration)
 
 
 def _inliers(lengths: Array, n_scale: int, limit: float) -> Mask:
-    """Tell which turns stay within the limit, in robust standard deviations."""
+    """Tell which segments' residuals, (K,), stay within `limit` robust standard deviations."""
     freedom = max(2 * len(lengths) - n_scale, 1) / (2 * len(lengths))
     spread = max(1.0, float(np.median(lengths)) / (_MEDIAN_RAYLEIGH * np.sqrt(freedom)))
     inside: Mask = lengths <= limit * spread
@@ -250,15 +256,15 @@ def _inliers(lengths: Array, n_scale: int, limit: float) -> Mask:
 
 
 def _normal_equations(
-    slopes: Array, misfit: Array, theta: Array, settings: GyroscopeSettings
+    slopes: Array, residuals: Array, theta: Array, settings: GyroscopeSettings
 ) -> tuple[Array, Array]:
-    """Information (12, 12) and gradient (12,), with what is known of the shift beforehand."""
+    """Return the information (12, 12) and the gradient (12,), with the prior on the shift."""
     prior = np.concatenate((np.zeros(9), np.full(3, settings.bias_shift**-2)))
-    return slopes.T @ slopes + np.diag(prior), slopes.T @ misfit + prior * theta
+    return slopes.T @ slopes + np.diag(prior), slopes.T @ residuals + prior * theta
 
 
 def _covariance(normal: Array, free: Mask, factor: float) -> Array:
-    """Covariance (12, 12), zero for what is held; an element nothing observes gets a variance of 1."""
+    """Return the covariance (12, 12), 0 for fixed parameters; an unobserved element has variance 1."""
     weak = np.diag(np.concatenate((np.ones(9), np.zeros(3))))
     out = np.zeros((12, 12))
     inside = np.ix_(free, free)
@@ -267,21 +273,21 @@ def _covariance(normal: Array, free: Mask, factor: float) -> Array:
 
 
 def _require_plausible(theta: Array) -> None:
-    """Raise NotSupported where the scale found is no correction of a working gyroscope."""
+    """Raise NotSupported where the scale cannot be that of a working gyroscope."""
     furthest = float(np.abs(theta - NOMINAL)[:9].max())
     if not furthest < _IMPLAUSIBLE:
         raise NotSupported(
-            f"the gyroscope's scale came out {furthest:.2g} off its nominal value",
+            f"the gyroscope's fitted scale is {furthest:.2g} off its nominal value",
             ["rates in rad/s", "turns that end in rest"],
         )
 
 
 def _require_observed(covariance: Array, limit: float) -> None:
-    """Raise NotSupported naming the axes whose column of the scale is not observed well enough."""
+    """Raise NotSupported with the axes whose column of the scale is not observed well enough."""
     uncertain = np.sqrt(np.diag(covariance)[:9]).reshape(3, 3).max(axis=0)
     if (uncertain > limit).any():
         axes = [axis for axis, u in zip("xyz", uncertain, strict=True) if u > limit]
         raise NotSupported(
-            f"the turns leave the gyroscope's {' and '.join(axes)} scale uncertain by {uncertain.max():.2g}",
+            f"the gyroscope's {' and '.join(axes)} scale stays uncertain by {uncertain.max():.2g}",
             [TURN_ABOUT.format(axis=axis) for axis in axes],
         )

@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 
+ATTITUDE_ANGLE = 0.0872665
+"""rad, 5 degrees: rests within this angle share an attitude. A phone laid down again in the same way comes
+back to within a few degrees, and attitudes this close tell a fit no more than one of them."""
+
 
 class RestState(msgspec.Struct, frozen=True, eq=False, rename={"undetected_rotation_bound": "spin_admitted"}):
     """One rest. Forces are raw m/s^2, rates raw rad/s, times s of the sensor's own stamp.
@@ -60,12 +64,17 @@ def force_uncertainties(rests: Sequence[RestState]) -> Array:
     return np.array([r.force_uncertainty for r in rests], dtype=np.float64).reshape(-1, 3)
 
 
+def directions(forces: Array) -> Array:
+    """Return the unit vectors of forces (n, 3)."""
+    return np.asarray(forces / np.maximum(np.linalg.norm(forces, axis=1, keepdims=True), 1e-12))
+
+
 def attitude_labels(raw: Array, angle: float) -> NDArray[np.intp]:
     """Return the number (n,) of each raw force's (n, 3) attitude, from 0 in order of appearance.
 
     A force belongs to the first attitude whose first member's direction is within `angle` (rad) of its own.
     """
-    unit = raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-12)
+    unit = directions(raw)
     labels, free = np.full(len(unit), -1, dtype=np.intp), np.ones(len(unit), dtype=bool)
     nearest, number = np.cos(angle), 0
     while free.any():

@@ -11,7 +11,13 @@ from stillcal.calib_core.accelerometer.prior import FleetPrior, PriorFit
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.static.detector import StationaryDetector
-from stillcal.calib_core.static.rest import RestState, attitude_labels, force_uncertainties, forces
+from stillcal.calib_core.static.rest import (
+    ATTITUDE_ANGLE,
+    RestState,
+    attitude_labels,
+    force_uncertainties,
+    forces,
+)
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Trace
 
@@ -47,7 +53,7 @@ def first_calibration(trace: Trace, prior: FleetPrior) -> tuple[PriorFit, list[R
 
 def document(fit: PriorFit, rests: list[RestState], prior: FleetPrior) -> dict[str, Any]:
     """Return the calibration in the layout of `stillcal replay --json`, with where it comes from."""
-    labels = attitude_labels(forces(rests), fleet_prior.ATTITUDE_ANGLE)
+    labels = attitude_labels(forces(rests), ATTITUDE_ANGLE)
     accelerometer = {
         "scale": fit.model.scale.tolist(),
         "bias": fit.model.bias.tolist(),

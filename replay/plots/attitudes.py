@@ -9,7 +9,7 @@ import numpy as np
 from stillcal.calib_core.accelerometer.observability import most_helpful_attitude
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.calib_core.static.rest import attitude_labels
+from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 from stillcal.replay.plots.inputs import Material
 from stillcal.replay.plots.style import BLUE, GREY, GRID, ORANGE
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
 
-ANGLE = 0.0872665  # rad: as the engine counts attitudes
 MG = 1000 / STANDARD
 
 
@@ -32,7 +31,7 @@ def flat(up: Array) -> Array:
 def draw(part: FigureBase, material: Material) -> None:
     """Draw the attitudes into a figure or a part of one, coloured by what the calibration leaves there."""
     rests = material.rests
-    labels = attitude_labels(rests.up, ANGLE)
+    labels = attitude_labels(rests.up, ATTITUDE_ANGLE)
     groups = [labels == k for k in range(int(labels.max(initial=-1)) + 1)]
     up = np.array([rests.up[g][0] for g in groups]).reshape(-1, 3)
     counts = np.array([np.count_nonzero(g) for g in groups])

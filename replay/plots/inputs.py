@@ -10,14 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.observability import directions
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, StateRecord
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.detector import StationaryDetector
-from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.static.rest import RestState, directions
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.trace import Trace
 from stillcal.replay.runner import replay

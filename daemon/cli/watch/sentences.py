@@ -7,15 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.observability import (
-    Attitude,
-    amplification,
-    directions,
-    most_helpful_attitude,
-)
+from stillcal.calib_core.accelerometer.observability import Attitude, amplification, most_helpful_attitude
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.rest_pool import PoolSettings
-from stillcal.calib_core.static.rest import attitude_labels
+from stillcal.calib_core.static.rest import attitude_labels, directions
 from stillcal.daemon.cli.watch.snapshot import Snapshot
 
 LIMIT = 1.0

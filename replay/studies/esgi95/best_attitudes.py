@@ -17,6 +17,7 @@ from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer.parameters import basis, norm_rows
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.static.rest import directions
 from stillcal.replay.phone import Phone, draw_rests, load_phone
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Progress, Study, holds, picture, table
@@ -98,7 +99,7 @@ def coverage(seed: int, wander: bool, repeats: int = REPEATS) -> tuple[Array, Ar
     wander: whether the phone's noise has its 1/f part. Errors are those of the fit from its mean, in the nine
     symmetric parameters; shares of 95 % intervals.
     """
-    up = observability.directions(dataset(1)[RANGES["1-20"]])
+    up = directions(dataset(1)[RANGES["1-20"]])
     phone, found, stated = _phone(wander), [], []
     for number in range(repeats):
         draws = draw_rests(phone, len(up), seed * 10_007 + number, attitudes=up, duration_s=20.0)
@@ -135,7 +136,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     design = optimum(observability.sphere())
     best = information(design.directions, design.weights)
     progress(0.3)
-    sets = {f"dataset {n}, positions {name}": observability.directions(dataset(n)[rows]) for n in (1, 2, 3)
+    sets = {f"dataset {n}, positions {name}": directions(dataset(n)[rows]) for n in (1, 2, 3)
             for name, rows in RANGES.items()}  # fmt: skip
     sets |= {
         "six faces": observability.places()[:6],
@@ -243,9 +244,7 @@ def _paper_claim(sets: dict[str, Array], best: Array) -> Claim:
 
 def _upright_claim() -> Claim:
     before, after = upright_added()
-    named = observability.most_helpful_attitude(
-        observability.directions(dataset(3)[RANGES["3-23"]]), PARAMETERS
-    )
+    named = observability.most_helpful_attitude(directions(dataset(3)[RANGES["3-23"]]), PARAMETERS)
     return Claim(
         WORK, "2.4", "dataset 3, 3-23: two like positions bias the fit", "0.98 % with both, 0.26 % with one",
         f"{100 * before:.2f} %; with position 1 added {100 * after:.2f} %, positions 3 and 21 both kept",

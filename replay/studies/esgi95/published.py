@@ -15,6 +15,7 @@ import numpy as np
 from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS, six_faces
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.static.rest import directions
 from stillcal.replay.studies.methods.esgi import (
     ESGI_GRAVITY,
     AxisAngleFit,
@@ -209,7 +210,7 @@ def _what_is_missing() -> str:
         100.0 * np.abs(_fit(table[rows[rows != twin]]).relative_errors(table, ESGI_GRAVITY)).max()
         for twin in (2, 20)
     ]
-    cover = observability.coverage(observability.directions(table[rows]))
+    cover = observability.coverage(directions(table[rows]))
     least = cover.names[int(np.argmin(cover.observability))]
     return (
         f"not the twins: without position 3 it is {alone[0]:.3f}, without 21 {alone[1]:.3f}. "

@@ -16,6 +16,7 @@ from stillcal.calib_core.accelerometer.parameters import basis, names
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths import levenberg_marquardt as damped
 from stillcal.calib_core.maths import random_effects
+from stillcal.calib_core.static import rest
 
 G = 9.81
 SCALE = np.array([[1.02, 0.004, -0.006], [0.004, 0.985, 0.003], [-0.006, 0.003, 1.01]])
@@ -145,7 +146,7 @@ def test_auto_wants_a_spare_attitude():
 @pytest.mark.parametrize("face", range(6))
 def test_missing_face_is_named(face):
     held = np.delete(FACES, face, axis=0)
-    tilted = np.vstack((held, observability.directions(held[:2] + 0.15)))
+    tilted = np.vstack((held, rest.directions(held[:2] + 0.15)))
     with pytest.raises(AttitudesMissing) as refusal:
         accelerometer.fit(raw_of(tilted), None, G)
     wanted = refusal.value.attitudes[0]

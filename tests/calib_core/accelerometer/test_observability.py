@@ -14,12 +14,13 @@ from stillcal.calib_core.accelerometer.observability import (
     missing_attitudes,
     most_helpful_attitude,
 )
+from stillcal.calib_core.static.rest import directions
 
 FACES = np.vstack((np.eye(3), -np.eye(3)))
 
 
 def spread(n, seed):
-    return observability.directions(np.random.default_rng(seed).normal(size=(n, 3)))
+    return directions(np.random.default_rng(seed).normal(size=(n, 3)))
 
 
 @pytest.mark.parametrize(

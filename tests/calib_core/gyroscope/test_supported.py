@@ -73,7 +73,7 @@ def test_without_turns_there_is_the_bias() -> None:
     assert fitted.parameters is Parameters.BIAS
     assert len(fitted.missing) == 3
     np.testing.assert_allclose(fitted.model.bias, trip.phone.bias, atol=3e-4)
-    with pytest.raises(NotSupported, match="no turn"):
+    with pytest.raises(NotSupported, match="no rotation between"):
         gyroscope.fit([], ACCEL, G, rests=trip.rests, parameters=Parameters.SCALE3)
     with pytest.raises(NotSupported, match="gyroscope"):
         gyroscope.fit([], ACCEL, G, rests=[structs.replace(trip.rests[0], rate=None)])

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.accelerometer import fit as accelerometer
-from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer import prior as fleet_prior
 from stillcal.calib_core.accelerometer.prior import NOMINAL, FleetPrior
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.static.rest import directions
 from stillcal.replay.phone import draw_rests
 from stillcal.replay.phone.population import population
 from stillcal.replay.studies import prior_benefit
@@ -26,7 +26,7 @@ def truths(n: int, seed: int) -> np.ndarray:
 def rests_of(values: np.ndarray, n: int, seed: int, sd: float = 0.003) -> tuple[np.ndarray, np.ndarray]:
     """Draw raw rests in any attitude of a sensor whose correction has these parameters."""
     rng = np.random.default_rng(seed)
-    up = observability.directions(rng.standard_normal((n, 3)))
+    up = directions(rng.standard_normal((n, 3)))
     scale = np.diag(values[3:6])
     scale[np.triu_indices(3, 1)] = values[6:]
     scale.T[np.triu_indices(3, 1)] = values[6:]

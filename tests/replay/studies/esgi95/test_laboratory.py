@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.accelerometer import observability
+from stillcal.calib_core.static.rest import directions
 from stillcal.replay.studies.esgi95 import best_attitudes, nonorthogonality, repeats
 from stillcal.replay.studies.esgi95.published import RANGES, dataset
 
@@ -67,9 +68,7 @@ def test_even_attitudes_are_optimal() -> None:
 @pytest.mark.parametrize("number", [1, 2, 3])
 @pytest.mark.parametrize("positions", RANGES)
 def test_named_attitude_is_the_best_by_brute_force(number: int, positions: str) -> None:
-    assert best_attitudes.agrees_with_brute_force(
-        observability.directions(dataset(number)[RANGES[positions]])
-    )
+    assert best_attitudes.agrees_with_brute_force(directions(dataset(number)[RANGES[positions]]))
 
 
 def test_upright_mends_dataset_3_with_the_twins_kept() -> None:

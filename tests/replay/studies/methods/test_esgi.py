@@ -17,6 +17,7 @@ from stillcal.calib_core.accelerometer.known_attitudes import (
     six_faces,
 )
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.static.rest import directions
 from stillcal.replay.studies.esgi95 import published
 from stillcal.replay.studies.methods.esgi import ESGI_GRAVITY, AxisAngleSettings, fit_axis_angles
 
@@ -91,13 +92,13 @@ def test_printed_maxima(table):
 def test_dataset_3_lacks_a_face_not_a_twin_less():
     """The paper blames two like positions; the attitudes themselves name the face along y."""
     forces = published.dataset(3)[2:23]
-    found = observability.coverage(observability.directions(forces))
+    found = observability.coverage(directions(forces))
     assert found.weakest.words == "lay it upright on its bottom edge (y axis up)"
     assert set(np.array(found.names)[np.argsort(found.observability)[:2]]) == {"b_y", "S_yy"}
-    whole = observability.coverage(observability.directions(published.dataset(3)[:20]))
+    whole = observability.coverage(directions(published.dataset(3)[:20]))
     assert found.amplification > 2.0 * whole.amplification
     for twin in (0, 18):
-        alone = observability.amplification(observability.directions(np.delete(forces, twin, axis=0)))
+        alone = observability.amplification(directions(np.delete(forces, twin, axis=0)))
         assert alone == pytest.approx(found.amplification, rel=1e-3)
     cured = np.vstack((forces, published.dataset(3)[:1]))  # position 1 has y up
     errors = fit_axis_angles(cured, ESGI_GRAVITY).relative_errors(published.dataset(3), ESGI_GRAVITY)
@@ -142,7 +143,7 @@ def test_known_attitudes_show_all_twelve(seed):
     rng = np.random.default_rng(seed)
     x = np.eye(3) + 0.1 * rng.normal(size=(3, 3))
     y = rng.normal(size=3)
-    truth = 9.81 * observability.directions(rng.normal(size=(12, 3)))
+    truth = 9.81 * directions(rng.normal(size=(12, 3)))
     found = fit_known(truth @ x.T + y, truth)
     assert np.abs(found.X - x).max() < 1e-9
     assert found.model.apply(truth @ x.T + y) == pytest.approx(truth, abs=1e-8)
@@ -151,7 +152,7 @@ def test_known_attitudes_show_all_twelve(seed):
 def test_known_fit_covariance_is_what_repeats_show():
     """2000 repeats with noise: variances within 20 % (their sd is 3 %, the largest of twelve 10 %)."""
     rng = np.random.default_rng(0)
-    truth = 9.81 * observability.directions(rng.normal(size=(10, 3)))
+    truth = 9.81 * directions(rng.normal(size=(10, 3)))
     fits = [fit_known(truth + 0.01 * rng.normal(size=truth.shape), truth) for _ in range(2000)]
     values = np.array([np.r_[f.X.ravel(), f.y] for f in fits])
     declared = np.mean([np.diag(f.covariance) for f in fits], axis=0)
