@@ -45,7 +45,7 @@ replayed from a file therefore give the same calibration, to the bit.
 
 TAIL = """
 `stillcal/api.py` is the public Python interface ([api.md](api.md)), above all three layers.
-`stillcal/__init__.py` imports it when it is used, so that the daemon does not. `config` holds data files only.
+`stillcal/__init__.py` imports it when it is used, so that the daemon does not. `config` holds data files.
 
 The commands are imported when they are called, so that the daemon, which runs for months, holds only numpy,
 pyserial, msgspec, click and asyncvarlink. `replay.studies`, `replay.real_data` and `replay.trials` prove the
