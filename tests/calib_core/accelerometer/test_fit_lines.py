@@ -101,6 +101,21 @@ def test_too_few_attitudes_are_counted_and_nothing_more_is_said():
         fitted(raw_of(FACES[:5]), parameters=6)
 
 
+def test_just_enough_attitudes_that_lie_badly_are_said_to() -> None:
+    nine = np.vstack([FACES, EDGES[:3]])
+    with pytest.raises(AttitudesMissing, match="times worse than a rest measures it"):
+        fitted(raw_of(nine), max_amplification=1.5)
+
+
+def test_twelve_parameters_are_symmetric_whatever_form_is_asked_for() -> None:
+    raw = raw_of(directions(20))
+    for form, symmetric in (("symmetric", True), ("triangular", True)):
+        fit = accelerometer.fit(raw, None, G, parameters=12, form=form)
+        assert np.allclose(fit.model.scale, fit.model.scale.T) == symmetric
+        assert fit.form == "symmetric" and len(fit.names) == 12
+    assert accelerometer.fit(raw, None, G, parameters=9, form="triangular").form == "triangular"
+
+
 def test_what_the_fit_would_leave_open_is_limited():
     raw = raw_of(directions(15))
     worst = fitted(raw, 0.05, max_norm_sd=np.inf).worst_norm_uncertainty
@@ -239,6 +254,19 @@ def test_scatter_within_attitudes_alone_leaves_rests_less_attitudes():
     assert fit.excess_rest == pytest.approx(0.04 * np.sqrt(2), rel=0.01)
     assert fit.excess_attitude == 0.0
     assert fit.rms_residual == pytest.approx(0.04, rel=0.01)
+
+
+def test_within_an_attitude_rests_count_by_their_uncertainty():
+    """Beside each exact rest lies one that is 0.09 off and says 0.1: the attitude's mean is the exact one."""
+    rng = np.random.default_rng(6)
+    up = np.repeat(directions(20), 2, axis=0)
+    raw = raw_of(up)
+    raw[1::2] += (0.09 * rng.choice([-1.0, 1.0], 20))[:, None] * up[1::2]
+    sd = np.tile([[1e-3], [0.1]], (20, 3))
+    fit = fitted(raw, sd, outlier_level=0.0, max_norm_sd=1.0)
+    assert np.abs(fit.residuals[::2]).max() < 1e-3
+    assert np.abs(fit.residuals[1::2]).min() > 0.08
+    np.testing.assert_allclose(fit.model.bias, BIAS, atol=1e-3)
 
 
 def test_pooling_takes_weighted_means_over_each_attitude():

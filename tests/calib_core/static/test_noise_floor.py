@@ -138,7 +138,7 @@ def test_windows_within_one_octave_count_together(bins, known):
 
 def test_the_level_is_the_weighted_middle_of_the_peak_and_two_bins_beside_it():
     assert lowest_cluster(histogram(b40=1, b41=2, b42=9, b43=2, b44=1), SETTINGS) == pytest.approx(middle(42))
-    lopsided = lowest_cluster(histogram(b40=4, b42=8, b44=2, b45=7), SETTINGS)
+    lopsided = lowest_cluster(histogram(b39=3, b40=4, b42=8, b44=2, b45=7), SETTINGS)
     assert lopsided == pytest.approx(middle((40 * 4 + 42 * 8 + 44 * 2) / 14))
 
 
@@ -150,6 +150,7 @@ def test_the_peak_is_sought_in_the_first_full_octave_and_the_next():
 
 
 def test_a_peak_at_either_end_is_cut_there():
+    assert lowest_cluster(histogram(b0=8), SETTINGS) == pytest.approx(middle(0))
     assert lowest_cluster(histogram(b0=8, b1=4), SETTINGS) == pytest.approx(middle(4 / 12))
     assert lowest_cluster(histogram(b94=4, b95=8), SETTINGS) == pytest.approx(middle((94 * 4 + 95 * 8) / 12))
     assert lowest_cluster(np.zeros(96), SETTINGS) == np.inf

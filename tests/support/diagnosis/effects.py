@@ -1,7 +1,8 @@
 """Effects to be put into the simple phones of `nulls`: the catalogue's slow ones and some that are not in it.
 
-Written apart from the estimator. Each gives the error (n, 3) of one sensor, second by second, on a size of
-one; `sized` scales it to a d' under the noise that was really drawn.
+Written apart from the estimator: the catalogue's effects are played by the examiner of the blind test, the
+others here. Each gives the error (n, 3) of one sensor, second by second, on a size of one; `sized` scales it to
+a d' under the noise that was really drawn.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.replay.blind_test.forward_model import played
+from stillcal.replay.blind_test.world import World
 from tests.support.diagnosis import nulls
 
 Array = np.ndarray
@@ -48,35 +51,48 @@ def axes_of(rng: np.random.Generator) -> Array:
 
 
 def drawn(rng: np.random.Generator, day: nulls.Day, kind: str, sensor: str) -> Put:
-    """Draw an effect of a kind on a sensor."""
-    v, grid = axes_of(rng), {}
-    value = v
-    t = day.t
-    last = np.maximum.accumulate(np.where(day.rest < 0, t, 0.0))
-    own = nulls.G * day.up
+    """Draw an effect of a kind on a sensor. The catalogue's are played by the examiner's equations."""
+    v = axes_of(rng)
+    last = np.maximum.accumulate(np.where(day.rest < 0, day.t, 0.0))
+    prefix = "" if kind == "thermal_latent" else sensor + "_"
+    name = prefix + kind if kind in CATALOGUE else None
+    if kind in CURVES:
+        return Put(sensor, kind, name, np.outer(CURVES[kind](rng, day, last), v), v, {})
+    parameters, value, grid = _parameters(rng, day, kind, v)
+    assert name is not None
+    return Put(sensor, kind, name, played(_world(day), name, parameters), value, grid)
+
+
+def _parameters(
+    rng: np.random.Generator, day: nulls.Day, kind: str, v: Array
+) -> tuple[dict[str, object], Array, dict[str, float]]:
+    """Draw a catalogue effect's parameters: as the examiner takes them, what scales them, and the others."""
     if kind == "warmup":
         grid = {"tau_s": float(np.exp(rng.uniform(np.log(120), np.log(1200))))}
-        error = np.outer(1 - np.exp(-t / grid["tau_s"]), v)
-    elif kind == "bias_step":
-        grid = {"t_start": float(rng.uniform(0.15, 0.85) * t[-1])}
-        error = np.outer(t > grid["t_start"], v)
-    elif kind == "scale_temperature":
-        error = (day.temperature - day.temperature.mean())[:, None] * own * v
-    elif kind == "nonlinearity":
-        cubic = rng.random() < 0.4
-        error = own ** (3 if cubic else 2) * v / 10.0
-        value = np.concatenate([0 * v, v / 10.0]) if cubic else v / 10.0
-    elif kind == "g_sensitivity":
+        return {"amplitude": v, **grid}, v, grid
+    if kind == "bias_step":
+        grid = {"t_start": float(rng.uniform(0.15, 0.85) * day.t[-1])}
+        return {"step": v, "at_s": grid["t_start"]}, v, grid
+    if kind == "nonlinearity":
+        if rng.random() < 0.4:
+            return {"cubic": v / 10.0}, np.concatenate([0 * v, v / 10.0]), {}
+        return {"quadratic": v / 10.0}, v / 10.0, {}
+    if kind == "g_sensitivity":
         matrix = np.zeros((3, 3))
         matrix[rng.integers(0, 3)] = axes_of(rng)
         if rng.random() < 0.5:
             matrix[rng.integers(0, 3)] += axes_of(rng)
-        error, value = own @ matrix.T, matrix.ravel()
-    else:
-        error = np.outer(CURVES[kind](rng, day, last), v)
-    prefix = "" if kind == "thermal_latent" else sensor + "_"
-    name = prefix + kind if kind in CATALOGUE else None
-    return Put(sensor, kind, name, error, value, grid)
+        return {"matrix": matrix}, matrix.ravel(), {}
+    if kind == "bias_drift":
+        return {"rate": v / 3600.0}, v, {}
+    return {"step" if kind == "charging_bias" else "slope": v}, v, {}
+
+
+def _world(day: nulls.Day) -> World:
+    """Return a day as the examiner sees one: it lies still, so nothing turns."""
+    still, none = np.zeros((day.t.size, 3)), np.zeros((0, 2))
+    force = nulls.G * day.up
+    return World(day.t, force, still, still, day.temperature, day.charging, none, none, np.zeros((0, 6)))
 
 
 def _play(rng: np.random.Generator, day: nulls.Day, _last: Array) -> Array:
@@ -132,10 +148,7 @@ def _stretch(rng: np.random.Generator, day: nulls.Day, _last: Array) -> Array:
 
 
 CURVES: dict[str, Curve] = {
-    "bias_temperature": lambda _r, d, _l: d.temperature - d.temperature.mean(),
     "thermal_latent": lambda _r, d, _l: (d.temperature - d.temperature.mean()) / np.ptp(d.temperature),
-    "charging_bias": lambda _r, d, _l: d.charging,
-    "bias_drift": lambda _r, d, _l: d.t / 3600.0,
     "hysteresis": _play,
     "cycle": _cycle(90, 900),
     "slow_sine": _cycle(1200, 3000),
