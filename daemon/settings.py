@@ -1,9 +1,8 @@
-"""All that a user may choose: sections of settings, read from TOML, refused where they make no sense.
+"""The settings: sections read from TOML, checked, with errors that name file, line and key.
 
 A section belongs to the module that uses it; this one puts them together, reads the file and explains
-what is wrong with it by file, line and key. config/default.toml documents every setting and its default, the
-same as in the code: first those that a user needs, then those that are rarely needed. What the sections
-hold besides is for code that builds them, and FIXED for files.
+what is wrong with it. config/default.toml documents every setting and its default, the same as in the code:
+first those that a user needs, then those that are rarely needed. A file cannot change what FIXED names.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ FIXED: dict[tuple[str, ...], str] = {
 
 
 class SettingsError(UserError):
-    """A settings file that cannot be used; the message names file, line, key and remedy."""
+    """The settings cannot be used; the message names file, line, key and remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +83,7 @@ class SourceSettings:
 
 @dataclass(frozen=True, slots=True)
 class SocketSettings:
-    """Where questions are answered, and how much anybody may ask.
+    """The socket, and limits for its clients.
 
     path: "" for the service's runtime folder. mode: permissions. connections: open at once; a further one
     takes the place of the one that has been idle longest. message_bytes: of one question. calls_per_s: of
@@ -114,7 +113,7 @@ class SocketSettings:
 
 @dataclass(frozen=True, slots=True)
 class LogSettings:
-    """What is logged. level: the least that is."""
+    """The log. level: the least that is logged."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
 
@@ -186,7 +185,7 @@ def line_of(text: str, keys: tuple[str, ...]) -> int | None:
 
 
 class _BadKeyError(ValueError):
-    """A value that cannot be taken; `keys` is the path to it."""
+    """A value cannot be used; `keys` is the path to it."""
 
     def __init__(self, keys: tuple[str, ...], problem: str) -> None:
         *tables, key = keys
@@ -201,7 +200,7 @@ def _section(kind: type[T], table: Any, keys: tuple[str, ...]) -> T:
     hints = get_type_hints(kind)
     for key in (key for key in table if key not in hints):
         raise _BadKeyError(
-            (*keys, key), f"is no {'key' if keys else 'section'}: {_suggestion(key, list(hints))}"
+            (*keys, key), f"is not a {'setting' if keys else 'section'}: {_suggestion(key, list(hints))}"
         )
     values = {key: _value(hints[key], value, (*keys, key)) for key, value in table.items()}
     try:
@@ -234,7 +233,7 @@ def _value(hint: Any, value: Any, keys: tuple[str, ...]) -> Any:
 
 
 def _allowed(hint: Any) -> str:
-    """List the values of a choice; empty for what is none."""
+    """Return the values of a choice in words; empty for other types."""
     is_choice = isinstance(hint, type) and issubclass(hint, StrEnum)
     choices = [str(member) for member in hint] if is_choice else get_args(hint)
     return f"one of {', '.join(map(repr, choices))}" if is_choice or get_origin(hint) is Literal else ""

@@ -1,4 +1,4 @@
-"""`stillcal install-service`: the systemd units, the udev rule and a first settings file, put in place."""
+"""`stillcal install-service`: install the systemd units, the udev rule and a first settings file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.store.atomic import write_atomically
 
 SHIPPED = "/usr/local/bin/stillcal"
-"""Where the shipped unit expects the command."""
+"""The path of the command in the shipped unit, which installing replaces."""
 
 PLACES = {
     "stillcal.service": "etc/systemd/system",
@@ -48,7 +48,7 @@ def install_command(port: str, root: Path, only_print: bool) -> None:
         if only_print:
             click.echo(f"# /{place}\n{text}")
         elif place == SETTINGS and target.exists():
-            click.echo(f"{target}: left as it is")
+            click.echo(f"{target}: exists, not changed")
         else:
             _write(target, text)
             click.echo(f"{target}: written")
@@ -59,7 +59,7 @@ def install_command(port: str, root: Path, only_print: bool) -> None:
 
 
 def files(port: str) -> Iterator[tuple[Path, str]]:
-    """Yield what is to be installed: path below the root, and contents for this installation."""
+    """Yield each file to install: its path below the root and its contents."""
     shipped = importlib.resources.files("stillcal.config") / "systemd"
     for name, folder in PLACES.items():
         text = (shipped / name).read_text(encoding="utf-8")
@@ -71,11 +71,12 @@ def files(port: str) -> Iterator[tuple[Path, str]]:
 
 
 def _command() -> str:
-    """Return the path of this very command, as the service will call it. Refuses one it could not reach."""
+    """Return the path of this command for the service; warn where the service cannot run it."""
     command = Path(sys.argv[0] if os.sep in sys.argv[0] else sys.executable).absolute().with_name("stillcal")
     if command.is_relative_to("/home") or command.is_relative_to("/root"):
         click.echo(
-            f"stillcal: {command} is out of the service's reach (ProtectHome=): install it in /opt", err=True
+            f"stillcal: the service cannot run {command} (ProtectHome= hides it): install it in /opt",
+            err=True,
         )
     return str(command)
 

@@ -1,9 +1,9 @@
-"""The command line: one command a verb, mounted here; every refusal is one line and an exit code.
+"""The command line's entry: one command per verb. Every refusal is one line and an exit code.
 
-Exit codes: 0 done, 1 a bar not met, 2 bad input, 3 the recording cannot support a calibration, 4 no
-daemon answers, 75 the machine cannot for now (disk, memory, descriptors), 130 interrupted. Nothing is
-computed here, and nothing is imported but click until a command is called: the daemon starts in a third of
-a second and never holds what only a replay needs.
+Exit codes: 0 done, 1 a criterion not met, 2 bad input, 3 too little data for a calibration, 4 no daemon
+answers, 75 a passing fault of the machine (disk, memory, descriptors), 130 interrupted. Nothing is computed
+here, and only click is imported until a command is called: the daemon starts in a third of a second and never
+holds what only a replay needs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ COMMANDS = {
     "watch": "stillcal.daemon.cli.watch.command:watch_command",
     "install-service": "stillcal.daemon.cli.install:install_command",
 }
-"""The daemon's own commands, found without looking at what is installed, so that `run` starts at once."""
+"""The daemon's own commands, found without searching the installed packages, so that `run` starts at once."""
 
 OWN_SECTION = "The daemon"
 
@@ -54,7 +54,7 @@ SECTIONS = {
 )
 @click.version_option(package_name="stillcal")
 def cli() -> None:
-    """Keep a phone's accelerometer and gyroscope true, with nobody helping."""
+    """Calibrate a phone's accelerometer and gyroscope without anybody's help, live or from recordings."""
 
 
 def main() -> None:

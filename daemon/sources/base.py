@@ -1,8 +1,7 @@
-"""What every source of a phone's samples is made of: settings, what is told of the link, patience.
+"""The base of all sources of samples: settings, records of the link, reconnection.
 
-A source lives in callbacks of one asyncio loop. It looks for its phone, tells when that comes and goes, and
-keeps what it brought until somebody takes it. serial.py and iio.py say which
-phone and how it is read.
+A source runs in callbacks of one asyncio loop. It looks for its phone, reports when it comes and goes, and
+keeps its records until they are taken. serial.py and iio.py say which phone and how it is read.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from stillcal.daemon.wire.decoder import Command, Message, WireCounters
 
 @dataclass(frozen=True, slots=True)
 class SerialSettings:
-    """Which line, and how patiently.
+    """Which line to open, and how often to try.
 
     port: the device's path, or a pattern ("/dev/serial/by-id/usb-Arduino*") whose matches are tried in
     order of their names at every attempt. baud: symbols per s on a real line. retry_s: wait after the
@@ -54,8 +53,8 @@ class SerialSettings:
     def wait(self, attempt: int) -> float:
         """Return how long to wait, in s, after the attempt-th failure in a row (from 1).
 
-        The spread is a pure function of port and attempt, so that many daemons do not knock in step and
-        one run is like the next.
+        The jitter is a pure function of port and attempt: several daemons do not try in step, and a run
+        can be repeated.
         """
         full = min(self.retry_s * 2.0 ** min(attempt - 1, 60), self.retry_max_s)
         draw = zlib.crc32(f"{self.port}:{attempt}".encode()) / 0xFFFFFFFF
@@ -64,7 +63,7 @@ class SerialSettings:
 
 @dataclass(frozen=True, slots=True)
 class LinkUp:
-    """The line was opened. device: the path; attempts: those before it that failed or brought nothing."""
+    """The line was opened. device: the path; attempts: failed or useless ones before."""
 
     device: str
     attempts: int
@@ -80,7 +79,7 @@ class LinkDown:
 
 @dataclass(slots=True)
 class LinkCounters:
-    """What the line went through. pauses: how often a full queue stopped reading."""
+    """Counts of the line's events. pauses: how often a full queue stopped reading."""
 
     connections: int = 0
     disconnections: int = 0
@@ -94,9 +93,9 @@ Record = Message | LinkUp | LinkDown
 
 
 class Source(ABC):
-    """A phone that is looked for again whenever it is lost; records come out in the order of their happening.
+    """A source of records, in order of time, that reconnects whenever the phone is lost.
 
-    Entered once, then taken from by one task until it is closed.
+    Enter it once; then one task takes records until it is closed.
     """
 
     def __init__(self, settings: SerialSettings) -> None:
@@ -121,29 +120,29 @@ class Source(ABC):
     @property
     @abstractmethod
     def connected(self) -> bool:
-        """Whether a phone is there now."""
+        """Whether a phone is connected now."""
 
     @property
     @abstractmethod
     def device(self) -> str:
-        """Its path, "" where none is."""
+        """The path of the phone's device; "" without one."""
 
     @property
     @abstractmethod
     def wire(self) -> WireCounters:
-        """A copy of what was counted."""
+        """A copy of the counters of the wire."""
 
     @abstractmethod
     def send(self, command: Command) -> bool:
-        """Tell the phone something; say whether it is on its way."""
+        """Send a command to the phone; return whether it was queued."""
 
     @property
     def pending(self) -> bool:
-        """Whether there is something to take."""
+        """Whether there are records to take."""
         return bool(self._records)
 
     async def take(self) -> list[Record]:
-        """Wait until there is something and return all of it; an empty list once the source is closed."""
+        """Wait for records and return all of them; an empty list once the source is closed."""
         await self._wait_for_records()
         records = list(self._records)
         self._records.clear()
@@ -151,11 +150,11 @@ class Source(ABC):
         return records
 
     async def let_gather(self, seconds: float) -> None:
-        """Let what comes gather for so long, s."""
+        """Let records gather for this long, s."""
         await asyncio.sleep(seconds)
 
     def close(self) -> None:
-        """Let go of the phone for good; what was read before can still be taken."""
+        """Release the phone for good; records read before can still be taken."""
         if self._closed:
             return
         self._closed = True
@@ -166,14 +165,14 @@ class Source(ABC):
 
     @abstractmethod
     def _connect(self) -> None:
-        """Look for the phone; where there is none, `_fail`."""
+        """Look for the phone; call `_fail` where there is none."""
 
     @abstractmethod
     def _lose(self, reason: str, for_good: bool = False) -> None:
-        """Let go of the phone and report it by `_line_down`."""
+        """Release the phone and report it by `_line_down`."""
 
     def _resume(self) -> None:  # noqa: B027 - only a line can be held back
-        """Read on, where reading had stopped for want of somebody to take."""
+        """Continue reading after a full queue has been emptied."""
 
     async def _wait_for_records(self) -> bool:
         while not self._records and not self._closed:
@@ -191,7 +190,7 @@ class Source(ABC):
         self._last_reason = None
 
     def _fail(self, reason: str) -> None:
-        """Tell, once for each reason, that there is no phone, and look again later."""
+        """Report, once for each reason, that there is no phone, and try again later."""
         self.link.failed_attempts += 1
         if reason != self._last_reason:
             self._last_reason = reason

@@ -1,9 +1,9 @@
 """The sensors of the machine itself: a Linux phone's accelerometer and gyroscope, polled through sysfs.
 
-For the daemon it is a phone like any other: it says hello, sends samples with stamps, sleeps and wakes
-when told to. All in callbacks of one asyncio loop. sysfs.py says what the files mean. Stamps are
-CLOCK_BOOTTIME halfway through a reading, so time goes on while the machine is suspended; a reboot is a new
-session.
+To the daemon it is a phone like any other: it identifies itself, sends samples with time stamps, and
+sleeps and wakes on command. Everything runs in callbacks of one asyncio loop. sysfs.py says what the files
+mean. A stamp is CLOCK_BOOTTIME halfway through a reading, which goes on while the machine is suspended. A
+reboot is a new session.
 """
 
 from __future__ import annotations
@@ -34,17 +34,18 @@ from stillcal.daemon.wire.decoder import (
 )
 
 MAX_RATE_HZ = 50.0
-"""Readings a second unless another rate is asked for: each takes a system call and a bus transfer an axis."""
+"""Sampling rate unless [source] rate_hz sets one: each axis costs a system call and a bus transfer."""
 
 BATCH_S = 0.1
+"""How long samples gather before they are handed on, s."""
 STATUS_S = 10.0
-"""How often the thermometer is read and the status told, s."""
+"""Time between two readings of the thermometer and two status records, s."""
 
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 class IioSource(Source):
-    """The machine's own sensors, found again whenever they are lost. settings.port: the folder of devices."""
+    """The machine's own sensors, looked for again when they are lost. settings.port: folder of devices."""
 
     def __init__(self, settings: SerialSettings, clock: Clock = host_time) -> None:
         super().__init__(settings)
@@ -60,7 +61,7 @@ class IioSource(Source):
 
     @property
     def connected(self) -> bool:
-        """Whether the sensors are there now."""
+        """Whether the sensors are available now."""
         return self._sensors is not None
 
     @property
@@ -70,11 +71,11 @@ class IioSource(Source):
 
     @property
     def wire(self) -> WireCounters:
-        """A copy of what was counted; of a wire there is none, so only samples are."""
+        """A copy of the counters; there is no wire, so only samples are counted."""
         return replace(self._counters)
 
     def send(self, command: Command) -> bool:
-        """Do what a phone does when told; False while there are no sensors."""
+        """Carry out a command as a phone would; return False while there are no sensors."""
         if self._sensors is None:
             return False
         self.link.commands_sent += 1
@@ -158,7 +159,7 @@ class IioSource(Source):
             if begin >= self._next_status:
                 self._read_status(sensors, begin)
         except SensorGoneError as error:
-            self._lose(f"the sensor is gone: {error}")
+            self._lose(f"sensor lost: {error}")
             return
         self._failures = 0
         self._on_time, self._last = self._on_time + begin - self._last, begin
@@ -186,7 +187,7 @@ class IioSource(Source):
         self._emit(self._status(now))
 
     def _flush(self) -> None:
-        """Hand on what was read, the gyroscope's first."""
+        """Emit the gathered samples, the gyroscope's first."""
         read, self._gathered = self._gathered, {}
         for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER):
             stamps, rows = read.get(sensor, ([], []))
@@ -203,7 +204,7 @@ class IioSource(Source):
 
 
 def _session() -> int:
-    """Return a number that is another after each boot, since CLOCK_BOOTTIME begins anew."""
+    """Return a number that changes at each boot, when CLOCK_BOOTTIME starts at zero again."""
     try:
         return zlib.crc32(BOOT_ID.read_bytes())
     except OSError:

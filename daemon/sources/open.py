@@ -1,4 +1,4 @@
-"""Which source the settings mean: a phone on a serial line, or the machine itself."""
+"""Choose the source that the settings name: a phone on a serial line, or the machine's own sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The phone's serial line: opening it, reading and writing it on the event loop, and getting it back.
+"""The phone's serial line: open it, read and write it on the event loop, and reopen it when it is lost.
 
 Everything runs in callbacks of one asyncio loop; no thread, no task. What arrives is decoded at once and
 waits in a bounded queue; when that is full, reading stops and the kernel holds the sender back. The wire
@@ -30,20 +30,20 @@ from stillcal.daemon.wire.decoder import (
 )
 
 READ_BYTES = 4096
-"""What is read at once: what a terminal holds, so that a full queue is overrun by no more than that."""
+"""Bytes read at once: a terminal's buffer, so that a full queue is exceeded by no more than that."""
 
 ROOM_BYTES = 3072
-"""What may gather on the line unread: three quarters of what a terminal holds before it stops the sender."""
+"""Bytes that may gather unread: three quarters of a terminal's buffer, beyond which it stops the sender."""
 
 LEAST_NAP_S = 0.02
-"""A line that brings so much sooner is watched without a break, s."""
+"""A line that would fill that sooner than this is watched without pause, s."""
 
 UNSENT_LIMIT = 65_536
 """Bytes of commands that may wait for a device that does not read; further commands are dropped."""
 
 
 class SerialSource(Source):
-    """A line that is opened again whenever it is lost. Records come out in the order of their happening.
+    """A serial line that is reopened whenever it is lost. Records come out in order of time.
 
     Iterate over it, or call `take`, from one task. Between LinkUp and LinkDown lies what one connection
     brought; nothing that was read from the device is lost between the two.
@@ -67,7 +67,7 @@ class SerialSource(Source):
 
     @property
     def device(self) -> str:
-        """Path of the device that is open, "" where none is."""
+        """Path of the open device; "" where none is open."""
         return "" if self._port is None else str(self._port.port)
 
     @property
@@ -82,9 +82,9 @@ class SerialSource(Source):
             yield record
 
     async def let_gather(self, seconds: float) -> None:
-        """Let what comes gather on the line, s, so that a trickle of small messages wakes nobody.
+        """Let bytes gather on the line for this long, s, so that small messages do not wake the process.
 
-        A line that brings more is looked at more often; one that brings much is watched as ever.
+        A faster line is read more often; a very fast one is watched all the time.
         """
         loop = asyncio.get_running_loop()
         end = loop.time() + seconds
@@ -97,14 +97,14 @@ class SerialSource(Source):
             await asyncio.sleep(left)
 
     def close(self) -> None:
-        """Let go of the phone for good; what has come by now can still be taken."""
+        """Release the phone for good; records that have arrived can still be taken."""
         self._read_gathered()
         super().close()
 
     def send(self, command: Command) -> bool:
-        """Send a command in the form that the device speaks; say whether it is on its way.
+        """Send a command in the form that the device uses; return whether it was queued.
 
-        It is not, and is forgotten, while no device is open or the device has long not been reading.
+        It is dropped while no device is open, or while the device does not read.
         """
         form = self._decoder.form or Form.BINARY
         sent = self._put(self._encoders[form].encode(command))
@@ -115,7 +115,7 @@ class SerialSource(Source):
     # Opening
 
     def _connect(self) -> None:
-        """Try every device that the settings mean; where none opens, try again later."""
+        """Try every device that the settings name; try again later where none opens."""
         self._timer = None
         reason = "no such device"
         for device in self._candidates():
@@ -133,7 +133,7 @@ class SerialSource(Source):
         return sorted(glob.glob(port)) if glob.has_magic(port) else [port]  # noqa: PTH207 - may be absolute
 
     def _greet(self, device: str) -> None:
-        """Ask who is there, in both forms: neither kind of device minds the other's."""
+        """Ask the device to identify itself, in both forms: each kind of device ignores the other's."""
         self._opened(device)
         self._unsent.clear()
         self._resume()
@@ -163,7 +163,7 @@ class SerialSource(Source):
             self._lose(error.strerror or errno.errorcode.get(error.errno or 0, "I/O error"))
             return
         if not data:
-            self._lose("hung up")
+            self._lose("the device closed the line")
             return
         for message in self._decoder.feed(data):
             self._failures = 0  # only a device that makes sense ends the back-off
@@ -172,12 +172,12 @@ class SerialSource(Source):
             self._pause()
 
     def _read_gathered(self) -> None:
-        """Read what gathered while nobody watched, if there is room for it."""
+        """Read what gathered while the line was not watched, if the queue has room."""
         if self._port is not None and not self._reading and len(self._records) < self.settings.queue:
             self._read()
 
     def _nap(self, now: float) -> float:
-        """Return for how long (s) there is room, at the rate of what came since this was asked last."""
+        """Return how long (s) the line may gather, at the rate of bytes since the last call."""
         (before, had), self._rate_sample = self._rate_sample, (now, self._decoder.counters.bytes)
         return ROOM_BYTES * (now - before) / max(self._rate_sample[1] - had, 1)
 
@@ -185,7 +185,7 @@ class SerialSource(Source):
         self.link.pauses += self._unwatch()
 
     def _unwatch(self) -> bool:
-        """Stop reading; say whether it was going on."""
+        """Stop reading; return whether the line was being read."""
         was, self._reading = self._reading, False
         if was and self._port is not None:
             asyncio.get_running_loop().remove_reader(self._port.fileno())
@@ -229,7 +229,7 @@ class SerialSource(Source):
 
 
 def _open_port(device: str, baud: int) -> serial.Serial:
-    """Open `device` raw, locked against others, and so that a read tells silence from a hang-up.
+    """Open `device` raw and locked, so that a read distinguishes silence from a hang-up.
 
     pyserial sets VMIN to 0, with which a read of nothing returns 0 bytes as a hang-up does (termios(3));
     with 1 it says EAGAIN. Raises serial.SerialException, OSError or termios.error.

@@ -1,4 +1,4 @@
-"""The kernel's accelerometers and gyroscopes as files: what Documentation/ABI/testing/sysfs-bus-iio says.
+"""The kernel's accelerometers and gyroscopes as files (Documentation/ABI/testing/sysfs-bus-iio).
 
 A channel's value is (raw + offset) * scale, in m/s^2 (in_accel) or rad/s (in_anglvel), temperatures in
 thousandths of a degree (the same document). The mount matrix turns the chip's axes into the phone's, y to the
@@ -65,7 +65,7 @@ class Sensors:
             yield self.gyroscope
 
     def celsius(self) -> float | None:
-        """Return the accelerometer's temperature, °C; None where nothing tells it."""
+        """Return the accelerometer's temperature, °C; None without a thermometer."""
         if self.thermometer is None:
             return None
         folder = self.thermometer.parent
@@ -99,7 +99,7 @@ def find(devices: Path) -> Sensors:
 
 
 def set_rate(sensors: Sensors, hz: float) -> bool:
-    """Ask the chips for a rate; say whether all took it (most let only root, and only some rates)."""
+    """Set the chips' sampling rate; return whether all accepted it (most allow only root, and some rates)."""
     accepted = True
     for channel in sensors.channels():
         prefix = CHANNELS[channel.sensor]
@@ -120,7 +120,7 @@ def number(file: Path) -> float:
     try:
         return float(text)
     except ValueError:
-        raise SensorGoneError(f"{file} holds no number but {text[:40]!r}") from None
+        raise SensorGoneError(f"{file}: expected a number, found {text[:40]!r}") from None
 
 
 def matrix(text: str) -> Array:
@@ -132,7 +132,7 @@ def matrix(text: str) -> Array:
     rows = [[float(cell) for cell in row.split(",")] for row in text.split(";")]
     value = np.array(rows)
     if value.shape != (3, 3) or not np.allclose(value @ value.T, np.eye(3), atol=0.02):
-        raise ValueError(f"{text!r} is no rotation or reflection")
+        raise ValueError(f"{text!r} is not a rotation or reflection")
     return frozen(value)
 
 

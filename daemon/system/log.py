@@ -1,6 +1,6 @@
-"""The log: one line an event, its figures as key=value, with syslog's priority where journald reads it.
+"""The log: one line per event, figures as key=value, with a syslog priority for journald.
 
-Nothing here decides what is worth a line.
+The callers decide what is logged.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import Any, TextIO
 
 _PRIORITIES = {"DEBUG": 7, "INFO": 6, "WARNING": 4, "ERROR": 3, "CRITICAL": 2}
-"""sd-daemon(3): the number between angle brackets that a line begins with."""
+"""The number in angle brackets at the start of a line (sd-daemon(3))."""
 
 _logger = logging.getLogger("stillcal")
 
@@ -26,13 +26,13 @@ def say(level: str, what: str, why: str = "", **fields: Any) -> None:
 
 
 def entry(what: str, why: str, fields: Mapping[str, Any]) -> str:
-    """Put an event on one line: `what: why key=value ...`; values that hold a space are quoted."""
+    """Return an event as one line, `what: why key=value ...`; values with a space are quoted."""
     head = f"{what}: {_plain(why)}" if why else what
     return " ".join([head, *(f"{key}={_value(value)}" for key, value in fields.items() if value is not None)])
 
 
 def set_up(level: str, stream: TextIO | None = None, environ: Mapping[str, str] = os.environ) -> None:
-    """Send the log to `stream` (standard error), in journald's form where journald is what reads it."""
+    """Send the log to `stream` (standard error), in journald's form where journald reads it."""
     stream = stream or sys.stderr
     handler = logging.StreamHandler(stream)
     handler.setFormatter(_Journal() if reads_journal(stream, environ) else logging.Formatter(_PLAIN))
@@ -43,12 +43,12 @@ def set_up(level: str, stream: TextIO | None = None, environ: Mapping[str, str] 
 
 
 def set_level(level: str) -> None:
-    """Log nothing below `level`."""
+    """Log events of `level` and above."""
     _logger.setLevel(level.upper())
 
 
 def reads_journal(stream: TextIO, environ: Mapping[str, str]) -> bool:
-    """Say whether `stream` is the one that journald named in JOURNAL_STREAM (systemd.exec(5))."""
+    """Return whether `stream` is the one that journald named in JOURNAL_STREAM (systemd.exec(5))."""
     try:
         found = os.fstat(stream.fileno())
     except (OSError, ValueError):
@@ -60,7 +60,7 @@ _PLAIN = "%(asctime)s %(levelname)-7s %(message)s"
 
 
 class _Journal(logging.Formatter):
-    """Every line with its priority before it, those of a traceback too."""
+    """Puts the priority before every line, also those of a traceback."""
 
     def format(self, record: logging.LogRecord) -> str:
         prefix = f"<{_PRIORITIES.get(record.levelname, 6)}>"
@@ -75,5 +75,5 @@ def _value(value: Any) -> str:
 
 
 def _plain(text: str) -> str:
-    """Keep a text on its line: what is not printable is escaped."""
+    """Escape what is not printable, so that a text stays on one line."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

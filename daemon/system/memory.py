@@ -1,7 +1,7 @@
-"""How much memory this process has in use, and giving back what it has not.
+"""Measure this process's memory, and return freed memory to the kernel.
 
-glibc's allocator is made for speed: each thread has an arena of its own, and once large blocks were freed it
-keeps such sizes for itself (mallopt(3)). The daemon has little to allocate and months to keep it.
+glibc's allocator is made for speed: each thread has its own arena, and freed blocks are kept for later
+(mallopt(3)). The daemon allocates little and runs for months, so that it wants neither.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # malloc.h
 LARGE_BYTES = 1 << 17
-"""Blocks of this size on are the kernel's as soon as they are freed; glibc's own first choice."""
+"""Blocks of this size and above are returned to the kernel when freed; glibc's own initial threshold."""
 
 
 def resident_bytes() -> int:
@@ -21,7 +21,7 @@ def resident_bytes() -> int:
 
 
 def limit_arenas() -> None:
-    """Have threads to come share one arena, and large blocks given back, where the allocator is glibc's."""
+    """With glibc: let new threads share one arena, and return large blocks when they are freed."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(M_ARENA_MAX, 1)
@@ -30,7 +30,7 @@ def limit_arenas() -> None:
 
 
 def release_free_pages() -> None:
-    """Give pages that hold nothing any more back to the kernel (malloc_trim(3)), where that is known."""
+    """With glibc: return free pages to the kernel (malloc_trim(3))."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

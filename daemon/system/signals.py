@@ -1,4 +1,4 @@
-"""Running a coroutine so that a signal ends it as Ctrl-C does, with everything put away."""
+"""Run a coroutine so that SIGTERM and SIGHUP end it as Ctrl-C does, with its cleanup."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What systemd is told and tells: readiness, status, watchdog, and the sockets that it opened.
+"""Talk with systemd: readiness, status, watchdog, and the sockets that it opened.
 
-sd_notify(3) and sd_listen_fds(3) say how. Without systemd all of it does nothing. No loop and no policy here.
+The protocols are sd_notify(3) and sd_listen_fds(3). Without systemd every call does nothing.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import time
 from collections.abc import MutableMapping
 
 FIRST_SOCKET = 3
-"""SD_LISTEN_FDS_START."""
+"""The first descriptor that systemd passes (SD_LISTEN_FDS_START)."""
 
 
 class Notifier:
-    """Sends datagrams to NOTIFY_SOCKET. Never raises and never waits: a deaf manager is not our trouble."""
+    """Sends datagrams to NOTIFY_SOCKET. Never raises and never waits, also where nobody reads them."""
 
     def __init__(self, environ: MutableMapping[str, str] = os.environ) -> None:
         self._address = environ.get("NOTIFY_SOCKET", "")
@@ -27,27 +27,27 @@ class Notifier:
         self.watchdog_s = _watchdog(environ)
 
     def ready(self, status: str) -> None:
-        """Say that the service is up, for the first time or after reloading."""
+        """Report that the service is ready, at the start or after a reload."""
         self._send("READY=1", _status(status))
 
     def status(self, status: str) -> None:
-        """Say in a sentence how things are."""
+        """Report the status line."""
         self._send(_status(status))
 
     def alive(self) -> None:
-        """Pat the watchdog."""
+        """Reset the watchdog."""
         self._send("WATCHDOG=1")
 
     def reloading(self) -> None:
-        """Say that settings are being read again; `ready` says when that is over."""
+        """Report that the settings are being read again; `ready` ends it."""
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self, status: str) -> None:
-        """Say that the service is going down."""
+        """Report that the service is stopping."""
         self._send("STOPPING=1", _status(status))
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -77,7 +77,7 @@ def passed_sockets(environ: MutableMapping[str, str] = os.environ) -> list[socke
 
 
 def _watchdog(environ: MutableMapping[str, str]) -> float | None:
-    """Return within how many s the watchdog must be patted; None where there is none or not for us."""
+    """Return the watchdog's timeout, s; None where there is none, or it is for another process."""
     micros = environ.get("WATCHDOG_USEC", "")
     meant = environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
     return int(micros) / 1e6 if micros.isdigit() and int(micros) > 0 and meant else None

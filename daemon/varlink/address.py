@@ -1,4 +1,4 @@
-"""Where the socket is, for those who answer and those who ask."""
+"""The path of the daemon's socket, for the daemon and for its clients."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SYSTEM = Path("/run/stillcal") / NAME
 
 
 def socket_path(path: str, environ: Mapping[str, str] = os.environ) -> Path:
-    """Return where a daemon of this environment answers: as set, else in its runtime folder."""
+    """Return the path at which a daemon of this environment listens: as set, else in its runtime folder."""
     if path:
         return Path(path)
     if service := environ.get("RUNTIME_DIRECTORY"):
@@ -22,6 +22,6 @@ def socket_path(path: str, environ: Mapping[str, str] = os.environ) -> Path:
 
 
 def answering_path(path: str, environ: Mapping[str, str] = os.environ) -> Path:
-    """Return where to ask: as given, else the user's own daemon where there is one, else the system's."""
+    """Return the path to connect to: as given, else the user's own daemon if it exists, else the system's."""
     own = socket_path(path, environ)
     return own if path or own.exists() else SYSTEM

@@ -22,28 +22,28 @@ from stillcal.daemon.system.clock import Clock
 from stillcal.daemon.varlink.interface import CALLER
 
 UNSENT_BYTES = 262_144
-"""Of answers that a client has not taken, above which its next request waits and its stall timer runs."""
+"""Unread replies of one client, bytes; above this its next request waits and its stall timer runs."""
 
 
 class ConnectionOwner(Protocol):
-    """Where the client is. dropped: how many clients were hung up on."""
+    """The server that a connection belongs to. dropped: number of clients that were disconnected."""
 
     settings: SocketSettings
     clock: Clock
     dropped: int
 
     def enter(self, client: Connection) -> None:
-        """Take a client in."""
+        """Add a client."""
 
     def leave(self, client: Connection) -> None:
-        """Forget a client."""
+        """Remove a client."""
 
     def queue(self, client: Connection, wait_s: float) -> None:
-        """Answer a client when it is its turn, not before `wait_s`."""
+        """Answer a client's request in its turn, after at least `wait_s`."""
 
 
 class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
-    """One client. Its questions are answered one at a time, in turn with the other clients'."""
+    """One client. Its requests are answered one at a time, in turn with those of other clients."""
 
     def __init__(self, registry: VarlinkInterfaceRegistry, server: ConnectionOwner) -> None:
         super().__init__(registry)
@@ -67,13 +67,13 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
 
     @property
     def listening(self) -> bool:
-        """Whether the client waits for news."""
+        """Whether the client is subscribed."""
         return self._subscriber is not None
 
-    # The line's own calls
+    # Called by asyncio
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the client's place among the others."""
+        """Register the client with the server."""
         assert isinstance(transport, asyncio.Transport)
         self._line = transport
         transport.set_write_buffer_limits(UNSENT_BYTES)
@@ -81,7 +81,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         self._server.enter(self)
 
     def data_received(self, data: bytes) -> None:
-        """Keep what came until it is its turn."""
+        """Buffer bytes until the client's turn."""
         self._buffer += data
         if self.answering and len(self._buffer) > self._server.settings.message_bytes:
             self.drop()
@@ -97,7 +97,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         return True
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the client."""
+        """Unregister the client."""
         self._line = None
         self._buffer.clear()
         self._stop_stall_timer()
@@ -106,21 +106,21 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         self._server.leave(self)
 
     def pause_writing(self) -> None:
-        """Wait for a client that does not take its answers, but not for long."""
+        """Start the stall timer of a client that does not read its replies."""
         self._congested = True
         self._start_stall_timer()
 
     def resume_writing(self) -> None:
-        """Go on with a client that has taken its answers."""
+        """Continue with a client that has read its replies."""
         self._congested = False
         self._stop_stall_timer()
         self._release_senders()
         self._next_question()
 
-    # Questions
+    # Requests
 
     def _next_question(self) -> None:
-        """See whether a whole question is there, and get into the queue with it."""
+        """Queue the next request if it is complete."""
         if self._line is None or self.answering:
             return
         end = self._buffer.find(0, self._searched)
@@ -137,7 +137,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
             self._start_stall_timer() if self._buffer else self._stop_stall_timer()
 
     def answer(self) -> None:
-        """Answer the first question; called when it is this client's turn."""
+        """Answer the first buffered request; called in this client's turn."""
         end = self._buffer.find(0)
         if self._line is None or self._congested or self.answering or end < 0:
             return
@@ -171,18 +171,18 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         self._next_question()
 
     def _delay(self) -> float:
-        """Return how long (s) this client's next question has to wait, and count it."""
+        """Count one request and return how long it must wait, s (token bucket of one second's calls)."""
         now, rate = self._server.clock(), self._server.settings.calls_per_s
         self._call_credit = min(self._call_credit + rate * (now - self._credit_at), rate) - 1.0
         self._credit_at = now
         return max(-self._call_credit / rate, 0.0)
 
-    # Answers
+    # Replies
 
     def send_message(
         self, obj: Any, fds: list[int] | None = None, autoclose: bool = True
     ) -> asyncio.Future[None]:
-        """Send a reply; the future is done once the client has room for the next, or has gone."""
+        """Send a reply; the future is done once the client can take the next one, or has disconnected."""
         sent: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         if self._line is not None and not self._line.is_closing():
             self._line.write(msgspec.json.encode(obj) + b"\0")
@@ -198,7 +198,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
                 future.set_result(None)
         self._unsent.clear()
 
-    # Patience
+    # Stalling and ending
 
     def _start_stall_timer(self) -> None:
         if self._stall_timer is None:
@@ -211,31 +211,31 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
             self._stall_timer = None
 
     def end_subscription(self) -> None:
-        """End what the client listens for."""
+        """End the client's subscription."""
         if self._subscriber is not None:
             self._subscriber.close()
             self._subscriber = None
 
     def drop(self) -> None:
-        """Hang up without a word."""
+        """Disconnect without a reply and count it."""
         self._server.dropped += 1
         self.hang_up()
 
     def hang_up(self) -> None:
-        """Close the line, what is unsent is forgotten."""
+        """Disconnect at once; unsent replies are dropped."""
         if self._line is not None:
             self._line.abort()
 
 
 def _may_change(line: socket.socket) -> bool:
-    """Say whether the client is root or our own user, by the kernel's word (SO_PEERCRED, unix(7))."""
+    """Return whether the client is root or the daemon's own user, from the kernel (SO_PEERCRED, unix(7))."""
     credentials = line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
     _, uid, _ = struct.unpack("3i", credentials)
     return uid in (0, os.geteuid())
 
 
 def _hung_up(line: socket.socket) -> bool:
-    """Say whether the other side is closed both ways: it will read no answer (poll(2))."""
+    """Return whether the peer has closed both directions, so that it will read no reply (poll(2))."""
     poll = select.poll()
     poll.register(line.fileno(), 0)
     return any(events & select.POLLHUP for _, events in poll.poll(0))

@@ -1,4 +1,4 @@
-"""The varlink interface io.stillcal.Calibration: what may be asked over the socket.
+"""The varlink interface io.stillcal.Calibration: the methods of the socket.
 
 asyncvarlink makes the interface's description from these signatures and docstrings as they are evaluated:
 no `from __future__ import annotations` here. connection.py reads and writes the bytes.
@@ -24,10 +24,11 @@ MAX_ROWS = 1000
 """Samples that one call corrects; more take more calls."""
 
 MAX_ENTRIES = 400
+"""Most entries of one answer: more than the history or the energy ledger usually hold."""
 
 
 class Caller(Protocol):
-    """Who is asking."""
+    """The client that calls a method."""
 
     @property
     def may_change(self) -> bool:
@@ -38,37 +39,37 @@ class Caller(Protocol):
 
 
 CALLER: ContextVar[Caller] = ContextVar("CALLER")
-"""Set by the server for the time of a call."""
+"""Set by the connection for the time of a call."""
 
 
 class NotCalibrated(TypedVarlinkErrorReply, interface=INTERFACE):
     """There is no calibration yet. reason: why not; missing: what is needed, such as an attitude."""
 
     class Parameters:
-        """What goes with it."""
+        """Details of the error."""
 
         reason: str
         missing: list[str]
 
 
 class Refused(TypedVarlinkErrorReply, interface=INTERFACE):
-    """What was asked for cannot be done; reason says why."""
+    """The request cannot be carried out; reason says why."""
 
     class Parameters:
-        """What goes with it."""
+        """Details of the error."""
 
         reason: str
 
 
 class TooSlow(TypedVarlinkErrorReply, interface=INTERFACE):
-    """The caller did not take the news in time and hears no more."""
+    """The caller read its events too slowly; the subscription has ended."""
 
     class Parameters:
-        """Nothing goes with it."""
+        """The error has no details."""
 
 
 class CalibrationInterface(VarlinkInterface, name=INTERFACE):
-    """Calibration of a phone's accelerometer and gyroscope, kept true by the stillcal daemon.
+    """Calibration of a phone's accelerometer and gyroscope, maintained by the stillcal daemon.
 
     SI units: m/s^2, rad/s, s, degrees Celsius. Body axes as on Android. Times are the sensors' own.
     """
@@ -80,7 +81,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
     @varlinkmethod(return_parameter="calibration")
     def GetCalibration(self) -> api.Calibration:
-        """Return the current calibration, its age, and how far it can be trusted."""
+        """Return the current calibration, its age and whether later checks confirmed it."""
         record = self._daemon.view.record
         if record is None:
             refusal = self._daemon.view.refusal
@@ -90,7 +91,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
     @varlinkmethod(return_parameter="status")
     def GetStatus(self) -> api.Status:
-        """Return how the daemon, the phone and its line are."""
+        """Return the status of the daemon, the phone and its line."""
         return views.status(self._daemon)
 
     @varlinkmethod(return_parameter="entries")
@@ -100,12 +101,12 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
     @varlinkmethod(return_parameter="stillness")
     def GetStillness(self, *, limit: int = 96) -> api.Stillness:
-        """Return the newest `limit` rests held, newest first, and how many windows were still."""
+        """Return the newest `limit` rests, newest first, and how many windows were stationary."""
         return views.stillness(self._daemon, _within("limit", limit))
 
     @varlinkmethod(return_parameter="days")
     def GetEnergy(self, *, limit: int = 31) -> list[api.EnergyDay]:
-        """Return what the newest `limit` days cost, oldest first."""
+        """Return the energy use of the newest `limit` days, oldest first."""
         return views.energy(self._daemon.saved.energy.days, _within("limit", limit))
 
     @varlinkmethod(return_parameter="samples")
@@ -119,8 +120,8 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
     ) -> list[list[float]]:
         """Correct at most 1000 raw samples [x, y, z] of a sensor by the current calibration.
 
-        temperature_c: of the sensor; force: corrected [x, y, z] beside each sample of a gyroscope. Without
-        them, terms of the calibration that follow them are left out.
+        temperature_c: of the sensor; force: corrected accelerometer [x, y, z] for each
+        gyroscope sample. Terms that depend on what is not given are left out.
         """
         record = self._daemon.view.record
         if len(samples) > MAX_ROWS or any(len(row) != 3 for row in samples):
@@ -142,7 +143,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
     @varlinkmethod(return_parameter="event", delay_generator=False)
     async def Monitor(self) -> AsyncIterator[api.Event]:
-        """Tell how things stand, and then every change. To be called with `more`."""
+        """Send the present state and then every change. Call it with `more`."""
         subscriber, unsubscribe = self._daemon.subscribers.subscribe()
         CALLER.get().on_disconnect(subscriber)
         try:
@@ -157,7 +158,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
     @varlinkmethod(return_parameter="calibration")
     async def Rollback(self, *, to: str = "") -> api.Calibration:
-        """Make an earlier calibration current: the one before, or the one whose id begins with `to`.
+        """Make an earlier calibration current: the previous one, or the one whose id begins with `to`.
 
         Only for root and the daemon's own user.
         """
@@ -167,7 +168,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
     async def Calibrate(self) -> api.Calibration:
         """Try a full calibration now, from the rests held. Only for root and the daemon's own user.
 
-        Refused with the reason where they do not support one, or where it is no better than the current one.
+        Refused with the reason where the rests do not support one, or it is no better than the current one.
         """
         return await self._changed(self._daemon.calibrate)
 
@@ -177,7 +178,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         return await self._changed(self._daemon.zero)
 
     async def _changed(self, change: Callable[[], Awaitable[CalibrationRecord | None]]) -> api.Calibration:
-        """Make a change, if the caller may, and return the calibration that is then current."""
+        """Carry out a change, if the caller may; return the calibration that is then current."""
         _require_right()
         try:
             record = await change()

@@ -1,7 +1,6 @@
-"""The socket: who is let in, who goes, and whose turn it is. interface.py defines the methods.
+"""The socket's server: accepts clients and answers them in turn. interface.py defines the methods.
 
-Clients are let in one by one, each only once there is a place for it, and are answered in turn; after
-TURN_S the loop goes back to the phone.
+A client is accepted once there is room for it. After TURN_S of answering, the loop serves the phone again.
 """
 
 from __future__ import annotations
@@ -26,20 +25,20 @@ from stillcal.daemon.varlink.socket import opened
 from stillcal.daemon.varlink.views import Daemon
 
 TURN_S = 0.01
-"""How long clients are answered before the loop looks after everything else, s."""
+"""How long clients are answered before the event loop serves everything else, s."""
 
 CLOSING_S = 0.02
-"""How long those who listen have for the last news, s."""
+"""How long subscribers have to read the last notification when the daemon stops, s."""
 
 LISTEN_BACKLOG = 1024
-"""Clients that the kernel lets wait to be let in (listen(2))."""
+"""Clients that the kernel queues before they are accepted (listen(2))."""
 
 RETRY_S = 1.0
-"""How long nobody is let in where the process has no descriptors left, s."""
+"""Pause before clients are accepted again after the process ran out of descriptors, s."""
 
 
 class Server:
-    """All clients. dropped: how many were hung up on, for stalling, for nonsense, or for their place."""
+    """All clients. dropped: number disconnected for stalling, for malformed requests or to make room."""
 
     def __init__(self, daemon: Daemon, settings: SocketSettings, clock: Clock = time.monotonic) -> None:
         self.settings, self.clock = settings, clock
@@ -51,7 +50,7 @@ class Server:
         self._departed = asyncio.Event()
 
     async def admit(self, listener: socket.socket) -> None:
-        """Let clients in for ever; where there is no place, the one that has been idle longest goes first."""
+        """Accept clients until cancelled; where there is no room, the longest idle one is disconnected."""
         loop = asyncio.get_running_loop()
         while True:
             await _acceptable(listener)
@@ -59,9 +58,9 @@ class Server:
             try:
                 line, _ = listener.accept()
             except BlockingIOError:
-                continue  # it has gone again
+                continue  # the client has left
             except OSError as error:
-                say("warning", "socket", f"nobody can be let in: {error.strerror}")
+                say("warning", "socket", f"cannot accept a client: {error.strerror}")
                 await asyncio.sleep(RETRY_S)
                 continue
             if free:
@@ -71,10 +70,10 @@ class Server:
                 line.close()
 
     async def _make_room(self) -> bool:
-        """See that there is a place; say whether there is.
+        """Make room for a client; return whether there is any.
 
-        The client that has been idle longest goes first, then the one that has listened to news longest;
-        nobody goes whose question is being answered.
+        The client that has been idle longest is disconnected first, then the one subscribed longest, but never
+        one whose request is being answered.
         """
         while len(self._clients) >= self.settings.connections:
             idle = next((c for c in self._clients if not c.answering), None)
@@ -87,16 +86,16 @@ class Server:
         return True
 
     def enter(self, client: Connection) -> None:
-        """Take a client in."""
+        """Add a client."""
         self._clients[client] = None
 
     def leave(self, client: Connection) -> None:
-        """Forget a client."""
+        """Remove a client."""
         self._clients.pop(client, None)
         self._departed.set()
 
     def queue(self, client: Connection, wait_s: float) -> None:
-        """Answer a client when it is its turn, not before `wait_s`."""
+        """Answer a client's request in its turn, after at least `wait_s`."""
         if client in self._clients:
             self._clients[client] = self._clients.pop(client)
         if wait_s > 0:
@@ -105,7 +104,7 @@ class Server:
             self._enqueue(client)
 
     async def close(self) -> None:
-        """Say goodbye to those who listen for news, and hang up on everybody."""
+        """End all subscriptions and disconnect all clients."""
         for client in list(self._clients):
             client.end_subscription()
         await asyncio.sleep(CLOSING_S)
@@ -119,7 +118,7 @@ class Server:
             asyncio.get_running_loop().call_soon(self._serve)
 
     def _serve(self) -> None:
-        """Answer clients in turn for TURN_S, then let the loop go round."""
+        """Answer clients in turn for TURN_S, then return to the event loop."""
         until = self.clock() + TURN_S
         while self._queue and self.clock() < until:
             self._queue.popleft().answer()
@@ -132,7 +131,7 @@ class Server:
 async def serving(
     daemon: Daemon, settings: SocketSettings, passed: Sequence[socket.socket] = ()
 ) -> AsyncIterator[Server]:
-    """Answer on the sockets systemd opened, or else on one of our own, for as long as the block lasts."""
+    """Serve the sockets that systemd passed, or else one of our own, while the block lasts."""
     server = Server(daemon, settings)
     with opened(settings, passed) as sockets:
         for line in sockets:
@@ -151,7 +150,7 @@ async def serving(
 
 
 async def _acceptable(listener: socket.socket) -> None:
-    """Wait until somebody wants to be let in."""
+    """Wait until a client wants to connect."""
     loop, readable = asyncio.get_running_loop(), asyncio.Event()
     loop.add_reader(listener, readable.set)
     try:

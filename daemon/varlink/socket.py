@@ -1,4 +1,4 @@
-"""Making the socket, with its permissions from its first moment, and taking it away again."""
+"""Create the daemon's socket with the right permissions from the start, and remove it at the end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stillcal.daemon.varlink.address import socket_path
 
 
 class SocketInUseError(SettingsError):
-    """Another daemon answers there."""
+    """Another daemon listens there."""
 
 
 @contextlib.contextmanager
@@ -34,9 +34,9 @@ def opened(settings: SocketSettings, passed: Sequence[socket.socket]) -> Iterato
         line = _bound(path, settings.mode)
     except OSError as error:
         if passing(error):
-            raise TryAgainError(f"cannot answer on {path}: {error.strerror}") from error
+            raise TryAgainError(f"cannot listen on {path}: {error.strerror}") from error
         raise SettingsError(
-            f"cannot answer on {path}: {error.strerror}: give another [socket] path"
+            f"cannot listen on {path}: {error.strerror}: give another [socket] path"
         ) from error
     made = _identity(path)
     try:

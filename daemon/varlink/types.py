@@ -1,4 +1,4 @@
-"""What the socket's answers are made of. Field names carry their unit; sensors are SI.
+"""The records of the socket's answers. Field names carry their unit; sensors are SI.
 
 The interface's description is made from these annotations, so this module must not postpone their
 evaluation, and it names only what varlink has: no `from __future__ import annotations`, no arrays.
@@ -70,7 +70,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Wire:
-    """The phone's line since the daemon started, counted."""
+    """Counts of the phone's line since the daemon started."""
 
     connections: int
     disconnections: int
@@ -86,7 +86,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Counts:
-    """What the engine has done since it first began."""
+    """Counts since the engine first started."""
 
     rests: int
     turns: int
@@ -100,7 +100,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class Status:
-    """How things are. watch: how the sensors are looked at (continuous, probing, idle).
+    """The daemon's status. watch: how the sensors are sampled (continuous, probing, idle).
 
     sensing: whether they are wanted on now; decides_in_s: until the engine decides anew. trouble: why the
     last write to the disk failed, empty where it did not. missing: what a refused calibration still needs.
@@ -137,7 +137,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Rest:
-    """A stretch in which the phone lay still. force: its raw mean, m/s^2.
+    """A rest of the phone. force: its raw mean, m/s^2.
 
     age_s: since its end. residual: norm of the corrected force less gravity, m/s^2, where there is a
     calibration.
@@ -163,7 +163,7 @@ class Stillness:
 
 @dataclass(frozen=True)
 class EnergyDay:
-    """What a day cost (86400 s of sensor time from the first sample on; number from 0).
+    """The cost of one day (86400 s of sensor time from the first sample on; number from 0).
 
     sensors_on_s, wakeups: as the phone tells; asked_s: what the engine asked for. cpu_s: of the daemon.
     """
@@ -179,10 +179,10 @@ class EnergyDay:
 
 @dataclass(frozen=True)
 class Event:
-    """News.
+    """A change of the calibration.
 
-    what: current (how things stood at first), calibrated, zeroed, rejected, forgotten (it was another
-    phone's) or rolled_back.
+    what: current (the first event: the present state), calibrated, zeroed, rejected, forgotten (the phone is
+    another one) or rolled_back.
     """
 
     what: str

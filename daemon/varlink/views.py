@@ -1,4 +1,4 @@
-"""From what the daemon knows to what the socket answers: pure conversion, bounded in size."""
+"""Convert the daemon's records into the socket's answers. Pure, and bounded in size."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from stillcal.daemon.varlink import types as api
 
 
 class Daemon(Protocol):
-    """What answers are taken from, and what may be asked of the daemon."""
+    """The daemon as the socket sees it."""
 
     saved: SavedState
     subscribers: Subscribers
 
     @property
     def view(self) -> View:
-        """What the engine thinks."""
+        """The engine's view."""
 
     @property
     def document(self) -> StoreDocument:
-        """What the store holds."""
+        """The contents of the store."""
 
     @property
     def source(self) -> Source:
-        """The phone's line."""
+        """The source of samples."""
 
     @property
     def trouble(self) -> str:
-        """Why the last write failed."""
+        """Why the last write failed; empty after one that succeeded."""
 
     @property
     def store_name(self) -> str:
@@ -53,7 +53,7 @@ class Daemon(Protocol):
 
     @property
     def uptime_s(self) -> float:
-        """For how long the daemon has been running, s."""
+        """Time since the daemon started, s."""
 
     @property
     def now(self) -> float | None:
@@ -63,18 +63,18 @@ class Daemon(Protocol):
         """Make an earlier calibration current. Raises ValueError."""
 
     async def calibrate(self) -> CalibrationRecord:
-        """Try a full calibration now. Raises ValueError where nothing comes of it."""
+        """Try a full calibration now. Raises ValueError with the reason where there is no better one."""
 
     async def zero(self) -> CalibrationRecord:
-        """Measure the gyroscope's bias now. Raises ValueError where no rest shows it."""
+        """Measure the gyroscope's bias now. Raises ValueError where there is no recent rest."""
 
     async def reload(self) -> str:
-        """Read the settings again; return why they were refused, or nothing."""
+        """Read the settings again; return why they were refused, or an empty string."""
 
 
 @functools.lru_cache(maxsize=128)
 def identity(record: CalibrationRecord) -> str:
-    """Return a record's id; it takes a hash of the whole, so the newest are remembered."""
+    """Return a record's id, which is a hash of the whole record; the newest ones are cached."""
     return record.id
 
 
@@ -107,7 +107,7 @@ def corrected(
     temperature_c: float | None,
     force: list[list[float]] | None,
 ) -> Array:
-    """Correct raw readings (n, 3), with those terms for which there is what they follow.
+    """Correct raw readings (n, 3). A term applies where the quantity that it depends on is given.
 
     Raises NotCalibratedError, and ValueError where `force` does not go with the readings.
     """
@@ -119,7 +119,7 @@ def corrected(
 
 
 def status(daemon: Daemon) -> api.Status:
-    """Return how things are."""
+    """Return the daemon's status."""
     view, clock, source, now = daemon.view, daemon.saved.clock, daemon.source, daemon.now
     return api.Status(
         version=__version__,
@@ -178,14 +178,14 @@ def energy(days: list[Day], limit: int) -> list[api.EnergyDay]:
 
 
 def event(notification: Notification, daemon: Daemon) -> api.Event:
-    """Return news as it is told."""
+    """Return a notification as an event."""
     return api.Event(
         notification.what, notification.reason, notification.t, calibration(notification.record, daemon)
     )
 
 
 def standing(daemon: Daemon) -> api.Event:
-    """Return how things stand for one who begins to listen."""
+    """Return the first event of a subscription: the present state."""
     record = daemon.view.record
     held = None if record is None else calibration(record, daemon)
     return api.Event("current", held.reason if held else "no calibration yet", daemon.now, held)

@@ -107,8 +107,11 @@ def test_what_a_file_does_not_mention_keeps_its_default():
     ("text", "message"),
     [
         ("[store]\nmode = 0o777", r"^c\.toml:2: \[store\] mode = 0o777: must be 0o600 or 0o640$"),
-        ("[store]\n# one\nhistroy = 3", r"^c\.toml:3: \[store\] histroy is no key: did you mean history\?$"),
-        ("\n[stroe]\n", r"^c\.toml:2: stroe is no section: did you mean store\?$"),
+        (
+            "[store]\n# one\nhistroy = 3",
+            r"^c\.toml:3: \[store\] histroy is not a setting: did you mean history\?$",
+        ),
+        ("\n[stroe]\n", r"^c\.toml:2: stroe is not a section: did you mean store\?$"),
         ("[zzzzzz]\n", r"known are .*store.*log"),
         ("store = 5", r"^c\.toml:1: store = 5: must be a table, \[store\]$"),
         ("[[store]]\nmode = 3", r"^c\.toml:1: store = .*: must be a table"),
@@ -130,7 +133,10 @@ def test_what_a_file_does_not_mention_keeps_its_default():
             r"^c\.toml:2: \[engine\.schedule\] check_interval_s = -5",
         ),
         ("[engine.schedule]\nreview_interval_s = nan", r"^c\.toml:2: .* = nan: must be a number$"),
-        ("[engine]\nshedule = {}", r"^c\.toml:2: \[engine\] shedule is no key: did you mean schedule\?$"),
+        (
+            "[engine]\nshedule = {}",
+            r"^c\.toml:2: \[engine\] shedule is not a setting: did you mean schedule\?$",
+        ),
     ],
 )
 def test_an_error_names_line_key_and_remedy(text, message):

@@ -71,7 +71,7 @@ def test_unplugged_and_replugged_it_goes_on_and_nothing_that_arrived_is_lost(tmp
             assert source.wire.lost_samples == 4 * 4
             assert (source.link.connections, source.link.disconnections) == (5, 5)
             downs = [r for r in records if isinstance(r, LinkDown) and r.device]
-            assert [d.reason for d in downs] == ["hung up"] * 5
+            assert [d.reason for d in downs] == ["the device closed the line"] * 5
 
     within_reason(test())
 

@@ -41,7 +41,7 @@ def test_what_is_installed_is_for_this_installation(installed: Path) -> None:
     settings = installed / "etc/stillcal/stillcal.toml"
     assert 'port = "/dev/ttyUSB7"' in settings.read_text()
     settings.write_text("# mine\n")
-    assert "left as it is" in run(STILLCAL, "install-service", "--root", installed).stdout
+    assert "exists, not changed" in run(STILLCAL, "install-service", "--root", installed).stdout
     assert settings.read_text() == "# mine\n"
 
 
