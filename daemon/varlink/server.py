@@ -72,8 +72,8 @@ class Server:
     async def _make_room(self) -> bool:
         """Make room for a client; return whether there is any.
 
-        The client that has been idle longest is disconnected first, then the one subscribed longest, but never
-        one whose request is being answered.
+        The client that has been idle longest is disconnected first, then the one subscribed longest, but
+        never one whose request is being answered.
         """
         while len(self._clients) >= self.settings.connections:
             idle = next((c for c in self._clients if not c.answering), None)
