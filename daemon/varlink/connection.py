@@ -16,10 +16,12 @@ from typing import Any, Protocol
 
 import msgspec
 from asyncvarlink import VarlinkInterfaceRegistry, VarlinkInterfaceServerProtocol
+from asyncvarlink.serviceinterface import InvalidParameter
 
 from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.system.clock import Clock
 from stillcal.daemon.varlink.interface import CALLER
+from stillcal.daemon.varlink.rows import too_large
 
 UNSENT_BYTES = 262_144
 """Unread replies of one client, bytes; above this its next request waits and its stall timer runs."""
@@ -145,6 +147,10 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         question = bytes(self._buffer[:end])
         del self._buffer[: end + 1]
         self._searched = 0
+        if too_large(question):
+            self.send_error(InvalidParameter(parameter="parameters"))
+            self._next_question()
+            return
         try:
             request = msgspec.json.decode(question)
         except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError):

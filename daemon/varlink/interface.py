@@ -11,7 +11,14 @@ from contextvars import ContextVar
 from typing import Protocol
 
 import numpy as np
-from asyncvarlink import LastResult, TypedVarlinkErrorReply, VarlinkInterface, varlinkmethod
+from asyncvarlink import (
+    LastResult,
+    TypedVarlinkErrorReply,
+    VarlinkInterface,
+    varlinkmethod,
+    varlinksignature,
+)
+from asyncvarlink.conversion import ObjectVarlinkType, VarlinkType
 from asyncvarlink.serviceinterface import InvalidParameter, PermissionDenied
 
 from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
@@ -19,9 +26,7 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.varlink import types as api
 from stillcal.daemon.varlink import views
 from stillcal.daemon.varlink.address import NAME as INTERFACE
-
-MAX_ROWS = 1000
-"""Samples that one call corrects; more take more calls."""
+from stillcal.daemon.varlink.rows import Rows
 
 MAX_ENTRIES = 400
 """Most entries of one answer: more than the history or the energy ledger usually hold."""
@@ -124,8 +129,6 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         gyroscope sample. Terms that depend on what is not given are left out.
         """
         record = self._daemon.view.record
-        if len(samples) > MAX_ROWS or any(len(row) != 3 for row in samples):
-            raise InvalidParameter(parameter="samples")
         if record is None:
             raise NotCalibrated(reason="no calibration yet", missing=[])
         raw = np.array(samples, dtype=np.float64).reshape(-1, 3)
@@ -194,6 +197,22 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         _require_right()
         if reason := await self._daemon.reload():
             raise Refused(reason=reason)
+
+
+def _with_quick_tables() -> None:
+    """Have the tables of Correct checked and converted at once (rows.py); the description stays as it is."""
+    signature = varlinksignature(CalibrationInterface.Correct)
+    assert signature is not None
+    optional_number = VarlinkType.from_type_annotation(float).optional()
+    sensor = VarlinkType.from_type_annotation(api.SensorName)
+    left_out = {"temperature_c", "force"}
+    parameters = {"sensor": sensor, "samples": Rows(), "temperature_c": optional_number}
+    parameters["force"] = Rows().optional()
+    signature.parameter_type = ObjectVarlinkType(parameters, discardnone=left_out)
+    signature.return_type = ObjectVarlinkType({"samples": Rows()})
+
+
+_with_quick_tables()
 
 
 def _require_right() -> None:

@@ -1,0 +1,47 @@
+"""Tables of numbers in questions and answers: checked and converted at once, and bounded before that.
+
+asyncvarlink converts a table number by number, at a hundred times the cost. Here a table that is too long is
+refused by its brackets, before any of it becomes a Python object.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import msgspec
+from asyncvarlink.conversion import ConversionError, VarlinkType
+
+MAX_ROWS = 1000
+"""Samples that one call corrects; more take more calls."""
+
+MAX_BRACKETS = 2 * (MAX_ROWS + 1)
+"""Lists within a question: two tables of MAX_ROWS rows."""
+
+MAX_OBJECTS = 8
+"""Objects within a question: itself, its parameters, and some to spare."""
+
+_Row = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
+_TABLE = Annotated[list[_Row], msgspec.Meta(max_length=MAX_ROWS)]
+
+
+class Rows(VarlinkType):
+    """A table of at most MAX_ROWS rows [x, y, z], as varlink's [][]float."""
+
+    as_type = list[list[float]]
+    as_varlink = "[][]float"
+
+    def tojson(self, obj: Any, oobstate: Any = None) -> Any:
+        """Return the rows as they are."""
+        return obj
+
+    def fromjson(self, obj: Any, oobstate: Any = None) -> Any:
+        """Return rows of floats. Raises ConversionError."""
+        try:
+            return msgspec.convert(obj, _TABLE)
+        except (msgspec.ValidationError, OverflowError) as error:
+            raise ConversionError(str(error)) from None
+
+
+def too_large(question: bytes) -> bool:
+    """Say whether a question holds more lists or objects than any that can be meant; brackets in a text count."""
+    return question.count(b"[") > MAX_BRACKETS or question.count(b"{") > MAX_OBJECTS
