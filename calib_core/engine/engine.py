@@ -13,6 +13,7 @@ happened.
 from __future__ import annotations
 
 import math
+from bisect import insort_right
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -40,6 +41,9 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Ledger, Mode, Sense, Sleep
 from stillcal.calib_core.streams.events import Charging, End, Event, Location, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
+
+MAX_EVENTS = 1024
+"""Events ahead of the samples that are kept."""
 
 _MODES = {Watch.CONTINUOUS: Mode.SCAN, Watch.PROBING: Mode.PROBE, Watch.IDLE: Mode.SCAN}
 _LEVELS = {Watch.CONTINUOUS: Level.INFO, Watch.PROBING: Level.DEBUG, Watch.IDLE: Level.DEBUG}
@@ -177,7 +181,17 @@ class Engine:
         if isinstance(event, Tick):
             self._state.heard = event.t if self._state.heard is None else max(event.t, self._state.heard)
         else:
-            self._state.events = sorted([*self._state.events, event], key=lambda e: e.t)
+            insort_right(self._state.events, event, key=lambda e: e.t)
+            if len(self._state.events) > MAX_EVENTS:
+                self._drop_latest_event()
+
+    def _drop_latest_event(self) -> None:
+        """Forget the event that lies furthest ahead: no phone tells of so many before they happen."""
+        events = self._state.events
+        latest = next(i for i in reversed(range(len(events))) if not isinstance(events[i], End))
+        dropped = events.pop(latest)
+        why = f"more than {MAX_EVENTS} events lie ahead: one is forgotten"
+        self._actions.append(Log(dropped.t, Level.WARNING, "events", why))
 
     def _begin(self, t: float) -> None:
         state = self._state

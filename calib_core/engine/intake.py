@@ -27,6 +27,10 @@ _SLACK_S = 60.0
 A rest is reported only once its last window was judged, which waits up to max_lag_s (30 s by default)."""
 
 
+MAX_MOVES = 64
+"""Places of late that are remembered: a rest in which more were told has no one gravity."""
+
+
 class Intake:
     """Gathers rests into the engine's `state`.
 
@@ -98,7 +102,8 @@ class Intake:
             state.attitudes = self._index.attitudes(state.pool)
         else:
             reach = place.t - self._settings.detector.max_rest_s - _SLACK_S
-            state.moves = [*(m for m in state.moves if m.t >= reach), Move(place.t, state.gravity)]
+            moves = [*(m for m in state.moves if m.t >= reach), Move(place.t, state.gravity)]
+            state.moves = moves[-MAX_MOVES:]
         state.gravity = gravity
         why = f"g is {gravity.value:.5f} m/s^2 here"
         self._actions.append(Log(place.t, Level.INFO, "gravity", why, {"change": change}))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
@@ -21,6 +20,13 @@ class Watch(StrEnum):
     CONTINUOUS = "continuous"
     PROBING = "probing"
     IDLE = "idle"
+
+
+MOST_INTERVAL_S = 1e9
+"""The longest time between two of anything, s: 32 years."""
+
+MOST_PATIENCE_S = 3600.0
+"""How long samples of one sensor may have to be kept for want of the other's, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +53,13 @@ class ScheduleSettings:
     diagnose_after_checks: int = 3
 
     def __post_init__(self) -> None:
-        for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s", "gyro_patience_s"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be positive seconds")
+        for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s"):
+            if not 1.0 <= getattr(self, name) <= MOST_INTERVAL_S:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be within 1..{MOST_INTERVAL_S:g} s")
+        if not 0 < self.gyro_patience_s <= MOST_PATIENCE_S:
+            raise ValueError(
+                f"gyro_patience_s = {self.gyro_patience_s}: must be above 0, at most {MOST_PATIENCE_S:g} s"
+            )
         if self.gravity is not None and not 9.7 <= self.gravity <= 9.9:
             raise ValueError(f"gravity = {self.gravity}: must be the earth's, 9.7..9.9 m/s^2")
         if self.watch not in {"auto", *(str(w) for w in Watch if w is not Watch.IDLE)}:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.resources
+import json
 import os
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ import click
 
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.system.files import make_folder
 
 SHIPPED = "/usr/local/bin/stillcal"
 """The path of the command in the shipped unit, which installing replaces."""
@@ -21,6 +23,10 @@ PLACES = {
     "stillcal.socket": "etc/systemd/system",
     "70-stillcal.rules": "etc/udev/rules.d",
 }
+DEFAULT_PORT = "/dev/ttyACM0"
+UNREACHABLE = {"ProtectHome": ("/home", "/root", "/run/user"), "PrivateTmp": ("/tmp", "/var/tmp")}
+"""Settings of the unit, and the folders that they hide from the service."""
+
 SETTINGS = Path("etc/stillcal/stillcal.toml")
 
 
@@ -32,18 +38,24 @@ SETTINGS = Path("etc/stillcal/stillcal.toml")
         "stillcal install-service --print",
     ),
 )
+@click.option("--port", help="The phone's serial device or a pattern; without it, /dev/ttyACM0.")
 @click.option(
-    "--port", default="/dev/ttyACM0", show_default=True, help="The phone's serial device or a pattern."
+    "--iio", is_flag=True, help="This machine is the phone: read its own sensors, as the kernel has them."
 )
 @click.option("--root", type=click.Path(path_type=Path), default=Path("/"), help="Install below this folder.")
 @click.option("--print", "only_print", is_flag=True, help="Print the files, change nothing.")
-def install_command(port: str, root: Path, only_print: bool) -> None:
+def install_command(port: str | None, iio: bool, root: Path, only_print: bool) -> None:
     """Install the systemd service.
 
     Units go to /etc/systemd/system, the udev rule to /etc/udev/rules.d, and settings to
     /etc/stillcal/stillcal.toml unless there are some. Nothing is started.
     """
-    for place, text in files(port):
+    if iio and port is not None:
+        raise click.UsageError("--iio reads this machine's own sensors: leave out --port")
+    if not only_print:
+        for path in (_command(), port or DEFAULT_PORT):
+            _warn_unreachable(path)
+    for place, text in files(port or DEFAULT_PORT, iio):
         target = root / place
         if only_print:
             click.echo(f"# /{place}\n{text}")
@@ -58,29 +70,46 @@ def install_command(port: str, root: Path, only_print: bool) -> None:
         )
 
 
-def files(port: str) -> Iterator[tuple[Path, str]]:
+def files(port: str, iio: bool = False) -> Iterator[tuple[Path, str]]:
     """Yield each file to install: its path below the root and its contents."""
+    source = 'kind = "iio"' if iio else f"port = {_toml(port)}"
     shipped = importlib.resources.files("stillcal.config") / "systemd"
     for name, folder in PLACES.items():
         text = (shipped / name).read_text(encoding="utf-8")
-        yield Path(folder) / name, text.replace(SHIPPED, _command())
+        yield Path(folder) / name, text.replace(SHIPPED, _unit_word(_command()))
     yield (
         SETTINGS,
-        f'# See `stillcal run --help`. What is not set here has its default.\n[source]\nport = "{port}"\n',
+        f"# See `stillcal run --help`. What is not set here has its default.\n[source]\n{source}\n",
     )
 
 
+def _toml(text: str) -> str:
+    """Return a text as a basic string of TOML, whose escapes are JSON's and one more."""
+    return json.dumps(text).replace("\x7f", "\\u007f")
+
+
+def _unit_word(text: str) -> str:
+    """Return a text as one word of a unit's command line (systemd.syntax(7), systemd.unit(5))."""
+    escaped = text.replace("%", "%%").replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"' if any(c.isspace() or c in "\"'\\" for c in text) else escaped
+
+
+def _warn_unreachable(path: str) -> None:
+    """Warn of a path that the service cannot see."""
+    for setting, folders in UNREACHABLE.items():
+        if any(Path(path).is_relative_to(folder) for folder in folders):
+            remedy = (
+                f"{path} is out of the service's reach ({setting}=): use one outside of {', '.join(folders)}"
+            )
+            click.echo(f"stillcal: {remedy}", err=True)
+
+
 def _command() -> str:
-    """Return the path of this command for the service; warn where the service cannot run it."""
+    """Return the path of this command for the service."""
     command = Path(sys.argv[0] if os.sep in sys.argv[0] else sys.executable).absolute().with_name("stillcal")
-    if command.is_relative_to("/home") or command.is_relative_to("/root"):
-        click.echo(
-            f"stillcal: the service cannot run {command} (ProtectHome= hides it): install it in /opt",
-            err=True,
-        )
     return str(command)
 
 
 def _write(target: Path, text: str) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(target.parent, 0o755)
     write_atomically(target, text.encode(), 0o644)

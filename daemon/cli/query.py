@@ -19,6 +19,7 @@ import msgspec
 from stillcal.daemon.cli.exits import BAD_INPUT, NO_DAEMON, REFUSED, TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import socket_option
+from stillcal.daemon.system.printable import printable
 from stillcal.daemon.system.requirements import LOCAL_SOCKET, require
 from stillcal.daemon.varlink.address import NAME, answering_path
 
@@ -122,7 +123,7 @@ def _exit_with_error(error: str, parameters: dict[str, Any]) -> None:
     facts = [str(parameters.get("reason") or ""), f"needed: {missing}" if missing else ""]
     other = [f"{key} {value}" for key, value in parameters.items() if key not in ("reason", "missing")]
     detail = "; ".join(fact for fact in (*facts, *other) if fact)
-    click.echo(f"stillcal: {name}{f': {detail}' if detail else ''}", err=True)
+    click.echo(printable(f"stillcal: {name}{f': {detail}' if detail else ''}"), err=True)
     codes = {"NotCalibrated": TOO_LITTLE, "InvalidParameter": BAD_INPUT, "MethodNotFound": BAD_INPUT}
     sys.exit(codes.get(name, REFUSED))
 
@@ -148,7 +149,7 @@ def _lines(value: Any, indent: str = "") -> Iterator[str]:
         for item in value:
             yield indent + _row(item)
     else:
-        yield f"{indent}{value}"
+        yield from (indent + printable(line) for line in str(value).split("\n"))
 
 
 def _row(item: Any) -> str:
@@ -164,4 +165,4 @@ def _text(value: Any) -> str:
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else printable(str(value))

@@ -22,8 +22,14 @@ from stillcal.calib_core.calibration.record import CalibrationRecord, SensorReco
 from stillcal.calib_core.calibration.terms import with_terms
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.store.document import HistoryEntry, StoreDocument, calibration_json
+from stillcal.daemon.store.document import HistoryEntry, StoreDocument, calibration_json, differences, parse
+from stillcal.daemon.store.files import MAX_BYTES
 from stillcal.daemon.store.store import Reading, Store
+from stillcal.daemon.system.files import read_regular
+from stillcal.daemon.system.printable import printable
+
+MOST_CHANGES = 40
+"""Differences that are shown one by one."""
 
 path_argument = click.argument("path", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
@@ -93,7 +99,7 @@ def history(path: Path, as_json: bool) -> None:
 def rollback(path: Path, identity: str | None, steps: int) -> None:
     """Make an earlier calibration current again; the present one stays in the history."""
     with _one_line(), Store(_existing(path)) as store:
-        outcome = store.rollback(identity or steps)
+        outcome = store.rollback(steps if identity is None else identity)
     for note in outcome.notes:
         click.echo(note, err=True)
     if outcome.document.current is not None:
@@ -131,10 +137,52 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
 def _findings(path: Path) -> list[dict[str, Any]]:
     """Read a diagnosis. Raises ValueError where it is none."""
     try:
-        findings = json.loads(path.read_text(encoding="utf-8"))["findings"]
-    except (ValueError, KeyError, TypeError) as error:
+        findings = json.loads(read_regular(path, MAX_BYTES).decode("utf-8"))["findings"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError("not a diagnosis: write one with stillcal diagnose --json") from error
     return [dict(finding) for finding in findings]
+
+
+@store_group.command(
+    "repair",
+    short_help="Take a store that was edited by hand or set aside.",
+    epilog=examples(
+        "stillcal store repair store.json                                       shows what was edited",
+        "stillcal store repair store.json --yes                                 takes it as edited",
+        "stillcal store repair store.json --from store.json.unreadable-1.json   shows a store set aside",
+    ),
+)
+@path_argument
+@click.option("--from", "source", type=click.Path(path_type=Path), help="The file to take; else PATH itself.")
+@click.option("--yes", "accepted", is_flag=True, help="Take it; without this, only show what would change.")
+def repair(path: Path, source: Path | None, accepted: bool) -> None:
+    """Take a store whose checksum does not match because it was edited, or one that was set aside.
+
+    Shows what differs from the store that is in use now. With --yes the file becomes the store, with a new
+    checksum; what lay at PATH is set aside.
+    """
+    with _one_line():
+        document, _ = parse(_contents(source or _existing(path)), trusted=True)
+        with Store(path) as store:
+            changes = differences(store.load_if_any() or StoreDocument(), document)
+            for change in changes[:MOST_CHANGES]:
+                click.echo(printable(change))
+            if len(changes) > MOST_CHANGES:
+                click.echo(f"... and {len(changes) - MOST_CHANGES} more")
+            if not changes and store.verify().whole:
+                click.echo(f"{path}: whole, and nothing differs")
+            elif accepted:
+                aside = store.put_back(document)
+                click.echo(f"{path}: repaired{f'; what was there is now {aside}' if aside else ''}")
+            else:
+                click.echo(f"{path}: nothing is changed yet; take it with --yes")
+
+
+def _contents(path: Path) -> bytes:
+    try:
+        return read_regular(path, MAX_BYTES)
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from error
 
 
 @store_group.command(

@@ -26,6 +26,7 @@ from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.sources.base import LinkDown, LinkUp, Record, Source
 from stillcal.daemon.system.clock import Clock, host_time
 from stillcal.daemon.system.log import say
+from stillcal.daemon.system.printable import printable
 from stillcal.daemon.wire.messages import Hello, Identify, Rate, Status, Temperature
 
 BATCH_S = 0.2
@@ -36,6 +37,9 @@ GATHER_S = 1.0
 
 LATE_S = 0.3
 """How much later than planned a sleeping phone's decision is taken, s: records may still be on the wire."""
+
+DEVICE_CHARACTERS = 200
+"""Of a phone's name that are looked at."""
 
 SILENCE_S = 10.0
 """A phone that should be sensing is asked to identify itself after this much silence, s."""
@@ -178,7 +182,7 @@ class PhoneSession:
             self._commands.forget()
 
     async def _on_hello(self, hello: Hello) -> None:
-        await self._check_identity(str(hello.claims.get("device") or ""))
+        await self._check_identity(device_name(hello))
         self.hello, self._in_step = hello, hello.flow == "credit"
         self._commands.forget()
         if self._saved.clock.meet(hello.session):
@@ -268,3 +272,8 @@ class PhoneSession:
             return
         go = credit(view.want, view.decides, record.t + clock.offset)
         self.source.send(replace(go, until=clock.phone(go.until)))
+
+
+def device_name(hello: Hello) -> str:
+    """Return what a phone says it is: printable, of bounded length, "" where it does not say."""
+    return printable(str(hello.claims.get("device") or ""))[:DEVICE_CHARACTERS]

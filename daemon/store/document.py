@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Literal
@@ -31,6 +31,10 @@ UNITS = {
 }
 WIDTH = 110
 """Columns that a value may fill before it is broken over lines; a list of numbers never is."""
+
+REPAIR = "`stillcal store repair` shows what, and takes it if you say so"
+DERIVED = {"checksum", "id"}
+"""Values that follow from the others."""
 
 What = Literal["replaced", "rolled_back", "rejected"]
 
@@ -136,6 +140,8 @@ class StoreDocument:
             if not 1 <= target <= len(earlier):
                 raise ValueError(f"cannot roll back {target} calibrations: the history holds {len(earlier)}")
             return earlier[target - 1]
+        if not target:
+            raise ValueError("an id must have a letter at least: see `stillcal store history`")
         found = [e for e in self.history if e.calibration.id.startswith(target) and e.what != "rejected"]
         ids = {e.calibration.id for e in found}
         if len(ids) != 1:
@@ -184,21 +190,46 @@ def checksum(value: dict[str, Any]) -> str:
     return "sha256:" + digest({key: item for key, item in value.items() if key != "checksum"})
 
 
-def parse(data: bytes) -> tuple[StoreDocument, int]:
+def parse(data: bytes, trusted: bool = False) -> tuple[StoreDocument, int]:
     """Decode a store of this schema or an earlier one; returns the document and the schema it came in.
 
-    Raises StoreFormatError where it is not whole, not ours, or from a later version.
+    trusted: take it even where its checksum does not match, because a person says so. Raises StoreFormatError
+    where it is not whole, not ours, or from a later version.
     """
     value = _decoded(data)
     schema = _schema(value)
-    if schema >= 1 and value.get("checksum") != checksum(value):
-        raise StoreFormatError(Fault.CORRUPT, "the checksum does not match: changed or damaged after writing")
+    if schema >= 1 and not trusted and value.get("checksum") != checksum(value):
+        raise StoreFormatError(Fault.CORRUPT, f"the checksum does not match: changed after writing; {REPAIR}")
     try:
         for step in range(schema, SCHEMA):
             value = MIGRATIONS[step](value)
         return _document(value), schema
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise StoreFormatError(Fault.INVALID, f"{error}".replace("\n", " ")) from error
+
+
+def differences(before: StoreDocument, after: StoreDocument) -> list[str]:
+    """Return every value in which two documents differ, a line each: where, what it was, what it is."""
+    old, new = (dict(_leaves(json.loads(render(document)))) for document in (before, after))
+    places = [place for place in {**old, **new} if place not in DERIVED]
+    return [
+        f"{place}: {old.get(place, 'nothing')} -> {new.get(place, 'nothing')}"
+        for place in places
+        if old.get(place) != new.get(place)
+    ]
+
+
+def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, str]]:
+    """Yield each value within a JSON value, as JSON, with the path to it; a list of numbers is one value."""
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(value, dict):
+        items = ((f"{place}.{key}".lstrip("."), item) for key, item in value.items())
+    elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
+        items = ((f"{place}[{index}]", item) for index, item in enumerate(value))
+    else:
+        yield place, json.dumps(value)
+    for where, item in items:
+        yield from _leaves(item, where)
 
 
 def pretty(value: Any, indent: int = 0, lead: int = 0) -> str:

@@ -150,6 +150,21 @@ class Store:
             )
         return verification.last_good.document
 
+    def load_if_any(self) -> StoreDocument | None:
+        """Return what `load` does, and None also where neither the store nor its twin is good."""
+        found = self.verify()
+        return found.store.document or found.last_good.document
+
+    def put_back(self, document: StoreDocument) -> Path | None:
+        """Make `document`, which a person vouches for, the store; return where what lay there is kept.
+
+        Raises StoreError.
+        """
+        with self._locked(), self._explaining():
+            aside = self._set_aside(self.path, "replaced") if self.path.exists() else None
+            self.save(document)
+        return aside
+
     def verify(self) -> Verification:
         """Read the store and its twin and say what is wrong with them. Changes nothing.
 

@@ -10,10 +10,20 @@ import logging
 import os
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, TextIO
+
+from stillcal.daemon.system.clock import Clock, host_time
+from stillcal.daemon.system.printable import printable
 
 _PRIORITIES = {"DEBUG": 7, "INFO": 6, "WARNING": 4, "ERROR": 3, "CRITICAL": 2}
 """The number in angle brackets at the start of a line (sd-daemon(3))."""
+
+BURST, REFILL_S = 50.0, 10.0
+"""Lines of one kind that may come at once, and after how long another one may, s."""
+
+MAX_KINDS, KIND_CHARACTERS = 200, 60
+"""Kinds of lines that are told apart, and by how much of their text where they have no name."""
 
 _logger = logging.getLogger("stillcal")
 
@@ -22,12 +32,12 @@ def say(level: str, what: str, why: str = "", **fields: Any) -> None:
     """Log an event. what: its stable name; why: a sentence; fields: figures, None for none."""
     number = logging.getLevelNamesMapping()[level.upper()]
     if _logger.isEnabledFor(number):
-        _logger.log(number, "%s", entry(what, why, fields))
+        _logger.log(number, "%s", entry(what, why, fields), extra={"what": what})
 
 
 def entry(what: str, why: str, fields: Mapping[str, Any]) -> str:
     """Return an event as one line, `what: why key=value ...`; values with a space are quoted."""
-    head = f"{what}: {_plain(why)}" if why else what
+    head = f"{what}: {printable(why)}" if why else what
     return " ".join([head, *(f"{key}={_value(value)}" for key, value in fields.items() if value is not None)])
 
 
@@ -36,10 +46,50 @@ def set_up(level: str, stream: TextIO | None = None, environ: Mapping[str, str] 
     stream = stream or sys.stderr
     handler = logging.StreamHandler(stream)
     handler.setFormatter(_Journal() if reads_journal(stream, environ) else logging.Formatter(_PLAIN))
+    handler.addFilter(Quota())
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)
     set_level(level)
+
+
+class Quota(logging.Filter):
+    """Lets BURST lines of a kind through at once, then one every REFILL_S that tells how many were held back.
+
+    Whoever makes the daemon say the same without end, such as a phone that says hello in turn under two
+    names, fills no disk.
+    """
+
+    def __init__(self, clock: Clock = host_time) -> None:
+        super().__init__()
+        self._clock = clock
+        self._kinds: dict[str, _Kind] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Say whether a line may be written; add to it how many of its kind were not."""
+        now, name = self._clock(), str(getattr(record, "what", record.msg))[:KIND_CHARACTERS]
+        if len(self._kinds) >= MAX_KINDS and name not in self._kinds:
+            name = ""
+        kind = self._kinds.setdefault(name, _Kind(now))
+        kind.credit = min(kind.credit + (now - kind.at) / REFILL_S, BURST)
+        kind.at = now
+        if kind.credit < 1.0:
+            kind.held_back += 1
+            return False
+        kind.credit -= 1.0
+        if kind.held_back:
+            record.msg, record.args = f"{record.getMessage()} held_back={kind.held_back}", ()
+            kind.held_back = 0
+        return True
+
+
+@dataclass(slots=True)
+class _Kind:
+    """Lines of one kind. at: when the last one came; credit: how many more may; held_back: since then."""
+
+    at: float
+    credit: float = BURST
+    held_back: int = 0
 
 
 def set_level(level: str) -> None:
@@ -70,10 +120,5 @@ class _Journal(logging.Formatter):
 def _value(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
-    text = _plain(str(value))
+    text = printable(str(value))
     return json.dumps(text, ensure_ascii=False) if not text or set(text) & set(' "=') else text
-
-
-def _plain(text: str) -> str:
-    """Escape what is not printable, so that a text stays on one line."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

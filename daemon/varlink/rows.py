@@ -43,5 +43,5 @@ class Rows(VarlinkType):
 
 
 def too_large(question: bytes) -> bool:
-    """Say whether a question holds more lists or objects than any that can be meant; brackets in a text count."""
+    """Say whether a question has more lists or objects than can be meant; a text's brackets count."""
     return question.count(b"[") > MAX_BRACKETS or question.count(b"{") > MAX_OBJECTS

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from stillcal.daemon.cli.query import NoDaemonError, replies
+from stillcal.daemon.system.printable import printable
 from stillcal.daemon.varlink.address import NAME
 
 Answer = dict[str, Any]
@@ -55,4 +56,13 @@ def snapshot(where: Path) -> Snapshot:
 def _asked(where: Path, method: str, key: str, **parameters: int) -> Any:
     """Call one method; None where the daemon answers with an error, such as that there is no calibration."""
     (reply,) = replies(where, {"method": f"{NAME}.{method}", "parameters": parameters})
-    return (reply.get("parameters") or {}).get(key)
+    return _cleaned((reply.get("parameters") or {}).get(key))
+
+
+def _cleaned(value: Any) -> Any:
+    """Return an answer in which no text moves the terminal's cursor: names come from the phone."""
+    if isinstance(value, dict):
+        return {key: _cleaned(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_cleaned(item) for item in value]
+    return printable(value) if isinstance(value, str) else value

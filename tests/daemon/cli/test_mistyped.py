@@ -1,0 +1,188 @@
+"""What an operator may type by mistake: devices, FIFOs, other files, empty ids, odd paths; and Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from stillcal.daemon.cli.install import files, install_command
+from stillcal.daemon.cli.store import store_group
+from stillcal.daemon.store.document import StoreDocument, differences
+from stillcal.daemon.store.store import Store
+
+MEMORY = 2**30
+"""Bytes that a command may use before it counts as reading without end."""
+
+
+def limited(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run `stillcal` with bounded memory and patience."""
+    script = (
+        f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({MEMORY}, {MEMORY}))\n"
+        "from stillcal.daemon.cli.entry import main; main()"
+    )
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+
+@pytest.fixture
+def path(tmp_path: Path, make_record: Any) -> Path:
+    path = tmp_path / "store.json"
+    for number in range(3):
+        Store(path).publish(make_record(number))
+    return path
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(store_group, list(map(str, arguments)))
+
+
+def fifo(folder: Path) -> Path:
+    os.mkfifo(folder / "fifo")
+    return folder / "fifo"
+
+
+@pytest.mark.parametrize("make", [lambda folder: Path("/dev/zero"), fifo], ids=["zero", "fifo"])
+@pytest.mark.parametrize("what", ["config", "diagnosis", "store"])
+def test_a_device_or_a_fifo_is_no_file_to_read(path: Path, make: Callable[[Path], Path], what: str) -> None:
+    odd = make(path.parent)
+    arguments = {
+        "config": ["run", "--config", odd],
+        "diagnosis": ["store", "adopt-terms", path, odd],
+        "store": ["run", "--port", "none", "--store", odd],
+    }
+    ran = limited(*arguments[what])
+    assert ran.returncode == 2
+    assert "not a regular file" in ran.stderr and len(ran.stderr.splitlines()) == 1
+
+
+def test_a_replay_replaces_no_file_that_is_no_store(tmp_path: Path) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_text("# mine\n")
+    table = tmp_path / "table.csv"
+    rows = [[9.81, 0, 0], [-9.81, 0, 0], [0, 9.81, 0], [0, -9.81, 0], [0, 0, 9.81], [0, 0, -9.81]]
+    table.write_text("ax,ay,az\n" + "".join(",".join(map(str, row)) + "\n" for row in rows * 3))
+    ran = limited("replay", table, "--format", "rest", "--store", notes)
+    assert ran.returncode == 2, ran.stdout
+    assert "is not a stillcal store" in ran.stderr
+    assert notes.read_text() == "# mine\n" and {p.name for p in tmp_path.glob("notes*")} <= {
+        "notes.txt",
+        "notes.txt.lock",
+    }
+
+
+def test_an_empty_id_goes_back_to_nothing(path: Path) -> None:
+    before = path.read_bytes()
+    result = run("rollback", path, "--to", "")
+    assert result.exit_code == 2 and path.read_bytes() == before
+    with pytest.raises(ValueError, match="id"):
+        Store(path).rollback("")
+
+
+# Repairing
+
+
+def test_a_store_edited_by_hand_is_shown_and_then_taken(path: Path) -> None:
+    text = path.read_text()
+    edited = text.replace('"reason": "number 2"', '"reason": "by hand"', 1)
+    assert edited != text
+    path.write_text(edited)
+    assert "store repair" in run("verify", path).output
+    shown = run("repair", path)
+    assert shown.exit_code == 0
+    assert 'acceptance.reason: "number 2" -> "by hand"' in shown.output
+    assert path.read_text() == edited
+    taken = run("repair", path, "--yes")
+    assert taken.exit_code == 0 and Store(path).verify().whole
+    current = Store(path).load().current  # type: ignore[union-attr]
+    assert current.acceptance.reason == "by hand"
+    assert path.with_name("store.json.replaced-1.json").read_text() == edited
+    assert "nothing differs" in run("repair", path).output
+
+
+def test_a_store_that_was_set_aside_is_brought_back(path: Path, make_record: Any) -> None:
+    good = path.read_bytes()
+    aside = path.with_name("store.json.unreadable-1.json")
+    aside.write_bytes(good)
+    path.unlink()
+    Store(path).publish(make_record(9))
+    assert run("repair", path, "--from", aside, "--yes").exit_code == 0
+    assert path.read_bytes() == good
+    kept = path.with_name("store.json.replaced-1.json")
+    assert run("repair", path, "--from", kept, "--yes").exit_code == 0
+    assert Store(path).load().current.id == make_record(9).id  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("bad", [b"{", b'{"schema": 1}', b"\xff"])
+def test_what_no_edit_makes_a_store_is_refused(path: Path, bad: bytes) -> None:
+    path.write_bytes(bad)
+    result = run("repair", path, "--yes")
+    assert result.exit_code == 2 and path.read_bytes() == bad
+
+
+def test_differences_name_every_value_once(make_record: Any) -> None:
+    one, two = (StoreDocument(current=make_record(n)) for n in (1, 2))
+    assert differences(one, one) == []
+    places = [line.split(": ")[0] for line in differences(one, two)]
+    assert len(places) == len(set(places))
+    assert {"accelerometer.bias", "fitted_at", "acceptance.reason", "gyroscope.zeroed_at"} <= set(places)
+
+
+# Installing
+
+
+@pytest.mark.parametrize("port", ["/dev/tty\"A'", "/dev/serial/by-id/*", "C:\\x", "/dev/ü\x7f"])
+def test_any_port_stands_in_the_settings_as_it_was_given(port: str) -> None:
+    *_, (_, text) = files(port)
+    assert tomllib.loads(text)["source"]["port"] == port
+
+
+def test_a_command_in_an_odd_folder_is_one_word_of_the_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ['/opt/still cal "50%"/bin/stillcal'])
+    (_, unit), *_ = files("/dev/ttyACM0")
+    (line,) = (line for line in unit.splitlines() if line.startswith("ExecStart="))
+    assert (
+        line == 'ExecStart="/opt/still cal \\"50%%\\"/bin/stillcal" run --config /etc/stillcal/stillcal.toml'
+    )
+
+
+def test_the_machines_own_sensors_can_be_installed() -> None:
+    *_, (_, text) = files("unused", iio=True)
+    assert tomllib.loads(text)["source"] == {"kind": "iio"}
+    assert CliRunner().invoke(install_command, ["--iio", "--port", "x", "--print"]).exit_code == 2
+
+
+@pytest.mark.parametrize(("folder", "setting"), [("/tmp/x", "PrivateTmp"), ("/home/me", "ProtectHome")])
+def test_what_the_service_cannot_see_is_warned_of(tmp_path: Path, folder: str, setting: str) -> None:
+    result = CliRunner().invoke(install_command, ["--port", f"{folder}/tty", "--root", str(tmp_path)])
+    assert (
+        result.exit_code == 0 and f"{folder}/tty is out of the service's reach ({setting}=)" in result.output
+    )
+
+
+# Interrupting
+
+
+def test_an_interruption_while_the_command_line_is_imported_is_130() -> None:
+    script = (
+        "import sys, signal\n"
+        "class Interrupting:\n"
+        "    def find_spec(self, name, *more):\n"
+        "        if name == 'stillcal.daemon.cli.main': signal.raise_signal(signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupting())\n"
+        "from stillcal.daemon.cli.entry import main; main()\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", script, "run"], capture_output=True, text=True, check=False)
+    assert ran.returncode == 130 and "Traceback" not in ran.stderr
+
+
+def test_the_console_script_is_that_entry() -> None:
+    project = tomllib.loads(Path("pyproject.toml").read_text())["project"]
+    assert project["scripts"]["stillcal"] == "stillcal.daemon.cli.entry:main"

@@ -1,0 +1,163 @@
+"""A phone that floods the daemon with events, hellos and names: memory, log and terminals are bounded."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from stillcal.calib_core.codec import packed
+from stillcal.calib_core.engine.actions import Log
+from stillcal.calib_core.engine.engine import MAX_EVENTS, Engine
+from stillcal.calib_core.engine.intake import MAX_MOVES
+from stillcal.calib_core.streams.events import Charging, End, Location
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.cli.query import query_command
+from stillcal.daemon.cli.watch.snapshot import snapshot
+from stillcal.daemon.service.phone_session import DEVICE_CHARACTERS
+from stillcal.daemon.system import log
+from stillcal.daemon.system.log import BURST, MAX_KINDS, REFILL_S, Quota, say
+from stillcal.daemon.system.printable import printable
+from stillcal.daemon.wire.decoder import Form, Hello, WireEncoder, WireSettings
+from tests.support.asking import ask, connected
+from tests.support.living import answering, until, within_reason
+from tests.support.serial_line import Device
+
+
+def block(start: float, n: int = 100) -> list[Samples]:
+    t = start + np.arange(n) / 100
+    return [Samples.checked(s, t, np.full((n, 3), 5.6)) for s in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER)]
+
+
+def test_events_ahead_are_bounded_and_those_that_come_first_are_kept() -> None:
+    engine = Engine()
+    engine.feed(*block(0.0))
+    said = []
+    for i in range(2 * MAX_EVENTS):
+        said += engine.feed(Charging(1e5 - i, bool(i % 2)))
+    assert len(engine.state.events) == MAX_EVENTS
+    assert engine.state.events[0].t == 1e5 - 2 * MAX_EVENTS + 1
+    assert [e.t for e in engine.state.events] == sorted(e.t for e in engine.state.events)
+    assert sum(isinstance(a, Log) and a.what == "events" for a in said) == MAX_EVENTS
+    assert len(packed(engine.state.events)) < 100_000
+
+
+def test_the_end_of_a_stream_is_never_what_is_forgotten() -> None:
+    engine = Engine()
+    engine.feed(*block(0.0))
+    flood = [Charging(50.0 + i, True) for i in range(MAX_EVENTS)]
+    engine.feed(*flood, End(1e6))
+    assert not engine.state.events  # the end was met, and with it all that came before
+
+
+def test_places_of_late_are_bounded() -> None:
+    engine = Engine()
+    engine.feed(*block(0.0))
+    engine.feed(*(Location(0.5 + i * 1e-4, 10.0 + i % 60, 20.0) for i in range(500)))
+    engine.feed(*block(1.0, 1000))
+    assert 1 < len(engine.state.moves) <= MAX_MOVES
+
+
+@pytest.fixture
+def stream() -> Iterator[io.StringIO]:
+    root, level = logging.getLogger(), logging.getLogger("stillcal").level
+    handlers, root_level = root.handlers[:], root.level
+    stream = io.StringIO()
+    log.set_up("info", stream, {})
+    yield stream
+    root.handlers[:] = handlers
+    root.setLevel(root_level)
+    logging.getLogger("stillcal").setLevel(level)
+
+
+def test_one_kind_of_line_repeated_fills_no_disk_and_hides_no_other(stream: io.StringIO) -> None:
+    for i in range(10_000):
+        say("warning", "another phone", "it is another one", device=f"phone {i}")
+    say("warning", "disconnected", "pulled out")
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == BURST + 1
+    assert "pulled out" in lines[-1]
+
+
+def test_what_is_held_back_is_counted_and_told_later() -> None:
+    now = [0.0]
+    quota = Quota(lambda: now[0])
+
+    def lines(number: int) -> list[str]:
+        records = [logging.LogRecord("stillcal", 30, "", 0, "%s", ("x",), None) for _ in range(number)]
+        return [r.getMessage() for r in records if quota.filter(r)]
+
+    assert len(lines(200)) == BURST
+    now[0] = REFILL_S * 0.99
+    assert lines(1) == []
+    now[0] = REFILL_S
+    assert lines(1) == [f"x held_back={200 - BURST + 1:.0f}"]
+    now[0] = 1e6
+    assert len(lines(200)) == BURST
+
+
+def test_kinds_of_lines_are_bounded_too() -> None:
+    quota = Quota(lambda: 0.0)
+    for i in range(10 * MAX_KINDS):
+        quota.filter(logging.LogRecord("other", 30, "", 0, f"text {i}", (), None))
+    assert len(quota._kinds) <= MAX_KINDS + 1
+
+
+NASTY = "\x1b]0;mine\x07\x1b[2J\x1b[31mphone\r\n\u202e"
+
+
+def test_a_name_from_the_phone_moves_no_cursor(tmp_path: Path) -> None:
+    """Through a real daemon: what `query` prints and what `watch` shows of a phone named by escapes."""
+    hello = Hello(session=1, claims={"device": NASTY + "x" * 1000})
+
+    async def test() -> None:
+        async with answering(tmp_path) as service:
+            device = Device(tmp_path / "tty")
+            await until(lambda: service.source.connected)
+            device.write(WireEncoder(WireSettings(form=Form.BINARY)).encode(hello))
+            await until(lambda: service.saved.device)
+            status = (await ask(await connected(tmp_path), "GetStatus"))["parameters"]["status"]
+            assert status["phone"].isprintable() and len(status["phone"]) <= DEVICE_CHARACTERS
+            device.unplug()
+            service.saved.device = NASTY  # as an earlier version kept it
+            arguments = ["GetStatus", "--socket", str(tmp_path / "socket")]
+            ran = await asyncio.to_thread(CliRunner().invoke, query_command, arguments)
+            shown = await asyncio.to_thread(snapshot, tmp_path / "socket")
+            assert all(line.isprintable() for line in ran.output.split("\n")), ran.output
+            assert shown.status["phone"] == printable(NASTY)
+
+    within_reason(test())
+
+
+def test_a_description_is_still_printed_line_by_line(tmp_path: Path) -> None:
+    async def test() -> None:
+        async with answering(tmp_path):
+            name = "org.varlink.service.GetInterfaceDescription"
+            more = ['{"interface": "io.stillcal.Calibration"}', "--socket", str(tmp_path / "socket")]
+            ran = await asyncio.to_thread(CliRunner().invoke, query_command, [name, *more])
+            assert "\nmethod Correct(" in ran.output
+
+    within_reason(test())
+
+
+def test_hellos_in_turn_under_two_names_write_little(tmp_path: Path, stream: io.StringIO) -> None:
+    encoder = WireEncoder(WireSettings(form=Form.BINARY))
+
+    async def test() -> None:
+        async with answering(tmp_path) as service:
+            device = Device(tmp_path / "tty")
+            await until(lambda: service.source.connected)
+            for i in range(300):
+                device.write(encoder.encode(Hello(session=i, claims={"device": f"phone {i % 2}"})))
+                if i % 20 == 19:
+                    await until(lambda i=i: service.session.hello and service.session.hello.session == i)
+            device.unplug()
+
+    within_reason(test())
+    assert len(stream.getvalue().splitlines()) < 5 * BURST
