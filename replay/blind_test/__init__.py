@@ -1,4 +1,4 @@
-"""The blind proof: recordings with concealed effects, sealed keys, answers by others, and their scores.
+"""The blind test: recordings with hidden effects, sealed keys, answers, and their scores.
 
-Nothing here shares a formula with the diagnosis it examines, nor may import it; `answering` alone calls it.
+No module here shares a formula with the diagnosis that it examines or imports it; only `answer` calls it.
 """

@@ -1,9 +1,9 @@
-"""Answering a challenge: a process of its own that is given the recordings' folder and nothing else.
+"""Answering a blind test, in a process of its own that can read the recordings' folder only.
 
 `python -m stillcal.replay.blind_test.answer SOLVER OUT NAME...`, run inside the recordings' folder, writes
-OUT/NAME.json for each; NAME=EFFECT has it answered by a catalogue from which that entry was removed.
-Solvers are the diagnosis and the two baselines; this is the one place where the examiner's side calls the
-diagnosis, and it loads nothing that could make or open a key.
+OUT/NAME.json for each; with NAME=EFFECT that entry is removed from the catalogue first. Solvers are the
+diagnosis and the two baselines. Only this module of the blind test calls the diagnosis, and it loads nothing
+that could make or open a key.
 """
 
 from __future__ import annotations
@@ -25,23 +25,22 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.formats.trace import read_all
 
 SOLVERS = ("diagnosis", "affine_white_bic", "sparse_regression")
-"""Who can answer."""
+"""The solvers by name."""
 
 _MODULE = "stillcal.replay.blind_test.answer"
 
 
 class AnswerError(RuntimeError):
-    """An answering process that ended badly, with the last line it said."""
+    """An answering process failed; the message has its last line of output."""
 
 
 def answer_one(
     folder: Path, name: str, solver: str = "diagnosis", without: str | None = None
 ) -> dict[str, Any]:
-    """Answer for the recording folder/NAME.csv; returns the documented answer layout.
+    """Return the answer to the recording folder/NAME.csv, in the documented layout.
 
-    without: an effect of which the diagnosis' catalogue must know nothing.
-
-    Where there is too little data the verdict is `too_little_data`; where the solver breaks, `failed`.
+    without: an effect to be removed from the diagnosis' catalogue. The verdict is `too_little_data` where
+    there is too little data, and `failed` where the solver raises another error.
     """
     try:
         recording = read_all(folder / f"{name}.csv")
@@ -71,9 +70,9 @@ def can_leave_out() -> bool:
 
 
 def _confine(folders: Sequence[Path]) -> None:
-    """Refuse from now on, in this process, to open any file outside `folders` and what Python is made of.
+    """Refuse, for the rest of this process, to open files outside `folders` and Python's own.
 
-    A fence against reading a key by mistake or by guile in Python; it is no sandbox against foreign code.
+    This prevents reading a key by mistake or on purpose from Python code; it is no sandbox for other code.
     """
     code = [*map(Path, sys.path), Path(sys.prefix), Path(sys.base_prefix)]
     code += [Path(file).parent for file in (calib_core.__file__, replay.__file__, config.__file__)]
@@ -91,7 +90,7 @@ def _confine(folders: Sequence[Path]) -> None:
 
 
 def run(solver: str, out: Path, names: Sequence[str]) -> None:
-    """Answer recordings of the working folder, one after another; each answer is written whole."""
+    """Answer recordings of the working folder one after another; every answer file is written atomically."""
     _confine((Path.cwd(), out))
     for item in names:
         name, _, without = item.partition("=")
@@ -109,9 +108,9 @@ def answer_all(
     jobs: int = 1,
     tick: Callable[[int], None] = lambda done: None,
 ) -> None:
-    """Answer in processes of their own, with the recordings' folder to work in and a bare environment.
+    """Answer in `jobs` separate processes that start in the recordings' folder with a minimal environment.
 
-    `tick` is told how many answers there are. Raises AnswerError where a process ends badly.
+    tick: is called with the number of answers so far. Raises AnswerError where a process fails.
     """
     out = out.resolve()
     out.mkdir(parents=True, exist_ok=True)
@@ -127,7 +126,7 @@ def answer_all(
 
 
 def _awaited(running: list[subprocess.Popen[bytes]], tick: Callable[[], None]) -> None:
-    """Wait for all to end; whatever happens here, none is left running."""
+    """Wait until all processes have ended; none is left running after an error here."""
     try:
         while any(process.poll() is None for process in running):
             tick()
@@ -149,7 +148,7 @@ def _started(
 
 
 def read_answers(folder: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Read answers NAME.json; a recording without one is left out."""
+    """Return the answers NAME.json in `folder` by name; recordings without an answer are left out."""
     answers = {}
     for name in names:
         path = folder / f"{name}.json"

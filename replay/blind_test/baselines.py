@@ -21,29 +21,38 @@ from stillcal.replay.formats.trace import Recording
 Rows = NDArray[np.intp]
 
 WINDOW_S = 10.0
+"""Length of a window, s."""
+
 TAUS_S = (100.0, 300.0, 1000.0)
+"""Time constants of a warm-up that are tried, s."""
+
 STEPS = 15
-"""Times at which a step is tried."""
+"""Number of times at which a step is tried."""
 
 LEAST_WINDOWS = 16
+"""Fewer still windows leave too little beside the nine columns of the affine calibration."""
 
 MOST = 3
-"""Forward steps a sensor."""
+"""Most effects that forward selection takes for each sensor."""
 
 RIDGE = 0.01
 """Ridge on standardised columns."""
 
 FOLDS = 5
+"""Blocks of the cross-validation."""
+
 THRESHOLDS = (0.05, 0.1, 0.2, 0.4, 0.8, np.inf)
 """Standardised coefficients below which a term is dropped: the largest within one standard error of the
-best in cross-validation (Hastie, Tibshirani and Friedman 2009, 7.10). Infinity is to say nothing."""
+best in cross-validation (Hastie, Tibshirani and Friedman 2009, 7.10). Infinity keeps no term."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StillWindows:
-    """Still windows. t: (m,) s. up: (m, 3). norm: (m,) m/s^2 over gravity. rate: (m, 3) rad/s or None.
+    """The m static windows of a recording.
 
-    g: m/s^2. baseline: (m, 9) columns of bias, scale and misalignment in the norm. drivers: courses by name.
+    t: (m,) s. up: (m, 3) unit direction of gravity. norm: (m,) m/s^2, norm of the force minus gravity. rate:
+    (m, 3) rad/s, None without a gyroscope. g: m/s^2, gravity. baseline: (m, 9) columns of bias, scale and
+    misalignment in the norm. drivers: covariates (m,) by name.
     """
 
     t: Array
@@ -57,9 +66,9 @@ class StillWindows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A hypothesis: columns (m, k) of one sensor, and how its coefficients are told.
+    """A hypothesis: an effect's regressors, columns (m, k), for one sensor.
 
-    own: sizes by which coefficients are multiplied to be the parameter; told: further fixed parameters.
+    parameter, unit: of the coefficients. fixed: parameters that are not fitted, by name.
     """
 
     effect: str
@@ -221,7 +230,7 @@ def _rank(design: Array) -> int:
 
 
 def _fits(chosen: list[Candidate], base: Array, values: Array) -> list[Fitted]:
-    """Fit all that was chosen together; errors as for white noise."""
+    """Fit all chosen candidates together; standard errors are those of white noise."""
     design = np.hstack([base, *(c.columns for c in chosen)])
     coefficients, rss = _solved(design, values)
     before, n = _solved(base, values)[1], values.size
@@ -270,7 +279,7 @@ def _ridged(design: Array, target: Array) -> Array:
 
 
 def _thresholded(design: Array, target: Array, threshold: float) -> Array:
-    """Return which coefficients (k, channels) outlive ten rounds of least squares and thresholding."""
+    """Return which coefficients (k, channels) remain after ten rounds of least squares and thresholding."""
     selected = np.ones((design.shape[1], target.shape[1]), dtype=np.bool_)
     for _ in range(10):
         for channel in range(target.shape[1]):

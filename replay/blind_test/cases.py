@@ -1,4 +1,4 @@
-"""Drawing whole cases: what to conceal, in which phone and day, and the recording and key that come of it."""
+"""Drawing the cases of a blind test: hidden effect, phone, motion, and the recording with its key."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from stillcal.replay.blind_test.sizing import NAMES, Stage, as_recorded, drawn_e
 from stillcal.replay.blind_test.world import World, binned, over_bins
 
 SHARES = {"null": 0.32, "decoy": 0.14, "single": 0.36, "pair": 0.06, "off_catalogue": 0.12}
-"""Parts of the trials that go to each kind."""
+"""Share of each kind among the trials."""
 
 DECOYS = ("thermometer", "breathing", "heartbeat", "creep", "vehicle", "quantisation", "location")
 LADDER = (2.0, 4.0, 6.0, 8.0, 12.0, 20.0)
-"""Values of d' for single effects: from hidden to plain."""
+"""Values of d' for single effects, from invisible to obvious."""
 
 CLEAR = (10.0, 16.0, 25.0)
 """Values of d' for pairs and for effects outside the catalogue."""
 
 FULL_EVERY = 50
-"""One case in so many is of full length."""
+"""One case in this many is one hour long; the others are shorter."""
 
 PAIRS = (
     ("accel_bias_temperature", "gyro_bias_step"),
@@ -55,10 +55,10 @@ WITH_TURNS = (
     "gyro_saturation",
     "lever_arm",
 )
-"""Effects that need a phone that is turned often."""
+"""Effects that show only in a phone that is rotated often."""
 
 LARGEST = {"accel": 0.6, "gyro": 0.1}
-"""What effects may add at most, m/s^2 and rad/s: more is no phone but a broken one."""
+"""Largest value that effects may add, m/s^2 and rad/s: only a broken phone has more."""
 
 LOCAL_GRAVITY = (9.764, 9.834)
 """Span of gravity over the Earth's surface, m/s^2 (Hirt et al. 2013, GGMplus: 9.7639 to 9.8337)."""
@@ -66,7 +66,7 @@ LOCAL_GRAVITY = (9.764, 9.834)
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What a case is to be. names: effects, or the variant; d_prime: of each effect."""
+    """The design of a case. names: of the effects, or of the variant; d_prime: of each effect."""
 
     kind: str
     family: str
@@ -77,7 +77,7 @@ class Design:
 
 
 def planned(trials: int, seed: int) -> list[Design]:
-    """Return the designs of all trials, in an order that tells nothing."""
+    """Return the designs of all trials, in random order."""
     rng = np.random.default_rng([seed, 0])
     counts = {kind: max(round(trials * share), 1) for kind, share in SHARES.items()}
     counts["null"] = max(trials - sum(n for k, n in counts.items() if k != "null"), 1)
@@ -110,7 +110,7 @@ def _design(kind: str, names: tuple[str, ...], d: float, i: int, rng: np.random.
 
 
 def make_case(design: Design, seed: int, index: int) -> tuple[MadeRecording, Key]:
-    """Make a case: the recording, and the key to it. Depends on the design, seed and index alone."""
+    """Return the recording of a case and its key; they depend only on the design, seed and index."""
     rng = np.random.default_rng([seed, 1, index])
     rate = float(rng.choice([25.0, 50.0]))
     duration = 3600.0 if design.full_length else log_uniform(rng, 900.0, 1800.0)
@@ -163,7 +163,7 @@ def _by_examiner(
 
 
 def _scene(design: Design, rate: float, duration: float, rng: np.random.Generator) -> tuple[World, Phone]:
-    """Draw a day and a phone that suit a design."""
+    """Draw motion and a phone that suit a design."""
     name = design.names[0] if design.names else ""
     calm = name in ("breathing", "creep", "heartbeat") or (
         rng.random() < 0.3 and design.kind != "off_catalogue" and not set(design.names) & set(WITH_TURNS)
@@ -236,7 +236,7 @@ def _key(
 
 
 def exam_of(stage: Stage, added: Additions) -> Exam:
-    """Return what the key tells of the bins."""
+    """Return the bins and additions that a key stores, by which an answer's model is scored."""
     bins = stage.bins
     return Exam(
         bins.width,

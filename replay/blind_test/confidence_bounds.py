@@ -1,4 +1,4 @@
-"""Rates with honest bounds, and the power curve: no rate is told without how sure it is."""
+"""Rates and means with 95 % intervals, and the power curve."""
 
 from __future__ import annotations
 
@@ -67,11 +67,14 @@ class Power:
 
 D50 = np.geomspace(0.5, 200.0, 121)
 SLOPES = np.geomspace(0.5, 20.0, 25)
-"""The power curves among which the likeliest is taken."""
+"""The grid of power curves; the most likely one is taken."""
 
 
 def power(d: list[float], detected: list[bool], false_alarm: float, seed: int = 0) -> Power | None:
-    """Fit the power curve by maximum likelihood; None for fewer than ten cases."""
+    """Return the most likely power curve; None for fewer than ten cases.
+
+    d: d' of each case; detected: whether anything was found in it.
+    """
     if len(d) < 10:
         return None
     x, y, rng = np.array(d), np.array(detected, dtype=np.float64)[:, None], np.random.default_rng(seed)
@@ -88,9 +91,9 @@ def power(d: list[float], detected: list[bool], false_alarm: float, seed: int = 
 
 
 def _ninety(d50: Array, slope: Array, false_alarm: float, largest: float) -> Array:
-    """Return the d' at which curves reach 90 %; infinity where that is beyond the largest that was tried.
+    """Return the d' at which curves reach 90 %; infinity where that is above the largest d' that was tried.
 
-    Who alarms in 90 % of nulls detects nothing, however often something is there.
+    With false alarms in 90 % of nulls nothing is detected, so the result is infinity too.
     """
     if false_alarm >= 0.9:
         return np.full(d50.size, np.inf)

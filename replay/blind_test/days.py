@@ -1,6 +1,6 @@
-"""The examiner's own days: a phone laid down, taken up and laid down otherwise, and what stirs it meanwhile.
+"""The examiner's own motion: a phone that is put down, picked up and put down in another attitude.
 
-Only where up and north are matters to the sensors, so these directions in body axes are carried along. Turns
+The sensors depend only on the directions of up and north, so these are propagated in body axes. Rotations
 are about one body-fixed axis with the minimum-jerk profile 10 s^3 - 15 s^4 + 6 s^5 (Flash and Hogan 1985),
 so rates and their derivatives are exact. Hands, roads and hearts add accelerations.
 """
@@ -17,15 +17,17 @@ from stillcal.replay.blind_test.noise import log_uniform
 from stillcal.replay.blind_test.world import EARTH, World, lagged
 
 LEAST_REST_S = 14.0
+"""Shortest rest, s: one bin of 10 s and the margins at both ends, with some to spare."""
 
 
 @dataclass(frozen=True, slots=True)
 class Day:
-    """What to play. rest_s: range of a rest's length; attitudes: how many different ones.
+    """Settings of one recording's motion.
 
-    stirred: None, or breathing, heartbeat, creep, vehicle. vivid: shaken and spun between rests. pivot:
-    turned about a fixed point, as on a hinge. plugs: how often the charger is put in. gravity: m/s^2.
-    earth_rotation: whether the gyroscope feels the Earth turn.
+    rest_s: s, range of a rest's length. attitudes: number of different ones. stirred: what moves the phone at
+    rest: None, breathing, heartbeat, creep or vehicle. vivid: whether it is shaken and spun between rests.
+    pivot: whether it is rotated about a fixed point, as on a hinge. plugs: how often the charger is plugged
+    in. gravity: m/s^2. earth_rotation: whether the gyroscope measures the Earth's rotation.
     """
 
     duration: float
@@ -43,7 +45,7 @@ class Day:
 
 
 def play(day: Day, rng: np.random.Generator) -> World:
-    """Play a day out."""
+    """Return the true motion and surroundings that follow from the settings."""
     t = np.arange(int(day.duration * day.rate_hz)) / day.rate_hz
     rests, turns = _course(day, rng)
     up, north, rate, rate_dot = _turned(day, t, rests, turns, rng)
@@ -81,7 +83,7 @@ def _rows(t: Array, begin: float, end: float) -> slice:
 
 
 def _course(day: Day, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Draw when the phone rests (r, 2), and room for turns between; axis and angle are filled in later."""
+    """Draw the spans of rests (r, 2) and of the rotations between; axis and angle are filled in later."""
     rests, now = [], 0.0
     while True:
         end = now + max(log_uniform(rng, *day.rest_s), LEAST_REST_S)
@@ -95,7 +97,7 @@ def _course(day: Day, rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _attitudes(day: Day, rng: np.random.Generator) -> Array:
-    """Draw up directions: half near a face of the phone, half anywhere."""
+    """Draw up directions: half of them near a face of the phone, half anywhere on the sphere."""
     faces = np.concatenate([np.eye(3), -np.eye(3)])[rng.permutation(6)]
     anywhere = rng.standard_normal((day.attitudes, 3))
     near = faces[np.arange(day.attitudes) % 6] + 0.06 * rng.standard_normal((day.attitudes, 3))
@@ -195,7 +197,7 @@ def _shake(t: Array, rng: np.random.Generator) -> Array:
 def _stirred(
     day: Day, t: Array, rests: Array, motion: tuple[Array, Array, Array], rng: np.random.Generator
 ) -> Array:
-    """Add what stirs a phone at rest; returns the rests that are left."""
+    """Add the motion of a phone at rest, and return the spans that are still rests."""
     up, rate, push = motion
     if day.stirred == "vehicle":
         return _driven(t, rests, rate, push, rng)
@@ -208,7 +210,7 @@ def _stirred(
 
 
 def _tilt(t: Array, up: Array, rate: Array, creeps: bool, rng: np.random.Generator) -> None:
-    """Tilt views of a rest's rows by breathing or creep, with the rate that belongs to it."""
+    """Tilt a rest's rows in place by breathing or creep, and add the rate of that tilt."""
     axis = np.cross(up[0], rng.standard_normal(3))
     axis /= np.linalg.norm(axis)
     if creeps:
@@ -231,7 +233,7 @@ def _beats(t: Array, rng: np.random.Generator) -> Array:
 
 
 def _driven(t: Array, rests: Array, rate: Array, push: Array, rng: np.random.Generator) -> Array:
-    """Put a drive over the middle third of the day: road, braking, bends. Its rests are no rests any more."""
+    """Replace the middle third by a drive with road, braking and bends; return the rests outside it."""
     begin, end = t[-1] / 3.0, 2.0 * t[-1] / 3.0
     rows = _rows(t, begin, end)
     count = rows.stop - rows.start
@@ -243,7 +245,7 @@ def _driven(t: Array, rests: Array, rate: Array, push: Array, rng: np.random.Gen
 
 
 def _drive(day: Day, rng: np.random.Generator) -> Array:
-    """Draw when the charger is in, (k, 2)."""
+    """Draw when the charger is plugged in: (k, 2), times in s and 0 or 1 from then on."""
     if day.plugs == 0:
         return np.zeros((1, 2))
     cuts = (np.arange(2 * day.plugs) + rng.uniform(0.2, 0.8, 2 * day.plugs)) * day.duration / (2 * day.plugs)

@@ -1,11 +1,11 @@
-"""How visible an effect is: d' on binned rests under the true coloured covariance, and held-out gain.
+"""Detectability of an effect: d' on binned rests with the true noise covariance, and held-out gain.
 
 d'^2 = delta' C^-1 delta. C is the covariance of the bins' means, plus broad normal priors on all that a
 calibration may absorb, which is projecting it out: the gyroscope's constant bias and the Earth's rate,
 latitude unknown and so in every rest, or every attitude, the heading; the accelerometer's bias and nine
-scale terms, and for every rest the unknown attitude with a steady creep of it. Nothing that an observer of
-rests could know is left out, so no observer of rests can do better than this d'.
-Effects seen only in motion are weighed turn by turn in `motion`.
+scale terms, and for every rest the unknown attitude with a steady creep of it. No observer of the rests can
+do better than this d', because all that such an observer could know is in it. `rotation_power` has the d' of
+effects that only motion shows.
 """
 
 from __future__ import annotations

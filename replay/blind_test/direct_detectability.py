@@ -1,6 +1,6 @@
-"""How large an effect on noise, values, stamps or motion must be to have a given d'.
+"""The size at which an effect on noise, values, time stamps or motion has a given d'.
 
-d' is the effect over the standard deviation that the figure has in this recording among sound phones:
+d' is the effect divided by the standard deviation of the measured quantity among phones without effects:
 sampling error and the phones' own spread together (see `phones`). Each function returns the size, in the
 documented parameter's unit. n: samples at rest; all d' above 0.
 """
@@ -18,11 +18,11 @@ from stillcal.replay.blind_test.phones import (
 )
 
 UNIFORM = 1.0 / math.sqrt(3.0)
-"""Standard deviation of what is spread evenly over -1 to 1."""
+"""Standard deviation of a uniform distribution from -1 to 1."""
 
 KURTOSIS_SPREAD, DROP_SPREAD, STALL_SPREAD, BANDWIDTH_SPREAD = 0.1, 1.5e-4, 4e-3, 0.06
-"""Assumed of sound phones where none is drawn: excess kurtosis, share of samples lost, share of time
-stalled, logarithm of the bandwidth about 0.45 of the rate."""
+"""Assumed spread among phones without effects: excess kurtosis, share of samples lost, share of time stalled,
+logarithm of the bandwidth relative to 0.45 of the rate."""
 
 
 def noise_ratio(d: float, n: int) -> float:

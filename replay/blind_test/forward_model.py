@@ -1,7 +1,7 @@
-"""The examiner's own forward equations of slow effects: what they add to readings, for samples and for bins.
+"""The examiner's own forward equations of slow effects, for samples and for bins.
 
 `accel_*` names act on the accelerometer, `gyro_*` on the gyroscope. Parameters have the names and units of
-the documented answer layout, so that an answer's model can be played forward too.
+the documented answer layout, so that the model of an answer can be computed too.
 """
 
 from __future__ import annotations
@@ -102,14 +102,14 @@ FORWARD: dict[str, Forward] = {
 
 
 def sensor_of(effect: str, otherwise: str = "accel") -> str:
-    """Return the sensor that an effect's name tells of, else `otherwise`."""
+    """Return the sensor that an effect's name begins with, else `otherwise`."""
     return next(
         (s for s in ("accel", "gyro") if effect.startswith(s + "_") and "_gyro_" not in effect), otherwise
     )
 
 
 def played(felt: Felt, effect: str, parameters: Parameters) -> Array:
-    """Return what an effect adds to its sensor; zeros (n, 3) for effects that leave the slow bias alone.
+    """Return what an effect adds to its sensor, (n, 3); zeros for effects that are not slow.
 
     Raises KeyError, TypeError or ValueError where the parameters do not have the documented layout.
     """

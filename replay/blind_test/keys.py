@@ -1,4 +1,4 @@
-"""Keys: what is concealed in a recording, and the seal that proves it was fixed before the answer came.
+"""Keys: the effects hidden in a recording, and the seal that proves they were fixed before the answer.
 
 A key file is a line with a nonce of 128 random bits in hexadecimal, then the key as JSON. Its SHA-256 is
 what the manifest publishes, so that `sha256sum` alone checks it.
@@ -18,7 +18,7 @@ KINDS = ("null", "decoy", "single", "pair", "off_catalogue")
 
 @dataclass(frozen=True, slots=True)
 class TrueEffect:
-    """A concealed effect. d_prime: None where it is not on the scale. t_start, t_end: s."""
+    """A hidden effect. d_prime: None where it has no d'. t_start, t_end: s."""
 
     effect: str
     sensor: str
@@ -31,7 +31,7 @@ class TrueEffect:
 
 @dataclass(frozen=True, slots=True)
 class Exam:
-    """What is needed to weigh an answer's model: the bins of `power`, the noise, and the true additions.
+    """What is needed to score the model of an answer: the bins, the noise, and what the effects truly add.
 
     Lists over bins; force, accel and gyro (m, 3). accel_noise, gyro_noise: fields of `noise.Colour`.
     """
@@ -52,9 +52,10 @@ class Exam:
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """All that a recording does not say. family: of the noise. maker: whose motion and noise it is.
+    """The key of a recording.
 
-    variant: which decoy, or which effect outside the catalogue. entailed: names that are true besides.
+    kind: one of `KINDS`. family: of the noise. maker: who made motion and noise, examiner or simulator.
+    variant: the decoy, or the effect outside the catalogue. entailed: names that are true besides.
     """
 
     kind: str
@@ -69,7 +70,7 @@ class Key:
 
 
 class SealError(ValueError):
-    """A key file that cannot be used, and why."""
+    """A key file cannot be used; the message says why."""
 
 
 def sealed(key: Key) -> bytes:

@@ -1,4 +1,4 @@
-"""Making a challenge: recordings with names that tell nothing in one folder, sealed keys in another."""
+"""Making a blind test: recordings with neutral names in one folder, sealed keys in another."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from stillcal.replay.formats.writer import TraceWriter
 
 
 class ChallengeError(ValueError):
-    """A challenge's folder or file that cannot be used, why, and what to do."""
+    """A folder or file of a blind test cannot be used; the message says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What is published before any answer: each recording's name, and the SHA-256 of its key file."""
+    """Published before any answer. seals: SHA-256 of the key file, by the recording's name."""
 
     seals: dict[str, str]
     schema: int = 1
@@ -45,7 +45,7 @@ def make(
     """
     for folder in (recordings, keys):
         if folder.exists() and any(folder.iterdir()):
-            raise ChallengeError(f"{folder}: holds files already; name a new or an empty folder")
+            raise ChallengeError(f"{folder}: is not empty; name a new or an empty folder")
         folder.mkdir(parents=True, exist_ok=True)
     designs, seals = planned(trials, seed), {}
     work = [(design, seed, i, recordings, keys) for i, design in enumerate(designs)]
@@ -74,7 +74,7 @@ def commit(recordings: Path, keys: Path) -> Manifest:
         if not (recordings / f"{path.stem}.csv").is_file():
             raise ChallengeError(f"{recordings / path.stem}.csv: not found; every key needs its recording")
         if sealed_path.exists():
-            raise ChallengeError(f"{sealed_path}: sealed already; commit once, before any answer")
+            raise ChallengeError(f"{sealed_path}: is sealed already; commit only once, before any answer")
         file = sealed(key_of(path.read_bytes(), path.name))
         sealed_path.write_bytes(file)
         seals[path.stem] = seal_of(file)
@@ -137,6 +137,6 @@ def read_manifest(recordings: Path) -> Manifest:
     try:
         return msgspec.json.decode(path.read_bytes(), type=Manifest)
     except FileNotFoundError:
-        raise ChallengeError(f"{path}: not found; name the folder of the challenge's recordings") from None
+        raise ChallengeError(f"{path}: not found; name the folder of the blind test's recordings") from None
     except msgspec.DecodeError as error:
         raise ChallengeError(f"{path}: {error}; see docs/proof.md for its layout") from None

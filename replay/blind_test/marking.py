@@ -1,4 +1,4 @@
-"""Marking one answer against its key: what was said, what was right, what the model is worth."""
+"""Marking one answer against its key: names, intervals, places in time, and the gain of its model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ENTAILED = {
 step^2 / 12, a low-pass takes noise off and delays one sensor. They are no misnaming, nor a right name."""
 
 SENSOR_IS_PART = ("noise_level", "noise_unequal_axes", "noise_heavy_tailed", "bandwidth", "thermal_latent")
-"""Names that are right with the right sensor only."""
+"""Names that are right only together with the right sensor."""
 
 NOT_COMPARED = {"noise_heavy_tailed", "noise_unequal_axes"}
 """Effects whose `ratio` the documented layout leaves open (of what to what): intervals are not judged."""
@@ -33,10 +33,11 @@ NOT_COMPARED = {"noise_heavy_tailed", "noise_unequal_axes"}
 
 @dataclass(frozen=True, slots=True)
 class EffectMark:
-    """How one true effect fared. named: alone, set, unknown, other or missed; given: the first name given.
+    """The result for one true effect.
 
-    covered: whether each judged component lay in its 95 % interval. gain, oracle: nats, None: not judged.
-    overlap: of time spans, intersection over union. apart_s: of a step's time. axes: Jaccard index.
+    named: alone, set, unknown, other or missed. given: the first name given. covered: whether each judged
+    component lay in its 95 % interval. gain, oracle: nats, None: not judged. overlap: of time spans,
+    intersection over union. apart_s: of a step's time. axes: Jaccard index.
     """
 
     effect: str
@@ -53,7 +54,11 @@ class EffectMark:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """How one answer fared. alarmed: anything found. false_names: named and not true."""
+    """The result of one answer.
+
+    alarmed: whether anything was found. unknown: whether an unknown effect was. false_names: names given that
+    are not true.
+    """
 
     name: str
     kind: str
@@ -81,7 +86,7 @@ Finding = dict[str, Any]
 
 
 def marked(name: str, key: Key, answer: dict[str, Any]) -> Mark:
-    """Mark an answer. What does not have the documented layout counts as not said."""
+    """Return the mark of an answer. Findings without the documented layout are ignored."""
     findings = [f for f in answer.get("findings", []) if isinstance(f, dict) and "effect" in f]
     named = [f for f in findings if f["effect"] != "unknown"]
     true = _true_names(key)
@@ -188,7 +193,7 @@ def _where_scores(truth: TrueEffect, finding: Finding) -> tuple[float | None, fl
 
 
 def bins_of(exam: Exam) -> Bins:
-    """Return the bins that a key tells of."""
+    """Return the bins that a key stores."""
     table = {
         k: np.asarray(getattr(exam, k)) for k in ("t", "rest", "force", "temperature", "charging", "drive")
     }
@@ -196,7 +201,7 @@ def bins_of(exam: Exam) -> Bins:
 
 
 def _score_gain(truth: TrueEffect, key: Key, findings: list[Finding]) -> tuple[float | None, float | None]:
-    """Return what the answer's model gains on fresh noise of the same day, and what the oracle gains."""
+    """Return the score gain of the answer's model on new noise, and that of the oracle, nats."""
     if key.exam is None or key.kind != "single" or truth.effect not in FORWARD or truth.d_prime is None:
         return None, None
     sensor = "gyro" if truth.sensor == "gyro" else "accel"
@@ -206,12 +211,12 @@ def _score_gain(truth: TrueEffect, key: Key, findings: list[Finding]) -> tuple[f
     predicted = np.sum([_predicted(bins, f, sensor) for f in findings] + [np.zeros_like(true)], axis=0)
     weight = power.precision(bins, sensor, colour)
     oracle = 0.5 * power.form(weight, true)
-    # What only motion shows leaves nothing at rest to be gained.
+    # Effects that only motion shows have no gain at rest.
     return (power.gain(weight, true, predicted), oracle) if oracle > 0.5 else (None, None)
 
 
 def _predicted(bins: Bins, finding: Finding, sensor: str) -> Any:
-    """Return what a finding's model adds to a sensor's bins (m, 3); nothing where it cannot be played."""
+    """Return what a finding's model adds to a sensor's bins (m, 3); zeros where it cannot be computed."""
     nothing = np.zeros((bins.t.size, 3))
     if finding.get("sensor") != sensor or finding["effect"] not in FORWARD:
         return nothing

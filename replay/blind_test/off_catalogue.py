@@ -1,4 +1,4 @@
-"""Real things that no catalogue of the tool lists: a right answer calls them unknown, and says where.
+"""Real effects outside the diagnosis' catalogue: a right answer calls them unknown, and says where.
 
 Slow ones are courses of unit size along a drawn direction, sized by d'; sudden ones corrupt the readings.
 """
@@ -47,20 +47,20 @@ def _since_move(world: World) -> Array:
 
 
 def _light(world: World, rng: np.random.Generator) -> Array:
-    """Supply of an ambient light sensor that switches on and off, told by no event."""
+    """Return the supply of a light sensor, which switches on and off without an event."""
     toggles = np.sort(rng.uniform(0.05, 0.95, int(rng.integers(5, 10)))) * world.duration
     return np.asarray(np.searchsorted(toggles, world.t) % 2, dtype=np.float64)
 
 
 def _stress(world: World, rng: np.random.Generator) -> Array:
-    """Strain in the package that each move leaves one way or the other, by the sense of its turn."""
+    """Return strain in the package after each move; its sign is that of the rotation."""
     sense = np.sign(world.turns[:, 2:5] @ rng.standard_normal(3)) if len(world.turns) else np.zeros(0)
     values = np.concatenate([[0.0], sense])
     return np.asarray(values[np.searchsorted(world.turns[:, 1], world.t, side="right")])
 
 
 def _hysteresis(world: World, rng: np.random.Generator) -> Array:
-    """Play of temperature: follows only after it has turned back by some width; its linear part taken off."""
+    """Return hysteresis of temperature (play of 0.3 of its span), without its linear part."""
     width = 0.3 * float(np.ptp(world.temperature))
     coarse = np.arange(0.0, world.duration + 5.0, 5.0)
     played, now = np.empty(coarse.size), float(world.temperature[0])
@@ -73,7 +73,7 @@ def _hysteresis(world: World, rng: np.random.Generator) -> Array:
 
 
 def _bursts(world: World, rng: np.random.Generator) -> Array:
-    """Add some bursts of 25 to 60 s."""
+    """Return four to seven bursts of 25 to 60 s."""
     course = np.zeros(world.t.size)
     for begin in rng.uniform(0.0, 0.95, int(rng.integers(4, 8))) * world.duration:
         course[(world.t >= begin) & (world.t < begin + rng.uniform(25.0, 60.0))] = 1.0
@@ -81,17 +81,17 @@ def _bursts(world: World, rng: np.random.Generator) -> Array:
 
 
 def _sawtooth(world: World, rng: np.random.Generator) -> Array:
-    """Drift, which firmware resets every two or three minutes."""
+    """Return a drift that the firmware resets every 100 to 220 s."""
     return np.asarray(np.mod(world.t / rng.uniform(100.0, 220.0) + rng.random(), 1.0))
 
 
 def _autozero(world: World, rng: np.random.Generator) -> Array:
-    """Firmware that zeroes the rate within each rest and forgets at each move."""
+    """Return an offset that the firmware removes within each rest and that returns with each move."""
     return np.exp(-_since_move(world) / rng.uniform(10.0, 20.0))
 
 
 def _cyclic(world: World, rng: np.random.Generator) -> Array:
-    """Return a cycle of some minutes, as of a fan or an air conditioner, that no thermometer follows."""
+    """Return a cycle of some minutes, as of an air conditioner, that the thermometer does not show."""
     return np.sin(2.0 * math.pi * (world.t / rng.uniform(200.0, 450.0) + rng.random()))
 
 
@@ -104,7 +104,7 @@ def _flipped(values: Array, span: Span, rng: np.random.Generator) -> None:
 
 
 def _frozen(values: Array, span: Span, rng: np.random.Generator) -> None:
-    """Sample and hold: for a third of the span the readings stand still for 10 to 40 samples at a time."""
+    """Hold readings for 10 to 40 samples at a time, in a third of the span."""
     row = span.rows.start
     while row < span.rows.stop:
         hold = int(rng.integers(10, 40))
@@ -113,7 +113,7 @@ def _frozen(values: Array, span: Span, rng: np.random.Generator) -> None:
 
 
 def _regained(values: Array, span: Span, rng: np.random.Generator) -> None:
-    """Change the gain of all axes, as a power mode may."""
+    """Change the gain of all axes by 0.4 to 1.2 %, as a power mode may."""
     values[span.rows] *= 1.0 + float(rng.choice([-1.0, 1.0]) * rng.uniform(0.004, 0.012))
 
 
@@ -130,11 +130,11 @@ OFF_CATALOGUE: dict[str, OffCatalogueEffect] = {
     "sample_and_hold": OffCatalogueEffect("accel", corrupt=_frozen),
     "gain_by_power_mode": OffCatalogueEffect("accel", corrupt=_regained),
 }
-"""Off-catalogue effects by the names that only keys know."""
+"""Off-catalogue effects by name; only keys use these names."""
 
 
 def drawn_span(world: World, rng: np.random.Generator) -> Span:
-    """Draw a stretch of a fifth to two fifths of a recording that begins and ends within it."""
+    """Draw a span of a fifth to two fifths of a recording, inside it."""
     length = rng.uniform(0.2, 0.4) * world.duration
     begin = rng.uniform(0.1, 0.9 - length / world.duration) * world.duration
     first, last = np.searchsorted(world.t, (begin, begin + length))

@@ -1,4 +1,4 @@
-"""The examiner's own phones: drawn sensors and clocks, and the readings they make of a world."""
+"""The examiner's own phones: random sensors and clocks, and the recordings that they make."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from stillcal.replay.formats.claims import Claims
 Rows = NDArray[np.intp]
 
 STALL_S = 0.3
-"""Length of a stall of delivery, s."""
+"""Length of one stall of delivery, s."""
 
 LEVEL_SPREAD, AXIS_SPREAD = 0.08, 0.05
-"""Sound phones' noise densities are within these of the claim, and of each other on three axes."""
+"""Relative spread of noise densities among phones without effects: about the claim, and between axes."""
 
 JITTER_SPAN = (0.002, 0.025)
-"""Stamps of sound phones scatter by this part of the period."""
+"""Jitter of time stamps in phones without effects, as a share of the period."""
 
 SKEW_SPREAD = 1e-4
-"""Clocks of sound phones are within this of the truth."""
+"""Largest relative error of the clock in phones without effects."""
 
 
 LATE_SPREAD_S = 5e-4
-"""The gyroscopes of sound phones are late or early by at most this."""
+"""Largest time offset of the gyroscope in phones without effects, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,11 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Stamps and delivery. rate_hz: nominal. skew: of the device's clock. gyro_late_s: age of its motion."""
+    """Time stamps and delivery.
+
+    rate_hz: nominal. skew: relative error of the device's clock. dropped: share of samples lost. stalled:
+    share of time in which delivery stalls. gyro_late_s: s, delay of the gyroscope.
+    """
 
     rate_hz: float
     skew: float = 0.0
@@ -67,7 +71,7 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class Phone:
-    """A phone and its maker's claims. lever: m from the point turned about; thermometer: has one."""
+    """A phone with its maker's claims. lever: m, from the centre of rotation to the accelerometer."""
 
     accel: Part
     gyro: Part
@@ -79,7 +83,7 @@ class Phone:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Additions:
-    """What effects add: to the true force before the sensors, and to either sensor's readings; (n, 3)."""
+    """What effects add, (n, 3): to the true force, and to the readings of either sensor."""
 
     force: Array
     accel: Array
@@ -87,13 +91,13 @@ class Additions:
 
     @classmethod
     def none(cls, world: World) -> Additions:
-        """Return nothing to add, to be added to."""
+        """Return zeros to which effects are added."""
         return cls(*(np.zeros((world.t.size, 3)) for _ in range(3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MadeRecording:
-    """A recording in memory."""
+    """A simulated recording in memory."""
 
     accelerometer: Samples
     gyroscope: Samples | None
@@ -102,7 +106,7 @@ class MadeRecording:
 
 
 def drawn_phone(family: str, rate_hz: float, gravity: float, rng: np.random.Generator) -> Phone:
-    """Draw a sound phone: its noise of a family, its claims within what makers' claims are worth."""
+    """Draw a phone without effects: noise of one family, and claims as accurate as makers' claims are."""
     accel_colour, gyro_colour = (drawn_colour(family, sensor, rng) for sensor in ("accel", "gyro"))
     accel_step = _step((4.0 * 9.81 / 2**15, 4.0 * 9.81 / 2**13), accel_colour, rate_hz, rng)
     gyro_step = _step((1.33e-4, 2.66e-4), gyro_colour, rate_hz, rng)
@@ -132,7 +136,7 @@ def drawn_phone(family: str, rate_hz: float, gravity: float, rng: np.random.Gene
 
 
 def _part(colour: Colour, bias: float, limit: float, step: float, rng: np.random.Generator) -> Part:
-    """Draw a sensor; bias: its standard deviation."""
+    """Draw a sensor. bias: standard deviation of its bias."""
     scale = np.eye(3) + np.diag(0.01 * rng.standard_normal(3)) + 0.004 * rng.standard_normal((3, 3))
     rows = tuple(tuple(float(v) for v in row) for row in scale)
     return Part(colour, tuple(float(v) for v in bias * rng.standard_normal(3)), rows, step, limit)
@@ -150,7 +154,7 @@ def _own_level(part: Part, rng: np.random.Generator) -> Part:
 
 
 def recorded(world: World, phone: Phone, added: Additions, rng: np.random.Generator) -> MadeRecording:
-    """Return what a phone records of a world, whose times are taken for the phone's own.
+    """Return what a phone records of a world; the world's times are taken as the phone's own.
 
     A clock that runs fast by `skew` makes t seconds of t / (1 + skew), in which the same turn is faster.
     """
@@ -230,12 +234,12 @@ def with_corrupted(recording: MadeRecording, sensor: str, change: Callable[[Arra
 
 
 def without_gravity(claims: Claims) -> Claims:
-    """Return claims that do not say where the phone is."""
+    """Return claims without the local gravity."""
     return msgspec.structs.replace(claims, gravity=None)
 
 
 def coarse(phone: Phone, rng: np.random.Generator) -> Phone:
-    """Return a phone whose steps are 1.5 to 5 times its noise, as its maker says."""
+    """Return a phone whose quantisation steps are 1.5 to 5 times its noise, as its maker claims."""
     steps = [
         rng.uniform(1.5, 5.0) * p.colour.white * math.sqrt(phone.clock.rate_hz / 2.0)
         for p in (phone.accel, phone.gyro)

@@ -1,4 +1,4 @@
-"""Opening a challenge: keys against the manifest's seals, answers against keys."""
+"""Revealing a blind test: keys are checked against the manifest's seals, answers against the keys."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def open_keys(manifest: Manifest, keys: Path) -> dict[str, Key]:
     for name, seal in manifest.seals.items():
         path = keys / f"{name}.key"
         if not path.is_file():
-            raise ChallengeError(f"{path}: not found; name the folder of the challenge's keys")
+            raise ChallengeError(f"{path}: not found; name the folder of the blind test's keys")
         opened_keys[name] = opened(path.read_bytes(), seal, path.name)
     return opened_keys
 
 
 def marks_of(keys: Mapping[str, Key], answers: Mapping[str, dict[str, Any]]) -> list[Mark]:
-    """Mark all answers; a recording without an answer is marked as a broken one."""
+    """Return the marks of all answers; a recording without an answer counts as a failed one."""
     nothing: dict[str, Any] = {"verdict": "failed", "findings": []}
     return [marked(name, key, answers.get(name, nothing)) for name, key in keys.items()]
 
@@ -36,7 +36,7 @@ def read_marks(keys: Mapping[str, Key], answers: Path) -> list[Mark]:
 
 
 def to_leave_out(keys: Mapping[str, Key], most: int) -> dict[str, str]:
-    """Return at most so many recordings with one clear effect, and the catalogue entry to remove for each."""
+    """Return at most `most` recordings with one clear effect, with the catalogue entry to remove for each."""
     clear = {
         name: key.effects[0].effect
         for name, key in keys.items()

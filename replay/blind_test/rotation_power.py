@@ -1,7 +1,7 @@
-"""d' of effects that rests do not show: gravity carried from rest to rest by the integrated gyroscope.
+"""d' of effects that only rotations show: gravity propagated from rest to rest by the gyroscope.
 
-Per turn, an error of the rate leaves an error of the attitude at its end; the part about the vertical
-nobody sees. The nine scale and misalignment terms and the bias are absorbed with broad priors.
+In each rotation, an error of the rate leaves an error of the attitude at its end; the part about the vertical
+cannot be observed. The nine scale and misalignment terms and the bias are absorbed with broad priors.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LEVEL_RAD = 2e-4
 
 
 def turn_d_prime(world: World, delta: Array, colour: Colour) -> float:
-    """Return d' of an error of the rate, (n, 3) rad/s, over all turns."""
+    """Return d' of an error of the rate, (n, 3) rad/s, over all rotations."""
     errors, variances = [], []
     basis = _nuisances(world)
     for turn in world.turns:

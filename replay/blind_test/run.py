@@ -1,4 +1,4 @@
-"""The whole proof: make, commit, answer with every solver, reveal, score."""
+"""The whole blind test: make, commit, answer with every solver, reveal, score."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from stillcal.replay.blind_test.reveal import open_keys, read_marks, to_leave_ou
 from stillcal.replay.blind_test.scores import Line, Score, compared, scored
 
 LEFT_OUT_SHARE = 0.05
-"""Part of the trials that are diagnosed once more with their catalogue entry removed."""
+"""Share of the trials that are diagnosed again with their catalogue entry removed."""
 
 Tick = Callable[[str, int, int], None]
-"""Told the stage of the work, how many are done and how many there are."""
+"""Is called with the stage of the work, the number done and the number in all."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a proof came to. holds: whether every bar does; marks: the diagnosis', case by case."""
+    """The result of a blind test. holds: whether all required scores are reached. marks: of the diagnosis."""
 
     scores: list[Score]
     comparison: list[Line]
@@ -35,7 +35,7 @@ class Verdict:
 def prove(
     folder: Path, trials: int, seed: int, jobs: int = 1, tick: Tick = lambda stage, done, of: None
 ) -> Verdict:
-    """Run the proof in `folder` (new or empty); keys come there only once all has been answered.
+    """Run the blind test in `folder` (new or empty); keys are moved there only after all answers.
 
     Raises as `make`, `answer_all` and `open_keys` do.
     """
@@ -66,7 +66,7 @@ def _progress_of(tick: Tick, stage: str, of: int) -> Callable[[int], None]:
 def _answers_without_entry(
     folder: Path, manifest: Manifest, keys: dict[str, Key], jobs: int, tick: Tick
 ) -> list[Mark]:
-    """Diagnose some clear cases again, with a catalogue that lacks what is in them."""
+    """Return the marks of some clear cases, diagnosed with a catalogue that lacks their effect."""
     chosen = to_leave_out(keys, max(round(LEFT_OUT_SHARE * len(manifest.seals)), 1))
     items = [f"{name}={effect}" for name, effect in chosen.items()]
     out = folder / "diagnosis_entry_removed"
@@ -77,7 +77,7 @@ def _answers_without_entry(
 
 
 def judged(keys: dict[str, Key], answers: dict[str, Path], left_out: list[Mark] | None = None) -> Verdict:
-    """Score folders of answers by solver; the first is the one whose bars count."""
+    """Return the scores of folders of answers, by solver; the required scores are for the first one."""
     marks = {solver: read_marks(keys, folder) for solver, folder in answers.items()}
     first = next(iter(marks))
     scores = [scored(s, m, left_out if s == first else None) for s, m in marks.items()]

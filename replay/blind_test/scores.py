@@ -1,4 +1,4 @@
-"""Scores of all answers together: every figure with its bounds, and every bar that was stated beforehand."""
+"""Scores of all answers: every figure with its 95 % bounds, and the scores required beforehand."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from stillcal.replay.blind_test.noise import FAMILIES
 FALSE_ALARMS, DETECTION_D, NAMING_D = 0.02, 6.0, 8.0
 NAMED, UNKNOWN, MISNAMED, GAIN, PAIRS = 0.90, 0.80, 0.05, 0.80, 0.70
 COVERAGE = (0.90, 0.98)
-"""The bars, fixed before any trial."""
+"""The required scores, fixed before any trial."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One score. low, high: its 95 % bounds. bar: what was demanded, '' for none; holds: None without a bar.
+    """One score.
 
-    A bar that nothing tested does not hold.
+    low, high: 95 % bounds. n: cases. bar: the required value, '' for none. holds: whether it is reached, None
+    without a bar, False where nothing was tested.
     """
 
     what: str
@@ -38,7 +39,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """All scores of one solver. confusion: by true effect, how often which name was given, at d' >= 8."""
+    """All scores of one solver. confusion: by true effect, how often each name was given, at d' >= 8."""
 
     solver: str
     lines: list[Line]
@@ -48,7 +49,7 @@ class Score:
 
 
 def scored(solver: str, marks: Sequence[Mark], left_out: Sequence[Mark] | None = None) -> Score:
-    """Score a solver's marks. left_out: marks of clear single effects whose catalogue entry was removed."""
+    """Return a solver's scores. left_out: marks of clear effects with their catalogue entry removed."""
     singles = [(m, e) for m in marks if m.kind == "single" for e in m.effects]
     clear = [(m, e) for m, e in singles if e.d_prime is None or e.d_prime >= NAMING_D]
     nulls = [m for m in marks if m.kind == "null"]
@@ -80,7 +81,7 @@ def scored(solver: str, marks: Sequence[Mark], left_out: Sequence[Mark] | None =
 
 
 def _judged_marks(marks: Sequence[Mark]) -> list[Mark]:
-    """Return the marks that one can be right or wrong about: hidden effects aside."""
+    """Return the marks that can be right or wrong: all but those of effects too small to see."""
     return [m for m in marks if m.kind != "single" or (m.effects[0].d_prime or NAMING_D) >= NAMING_D]
 
 
@@ -175,7 +176,7 @@ def _off_catalogue(marks: Sequence[Mark]) -> list[Line]:
 
 
 def _models(marks: Sequence[Mark], clear: list[tuple[Mark, EffectMark]]) -> list[Line]:
-    """Score intervals, by components but with bounds for as many draws as there were effects; and gains."""
+    """Score the coverage of intervals and the gains; bounds count each effect once, not each component."""
     judged = [e.covered for m in marks for e in m.effects if e.covered]
     inside = float(np.mean(np.concatenate(judged))) if judged else None
     bounds = rate(round((inside or 0.0) * len(judged)), len(judged))

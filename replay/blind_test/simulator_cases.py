@@ -1,4 +1,4 @@
-"""The other half of the cases: days and phones of `stillcal.replay.phone`, seen as the examiner's worlds."""
+"""The other half of the cases: motion and phones of `stillcal.replay.phone`, as the examiner's worlds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stillcal.replay.phone import phone as simulator
 from stillcal.replay.phone.scenario import Scenario
 
 GRID_S = 0.5
-"""Step at which a simulated day is looked at to weigh what rests show, s."""
+"""Step at which a simulated recording is evaluated to compute d' at rest, s."""
 
 CAN = (
     *(n for n in FORWARD if n not in ("gyro_scale_temperature", "gyro_nonlinearity")),
@@ -35,7 +35,7 @@ CAN = (
     "dropped_samples",
     "arrival_bursts",
 )
-"""Effects that are weighed by rests or samples alone, and so can be put into simulated phones."""
+"""Effects whose d' needs rests or samples only, and that simulated phones can have."""
 
 _SUPPORTS = {
     "screen_up": 0.2,
@@ -46,6 +46,7 @@ _SUPPORTS = {
     "upright": 0.1,
     "upside_down": 0.1,
 }
+"""How often a phone is put down on each support: mostly flat, as on tables. Assumed."""
 
 
 def drawn_day(duration: float, rng: np.random.Generator) -> Scenario:

@@ -1,4 +1,4 @@
-"""Drawing catalogue effects at a wanted d', and putting them into the examiner's own phones."""
+"""Drawing effects of the catalogue with a given d', and putting them into the examiner's phones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stillcal.replay.blind_test.phones import Additions, Phone
 from stillcal.replay.blind_test.world import Bins, World, over_bins
 
 Drawn = tuple[dict[str, Any], float | None]
-"""Parameters, and the d' that they have in the end (None: not on the scale)."""
+"""Parameters with their d' (None where the effect has none)."""
 
 ALLOWED_WALK = {"accel": 30e-6 * 9.80665, "gyro": math.radians(0.001)}
 """Random walk that Android allows a phone, per sqrt(s) (compatibility definition, 7.3)."""
@@ -31,7 +31,7 @@ HAND_M_S2, HAND_S = 0.15, 0.25
 
 @dataclass(eq=False)
 class Stage:
-    """A case in the making: what happens, how it is weighed, and the phone so far."""
+    """A case in the making: the world, its bins, the phone so far, and the inverse covariances by sensor."""
 
     world: World
     bins: Bins
@@ -117,7 +117,7 @@ def _walk(stage: Stage, sensor: str, d: float) -> Drawn:
 
 
 def _clipped(stage: Stage, sensor: str, d: float) -> Drawn:
-    """Draw a limit that some d'^2 samples reach: piles on a limit are counted."""
+    """Draw a limit that about d'^2 samples reach: what counts is the number of samples on the limit."""
     values = np.sort(np.abs(stage.world.force if sensor == "accel" else stage.world.rate).ravel())
     limit = max(float(values[-max(round(d * d), 4)]), 12.5 if sensor == "accel" else 1.0)
     return {"limit": limit}, math.sqrt(float((values >= limit).sum()))
@@ -131,7 +131,7 @@ def _offset(stage: Stage, sensor: str, d: float) -> Drawn:
 
 
 def _lever(stage: Stage, sensor: str, d: float) -> Drawn:
-    """Draw an arm of 1 to 6 cm; it is what it is, far above the noise on a hinge."""
+    """Draw a lever arm of 1 to 6 cm; on a hinge this is far above the noise, so it has no d'."""
     return {"position": (stage.direction() * log_uniform(stage.rng, 0.01, 0.06)).tolist()}, None
 
 
@@ -168,7 +168,7 @@ SUDDEN: dict[str, Callable[[Stage, str, float], Drawn]] = {
     "bandwidth": lambda s, w, d: ({"cutoff": sizes.cutoff(d, s.phone.clock.rate_hz)}, d),
     "lever_arm": _lever,
 }
-"""Effects that no bias at rest shows, and how each is drawn at a d'."""
+"""Effects that do not change the bias at rest, with the function that draws each at a d'."""
 
 TIMING = ("clock_skew", "timestamp_jitter", "dropped_samples", "arrival_bursts", "accel_gyro_time_offset")
 EITHER = ("noise_level", "noise_unequal_axes", "noise_heavy_tailed", "bandwidth", "thermal_latent")
@@ -177,7 +177,7 @@ NAMES: tuple[str, ...] = (*FORWARD, *SUDDEN)
 
 
 def drawn_effect(stage: Stage, effect: str, d: float) -> TrueEffect:
-    """Draw an effect of a catalogue name with a wanted d'."""
+    """Draw an effect of the catalogue, by name, with the given d'."""
     sensor = sensor_of(effect)
     if effect in EITHER:
         sensor = ("accel", "gyro")[int(stage.rng.integers(2))]
@@ -193,7 +193,7 @@ def drawn_effect(stage: Stage, effect: str, d: float) -> TrueEffect:
 
 
 def _axes(parameters: dict[str, Any]) -> list[str]:
-    """Return the axes on which a parameter is not nothing; all where it is one number."""
+    """Return the axes on which a parameter is not zero; all for a single number."""
     main = next((np.asarray(v) for v in parameters.values() if np.ndim(v) > 0), None)
     if main is None:
         return ["x", "y", "z"]
@@ -202,7 +202,7 @@ def _axes(parameters: dict[str, Any]) -> list[str]:
 
 
 def put_in(stage: Stage, truth: TrueEffect, added: Additions) -> None:
-    """Put an effect into a stage's phone and into what is added to its readings."""
+    """Put an effect into a stage's phone or into what is added to its readings."""
     p, which = truth.parameters, "gyro" if truth.sensor == "gyro" else "accel"
     if truth.effect in FORWARD:
         getattr(added, which)[:] += played(stage.world, truth.effect, p)
@@ -231,7 +231,7 @@ def _retimed(phone: Phone, effect: str, p: dict[str, Any]) -> Any:
 
 
 def as_recorded(phone: Phone, truth: TrueEffect) -> TrueEffect:
-    """Return an effect with what the recording shows of it: what the sound phone had of it is in it too."""
+    """Return an effect with the parameters that the recording shows: the phone's own part is included."""
     part = phone.accel if truth.sensor == "accel" else phone.gyro
     total = {
         "clock_skew": {"relative": phone.clock.skew},

@@ -1,4 +1,4 @@
-"""What really happened around a phone, sample by sample or rest by rest: plain records, no physics."""
+"""True motion and surroundings of a phone, by sample or by bin: plain records, no physics."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 
 MARGIN_S = 1.0
-"""What is left out at both ends of a rest, s."""
+"""Time left out at both ends of a rest, s."""
 
 EARTH = 7.292115e-5
 """Rotation of the Earth, rad/s (WGS 84)."""
@@ -51,7 +51,11 @@ class World:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bins:
-    """A world averaged over bins within rests. rest: (m,) which rest; others as in World, t the centres."""
+    """A world averaged over m bins within rests.
+
+    width: s. t: (m,) s, centres. rest: (m,) number of the rest. since: (m,) s since its start. drive: (k, 2)
+    as in World, like the other fields.
+    """
 
     width: float
     t: Array

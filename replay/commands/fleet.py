@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from stillcal.replay.fleet.worker import Task
 
 _BAD, _NAMED = ("error", "lost"), 3
+"""Statuses of recordings that could not be used, and how many such recordings are named."""
+
 _LACKING = "this needs the extra `fleet`: pip install 'stillcal[fleet]' ({})"
 
 
@@ -77,7 +79,7 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
     """
     try:
         from stillcal.replay.fleet import discovery, results_folder  # noqa: PLC0415 - an extra
-        from stillcal.replay.fleet.worker import Task  # noqa: PLC0415
+        from stillcal.replay.fleet.worker import Task  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise click.UsageError(_LACKING.format(error)) from error
     try:
@@ -112,7 +114,7 @@ def _client(scheduler: str | None, workers: int | None) -> AbstractContextManage
 def _examine(todo: list[Task], results: object, opened: AbstractContextManager[Client], quiet: bool) -> None:
     """Examine the recordings; however this ends, finished ones are on the disk."""
     from stillcal.replay.fleet import dask_jobs, results_folder  # noqa: PLC0415 - Dask takes its time
-    from stillcal.replay.fleet.worker import Examined  # noqa: PLC0415
+    from stillcal.replay.fleet.worker import Examined  # noqa: PLC0415 - with Dask
 
     assert isinstance(results, results_folder.Results)
     done = 0
@@ -302,10 +304,10 @@ def first_command(
     Parameters that the rests do not determine keep the prior's value; the share that comes from the rests is
     printed beside each. Rests that contradict the prior are refused. Exit code 3: no rest was found.
     """
-    from stillcal.calib_core.errors import NotSupported  # noqa: PLC0415
-    from stillcal.replay.fleet.first_calibration import document, first_calibration  # noqa: PLC0415
-    from stillcal.replay.fleet.prior_file import read_prior  # noqa: PLC0415
-    from stillcal.replay.formats.trace import open_trace  # noqa: PLC0415
+    from stillcal.calib_core.errors import NotSupported  # noqa: PLC0415 - only this command
+    from stillcal.replay.fleet.first_calibration import document, first_calibration  # noqa: PLC0415 - only this command
+    from stillcal.replay.fleet.prior_file import read_prior  # noqa: PLC0415 - only this command
+    from stillcal.replay.formats.trace import open_trace  # noqa: PLC0415 - only this command
 
     refuse_collisions(files(json_path), [*recording_files(trace), report_path])
     opened = open_trace(trace, format_)

@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.diagnose import bins_of, claims_of, diagnosis_of
 from stillcal.replay.diagnosis.twin import Conditions, conditions_of, effects_output, observable
+from stillcal.replay.formats.resample import interpolate, median_rate_hz, temperature_at
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effect_base import Effect, Moment
 from stillcal.replay.phone.phone import Phone
@@ -80,7 +81,7 @@ class PhoneJudgement:
 def judge_phone(recording: Recording, name: str, phone: Phone) -> PhoneJudgement:
     """Judge a phone by a recording. Raises NotSupported on too little data."""
     claimed = claims_of(recording)
-    rate_hz = 1.0 / float(np.median(np.diff(recording.accelerometer.t)))
+    rate_hz = median_rate_hz(recording.accelerometer)
     same_rate = abs(phone.accel.rate_hz / rate_hz - 1.0) < SAME_RATE
     claims = _claims(phone, claimed, phone.accel.rate_hz if same_rate else None)
     raw = diagnosis_of(recording, name, claims)
@@ -132,7 +133,7 @@ def without_effects(recording: Recording, bins: Bins, phone: Phone, known: Seque
             streams.append(samples)
             continue
         moment = observed_moment(recording, samples.t, phone, conditions)
-        rate_hz = 1.0 / float(np.median(np.diff(samples.t)))
+        rate_hz = median_rate_hz(samples)
         streams.append(
             replace(
                 samples, xyz=frozen(samples.xyz - effects_output(known, sensor, moment, conditions, rate_hz))
@@ -151,10 +152,8 @@ def observed_moment(recording: Recording, t: Array, phone: Phone, conditions: Co
     if gyro is not None and phone.gyro is not None:
         rate = _true_values(t, gyro, np.asarray(phone.gyro.scale), np.asarray(phone.gyro.bias))
         rate = np.where(np.linalg.norm(rate, axis=1, keepdims=True) > SLOWEST, rate, 0.0)
-    warmth = np.zeros(t.size)
-    if accel.temperature is not None and np.isfinite(accel.temperature).any():
-        ok = np.isfinite(accel.temperature)
-        warmth = np.interp(t, accel.t[ok], accel.temperature[ok]) - conditions.reference_c
+    temperature = temperature_at(accel, t)
+    warmth = np.zeros(t.size) if temperature is None else temperature - conditions.reference_c
     since = t - conditions.t_start
     dot = np.where(
         rate != 0.0, np.gradient(rate, np.maximum.accumulate(t + 1e-9 * np.arange(t.size)), axis=0), 0.0
@@ -164,7 +163,7 @@ def observed_moment(recording: Recording, t: Array, phone: Phone, conditions: Co
 
 def _true_values(t: Array, samples: Samples, scale: Array, bias: Array) -> Array:
     true = (samples.xyz - bias) @ np.linalg.inv(scale).T
-    return np.stack([np.interp(t, samples.t, true[:, a]) for a in range(3)], axis=1)
+    return interpolate(t, samples.t, true)
 
 
 def _phone_has(phone: Phone, finding: Finding) -> bool:

@@ -13,6 +13,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.twin import AffinePhone, Conditions
+from stillcal.replay.formats.resample import interpolate, temperature_at
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
 from stillcal.replay.phone.effect_base import Moment
@@ -96,17 +97,10 @@ def _moment(
 ) -> tuple[Moment, Array | None]:
     """Return what is felt at true times (n,) s since the start, and the temperature there, degC."""
     accel, at = recording.accelerometer, t + conditions.t_start - delay
-    force = _at(at, accel.t, motion[0])
+    force = interpolate(at, accel.t, motion[0])
     gyroscope = recording.gyroscope
-    rate = np.zeros_like(force) if gyroscope is None else _at(at, gyroscope.t, motion[1])
-    temperature, warmth = None, np.zeros(t.size)
-    if accel.temperature is not None and np.isfinite(accel.temperature).any():
-        known = np.isfinite(accel.temperature)
-        temperature = np.interp(t + conditions.t_start, accel.t[known], accel.temperature[known])
-        warmth = temperature - conditions.reference_c
+    rate = np.zeros_like(force) if gyroscope is None else interpolate(at, gyroscope.t, motion[1])
+    temperature = temperature_at(accel, t + conditions.t_start)
+    warmth = np.zeros(t.size) if temperature is None else temperature - conditions.reference_c
     dot = np.gradient(rate, t, axis=0)
     return Moment(t, force, rate, dot, warmth, conditions.surroundings.charging.at(t)), temperature
-
-
-def _at(t: Array, known: Array, values: Array) -> Array:
-    return np.stack([np.interp(t, known, values[:, a]) for a in range(3)], axis=1)

@@ -23,6 +23,8 @@ AHEAD = 4
 """Recordings handed out per worker thread: enough that none waits, few enough that little is lost."""
 
 _CONNECT_S = 10
+"""How long a scheduler has to answer, s."""
+
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 Keep = Callable[[Task, Examined], None]

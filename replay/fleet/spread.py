@@ -13,7 +13,6 @@ from stillcal.calib_core.arrays import Array
 from stillcal.replay.fleet.devices import Devices
 
 ALL = "all"
-_PERCENT = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +58,14 @@ def spreads(devices: Devices) -> list[Spread]:
     for i, axis in enumerate("xyz"):
         quantities.append((f"accelerometer bias {axis}", "m/s^2", devices.values[:, i]))
     for i, axis in enumerate("xyz"):
-        quantities.append(
-            (f"accelerometer scale error {axis}", "%", _PERCENT * (devices.values[:, 3 + i] - 1))
-        )
+        quantities.append((f"accelerometer scale error {axis}", "%", 100.0 * (devices.values[:, 3 + i] - 1)))
     known = np.diagonal(devices.covariances, axis1=1, axis2=2)[:, 6] < 1.0
     cross = np.where(known, np.abs(devices.values[:, 6:]).max(axis=1), np.nan)
-    quantities.append(("accelerometer cross-axis, largest", "%", _PERCENT * cross))
+    quantities.append(("accelerometer cross-axis, largest", "%", 100.0 * cross))
     for i, axis in enumerate("xyz"):
         quantities.append((f"gyroscope bias {axis}", "rad/s", devices.gyro_bias[:, i]))
     for i, axis in enumerate("xyz"):
-        quantities.append((f"gyroscope scale error {axis}", "%", _PERCENT * (devices.gyro_scale[:, i] - 1)))
+        quantities.append((f"gyroscope scale error {axis}", "%", 100.0 * (devices.gyro_scale[:, i] - 1)))
     quantities.append(("norm at rest, rms", "m/s^2", devices.scatter))
     groups = [(ALL, np.ones(len(devices), dtype=bool))]
     groups += [(name, devices.model == k) for k, name in enumerate(devices.models)]

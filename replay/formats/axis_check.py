@@ -23,7 +23,11 @@ FEWEST_PAIRS, MOST_PAIRS = 8, 20
 """Pairs of bins in a stretch: 2 to 5 s."""
 
 _NEAR_GRAVITY = (7.0, 13.0)
+"""Norms between which a force is taken for gravity, m/s^2: neither free fall nor thrust."""
+
 _BIN_S = 0.25
+"""Shortest bin of time, s: a hand turns a phone visibly in it."""
+
 
 _LEVI_CIVITA = np.zeros((3, 3, 3))
 """rows[i, j] = sum_k e[i, j, k] arm[k], so that rows @ b is b x arm."""

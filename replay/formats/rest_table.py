@@ -20,6 +20,7 @@ _LAYOUT = ColumnMap(
     delimiter="auto",
 )
 _DECIMALS = 12
+"""Most decimals tried in printed numbers: with three digits before the point a float has no more."""
 
 
 def read_rest_table(path: Path | str) -> list[RestState]:

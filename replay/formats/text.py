@@ -36,7 +36,11 @@ EMPTY = -9.87654321e22
 """Stands for an empty cell in a block of numbers: no sensor's value, and quick to read (few digits)."""
 
 BLOCK_BYTES = 1 << 20
+"""Bytes read at a time, so that memory stays flat however long the file is."""
+
 _LONGEST_LINE = 1 << 24
+"""Bytes in which no line ends, beyond which a file is not text."""
+
 _BLANKS = "space"
 _TEXT_REMEDY = "give the recording as plain text in UTF-8 (or gzip of it)"
 _ROW_REMEDY = "correct or delete that row"

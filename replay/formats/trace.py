@@ -10,13 +10,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import cut, merged
+from stillcal.replay.formats.resample import median_rate_hz
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.stream import SampleFile
@@ -73,8 +72,7 @@ class Recording:
     @property
     def rate_hz(self) -> float:
         """Samples of the accelerometer a second, by the median interval; 0 with less than two samples."""
-        t = self.accelerometer.t
-        return 1.0 / float(np.median(np.diff(t))) if t.size > 1 else 0.0
+        return median_rate_hz(self.accelerometer)
 
     def chunks(self, max_rows: int = 8192) -> Iterator[Chunk]:
         """Yield the recording in time order, at most `max_rows` samples a sensor at a time, as Trace does."""

@@ -25,6 +25,8 @@ FEWEST = 10
 """Samples without which nothing is judged."""
 
 DEGREE = float(np.pi / 180)
+"""rad."""
+
 _VOTES = 3
 """Stretches that must show a unit, and be the most of those that show anything, before it is believed."""
 

@@ -45,6 +45,7 @@ SUPPORTS: Mapping[str, Support] = {
     "cushion": _degrees(8.0, 40.0, (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0), 8.0),
     "bag": _degrees(30.0, 150.0, (0.0, 90.0, 180.0, 270.0), 30.0),
 }
+"""Supports by the names that scenarios use: lean from and to, roll, unevenness, degrees. Assumed."""
 
 
 def attitude_with(up: Array, heading: float) -> Array:

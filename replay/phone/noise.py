@@ -21,6 +21,8 @@ WANDER_STEP = 0.05
 """Spacing of the wander's time grid, s."""
 
 FLICKER_SPACING = 4.0
+"""Ratio of neighbouring correlation times in the flicker bank."""
+
 FLICKER_TAUS = tuple(0.25 * FLICKER_SPACING**k for k in range(10))
 """Correlation times of the flicker bank, s: 1/f from about 2 uHz to 0.6 Hz, below and above it flattens."""
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 
 CONFIDENCE = 0.95
+"""Of the bands, as of all intervals in the figures."""
+
 SHOWN = {
     Sensor.ACCELEROMETER: (1e6 / STANDARD, "µg", "µg/√Hz"),
     Sensor.GYROSCOPE: (3600 * 180 / np.pi, "°/h", "°/h/√Hz"),

@@ -8,16 +8,13 @@ import numpy as np
 
 from stillcal.calib_core.accelerometer.observability import most_helpful_attitude
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 from stillcal.replay.plots.inputs import Material
-from stillcal.replay.plots.style import BLUE, GREY, GRID, ORANGE
+from stillcal.replay.plots.style import BLUE, GREY, GRID, MILLI_G, ORANGE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
-
-MG = 1000 / STANDARD
 
 
 def flat(up: Array) -> Array:
@@ -43,9 +40,15 @@ def draw(part: FigureBase, material: Material) -> None:
         xy = flat(up[side])
         if rests.calibrated:
             rms = np.array([np.sqrt(np.mean(rests.after[g] ** 2)) for g in groups])[side]
-            top = MG * float(np.sqrt(np.mean(rests.after**2)))
+            top = MILLI_G * float(np.sqrt(np.mean(rests.after**2)))
             drawn = axis.scatter(
-                *xy.T, s=40 + 12 * counts[side], c=MG * rms, cmap="viridis", vmin=0, vmax=2 * top, zorder=3
+                *xy.T,
+                s=40 + 12 * counts[side],
+                c=MILLI_G * rms,
+                cmap="viridis",
+                vmin=0,
+                vmax=2 * top,
+                zorder=3,
             )
         else:
             axis.scatter(*xy.T, s=40 + 12 * counts[side], color=BLUE, zorder=3)

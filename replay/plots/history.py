@@ -12,16 +12,13 @@ from stillcal.calib_core.accelerometer.parameters import BIAS, DIAGONAL
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
 from stillcal.calib_core.errors import NotSupported
-from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.plots.inputs import Material, Moment
-from stillcal.replay.plots.residuals import NORMAL_95
-from stillcal.replay.plots.style import AXES, within
+from stillcal.replay.plots.style import AXES, DEGREES, MILLI_G, NORMAL_95, within
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
 
-DEG = 180 / np.pi
 BESIDE = 0.012
 """How far the marks of one moment's axes stand beside each other, as a share of the whole time."""
 
@@ -37,9 +34,9 @@ def _gyroscope(record: CalibrationRecord) -> SensorRecord | None:
 
 
 PANELS: tuple[tuple[Part, tuple[str, ...], float, str], ...] = (
-    (_accelerometer, BIAS, 1000 / STANDARD, "accelerometer bias, mg"),
+    (_accelerometer, BIAS, MILLI_G, "accelerometer bias, mg"),
     (_accelerometer, DIAGONAL, 100.0, "accelerometer scale - 1, %"),
-    (_gyroscope, BIAS, DEG, "gyroscope bias, °/s"),
+    (_gyroscope, BIAS, DEGREES, "gyroscope bias, °/s"),
     (_gyroscope, DIAGONAL, 100.0, "gyroscope scale - 1, %"),
 )
 

@@ -7,15 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stillcal.calib_core.errors import NotSupported
-from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.plots.inputs import Material
-from stillcal.replay.plots.style import BLUE, GREY, RED, within
+from stillcal.replay.plots.style import BLUE, GREY, MILLI_G, NORMAL_95, RED, within
 
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
-
-MG = 1000 / STANDARD
-NORMAL_95 = 1.96
 
 
 def draw(part: FigureBase, material: Material) -> None:
@@ -29,12 +25,12 @@ def draw(part: FigureBase, material: Material) -> None:
         (before, rests.before, RED, "before"),
         (after, rests.after, BLUE, "after"),
     ):
-        bars = NORMAL_95 * MG * rests.uncertainty
+        bars = NORMAL_95 * MILLI_G * rests.uncertainty
         axis.errorbar(
-            number, MG * values, bars, fmt="o", ms=4, color=colour, ecolor=GREY, elinewidth=1, zorder=3
+            number, MILLI_G * values, bars, fmt="o", ms=4, color=colour, ecolor=GREY, elinewidth=1, zorder=3
         )
         axis.axhline(0, color=GREY, lw=1)
-        rms = MG * float(np.sqrt(np.mean(values**2)))
+        rms = MILLI_G * float(np.sqrt(np.mean(values**2)))
         axis.set_title(f"{title}: {rms:.3g} mg rms", fontsize="medium")
         axis.set_xlabel("rest")
     before.set_ylabel("|force| - g at rest, mg")

@@ -10,6 +10,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from stillcal.calib_core.gravity import STANDARD
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase
@@ -24,6 +28,16 @@ PANEL = (4.2, 3.2)
 """Inches of one panel."""
 
 DPI = 130
+"""Dots per inch of PNG files: about 550 to a panel."""
+
+MILLI_G = 1000 / STANDARD
+"""Milli-g per m/s^2."""
+
+DEGREES = 180 / np.pi
+"""Degrees per radian."""
+
+NORMAL_95 = 1.96
+"""Half width of a normal distribution's 95 % interval, in standard deviations."""
 
 
 def figure(columns: float = 1, rows: float = 1) -> Figure:

@@ -20,6 +20,7 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.blind_test.forward_model import FORWARD, played, sensor_of
 from stillcal.replay.blind_test.phones import low_passed
 from stillcal.replay.blind_test.world import World
+from stillcal.replay.formats.resample import interpolate
 from stillcal.replay.formats.trace import Recording
 
 STRENGTHS = (1.0 / 3.0, 1.0, 3.0)
@@ -141,7 +142,7 @@ def _world(recording: Recording, samples: Samples, switches: list[Charging]) -> 
 
 
 def _at(t: Array, samples: Samples) -> Array:
-    return np.stack([np.interp(t, samples.t, column) for column in samples.xyz.T], axis=1)
+    return interpolate(t, samples.t, samples.xyz)
 
 
 def _of(recording: Recording, sensor: str) -> Samples:
@@ -250,9 +251,7 @@ def _dropped(r: Recording, size: float, strength: float, rng: np.random.Generato
 def _late(r: Recording, size: float, strength: float, _: np.random.Generator) -> tuple[Recording, Any]:
     assert r.gyroscope is not None
     delay = size * strength
-    earlier = np.stack(
-        [np.interp(r.gyroscope.t - delay, r.gyroscope.t, column) for column in r.gyroscope.xyz.T], axis=1
-    )
+    earlier = interpolate(r.gyroscope.t - delay, r.gyroscope.t, r.gyroscope.xyz)
     return _with(r, "gyro", earlier), delay
 
 

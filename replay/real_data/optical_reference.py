@@ -14,7 +14,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.replay.real_data.sources import Source
 
-SECOND = 1.0
+WINDOW_S = 1.0
+"""Length of the windows that are compared, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ def compare_with_cameras(source: Source) -> OpticalComparison | None:
     if source.optical is None or gyroscope is None:
         return None
     known = np.asarray(np.isfinite(source.optical).all(axis=1))
-    n = round(SECOND / float(np.median(np.diff(gyroscope.t))))
+    n = round(WINDOW_S / float(np.median(np.diff(gyroscope.t))))
     misses, designs = [], []
     for first in range(0, len(gyroscope) - n, n):
         rows = slice(first, first + n + 1)

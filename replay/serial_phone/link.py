@@ -31,6 +31,8 @@ from stillcal.daemon.wire.decoder import (
 from stillcal.replay.serial_phone.stream import Chunk, PhoneStream
 
 READ_BYTES = 65_536
+"""Bytes read from the terminal at a time, at most."""
+
 STRIDE_S = 10.0
 """s of the phone's time that are on their way at once, at most: what a sudden unplugging can cost."""
 

@@ -41,6 +41,7 @@ SHAPE_TOLERANCE = 0.15
 """Difference of excess kurtosis that is no difference."""
 
 PIECES = 40
+"""Spans of time of equally many intervals; each gives one value of a statistic of the time stamps."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,7 @@ TAU = 300.0
 """Time constant, s, of the curve that stands for its entry's grid."""
 
 LEAST_RESTS = 14
+"""Rests that an affine calibration is compared from: its nine parameters and five more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,7 @@ from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding
 from stillcal.calib_core.diagnosis.model.residuals import norm_view
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
@@ -26,7 +27,6 @@ from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, at_bins, eff
 LEAST_SHARE = 0.5
 """An axis is drawn from bins in which the residual shows at least this part of it."""
 
-UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 SENSOR = {"accel": Sensor.ACCELEROMETER, "gyro": Sensor.GYROSCOPE}
 
 

@@ -15,13 +15,17 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.segments.windows import windows
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.diagnosis.report.curves import UNIT, residuals, unexplained_residual
+from stillcal.replay.diagnosis.report.curves import residuals, unexplained_residual
 from stillcal.replay.diagnosis.twin import AffinePhone
+from stillcal.replay.formats.resample import median_rate_hz
 from stillcal.replay.formats.trace import Recording
 
 CELLS = 96
+"""Columns of the map: a quarter of an hour each, for a day."""
+
 LEAST_NOISE = 0.05
 """Logarithm of a spread that is noise at least: 5 %."""
 
@@ -127,7 +131,7 @@ def _spreads(sensor: str, samples: Samples, bins: Bins, claims: Claims, edges: A
     inside &= short_windows.count > 3
     if inside.sum() < 5:
         return []
-    rate = 1.0 / float(np.median(np.diff(samples.t)))
+    rate = median_rate_hz(samples)
     declared = _declared(sensor, claims, rate)
     floor = ((claims.accel_lsb if sensor == "accel" else claims.gyro_lsb) or 0.0) / np.sqrt(12.0)
     rows = []

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH, HEIGHT = 5.0, 3.1
+"""Size of a picture, inches: two stand side by side on a page at a desk, one on a phone."""
+
 INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", "#c65a11", "#0b6e99"
 CLIP = 8.0
 """Departures beyond this many units of noise have one colour."""
@@ -66,8 +68,8 @@ def drawing(height: float = HEIGHT) -> Iterator[tuple[Figure, Axes, list[str]]]:
     What was labelled stands in a legend above the axes, where it can lie on no curve.
     """
     try:
-        import matplotlib as mpl  # noqa: PLC0415 - only where a report is asked for
-        from matplotlib.figure import Figure  # noqa: PLC0415
+        import matplotlib as mpl  # noqa: PLC0415 - an extra
+        from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise NoMatplotlibError from error
     out: list[str] = []

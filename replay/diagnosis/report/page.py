@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.replay.diagnosis.report import figures, tables
-from stillcal.replay.diagnosis.report.curves import UNIT, is_slow
+from stillcal.replay.diagnosis.report.curves import is_slow
 from stillcal.replay.diagnosis.report.inputs import Case, Resimulation
 from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.report.pictures import Picture, pictures

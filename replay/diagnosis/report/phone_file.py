@@ -20,6 +20,7 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.comparison import stamps_measured
 from stillcal.replay.diagnosis.report.phone_effects import WHITE_NOISE_FINDINGS, MappedFinding
 from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, fit_affine
+from stillcal.replay.formats.resample import median_rate_hz
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effect_base import Effect
 from stillcal.replay.phone.phone import Claims, Phone, dump_phone
@@ -35,6 +36,8 @@ from stillcal.replay.phone.settings import (
 )
 
 LEAST_BINS = 8
+"""Fewer static bins than this show no slow noise."""
+
 MOST_BINS = 48
 """Slow noise is fitted to so many bins at most: neighbours in a rest are put together beyond."""
 
@@ -159,7 +162,7 @@ def _sensor(
     limit: float | None,
     claimed: float | None,
 ) -> SensorSettings:
-    rate = 1.0 / float(np.median(np.diff(samples.t)))
+    rate = median_rate_hz(samples)
     steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
     coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
     # Noise that hides in a coarse step has no level of its own: the maker's word is then all there is.

@@ -15,7 +15,6 @@ from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.wording import readable
 from stillcal.replay.formats.trace import Recording
 
-MOST_AXES = 3
 SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
 VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed", "unknown")
 LIMITED = ("accel_saturation", "gyro_saturation")
@@ -34,7 +33,7 @@ def pictures(
     case: Case, mapped: MappedFinding, resimulated: tuple[Resimulation, Resimulation] | None
 ) -> list[Picture]:
     """Return the pictures of one finding."""
-    curves = case.curves(mapped)[:MOST_AXES]
+    curves = case.curves(mapped)
     if curves:
         return [p for curve in curves for p in _of_curve(mapped.finding, curve)]
     sample_pictures = [] if resimulated is None else _of_samples(case, mapped.finding, resimulated)

@@ -8,6 +8,7 @@ from typing import Any
 from stillcal.replay.diagnosis.wording import counted, headline, judged_against, number, readable
 
 LINES = 10
+"""Longest summary; it is to be read at a glance."""
 
 
 def summary(answer: dict[str, Any]) -> list[str]:

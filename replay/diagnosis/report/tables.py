@@ -29,6 +29,7 @@ LEAST, MOST = 6, 16
 """Statistics of a comparison that are shown, so many if none differs and if many do."""
 
 SMALLEST_P = 1e-300
+"""A smaller p-value is printed as less than this: floating-point numbers end near it."""
 
 
 def table(heads: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:

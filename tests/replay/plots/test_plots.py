@@ -150,7 +150,7 @@ def test_a_store_gives_all_but_noise(lab: Path, tmp_path: Path) -> None:
 def test_what_cannot_be_is_one_line(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for arguments, said in (
         ((lab / "lab.csv", "--out", tmp_path / "x.gif"), ".png, .svg, .pdf"),
-        ((lab / "lab.csv", "--out", tmp_path / "none" / "x.png"), "no folder"),
+        ((lab / "lab.csv", "--out", tmp_path / "none" / "x.png"), "not a writable folder"),
     ):
         result = plotted(*arguments)
         assert result.exit_code == 2 and said in result.output

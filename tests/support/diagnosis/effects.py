@@ -1,8 +1,8 @@
 """Effects to be put into the simple phones of `nulls`: the catalogue's slow ones and some that are not in it.
 
 Written apart from the estimator: the catalogue's effects are played by the examiner of the blind test, the
-others here. Each gives the error (n, 3) of one sensor, second by second, on a size of one; `sized` scales it to
-a d' under the noise that was really drawn.
+others here. Each gives the error (n, 3) of one sensor, second by second, on a size of one; `sized` scales it
+to a d' under the noise that was really drawn.
 """
 
 from __future__ import annotations

@@ -1,0 +1,31 @@
+"""Samples at other times: the median rate, linear interpolation, and the temperature at a moment."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.samples import Samples
+
+
+def median_rate_hz(samples: Samples) -> float:
+    """Return the samples a second by the median interval; 0 with fewer than two samples."""
+    return 1.0 / float(np.median(np.diff(samples.t))) if len(samples) > 1 else 0.0
+
+
+def interpolate(t: Array, known: Array, values: Array) -> Array:
+    """Return values (k, 3) at times `known` (k,) s, interpolated linearly at t (n,) s; shape (n, 3).
+
+    Before the first and after the last time, the first and last value hold.
+    """
+    return np.stack([np.interp(t, known, values[:, axis]) for axis in range(3)], axis=1)
+
+
+def temperature_at(samples: Samples, t: Array) -> Array | None:
+    """Return the temperature at t (n,) s, degC, interpolated linearly; None where none is known."""
+    if samples.temperature is None:
+        return None
+    known = np.isfinite(samples.temperature)
+    if not known.any():
+        return None
+    return np.interp(t, samples.t[known], samples.temperature[known])
