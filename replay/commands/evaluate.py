@@ -71,7 +71,7 @@ def _require_extra() -> None:
     missing = [name for module, name in NEEDED.items() if importlib.util.find_spec(module) is None]
     if missing:
         raise click.UsageError(
-            f"{' and '.join(missing)} not installed: pip install 'stillcal[evaluation]' has what this needs"
+            f"{' and '.join(missing)} not installed: pip install '.[evaluation]' in the source folder"
         )
     os.environ.setdefault("MPLBACKEND", "Agg")
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # small fits: more threads wait for each other

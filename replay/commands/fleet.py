@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _BAD, _NAMED = ("error", "lost"), 3
 """Statuses of recordings that could not be used, and how many such recordings are named."""
 
-_LACKING = "this needs the extra `fleet`: pip install 'stillcal[fleet]' ({})"
+_LACKING = "this needs the extra `fleet`: pip install '.[fleet]' ({})"
 
 
 @click.command(

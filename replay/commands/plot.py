@@ -67,7 +67,8 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
     if out.suffix not in ENDINGS:
         raise click.UsageError(f"{out}: choose a name that ends in {', '.join(ENDINGS)} for a figure")
     if importlib.util.find_spec("matplotlib") is None:
-        raise click.UsageError("matplotlib is not installed: pip install 'stillcal[report]'")
+        remedy = "pip install '.[report]' in the source folder, or pip install matplotlib"
+        raise click.UsageError(f"matplotlib is not installed: {remedy}")
     refuse_collisions([out], [source])
     try:
         if _is_store(source):

@@ -58,7 +58,8 @@ class NoMatplotlibError(ValueError):
     """The pictures cannot be drawn."""
 
     def __init__(self) -> None:
-        super().__init__("the report's pictures need matplotlib: pip install 'stillcal[report]'")
+        remedy = "pip install '.[report]' in the source folder, or pip install matplotlib"
+        super().__init__(f"the report's pictures need matplotlib: {remedy}")
 
 
 @contextmanager

@@ -203,7 +203,7 @@ def force_error(found: dict[str, Any], true: dict[str, Any], size: float = STAND
 def _drawn(lived: Lived, simulation: Simulation, path: Path) -> str:
     """Draw how wrong the published calibration was through the day, and say where."""
     if importlib.util.find_spec("matplotlib") is None:
-        return "No figure: it takes matplotlib (pip install 'stillcal[report]')."
+        return "No figure: it takes matplotlib (pip install '.[report]')."
     figure = style.figure(1.8, 1.5)
     panels = style.within(figure, 1, 2, sharex=True)
     true = truth_of(simulation)

@@ -81,7 +81,7 @@ def test_a_missing_library_is_named_with_its_remedy(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("stillcal.replay.commands.evaluate.NEEDED", {"no_such_module": "no-such-package"})
     result = CliRunner().invoke(evaluate_command, ["laboratory", "--out", str(tmp_path)])
     assert result.exit_code == 2
-    assert "no-such-package not installed: pip install 'stillcal[evaluation]'" in result.output
+    assert "no-such-package not installed: pip install '.[evaluation]'" in result.output
 
 
 def test_an_installed_package_says_where_the_studies_are(

@@ -50,7 +50,7 @@ def test_without_matplotlib_it_says_how_to_have_the_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert "stillcal[report]" in shown._drawn(None, None, tmp_path / "day.png")  # type: ignore[arg-type]
+    assert ".[report]" in shown._drawn(None, None, tmp_path / "day.png")  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
 
 
