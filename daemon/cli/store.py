@@ -1,4 +1,4 @@
-"""`stillcal store …`: look at a calibration store, check it, and go back to an earlier calibration.
+"""`stillcal store …`: show a calibration store, check it, and go back to an earlier calibration.
 
 The commands and what they print are here; the package daemon/store defines a store.
 """
@@ -35,12 +35,12 @@ path_argument = click.argument("path", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 
 
-@click.group("store", short_help="Look at a store, check it, go back to earlier ones.")
+@click.group("store", short_help="Show, check or roll back a calibration store.")
 def store_group() -> None:
-    """Look at a calibration store, check it, or go back to an earlier calibration.
+    """Show a calibration store, check it, or go back to an earlier calibration.
 
-    PATH is the store's JSON file, such as /var/lib/stillcal/store.json. Looking and checking are safe
-    while the daemon runs; rolling back needs it stopped.
+    PATH is the store's JSON file, such as /var/lib/stillcal/store.json. Showing and checking are safe while
+    the daemon runs. Changing needs it stopped; `stillcal query Rollback` rolls back while it runs.
     """
 
 
@@ -75,7 +75,7 @@ def show(path: Path, as_json: bool) -> None:
 @path_argument
 @json_option
 def history(path: Path, as_json: bool) -> None:
-    """List the current, the earlier and the rejected calibrations, newest first."""
+    """List the current, earlier and rejected calibrations, newest first."""
     document = _loaded(path)
     rows = list(history_rows(document))
     if as_json:
@@ -94,10 +94,12 @@ def history(path: Path, as_json: bool) -> None:
     ),
 )
 @path_argument
-@click.option("--to", "identity", metavar="ID", help="The calibration's id, or the beginning of it.")
-@click.option("--steps", type=click.IntRange(1), default=1, show_default=True, help="How far back.")
+@click.option("--to", "identity", metavar="ID", help="The calibration's id, or its first characters.")
+@click.option(
+    "--steps", type=click.IntRange(1), default=1, show_default=True, help="How many calibrations back."
+)
 def rollback(path: Path, identity: str | None, steps: int) -> None:
-    """Make an earlier calibration current again; the present one stays in the history."""
+    """Make an earlier calibration current again; the present one moves to the history."""
     with _one_line(), Store(_existing(path)) as store:
         outcome = store.rollback(steps if identity is None else identity)
     for note in outcome.notes:
@@ -108,7 +110,7 @@ def rollback(path: Path, identity: str | None, steps: int) -> None:
 
 @store_group.command(
     "adopt-terms",
-    short_help="Take what a diagnosis found into the calibration.",
+    short_help="Add corrections that a diagnosis found to the calibration.",
     epilog=examples(
         "stillcal diagnose day.csv --json day.diagnosis.json",
         "stillcal store adopt-terms store.json day.diagnosis.json",
@@ -117,10 +119,10 @@ def rollback(path: Path, identity: str | None, steps: int) -> None:
 @path_argument
 @click.argument("diagnosis", type=click.Path(path_type=Path))
 def adopt_terms(path: Path, diagnosis: Path) -> None:
-    """Take what a diagnosis has found into the current calibration; `stillcal apply` then corrects for it.
+    """Add corrections that a diagnosis found to the current calibration; `stillcal apply` then uses them.
 
-    Bias against temperature and a gyroscope's answer to force can be taken; DIAGNOSIS is what `stillcal
-    diagnose --json` wrote. The calibration without them stays in the history.
+    Bias that follows temperature and g-sensitivity of the gyroscope can be corrected. DIAGNOSIS is the file
+    that `stillcal diagnose --json` wrote. The calibration without them stays in the history.
     """
     with _one_line(), Store(_existing(path)) as store:
         document = store.load()
@@ -131,11 +133,13 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{diagnosis}: {error}") from error
         store.publish(record, f"terms from {diagnosis.name}")
-    click.echo(f"{path}: calibration {record.id} with {', '.join(term.effect for term in record.terms)}")
+    click.echo(
+        f"{path}: calibration {record.id} now corrects {', '.join(term.effect for term in record.terms)}"
+    )
 
 
 def _findings(path: Path) -> list[dict[str, Any]]:
-    """Read a diagnosis. Raises ValueError where it is none."""
+    """Read the findings of a diagnosis. Raises ValueError where the file is not one."""
     try:
         findings = json.loads(read_regular(path, MAX_BYTES).decode("utf-8"))["findings"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
@@ -187,7 +191,7 @@ def _contents(path: Path) -> bytes:
 
 @store_group.command(
     "verify",
-    short_help="Check that a store is whole; exit 1 where it is not.",
+    short_help="Check that a store is intact (exit code 1 if not).",
     epilog=examples(
         "stillcal store verify store.json",
         "stillcal store verify store.json --json",
@@ -196,7 +200,7 @@ def _contents(path: Path) -> bytes:
 @path_argument
 @json_option
 def verify(path: Path, as_json: bool) -> None:
-    """Check that a store is whole: JSON, checksum, schema, units and values; exit 1 where it is not."""
+    """Check that a store is intact: JSON, checksum, schema, units and values. Exit code 1 if it is not."""
     with _one_line():
         found = Store(_existing(path)).verify()
     report = {
@@ -214,7 +218,7 @@ def verify(path: Path, as_json: bool) -> None:
 
 @contextmanager
 def _one_line() -> Iterator[None]:
-    """Turn a refusal into one line on standard error and exit status 2."""
+    """Turn a refusal into one line on standard error and exit code 2."""
     try:
         yield
     except ValueError as error:
@@ -224,7 +228,7 @@ def _one_line() -> Iterator[None]:
 
 def _existing(path: Path) -> Path:
     if not path.exists():
-        raise ValueError(f"{path}: there is no store: give the path of an existing one")
+        raise ValueError(f"{path}: no such store: give the path of an existing one")
     return path
 
 
@@ -247,7 +251,7 @@ def _print_json(value: Any) -> None:
 
 
 def history_rows(document: StoreDocument) -> Iterator[dict[str, Any]]:
-    """Return a row for the current, each earlier and each rejected calibration, newest first."""
+    """Yield a row for the current, each earlier and each rejected calibration, newest first."""
     current = document.current
     if current is not None:
         reason = current.acceptance.reason
@@ -280,7 +284,7 @@ def _row(
 def print_history(title: str, rows: Iterable[dict[str, Any]]) -> None:
     """Print the rows of a history as a table."""
     table = Table(title=title)
-    for name in ("back", "id", "what", "at [s]", "rms [m/s²]", "attitudes"):
+    for name in ("steps", "id", "what", "at [s]", "rms [m/s²]", "attitudes"):
         table.add_column(name, justify="left" if name in ("id", "what") else "right", no_wrap=True)
     table.add_column("reason", overflow="fold")
     for row in rows:
@@ -290,7 +294,7 @@ def print_history(title: str, rows: Iterable[dict[str, Any]]) -> None:
 
 
 def print_calibration(record: CalibrationRecord) -> None:
-    """Print a calibration: both sensors, then what it rests on."""
+    """Print a calibration: both sensors, then the data behind it."""
     table = Table(title=f"calibration {record.id}", caption="calibrated = scale @ (raw - bias)")
     table.add_column("", no_wrap=True)
     for axis in "xyz":
@@ -327,7 +331,7 @@ def _facts(record: CalibrationRecord) -> Iterator[str]:
     yield f"fitted at: {_figure(record.fitted_at)} s"
     yield f"accepted: {record.acceptance.how}, {record.acceptance.reason or 'no reason recorded'}"
     if record.provenance.software:
-        yield f"by: {record.provenance.software} from {record.provenance.source or 'an unnamed source'}"
+        yield f"made by: {record.provenance.software} from {record.provenance.source or 'an unnamed source'}"
 
 
 def _numbers(values: Array) -> str:
@@ -335,7 +339,7 @@ def _numbers(values: Array) -> str:
 
 
 def reading_json(reading: Reading) -> dict[str, Any]:
-    """Return what lies at a path, for JSON."""
+    """Return the state of one file of the store, for JSON."""
     current = reading.document.current if reading.document else None
     return {
         "path": str(reading.path),
@@ -347,14 +351,14 @@ def reading_json(reading: Reading) -> dict[str, Any]:
 
 
 def verdict(reading: Reading) -> str:
-    """Say in words what lies at a path."""
+    """Return the state of one file of the store in words."""
     if reading.problem is not None:
         return str(reading.problem)
     if reading.document is None:
         return "missing"
     current = reading.document.current
     held = f"calibration {current.id}" if current else "no calibration yet"
-    return f"whole, schema {reading.schema}, {held}, {len(reading.document.history)} in the history"
+    return f"intact, schema {reading.schema}, {held}, {len(reading.document.history)} in the history"
 
 
 def _figure(value: float | int | None) -> str:
@@ -364,5 +368,5 @@ def _figure(value: float | int | None) -> str:
 
 
 def _print(table: Table) -> None:
-    """Print a table, taking no square bracket for markup; 120 columns where there is no terminal."""
+    """Print a table without markup, 120 columns wide where there is no terminal."""
     Console(width=None if sys.stdout.isatty() else 120, markup=False, highlight=False).print(table)

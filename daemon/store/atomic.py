@@ -1,4 +1,4 @@
-"""Replacing a file so that a reader, a crash or a full disk never meets half of it.
+"""Replace a file so that neither a reader nor a crash nor a full disk leaves half of it.
 
 Write a temporary beside the target, fsync it, rename it over the target, fsync the folder. Nothing
 here knows what is written.

@@ -1,4 +1,4 @@
-"""The store's contents: the document, its JSON, its checksum, and what earlier schemas looked like.
+"""The store's contents: the document, its JSON, its checksum, and the migration of earlier schemas.
 
 Bytes in, document out, and back; no files here (see files.py and store.py).
 """
@@ -30,7 +30,7 @@ UNITS = {
     "covariance": "product of units",
 }
 WIDTH = 110
-"""Columns that a value may fill before it is broken over lines; a list of numbers never is."""
+"""Longest line of a value, columns, before it is split; a list of numbers never is."""
 
 REPAIR = "`stillcal store repair` shows what, and takes it if you say so"
 DERIVED = {"checksum", "id"}
@@ -40,7 +40,7 @@ What = Literal["replaced", "rolled_back", "rejected"]
 
 
 class Fault(StrEnum):
-    """What can be wrong with a store's contents."""
+    """Kinds of bad contents."""
 
     UNREADABLE = "unreadable"
     FOREIGN = "foreign"
@@ -50,7 +50,7 @@ class Fault(StrEnum):
 
 
 class StoreFormatError(ValueError):
-    """Bytes that are no good store. `fault` says of which kind."""
+    """The bytes are not a good store; `fault` says how."""
 
     def __init__(self, fault: Fault, detail: str) -> None:
         super().__init__(f"{fault}: {detail}")
@@ -61,7 +61,7 @@ class StoreFormatError(ValueError):
 class HistoryEntry:
     """A calibration that is not current.
 
-    at: s, sample time at which it ceased to be or was turned down, None where nobody knows. It is kept
+    at: sample time (s) at which it was replaced or rejected, None if unknown. It is stored
     without its rests (`states`), which are most of its size: what they showed stays in its covariance,
     residual and counts, and months of history stay quick to write.
     """
@@ -74,7 +74,7 @@ class HistoryEntry:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StoreDocument:
-    """All that a store holds: the current calibration and, oldest first, the others."""
+    """The contents of a store: the current calibration and, oldest first, the others."""
 
     current: CalibrationRecord | None = None
     history: tuple[HistoryEntry, ...] = ()
@@ -101,14 +101,14 @@ class StoreDocument:
     def after_rejecting(
         self, candidate: CalibrationRecord, reason: str, limit: int, at: float | None = None
     ) -> StoreDocument:
-        """Return the document with a candidate that was turned down in the history, once."""
+        """Return the document with a rejected candidate in the history, at most once."""
         if any(e.what == "rejected" and e.calibration.id == candidate.id for e in self.history):
             return self
         when = candidate.fitted_at if at is None else at
         return self._with(self.current, _entry("rejected", reason, when, candidate), limit)
 
     def after_retiring(self, reason: str, limit: int, at: float | None = None) -> StoreDocument:
-        """Return the document without a current calibration; the one there was is in the history."""
+        """Return the document without a current calibration; the previous one is in the history."""
         if self.current is None:
             return self
         when = self.current.fitted_at if at is None else at
@@ -138,7 +138,9 @@ class StoreDocument:
         if isinstance(target, int):
             earlier = [e for e in reversed(self.history) if e.what == "replaced"]
             if not 1 <= target <= len(earlier):
-                raise ValueError(f"cannot roll back {target} calibrations: the history holds {len(earlier)}")
+                raise ValueError(
+                    f"cannot roll back by {target}: the history holds {len(earlier)} earlier calibrations"
+                )
             return earlier[target - 1]
         if not target:
             raise ValueError("an id must have a letter at least: see `stillcal store history`")
@@ -233,9 +235,9 @@ def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, str]]:
 
 
 def pretty(value: Any, indent: int = 0, lead: int = 0) -> str:
-    """Encode plain values as JSON to be read: one key a line, but a vector or what is short on one line.
+    """Encode plain values as readable JSON: one key per line; vectors and short values on one line.
 
-    lead: columns that the key takes up before the value.
+    lead: columns of the key before the value.
     """
     items = list(value.values()) if isinstance(value, dict) else value
     if not isinstance(items, list) or not any(isinstance(item, dict | list) for item in items):
@@ -278,7 +280,7 @@ def _schema(value: dict[str, Any]) -> int:
         detail = "schema 0, which had no checksum, with one: changed or damaged after writing"
         raise StoreFormatError(Fault.CORRUPT, detail)
     if schema >= 1 and not {"accelerometer", "gyroscope", "checksum"} <= value.keys():
-        raise StoreFormatError(Fault.FOREIGN, "JSON with a schema, but not a stillcal store")
+        raise StoreFormatError(Fault.FOREIGN, "JSON, but not a stillcal store")
     return schema
 
 
@@ -311,7 +313,7 @@ def _from_schema_0(value: dict[str, Any]) -> dict[str, Any]:
 
 
 MIGRATIONS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {0: _from_schema_0}
-"""From each earlier schema to the next."""
+"""The migration from each earlier schema to the next."""
 
 
 def fewest_parameters(scale: Any) -> int:

@@ -1,4 +1,4 @@
-"""The store's files: reading one, locking it, and what to say where the system refuses.
+"""The store's files: read them, lock them, and explain the system's errors.
 
 store.py changes a store; document.py defines the contents of its file.
 """
@@ -18,7 +18,7 @@ from stillcal.daemon.store.lock import try_lock
 from stillcal.daemon.system.files import NotRegularError, TooLargeError, passing, read_regular
 
 MAX_BYTES = 64 * 2**20
-"""No store grows to this; a file that did is not ours and is not read into memory."""
+"""Larger than any store; a file of this size is not a store and is not read into memory."""
 
 MARKS = (b'"schema"', b'"stillcal calibration"', b'"accel"', b'"gyro"')
 BEGINNING_BYTES = 200
@@ -45,7 +45,7 @@ class StoreError(UserError):
 
 
 class StoreLockedError(StoreError):
-    """Another process writes this store. pid: which, or None where it did not say."""
+    """Another process writes this store. pid: its number, None if unknown."""
 
     def __init__(self, path: Path, pid: int | None) -> None:
         who = f"process {pid}" if pid else "another process"
@@ -111,7 +111,7 @@ def _is_foreign(data: bytes, problem: StoreFormatError) -> bool:
 
 
 def take_lock(path: Path, store: Path) -> int:
-    """Lock `path` on behalf of `store` and return its descriptor. Raises StoreLockedError, StoreError."""
+    """Lock the file `path` for `store`; return its descriptor. Raises StoreLockedError, StoreError."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_CREAT | SAFE, 0o600)
     except OSError as error:
@@ -151,7 +151,7 @@ def _holder(fd: int) -> int | None:
 
 
 def store_error(error: OSError, path: Path, verb: str) -> StoreError:
-    """Return an error of the system's as what could not be done, and what to do about it."""
+    """Return a system error as a StoreError that says what failed and what to do about it."""
     remedy = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
     kind = StoreBusyError if passing(error) else StoreError
     return kind(f"cannot {verb} {path}: {remedy}")

@@ -1,6 +1,6 @@
-"""Locking a file for one process, by whichever call the operating system has.
+"""Lock a file for one process, with the call that the operating system has.
 
-The kernel gives the lock up when the process ends, however that happens, so no lock is ever stale.
+The kernel releases the lock when the process ends, however it ends, so that no lock is ever stale.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ LOCK_BYTE = 1 << 20
 
 
 def try_lock(fd: int) -> bool:
-    """Lock an open file unless another holds its lock; say whether it is ours. Raises OSError."""
+    """Lock an open file unless another process has; return whether it is locked. Raises OSError."""
     if fcntl is None:
         return _try_lock_byte(fd)
     try:

@@ -1,6 +1,6 @@
-"""Arrays as MessagePack, straight from memory: the bytes that lists of their numbers give, without the lists.
+"""Encode arrays as MessagePack straight from memory: the same bytes as from lists of numbers.
 
-A state holds minutes of the gyroscope. As Python's numbers those take seven times their room, at every save.
+A state holds minutes of the gyroscope. As Python numbers they take seven times the memory, at every save.
 https://github.com/msgpack/msgpack/blob/master/spec.md
 """
 

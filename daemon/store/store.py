@@ -1,4 +1,4 @@
-"""The store: one JSON file that holds the current calibration, and the care that nothing ever tears it.
+"""The store: one JSON file that holds the current calibration, always written as a whole.
 
 This module changes the store; files.py reads and locks its files, document.py defines their contents.
 
@@ -47,7 +47,7 @@ MODES = (0o600, 0o640)
 
 @dataclass(frozen=True, slots=True)
 class StoreSettings:
-    """Where the store is and what it keeps.
+    """The store's path, permissions and size.
 
     path: "" for store.json in the service's state folder. mode: permissions, 0600 or 0640. history:
     how many earlier and rejected calibrations are aside.
@@ -66,7 +66,7 @@ class StoreSettings:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a change left behind. notes: what was out of the ordinary, a line each, to be logged."""
+    """The document after a change. notes: unusual events, one line each, for the log."""
 
     document: StoreDocument
     notes: tuple[str, ...] = ()
@@ -74,7 +74,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """The state of a store and its twin; `whole` where the store itself is there and good."""
+    """The state of a store and its last good copy; `whole` where the store itself is intact."""
 
     store: Reading
     last_good: Reading
@@ -102,7 +102,7 @@ class Store:
 
     @property
     def last_good_path(self) -> Path:
-        """The twin that a damaged store is replaced by."""
+        """The last good copy, which replaces a damaged store."""
         return self.path.with_name(self.path.name + ".last-good")
 
     @property
@@ -130,14 +130,14 @@ class Store:
             self._lock = take_lock(self._lock_path, self.path)
 
     def close(self) -> None:
-        """Let other writers in."""
+        """Unlock the store."""
         if self._lock is not None:
             descriptor, self._lock = self._lock, None
             with suppress(OSError):  # it is free even so (close(2))
                 os.close(descriptor)
 
     def load(self) -> StoreDocument | None:
-        """Return the store's document, or its twin's where the store is damaged; None where there is none.
+        """Return the document, from the last good copy where the store is damaged; None where there is none.
 
         Changes nothing. Raises StoreError where the store is damaged and so is its twin.
         """
@@ -166,7 +166,7 @@ class Store:
         return aside
 
     def verify(self) -> Verification:
-        """Read the store and its twin and say what is wrong with them. Changes nothing.
+        """Read the store and its last good copy, with what is wrong with them. Changes nothing.
 
         Raises StoreError where something else than a file lies at the store's path, or it cannot be read.
         """
@@ -219,15 +219,15 @@ class Store:
             raise store_error(error, self.path, verb) from error
 
     def publish(self, calibration: CalibrationRecord, reason: str = "", at: float | None = None) -> Outcome:
-        """Make `calibration` the current one; the one before goes into the history, why and when (s)."""
+        """Make `calibration` the current one; the previous one goes into the history; reason and time (s)."""
         return self._change(lambda d: d.after_publishing(calibration, self.settings.history, reason, at))
 
     def reject(self, candidate: CalibrationRecord, reason: str, at: float | None = None) -> Outcome:
-        """Keep a candidate that was turned down in the history, and why and when (s)."""
+        """Put a rejected candidate into the history; reason and time (s)."""
         return self._change(lambda d: d.after_rejecting(candidate, reason, self.settings.history, at))
 
     def retire(self, reason: str, at: float | None = None) -> Outcome:
-        """Let no calibration be current, as when the phone is another one; why and when (s)."""
+        """Leave no calibration current, as for another phone; reason and time (s)."""
         return self._change(lambda d: d.after_retiring(reason, self.settings.history, at))
 
     def rollback(self, target: int | str = 1) -> Outcome:
@@ -275,8 +275,8 @@ class Store:
         damage = f"{self.path} was {verification.store.problem}; set aside as {aside}"
         if verification.last_good.document is not None:
             self.save(verification.last_good.document)
-            return Outcome(verification.last_good.document, (f"{damage}; the last good copy took its place",))
-        notes = [f"{damage}; there was no good copy: starting without a calibration"]
+            return Outcome(verification.last_good.document, (f"{damage}; its last good copy replaces it",))
+        notes = [f"{damage}; there is no good copy: starting without a calibration"]
         if verification.last_good.problem is not None:
             aside = self._set_aside(self.last_good_path, "unreadable")
             notes.append(f"{self.last_good_path} was {verification.last_good.problem}; set aside as {aside}")
@@ -290,7 +290,7 @@ class Store:
         sync_folder(self.path.parent)
 
     def _set_aside(self, path: Path, label: str) -> Path:
-        """Give the file a second name that nothing had, so that replacing the first loses nothing.
+        """Give the file a second, unused name, so that replacing the first loses nothing.
 
         A hard link, which refuses an existing name and leaves no moment without a store; where the file
         system has none (vfat), a rename under the writer's lock.
@@ -310,5 +310,5 @@ class Store:
             sync_folder(path.parent)
             return aside
         raise StoreError(
-            f"{path.parent} is full of files set aside ({label}-…): look at them and remove them"
+            f"{path.parent} has 9,999 files set aside ({label}-…): remove those that are not needed"
         )
