@@ -88,7 +88,7 @@ def test_the_worst_direction_may_be_known_so_much_worse_than_a_rest():
     up = directions(12, seed=4)
     limit = observability.amplification(up, 9)
     assert fitted(G * up, max_amplification=limit * 1.001).parameters == 9
-    with pytest.raises(AttitudesMissing, match="times worse than a rest measures it") as refusal:
+    with pytest.raises(AttitudesMissing, match="too similar") as refusal:
         fitted(G * up, max_amplification=limit * 0.999)
     assert f"{limit:.3g}" in refusal.value.reason and len(refusal.value.attitudes) > 0
 
@@ -103,7 +103,7 @@ def test_too_few_attitudes_are_counted_and_nothing_more_is_said():
 
 def test_just_enough_attitudes_that_lie_badly_are_said_to() -> None:
     nine = np.vstack([FACES, EDGES[:3]])
-    with pytest.raises(AttitudesMissing, match="times worse than a rest measures it"):
+    with pytest.raises(AttitudesMissing, match="too similar"):
         fitted(raw_of(nine), max_amplification=1.5)
 
 

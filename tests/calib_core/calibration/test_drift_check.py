@@ -183,6 +183,12 @@ def test_one_rest_off_among_three_waits_and_among_four_is_outvoted(good: int, ve
     assert (found.verdict, found.rests_off) == (verdict, 1)
 
 
+def test_two_rests_off_by_opposite_amounts_are_enough_among_many() -> None:
+    """The bias moved on one axis, which was held up twice: the other twenty rests do not outvote them."""
+    found = check_rests(IDENTITY, 0.002, None, off_by(0.1, -0.1, *[0.0] * 20), SETTINGS)
+    assert (found.accelerometer, found.rests_off) == (Drift.DRIFTED, 2)
+
+
 def test_the_mean_is_off_where_no_single_rest_is() -> None:
     """Ten rests, each off by 0.025 with an uncertainty of 0.01: none by itself, their mean is."""
     found = check_rests(IDENTITY, 0.001, None, off_by(*[0.025] * 10, uncertainty=0.01), SETTINGS)

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from stillcal.calib_core.static.interval import Run, absorb, contributions, drifted, judged, trimmed
+from stillcal.calib_core.static.interval import (
+    Run,
+    absorb,
+    contributions,
+    drifted,
+    rest_from_windows,
+    trimmed,
+)
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import DetectorSettings, Label
 from stillcal.calib_core.static.windows import COLUMNS, K_END, Stream, paired, take
@@ -48,7 +55,7 @@ def still(windows, s=0.01, force=(0.0, 0.0, G), moved=None):
 def rest_of(values, rate=None, drifting=False, settings=SETTINGS, temperature=None):
     accel = cells(Sensor.ACCELEROMETER, values, temperature)
     gyro = np.zeros((0, COLUMNS)) if rate is None else cells(Sensor.GYROSCOPE, rate)
-    return judged(paired(accel, gyro), drifting, settings)
+    return rest_from_windows(paired(accel, gyro), drifting, settings)
 
 
 def made(*arguments, **options) -> RestState:
@@ -159,20 +166,29 @@ def test_a_quantiser_on_two_codes_leaves_a_step_over_the_root_of_twelve():
     np.testing.assert_allclose(found, np.hypot(white, STEP / np.sqrt(12)), rtol=1e-6)
 
 
-def test_noise_over_more_codes_dithers_the_step_away():
+def test_noise_over_four_codes_dithers_the_step_as_theory_says():
     """Widrow and Kollar 2008: what is left is LSB / (pi sqrt 2) exp(-2 pi^2 sd^2 / LSB^2)."""
-    one = np.zeros(N)
-    one[[3, 12]], one[[8, 17]] = 1.0, -1.0
-    one[20] = 2.0  # four codes
-    one[22] = -2.0  # and symmetric
-    codes = STEP * np.tile(one, 10)[:, None] * np.ones(3) + [0.0, 0.0, 98 * STEP]
-    sd = STEP * np.sqrt((one**2).sum() / (N - 1))
-    assert sd < 0.8 * STEP
-    left = STEP / (np.pi * np.sqrt(2)) * np.exp(-2 * np.pi**2 * (sd / STEP) ** 2)
-    squares, steps = (one**2).sum(), (np.diff(one) ** 2).sum()
-    white = STEP * np.sqrt(squares / N / (10 * N - 1) * max(2 * 2 * squares / steps - 1, 1.0) * N / N)
-    found = made(codes).force_uncertainty
-    np.testing.assert_allclose(found, np.hypot(white, left), rtol=0.01)
+    codes = np.zeros(10 * N)
+    codes[[5, 9, 14]] = 2.0, -1.0, -1.0  # a mean of nought over four codes; the other windows stay on one
+    sd = np.sqrt(6 / (10 * N - 10))
+    left = STEP / (np.pi * np.sqrt(2)) * np.exp(-2 * np.pi**2 * sd**2)
+    found = made(STEP * codes[:, None] * np.ones(3) + [0.0, 0.0, 98 * STEP]).force_uncertainty
+    white = STEP * np.sqrt(6) / np.sqrt(10 * N - 1) / np.sqrt(10 * N)
+    np.testing.assert_allclose(found, np.hypot(white, left), rtol=1e-6)
+    assert left > 5 * white
+
+
+def test_batches_weigh_windows_by_their_samples():
+    """Every second window has its first ten samples only; all have the same mean."""
+    values, keep = still(12, 0.01), np.ones(12 * N, dtype=bool)
+    for window in range(0, 12, 2):
+        keep[window * N + 10 : (window + 1) * N] = False
+    t = (np.arange(len(values)) * (WINDOW / N))[keep]
+    rows = take(Stream(), Samples.checked(Sensor.ACCELEROMETER, t, values[keep]), WINDOW, close=True).rows
+    rest = rest_from_windows(paired(rows, np.zeros((0, COLUMNS))), False, SETTINGS)
+    assert isinstance(rest, RestState)
+    np.testing.assert_allclose(rest.force_uncertainty, 0.01 / np.sqrt(keep.sum() - 1), rtol=0.01)
+    np.testing.assert_allclose(rest.specific_force, [0.0, 0.0, G], atol=2e-3 * 0.01)
 
 
 @pytest.mark.parametrize("sd", [0.35, 0.45])
@@ -227,6 +243,30 @@ def test_the_fastest_turn_that_would_not_show_is_the_slope_and_two_uncertainties
     assert rest.tilt_rate_limit == pytest.approx(5e-4 + 2 * slope_uncertainty(20, s), rel=0.02)
 
 
+def test_windows_that_scatter_about_the_slope_make_it_uncertain():
+    """Means alternately off along x: an ordinary line through them, with two degrees of freedom less."""
+    k, d = 9, 0.004
+    signs = np.array([(-1.0) ** i for i in range(k)])
+    rest = made(still(k, 1e-4, moved=np.outer(d * signs, X)))
+    middle = (np.arange(k) - (k - 1) / 2) * WINDOW
+    off = d * (signs - signs.mean())
+    slope = (middle * off).sum() / (middle**2).sum()
+    scatter = ((off - slope * middle) ** 2).sum() / (k - 2)
+    own = 1e-4**2 * N / (N - 1) / N
+    uncertainty = np.sqrt((scatter + 2 * own) / (middle**2).sum()) / G
+    assert rest.tilt_rate_limit == pytest.approx(abs(slope) / G + 2 * uncertainty, rel=1e-3)
+
+
+def test_rounding_makes_the_slope_uncertain_too():
+    """Each window's mean may be off by a step over the root of twelve, as the whole mean."""
+    k = 10
+    codes = np.tile([0.0, STEP], k * N // 2)[:, None] * np.ones(3) + [0.0, 0.0, 98 * STEP]
+    middle = (np.arange(k) - (k - 1) / 2) * WINDOW
+    own = STEP**2 / 4 * N / (N - 1) / N
+    uncertainty = np.sqrt(3 * (own + STEP**2 / 12) / (middle**2).sum()) / np.linalg.norm(codes.mean(axis=0))
+    assert made(codes).tilt_rate_limit == pytest.approx(2 * uncertainty, rel=1e-3)
+
+
 def test_turning_about_the_vertical_is_no_tilt():
     """The norm grows: what lies along gravity is no turn."""
     values = still(20, 1e-4)
@@ -238,7 +278,7 @@ def test_turning_about_the_vertical_is_no_tilt():
 def test_one_window_alone_bounds_no_turn():
     row = paired(cells(Sensor.ACCELEROMETER, still(1)), np.zeros((0, COLUMNS)))
     row[:, K_END] = 4.0  # a slow sensor's window of four cells
-    rest = judged(row, False, SETTINGS)
+    rest = rest_from_windows(row, False, SETTINGS)
     assert isinstance(rest, RestState) and rest.tilt_rate_limit > 1e6
 
 
@@ -279,6 +319,24 @@ def test_a_window_leaves_the_run_by_four_uncertainties_and_the_allowance(axis, s
     step = share * (limit(s, 10) + SETTINGS.force_step)
     rows = joint(still(12, s, moved=np.outer([0.0] * 10 + [step, 0.0], axis)))
     assert taken(rows) == count
+
+
+@pytest.mark.parametrize("noisy", [X, Y, Z])
+@pytest.mark.parametrize(("share", "count"), [(0.99, 2), (1.01, 0)])
+def test_noise_of_any_one_axis_counts(noisy, share, count):
+    values = np.tile([0.0, 0.0, G], (12 * N, 1)) + noise(12, 0.06) * noisy
+    step = share * (limit(0.06, 10) / np.sqrt(3) + SETTINGS.force_step)
+    values[10 * N : 11 * N] += step * X
+    assert taken(joint(values)) == count
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.99, 2), (1.01, 0)])
+def test_correlated_noise_widens_the_line_by_the_root_of_ten_at_most(share, count):
+    """Half of a window above, half below: (1 + r) / (1 - r) would be 23."""
+    s = 0.02
+    slow = np.tile(np.repeat([s, -s], N // 2), 12)[:, None] + np.array([0.0, 0.0, G])
+    slow[10 * N : 11 * N] += share * (np.sqrt(10.0) * limit(s, 10) + SETTINGS.force_step) * X
+    assert taken(joint(slow)) == count
 
 
 @pytest.mark.parametrize(("share", "count"), [(0.99, 2), (1.01, 0)])
