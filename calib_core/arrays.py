@@ -1,4 +1,4 @@
-"""The array type of the whole core, and the way an array inside a record is kept from being written to."""
+"""The array type of the core, and how arrays in records are protected from being written to."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def frozen(values: ArrayLike) -> Array:
-    """Return `values` as a read-only float64 view; what is float64 already is not copied."""
+    """Return `values` as a read-only float64 array; one that is float64 already is not copied."""
     array = np.asarray(values, dtype=np.float64).view()
     array.setflags(write=False)
     return array

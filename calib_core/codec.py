@@ -1,7 +1,7 @@
-"""Records to bytes and back: msgspec with arrays as nested lists, floats kept to the last bit.
+"""Records to bytes and back, by msgspec, with arrays as nested lists and floats kept to the last bit.
 
-Used for the engine's saved state and for stored calibrations; both are plain dataclasses. JSON, which knows
-no number that is not finite, and the digest of a record in it, are here too.
+It serves the engine's saved state and stored calibrations, which are plain records. It also turns records
+into JSON, which has no infinite numbers and no NaN, and computes the digest of a record.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ def unpacked(data: bytes, kind: type[T]) -> T:
 
 
 def plain(record: Any) -> Any:
-    """Turn a record into dicts, lists and numbers fit for JSON."""
+    """Return a record as dicts, lists, strings and numbers."""
     return msgspec.to_builtins(record, enc_hook=_encode)
 
 
 def from_plain(value: Any, kind: type[T]) -> T:
-    """Turn dicts, lists and numbers into `kind`. Raises msgspec.ValidationError where they do not fit."""
+    """Build a `kind` from dicts, lists, strings and numbers. Raises msgspec.ValidationError on a misfit."""
     return msgspec.convert(value, type=kind, dec_hook=_decode)
 
 
 def jsonable(record: Any) -> Any:
-    """Turn a record into dicts, lists and numbers for JSON; what is not finite becomes None (unknown)."""
+    """Return a record as values for JSON, where numbers that are not finite become None (unknown)."""
     return _finite(plain(record))
 
 
 def canonical(value: Any) -> bytes:
-    """Encode plain values in one way only: `json.dumps(value, sort_keys=True, separators=(",", ":"))`."""
+    """Encode plain values in the one canonical way: sorted keys, no spaces, finite numbers only."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -78,7 +78,7 @@ def _finite(value: Any) -> Any:
 
 
 def floats(value: Any) -> Any:
-    """Make every number a float, so that 2 given for 2.0 is the same calibration as read back."""
+    """Return plain values with every number as a float, so that 2 and 2.0 give the same digest."""
     if isinstance(value, int):
         return float(value)
     if isinstance(value, Mapping):

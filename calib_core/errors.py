@@ -1,4 +1,4 @@
-"""Errors that a user can mend, and the refusal of a fit that the data cannot support."""
+"""Errors that a user can correct, and the refusal of a result that the data do not support."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from collections.abc import Sequence
 
 
 class UserError(ValueError):
-    """Something that the user can mend: its text is one line that says what is wrong and what to do."""
+    """An error that the user can correct; its text is one line that says what is wrong and what to do."""
 
 
 class TryAgainError(UserError):
     """The machine could not do it now, such as for want of room or memory; later it may."""
 
 
-class NotSupported(UserError):  # noqa: N818 - it is a refusal, said as one, not a failure
-    """What was asked for cannot be had from what was gathered.
+class NotSupported(UserError):  # noqa: N818 - a refusal is not a failure, so its name does not end in Error
+    """Refusal of a result because the data gathered do not support it.
 
-    reason: what stands in the way. missing: what to gather to get it, a phrase for each, most wanted first.
+    reason: why not. missing: what to gather for it, one phrase each, most important first.
     """
 
     def __init__(self, reason: str, missing: Sequence[str] = ()) -> None:

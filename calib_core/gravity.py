@@ -1,9 +1,8 @@
-"""Local gravity from latitude and height: the ground truth that every calibration leans on.
+"""Local gravity from latitude and height, the reference of every accelerometer calibration.
 
-Two normal-gravity formulas stand side by side: the one the daemon's paper prints (International
-Gravity Formula with the free air correction, Grammenos et al. 2018, Eq. 16-18), and WGS-84's
-Somigliana formula with the second-order free air correction (NGA TR8350.2, 3rd ed., Eq. 4-1 and
-4-3), which is the default.
+There are two formulas of normal gravity: WGS-84's Somigliana formula with the second-order free air
+correction (NGA TR8350.2, 3rd ed., Eq. 4-1 and 4-3), which is the default, and that of Grammenos et al. 2018,
+Eq. 16-18 (the International Gravity Formula with the free air correction).
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ EQUATOR, POLE = 9.7803253359, 9.8321849378
 """m/s^2, WGS-84 normal gravity at sea level (NGA TR8350.2, Table 3.4)."""
 
 ANOMALY_UNCERTAINTY = 4e-4
-"""m/s^2 (40 mGal): how far real gravity stands off the normal field, one standard deviation over land.
+"""m/s^2 (40 mGal): standard deviation over land of real gravity about the normal field.
 
 The global rms of gravity anomalies is near 35 mGal (variance 1201 mGal^2: Heiskanen and Moritz, Physical
 Geodesy, 1967, ch. 7)."""
@@ -37,12 +36,16 @@ FREE_AIR = 3.086e-6
 
 
 class LocationError(UserError):
-    """A latitude, longitude or altitude outside the earth's range."""
+    """Refusal of a latitude, longitude, altitude or gravity that no place on earth has."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gravity:
-    """Local gravity. value, uncertainty: m/s^2 (1 sd). source: where it came from."""
+    """Local gravity.
+
+    value, uncertainty: m/s^2, one standard deviation. source: where it came from. formula, latitude (deg) and
+    altitude (m): those it was computed with, None where it was not.
+    """
 
     value: float = STANDARD
     uncertainty: float = (POLE - EQUATOR) / 12**0.5
@@ -53,12 +56,12 @@ class Gravity:
 
     @property
     def scale_uncertainty(self) -> float:
-        """Relative uncertainty that g puts on a scale common to all axes, which rests cannot show."""
+        """Relative uncertainty that g adds to a scale common to all axes; rests cannot show it."""
         return self.uncertainty / self.value
 
 
 def igf(latitude: float, altitude: float = 0.0) -> float:
-    """Return g in m/s^2 from latitude (deg) and height (m): IGF plus free air correction.
+    """Return g in m/s^2 from latitude (deg) and height (m), by the IGF with the free air correction.
 
     Grammenos et al. 2018, Eq. 16-18.
 
@@ -90,7 +93,7 @@ def somigliana(latitude: float, altitude: float = 0.0) -> float:
 def at(latitude: float, altitude: float | None, formula: Formula = "somigliana") -> Gravity:
     """Return local gravity at a location. latitude: deg, altitude: m or None where unknown.
 
-    The uncertainty holds the anomaly of the real field and, without an altitude, the height's.
+    The uncertainty is that of the real field and, without an altitude, of the height.
     Raises LocationError outside +-90 deg or -500..12000 m.
 
     >>> munich = at(48.137, altitude=519.0)
@@ -108,7 +111,7 @@ def at(latitude: float, altitude: float | None, formula: Formula = "somigliana")
 
 
 def given(value: float, uncertainty: float = 0.0) -> Gravity:
-    """Return a gravity that somebody measured, in m/s^2. Raises LocationError where no place has it."""
+    """Return gravity as it was measured, m/s^2. Raises LocationError on a value that no place has."""
     if not 9.7 <= value <= 9.9:
         raise LocationError(f"gravity {value} m/s^2 is not found on the earth's surface (9.76 to 9.84)")
     return Gravity(value, uncertainty, "given")

@@ -1,6 +1,6 @@
-"""The sensor model that everything is corrected with: calibrated = scale @ (raw - bias).
+"""The affine sensor model by which all readings are corrected: calibrated = scale @ (raw - bias).
 
-Grammenos et al. 2018, Eq. 2 (accelerometer) and Eq. 9 (gyroscope). Estimation lives elsewhere.
+Grammenos et al. 2018, Eq. 2 (accelerometer) and Eq. 9 (gyroscope).
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from stillcal.calib_core.streams.samples import Samples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorModel:
-    """Affine correction of one triaxial sensor. scale: (3, 3) dimensionless; bias: (3,) in raw units."""
+    """The correction of one triaxial sensor. scale: (3, 3), dimensionless; bias: (3,) in raw units."""
 
     scale: Array
     bias: Array
 
     @classmethod
     def of(cls, scale: ArrayLike, bias: ArrayLike) -> SensorModel:
-        """Build from anything array-like. Raises ValueError on a wrong shape or a non-finite value."""
+        """Build from array-like values. Raises ValueError on a wrong shape or a non-finite value."""
         model = cls(frozen(scale), frozen(bias))
         if model.scale.shape != (3, 3) or model.bias.shape != (3,):
             shapes = f"scale {model.scale.shape} and bias {model.bias.shape}"
@@ -48,5 +48,5 @@ class SensorModel:
         return (raw - self.bias) @ self.scale.T
 
     def correct(self, samples: Samples) -> Samples:
-        """Correct a run of samples; stamps and temperature stay as they are."""
+        """Return a run of samples with calibrated readings; stamps and temperature stay as they are."""
         return replace(samples, xyz=self.apply(samples.xyz))

@@ -1,9 +1,9 @@
-"""What a fleet of calibrated accelerometers says of the next one, and a fit that starts from it.
+"""A prior for an accelerometer, learnt from a fleet of calibrated ones, and a fit that starts from it.
 
-Empirical Bayes with two levels: a device's parameters scatter about its model's, models' about the fleet's.
-The prior enters the fit of Grammenos et al. 2018, Eq. 5, as further terms of the sum of squares, so that a
-first calibration needs no more rests than are there: what they do not show stays what the fleet makes likely.
-Parameters are those of parameters.py, bias in m/s^2 first.
+It is empirical Bayes with two levels: a device's parameters scatter about the mean of its model, the models'
+means about that of the fleet. The prior enters the fit of Grammenos et al. 2018, Eq. 5, as further terms of
+the sum of squares, so that a first calibration is possible from any number of rests: parameters that the
+rests do not show keep their prior values. Parameters are the nine of parameters.py, bias in m/s^2 first.
 """
 
 from __future__ import annotations
@@ -24,22 +24,25 @@ from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 
 NOMINAL = np.r_[np.zeros(3), np.ones(3), np.zeros(3)]
-"""Bias, diagonal and cross-axis entries of a sensor without error."""
+"""The parameters of an ideal sensor: bias, diagonal and cross-axis entries."""
 
-_KINDS = np.repeat(np.arange(3), 3)  # bias, diagonal, cross-axis: alike among themselves
+_KINDS = np.repeat(np.arange(3), 3)  # kind of each parameter: bias, diagonal, cross-axis
 _CROSS_AXIS = 0.005  # half of the 1 % of cross-axis sensitivity that phones' datasheets give
-_UNKNOWN = 1.0  # variance of what a device's fit did not estimate, far beyond any phone's
-_ROUNDS, _SETTLED = 500, 1e-6
-_REWEIGHED = 2
-_HARDLY_EVER = 1e-6
+_UNKNOWN = 1.0  # variance of a parameter that a device's fit did not estimate, far beyond any phone's
+_ROUNDS, _SETTLED = 500, 1e-6  # most steps of expectation-maximisation, and the relative change that ends it
+_REWEIGHED = (
+    2  # fits in turn with the weights: the second has weights from a fitted model, which change little
+)
+_SURPRISE_CHANCE = 1e-6  # probability of a false alarm for one device; a fleet has thousands
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetPrior:
-    """What is expected of a sensor before its first rest. mean: (9,), covariance: (9, 9), in m/s^2 and 1.
+    """The parameters expected of a sensor before its first rest.
 
-    scatter: m/s^2, by how much norms at rest scatter beyond what each rest knows of itself. devices: how
-    many it was learnt from. model: the device model that it is for, empty for any.
+    mean: (9,). covariance: (9, 9). Both in m/s^2 and 1. scatter: m/s^2, standard deviation of norms at rest
+    beyond the uncertainty of each rest. devices: number of devices that it was learnt from. model: the device
+    model that it is for, empty for any.
     """
 
     mean: Array
@@ -56,38 +59,39 @@ class FleetPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Population:
-    """Two levels. within: (9, 9) of devices about their model; between: (9, 9) of models about `mean` (9,).
+    """A fleet with two levels of scatter.
 
-    centres, doubts: (models, 9) and (models, 9, 9), each model's mean and what is not known of it. devices:
-    (models,) how many of each.
+    mean: (9,) of the fleet. within: (9, 9) covariance of devices about the mean of their model. between:
+    (9, 9) covariance of models about `mean`. model_means: (models, 9). model_covariances: (models, 9, 9),
+    uncertainty of these. devices: (models,) number of devices of each. scatter: see FleetPrior.
     """
 
     mean: Array
     within: Array
     between: Array
-    centres: Array
-    doubts: Array
+    model_means: Array
+    model_covariances: Array
     devices: NDArray[np.intp]
     scatter: float = 0.01
 
     def prior(self, model: int | None = None, name: str = "") -> FleetPrior:
-        """Return what to expect of a new device of a model (its number), or of one never seen."""
+        """Return the prior for a new device of a model, given by its number, or of an unknown model."""
         total = int(self.devices.sum())
         if model is None:
-            doubt = self.between / len(self.devices)
-            covariance = self.within + self.between + doubt
+            of_the_mean = self.between / len(self.devices)
+            covariance = self.within + self.between + of_the_mean
             return FleetPrior(frozen(self.mean), frozen(covariance), self.scatter, total, name)
-        covariance = self.within + self.doubts[model]
-        return FleetPrior(frozen(self.centres[model]), frozen(covariance), self.scatter, total, name)
+        covariance = self.within + self.model_covariances[model]
+        return FleetPrior(frozen(self.model_means[model]), frozen(covariance), self.scatter, total, name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorFit:
-    """A calibration from rests and a prior. values: (9,), covariance: (9, 9), of the parameters.
+    """A calibration from rests and a prior.
 
-    residuals: (n,) m/s^2, calibrated norm less gravity. shown: (9,) from 0, all prior, to 1, all rests: by
-    how much the rests shrank each parameter's variance. iterations: Gauss-Newton steps tried. gravity: that
-    was fitted to, m/s^2.
+    values: (9,) and covariance: (9, 9) of the parameters. residuals: (n,) m/s^2, calibrated norm less
+    gravity. shown: (9,) the fraction by which the rests reduced each parameter's variance, from 0, all prior,
+    to 1, all rests. iterations: number of Gauss-Newton steps tried. gravity: m/s^2, that was fitted to.
     """
 
     model: SensorModel
@@ -106,7 +110,7 @@ class PriorFit:
 
 
 def expanded(values: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
-    """Return a 6- or 9-parameter fit as nine; what was not estimated is 0 and not known."""
+    """Return a 6- or 9-parameter fit as nine parameters; those not estimated are 0, with a large variance."""
     own, spread = np.asarray(values, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
     if own.shape not in {(6,), (9,)} or spread.shape != (own.size, own.size):
         raise ValueError(f"values {own.shape} and covariance {spread.shape}: expected 6 or 9 parameters")
@@ -119,54 +123,62 @@ def expanded(values: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
 def learn(values: ArrayLike, covariances: ArrayLike, models: ArrayLike, scatter: float = 0.01) -> Population:
     """Learn a population from devices' parameters (n, 9), covariances (n, 9, 9) and models (n,) from 0 on.
 
-    Expectation-maximisation of the two-level normal model (Dempster, Laird and Rubin 1977), each covariance
-    shrunk as by nine further devices towards one variance for each kind of parameter, so that few devices do
-    not make parameters certain. Raises NotSupported with fewer than three devices.
+    It is expectation-maximisation of the two-level normal model (Dempster, Laird and Rubin 1977). Each
+    covariance is shrunk towards one variance for each kind of parameter, with the weight of nine further
+    devices, so that few devices do not make parameters seem certain. Raises NotSupported with fewer than
+    three devices.
     """
     y, own = np.asarray(values, dtype=np.float64), np.asarray(covariances, dtype=np.float64)
     group = np.asarray(models, dtype=np.intp)
     if len(y) < 3:
         raise NotSupported(f"{len(y)} calibrated devices", ("at least three",))
     member = (group[None, :] == np.arange(group.max() + 1)[:, None]).astype(np.float64)
-    mean, within = y.mean(axis=0), _first(y, own)
+    mean, within = y.mean(axis=0), _initial_covariance(y, own)
     between = 0.5 * within
     for _ in range(_ROUNDS):
-        centres, doubts = _centres(y, np.asarray(np.linalg.inv(within + own)), member, mean, between)
-        off = y - centres[group]
+        model_means, model_covariances = _model_means(
+            y, np.asarray(np.linalg.inv(within + own)), member, mean, between
+        )
+        off = y - model_means[group]
         gain = within @ np.linalg.inv(within + own)
-        second = off[:, :, None] * off[:, None, :] + doubts[group]
+        second = off[:, :, None] * off[:, None, :] + model_covariances[group]
         left = gain @ second @ gain.transpose(0, 2, 1) + within - gain @ within
-        apart = centres - mean
+        apart = model_means - mean
         moved = _shrunk(left.sum(axis=0), len(y))
-        mean = centres.mean(axis=0)
-        between = _shrunk((apart[:, :, None] * apart[:, None, :] + doubts).sum(axis=0), len(centres))
+        mean = model_means.mean(axis=0)
+        between = _shrunk(
+            (apart[:, :, None] * apart[:, None, :] + model_covariances).sum(axis=0), len(model_means)
+        )
         change = float(np.abs(np.diag(moved) / np.diag(within) - 1.0).max())
         within = moved
         if change < _SETTLED:
             break
-    return Population(mean, within, between, centres, doubts, member.sum(axis=1).astype(np.intp), scatter)
+    return Population(
+        mean, within, between, model_means, model_covariances, member.sum(axis=1).astype(np.intp), scatter
+    )
 
 
-def _centres(y: Array, precise: Array, member: Array, mean: Array, between: Array) -> tuple[Array, Array]:
+def _model_means(y: Array, precise: Array, member: Array, mean: Array, between: Array) -> tuple[Array, Array]:
     """Return each model's mean, (models, 9), and its covariance given the devices, (models, 9, 9).
 
-    precise: (n, 9, 9) how well each device shows its model's mean. member: (models, n) 1 where it is of it.
+    precise: (n, 9, 9) information of each device on its model's mean. member: (models, n), 1 where a device
+    is of a model.
     """
     fixed = np.linalg.inv(between)
-    doubts = np.linalg.inv(fixed + np.einsum("gi,ijk->gjk", member, precise))
+    model_covariances = np.linalg.inv(fixed + np.einsum("gi,ijk->gjk", member, precise))
     pulls = fixed @ mean + np.einsum("gi,ijk,ik->gj", member, precise, y)
-    return np.einsum("gjk,gk->gj", doubts, pulls), doubts
+    return np.einsum("gjk,gk->gj", model_covariances, pulls), model_covariances
 
 
-def _first(y: Array, own: Array) -> Array:
-    """Return a covariance to start from; what no device's fit estimated is as datasheets have it."""
+def _initial_covariance(y: Array, own: Array) -> Array:
+    """Return a covariance to start from, with datasheet values for parameters that no fit estimated."""
     scatter = np.cov(y.T) * (len(y) - 1)
     unknown = (np.diagonal(own, axis1=1, axis2=2) >= _UNKNOWN).all(axis=0)
     return _shrunk(scatter + np.diag(np.where(unknown, _CROSS_AXIS**2 * len(y), 0.0)), len(y) - 1)
 
 
 def _shrunk(scatter: Array, count: int) -> Array:
-    """Return a covariance from a sum of squares (9, 9) over `count`, as by nine more of one kind each."""
+    """Return a covariance from a sum of squares (9, 9) of `count` devices, shrunk by nine further ones."""
     diagonal = np.diag(scatter) / max(count, 1)
     kinds = np.array([diagonal[k == _KINDS].mean() for k in range(3)])
     return np.asarray((scatter + 9.0 * np.diag(np.maximum(kinds[_KINDS], 1e-14))) / (count + 9.0))
@@ -179,10 +191,10 @@ def fit(
     prior: FleetPrior,
     damping: Damping | None = None,
 ) -> PriorFit:
-    """Fit nine parameters to rests of unknown attitude, however few, from a fleet's prior.
+    """Fit nine parameters to any number of rests of unknown attitude, with a fleet's prior.
 
     forces, uncertainties: (n, 3) m/s^2, as for accelerometer.fit; n may be 0. gravity: m/s^2. Rests that
-    share an attitude count as one. Raises NotSupported where it does not converge.
+    share an attitude count as one. Raises NotSupported where the fit does not converge.
     """
     raw = np.asarray(forces, dtype=np.float64).reshape(-1, 3)
     sd = np.asarray(uncertainties, dtype=np.float64).reshape(raw.shape)
@@ -217,7 +229,7 @@ def fit(
 
 
 def _whitening(norms: Norms, v: Array, scatter: float) -> Array:
-    """Return means over each attitude's rests over their standard deviations, (attitudes, n)."""
+    """Return the matrix (attitudes, n) of means over each attitude's rests, in standard deviations."""
     weights = 1.0 / norms.own_variances(v)
     sd = np.sqrt(1.0 / np.bincount(norms.labels, weights) + scatter**2)
     return np.asarray(pooling(norms.labels, weights) / sd[:, None])
@@ -238,9 +250,10 @@ def _posterior(
 
 @dataclass(frozen=True, slots=True)
 class Surprise:
-    """How far a fit came to lie from its prior. squared: Mahalanobis distance; limit: hardly ever beyond.
+    """How far a fit is from its prior.
 
-    parameter: the one farthest from the prior's mean, by `sds` of the prior's standard deviations.
+    squared: squared Mahalanobis distance. limit: the value that one fit in a million exceeds. parameter: the
+    one farthest from the prior's mean, by `sds` of the prior's standard deviations.
     """
 
     squared: float
@@ -249,18 +262,18 @@ class Surprise:
     sds: float
 
 
-def surprise(found: PriorFit, prior: FleetPrior) -> Surprise:
-    """Return how far a fit lies from its prior, with a limit that one fit in a million would pass, or fewer.
+def surprise(fitted: PriorFit, prior: FleetPrior) -> Surprise:
+    """Return how far a fit is from its prior, with a limit that at most one fit in a million exceeds.
 
-    The limit is Hotelling's (1931) for a covariance that was learnt: from the prior's devices and the nine
-    that `learn` shrinks it by. A fit is drawn towards its prior, so that fewer pass.
+    The limit is Hotelling's (1931) for a covariance that was learnt, here from the prior's devices and the
+    nine that `learn` shrinks it by. A fit is drawn towards its prior, so that fewer than that exceed it.
     """
-    from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
+    from scipy.stats import f  # noqa: PLC0415 - loaded when used: the daemon stays light
 
-    off = found.values - prior.mean
+    off = fitted.values - prior.mean
     freedom = max(prior.devices, 1) + 9 - 1
     rest = freedom - 9 + 1
-    limit = 9.0 * freedom / rest * float(f.isf(_HARDLY_EVER, 9, rest))
+    limit = 9.0 * freedom / rest * float(f.isf(_SURPRISE_CHANCE, 9, rest))
     sds = off / np.sqrt(np.diag(prior.covariance))
     worst = int(np.abs(sds).argmax())
     squared = float(off @ np.linalg.solve(prior.covariance, off))

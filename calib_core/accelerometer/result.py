@@ -99,7 +99,7 @@ class AccelerometerFit:
 
     def interval(self, level: float = 0.95) -> Array:
         """Return two-sided intervals of the parameters at `level`, (p, 2), by Student's t or the normal."""
-        from scipy.special import ndtri, stdtrit  # noqa: PLC0415 - the daemon stays light
+        from scipy.special import ndtri, stdtrit  # noqa: PLC0415 - loaded when used: the daemon stays light
 
         tail = 0.5 + level / 2.0
         free = self.degrees_of_freedom

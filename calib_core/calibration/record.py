@@ -117,7 +117,7 @@ class SensorRecord:
         """Return value -+ reach, by Student's t where there are degrees of freedom, else by the normal."""
         if sd is None:
             return None
-        from scipy.special import ndtri, stdtrit  # noqa: PLC0415 - the daemon stays light
+        from scipy.special import ndtri, stdtrit  # noqa: PLC0415 - loaded when used: the daemon stays light
 
         free = self.degrees_of_freedom
         reach = float(stdtrit(free, TAIL) if free > 0 else ndtri(TAIL))

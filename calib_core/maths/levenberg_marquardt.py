@@ -1,8 +1,8 @@
-"""Damped Gauss-Newton on a sum of squares: the update of Grammenos et al. 2018, Eq. 6-8.
+"""The Levenberg-Marquardt method for least squares, in place of Grammenos et al. 2018, Eq. 6-8.
 
-Eq. 6 shortens every step by one factor, delta < 1. That either wastes steps near the optimum or does not
-damp enough far from it, so the damping here is Levenberg's and Marquardt's: it grows when a step would
-raise the cost and fades when it lowers it. The Hessian is Gauss-Newton's J^T J.
+Eq. 6 shortens every step by one factor, delta < 1. That either wastes steps near the optimum or does not damp
+enough far from it. The damping here grows when a step would raise the cost and shrinks when a step lowers it
+(Marquardt 1963). The Hessian is that of Gauss-Newton, J^T J.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Residuals = Callable[[Array], tuple[Array, Array]]
 class Damping:
     """How steps are damped and when they end.
 
-    start: damping of the first step, relative to the Hessian's diagonal. fade, grow: factors after a step
-    that lowered the cost, or would have raised it. most: at this damping no step helps any more.
-    tolerance: epsilon of Eq. 8. floor: a parameter smaller than this counts as this large in Eq. 8.
-    iterations: steps tried at most.
+    start: damping of the first step, relative to the Hessian's diagonal. fade, grow: factors on the damping
+    after a step that lowered the cost, and after one that would have raised it (Marquardt's 10). most: at
+    this damping no step helps any more. tolerance: epsilon of Eq. 8. floor: a parameter smaller than this
+    counts as this large in Eq. 8. iterations: largest number of steps tried.
     """
 
     start: float = 1e-3
@@ -52,7 +52,7 @@ class Damping:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum:
-    """Where the steps ended: v (p,), residuals (n,), jacobian (n, p), steps tried, and whether Eq. 8 held."""
+    """The result: v (p,), residuals (n,), jacobian (n, p), number of steps tried, and whether Eq. 8 holds."""
 
     v: Array
     residuals: Array
@@ -62,9 +62,9 @@ class Minimum:
 
 
 def minimise(function: Residuals, start: Array, settings: Damping) -> Minimum:
-    """Minimise the sum of squares of `function`'s residuals from `start`, which is not changed.
+    """Minimise the sum of squares of the residuals of `function`, from `start` (p,), which is not changed.
 
-    Raises no error where it does not converge: the result says so.
+    No error is raised where it does not converge; the result says so.
     """
     v, damping = start, settings.start
     residuals, jacobian = function(v)
@@ -91,7 +91,7 @@ def minimise(function: Residuals, start: Array, settings: Damping) -> Minimum:
 
 
 def _step(hessian: Array, gradient: Array, damping: float) -> Array:
-    """Eq. 6 with Marquardt's damping in place of the constant delta."""
+    """Return the step of Eq. 6, (p,), with Marquardt's damping in place of the constant delta."""
     damped = hessian + damping * np.diag(np.diag(hessian))
     try:
         return np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
@@ -100,10 +100,10 @@ def _step(hessian: Array, gradient: Array, damping: float) -> Array:
 
 
 def _settled(old: Array, new: Array, hessian: Array, cost: float, settings: Damping) -> bool:
-    """Eq. 8, made safe where a parameter passes through zero.
+    """Tell whether Eq. 8 holds, made safe where a parameter passes through zero.
 
-    Printed, the change is taken relative to the parameter's own mean, which no true zero can satisfy.
-    Here a parameter is not asked to be better known than a fraction epsilon of its standard error.
+    As printed, the change is taken relative to the parameter's own mean, which no true zero can satisfy. Here
+    a change below a fraction epsilon of the parameter's standard error is enough, too.
     """
     size = np.maximum(np.abs(old + new) / 2.0, settings.floor)
     spread = np.sqrt(cost / np.maximum(np.diag(hessian), np.finfo(float).tiny))

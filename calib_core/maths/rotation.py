@@ -1,9 +1,9 @@
-"""Turning angular rates into a rotation: quaternions, coning, products in logarithmic depth.
+"""Rotation from angular rates: quaternions, coning, products in logarithmic depth.
 
-Quaternions are arrays of shape (4, ...), scalar first, Hamilton's product. A gyroscope's rates are
-those of the body, seen in the body. Attitude q(t) takes vectors from the body at t to the body at the
-start; a fixed vector u of the world, seen from the body, obeys du/dt = -w x u, so u_end = R u_start with
-R = matrix(q_end) transposed. Nothing here knows sensors, bias or gravity.
+Quaternions are arrays of shape (4, ...), scalar first, with Hamilton's product. A gyroscope's rates are those
+of the body, in body axes. Attitude q(t) takes vectors from the body at t to the body at the start. A fixed
+vector u of the world, in body axes, obeys du/dt = -w x u, so u_end = R u_start with R = matrix(q_end)
+transposed.
 
 Grammenos et al. 2018, Eq. 12-14, print this with four slips, two of them contradicting each other. Their
 quaternion is our conjugate p (start to body), with dp/dt = -w p / 2:
@@ -14,8 +14,8 @@ quaternion is our conjugate p (start to body), with dp/dt = -w p / 2:
 - With that, Eq. 13 is the matrix of p's conjugate, while Eq. 12 steps p: together they would turn gravity
   the wrong way. Eq. 14 needs the transpose (or Eq. 12 the opposite sign of C).
 
-The step itself follows Bortz 1971 and Miller 1983: rotation vector = integral of the rate plus half the
-integral of (angle so far x rate), which is what coning motion makes of rates that only wobble.
+The step itself follows Bortz 1971 and Miller 1983: the rotation vector is the integral of the rate plus half
+the integral of (angle so far x rate). The second term is the coning correction.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 
-_SMALL_ANGLE = 1e-4
+_SMALL_ANGLE = 1e-4  # rad; below it the series of sin(x / 2) / x to x^2 is exact to a rounding error
 
 
 def multiply(p: Array, q: Array) -> Array:
-    """Multiply quaternions of shape (4, ...), Hamilton's way: matrix(p q) = matrix(p) matrix(q)."""
+    """Return the Hamilton product of quaternions (4, ...): matrix(p q) = matrix(p) matrix(q)."""
     a, b, c, d = p
     e, f, g, h = q
     return np.stack(
@@ -47,7 +47,7 @@ def conjugate(q: Array) -> Array:
 
 
 def exponential(vectors: Array) -> Array:
-    """Turn rotation vectors, shape (..., 3) rad, into unit quaternions of shape (4, ...)."""
+    """Return unit quaternions (4, ...) of rotation vectors (..., 3), rad."""
     squared = np.einsum("...i,...i->...", vectors, vectors)
     angle = np.sqrt(squared)
     small = angle < _SMALL_ANGLE
@@ -56,7 +56,7 @@ def exponential(vectors: Array) -> Array:
 
 
 def matrix(q: Array) -> Array:
-    """Return rotation matrices of shape (..., 3, 3) of unit quaternions (4, ...); Eq. 13 corrected."""
+    """Return rotation matrices (..., 3, 3) of unit quaternions (4, ...), by Eq. 13 corrected."""
     a, b, c, d = q
     rows = (
         (a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c)),
@@ -69,8 +69,8 @@ def matrix(q: Array) -> Array:
 def running_product(q: Array) -> Array:
     """Return all products q_0 q_1 ... q_k, shape (4, n), from quaternions of shape (4, n).
 
-    Neighbours are multiplied pairwise and the half as long run is scanned in turn: 2 n products in
-    2 log2(n) vectorised steps, and rounding grows with log2(n) instead of n.
+    Neighbours are multiplied in pairs, and the run of half the length is scanned in the same way: 2 n
+    products in 2 log2(n) vectorised steps. Rounding errors grow with log2(n) instead of n.
     """
     n = q.shape[1]
     if n < 2:
@@ -84,10 +84,10 @@ def running_product(q: Array) -> Array:
 
 
 def mean_rate_angles(t: Array, rates: Array) -> Array:
-    """Integrate rates over every interval, shape (n - 1, 3) rad, linear in the rates.
+    """Return the integral of rates (n, 3), rad/s, over every interval of t (n,), s: (n - 1, 3) rad.
 
-    The trapezoid with its end correction -h^2/12 (w'_1 - w'_0), w' from neighbouring samples: fourth
-    order where the stamps are even, never worse than the trapezoid's order where they are not.
+    The rule is the trapezoid with its end correction -h^2/12 (w'_1 - w'_0), w' from neighbouring samples. It
+    is linear in the rates, of fourth order for even stamps and never below the trapezoid's order for others.
     """
     h = np.diff(t)[:, None]
     trapezoid = 0.5 * h * (rates[1:] + rates[:-1])
@@ -97,18 +97,18 @@ def mean_rate_angles(t: Array, rates: Array) -> Array:
 
 
 def coning_angles(t: Array, rates: Array) -> Array:
-    """Return what the axis' own turning adds in every interval, h^2/12 (w_0 x w_1), (n - 1, 3) rad.
+    """Return the coning correction of every interval, h^2/12 (w_0 x w_1), (n - 1, 3) rad.
 
-    Exact to fifth order in h: Bortz' half integral of (angle x rate) for a rate linear in time.
+    It is Bortz' half integral of (angle x rate) for a rate linear in time, exact to fifth order in h.
     """
     h = np.diff(t)[:, None]
     return h * h / 12.0 * np.cross(rates[:-1], rates[1:])
 
 
 def attitudes(t: Array, rates: Array) -> Array:
-    """Return q(t), shape (4, n): from the body at each sample to the body at the first one.
+    """Return the attitudes q(t), (4, n), from the body at each sample to the body at the first one.
 
-    t: (n,) s, never decreasing; rates: (n, 3) rad/s, calibrated. Stamps that repeat add no rotation.
+    t: (n,) s, never decreasing. rates: (n, 3) rad/s, calibrated. Repeated stamps add no rotation.
     """
     steps = exponential(mean_rate_angles(t, rates) + coning_angles(t, rates))
     start = np.array([[1.0], [0.0], [0.0], [0.0]])
@@ -116,12 +116,12 @@ def attitudes(t: Array, rates: Array) -> Array:
 
 
 def rotation(t: Array, rates: Array) -> Array:
-    """Return R, shape (3, 3), with u_end = R u_start for any vector u fixed in the world (Eq. 14)."""
+    """Return R (3, 3) with u_end = R u_start for any vector u fixed in the world (Eq. 14)."""
     return matrix(attitudes(t, rates)[:, -1]).T
 
 
 def _derivative(h: Array, rates: Array) -> Array:
-    """Rate of change at every sample, (n, 3): parabola through three samples; 0 where stamps repeat."""
+    """Return the derivative at every sample, (n, 3), by parabolas through three; 0 at repeated stamps."""
     safe = np.where(h > 0.0, h, 1.0)
     slope = np.where(h > 0.0, np.diff(rates, axis=0) / safe, 0.0)
     before, after = safe[:-1], safe[1:]

@@ -1,6 +1,6 @@
-"""Student's t, as much of it as a fit needs: its quantiles, without the 25 MB that scipy takes to load.
+"""Quantiles of Student's t, without the 25 MB of memory that scipy.stats takes.
 
-The daemon fits in its own process, and lives on afterwards: what a fit imports it keeps.
+The daemon fits in its own process and runs on for months afterwards; it keeps in memory what a fit imports.
 """
 
 from __future__ import annotations
@@ -8,16 +8,17 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
-_TERMS, _ROUNDS = 500, 100
-_PRECISION = 1e-15
+_TERMS, _ROUNDS = 500, 100  # most terms of the continued fraction, and most of Newton's steps
+_PRECISION = 1e-15  # relative; a few rounding errors of a float
 
 
 @lru_cache(maxsize=4096)
 def quantile(freedom: float, p: float) -> float:
-    """Return the p-quantile of Student's t with `freedom` degrees of freedom, finite.
+    """Return the p-quantile of Student's t with `freedom` degrees of freedom.
 
-    p: within 0..1, open. Newton's steps in the logarithms of tail and quantile, between which the curve
-    is concave, so that they converge from anywhere. Raises ValueError outside.
+    p: between 0 and 1, both excluded. freedom: positive and finite. Newton's method is applied to the
+    logarithm of the tail over the logarithm of the quantile; that curve is concave, so that it converges from
+    any start. Raises ValueError on other arguments.
     """
     if not 0.0 < p < 1.0 or not 0.0 < freedom < math.inf:
         raise ValueError(f"no quantile {p} of Student's t with {freedom} degrees of freedom")
@@ -27,8 +28,8 @@ def quantile(freedom: float, p: float) -> float:
     goal, u = math.log(tail), 0.0
     for _ in range(_ROUNDS):
         t = math.exp(u)
-        found = _log_tail(t, freedom)
-        step = (found - goal) / math.exp(u + _log_density(t, freedom) - found)
+        tail_now = _log_tail(t, freedom)
+        step = (tail_now - goal) / math.exp(u + _log_density(t, freedom) - tail_now)
         u += step
         if abs(step) < 4 * _PRECISION:
             break
@@ -36,13 +37,14 @@ def quantile(freedom: float, p: float) -> float:
 
 
 def _log_density(t: float, freedom: float) -> float:
+    """Return the logarithm of the density at t."""
     half = 0.5 * freedom
     norm = math.lgamma(half + 0.5) - math.lgamma(half) - 0.5 * math.log(math.pi * freedom)
     return norm - (half + 0.5) * math.log1p(t * t / freedom)
 
 
 def _log_tail(t: float, freedom: float) -> float:
-    """Return the logarithm of the chance of more than t > 0 (Abramowitz and Stegun 26.7.1, 26.5.27)."""
+    """Return the log probability of exceeding t > 0 (Abramowitz and Stegun 26.7.1, 26.5.27)."""
     x = freedom / (freedom + t * t)
     a, b = 0.5 * freedom, 0.5
     if x < (a + 1.0) / (a + b + 2.0):

@@ -2,7 +2,8 @@
 
 The names are IEEE Std 952's: N, random walk of the integral (unit / sqrt(Hz), the deviation at 1 s); B, bias
 instability, whose Allan deviation is flat at B sqrt(2 ln 2 / pi) = 0.664 B; K, rate random walk (unit / s /
-sqrt(Hz), K sqrt(tau / 3)). Of evenly spaced values; for rests at any times there is `noise.fit_noise`.
+sqrt(Hz), K sqrt(tau / 3)). Values are evenly spaced here; for rests at any times there is
+`covariance.fit_noise`.
 """
 
 from __future__ import annotations
@@ -18,14 +19,18 @@ FLOOR = float(np.sqrt(2.0 * np.log(2.0) / np.pi))
 """Allan deviation of flicker noise over its bias instability B (IEEE Std 952-1997, C.1.3)."""
 
 PER_OCTAVE = 2
+"""Averaging factors an octave: neighbouring deviations then share most of their data, so more add little."""
+
 _WHITE, _FLICKER, _WALK = -1.0, 0.0, 1.0  # slopes of the Allan variance over averaging time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AllanCurve:
-    """An overlapping Allan deviation. tau: (k,) s; deviation, low, high: (k,) unit, with the band's ends;
-    edf: (k,) equivalent degrees of freedom of each deviation's square.
-    """  # noqa: D205 - the fields are the summary
+    """An overlapping Allan deviation with a confidence band.
+
+    tau: (k,) s. deviation: (k,) unit. low, high: (k,) unit, the ends of the band. edf: (k,) equivalent
+    degrees of freedom of each Allan variance.
+    """
 
     tau: Array
     deviation: Array
@@ -36,9 +41,11 @@ class AllanCurve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AllanFit:
-    """Noise that explains a curve. N: unit sqrt(s), B: unit, K: unit / sqrt(s). errors: (3,) standard
-    errors of their logarithms, infinite for one that the curve does not show.
-    """  # noqa: D205 - the fields are the summary
+    """The noise that explains an Allan curve.
+
+    N: unit sqrt(s). B: unit. K: unit / sqrt(s). errors: (3,) standard errors of their logarithms, infinite
+    for one that the curve does not show.
+    """
 
     N: float
     B: float
@@ -56,7 +63,7 @@ class AllanFit:
 
 
 def averaging_factors(n: int) -> list[int]:
-    """Return averaging factors, two an octave, up to a quarter of n values."""
+    """Return averaging factors, PER_OCTAVE an octave, up to a quarter of n values."""
     octaves = np.arange(0.0, np.log2(max(n / 4.0, 1.0)) + 1e-9, 1.0 / PER_OCTAVE)
     return sorted({round(2.0**o) for o in octaves})
 
@@ -64,13 +71,13 @@ def averaging_factors(n: int) -> list[int]:
 def allan_curve(values: Array, rate: float, confidence: float = 0.6827) -> AllanCurve:
     """Return the overlapping Allan deviation of (n,) values at `rate` Hz with a chi-squared band.
 
-    The band follows SP1065, 5.3.1, its degrees of freedom Table 5's of the noise that prevails at each tau:
-    by the slope of a first fit, since the curve's own is noise where the band matters. Raises ValueError with
-    fewer than 16 values.
+    The band follows NIST SP1065, 5.3.1. Its degrees of freedom are those of Table 5 for the noise that
+    prevails at each tau, by the slope of a first fit: the curve's own slope is noisy where the band matters.
+    confidence: probability of the band. Raises ValueError with fewer than 16 values.
     """
     if values.size < 16:
         raise ValueError(f"an Allan curve needs at least 16 values, have {values.size}")
-    from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
+    from scipy.stats import chi2  # noqa: PLC0415 - loaded when used: the daemon stays light
 
     factors = averaging_factors(values.size)
     tau = np.array(factors) / rate
@@ -87,8 +94,8 @@ def allan_curve(values: Array, rate: float, confidence: float = 0.6827) -> Allan
 def edf_of(n_phase: int, m: int, slope: float) -> float:
     """Return the degrees of freedom of an overlapping Allan variance from n_phase phases at factor m.
 
-    slope: of the variance over averaging time, rounded to -1 (white), 0 (flicker) or 1 (random walk). SP1065,
-    Table 5 (Howe, Allan and Barnes 1981), at least one.
+    slope: of the logarithm of the variance over that of averaging time, rounded to -1 (white), 0 (flicker) or
+    1 (random walk). SP1065, Table 5 (Howe, Allan and Barnes 1981). The result is at least 1.
     """
     n = float(n_phase)
     kind = float(np.clip(np.rint(slope), _WHITE, _WALK))
@@ -104,10 +111,11 @@ def edf_of(n_phase: int, m: int, slope: float) -> float:
 def fit_allan(curve: AllanCurve) -> AllanFit:
     """Fit N, B and K to a whole curve by the likelihood of its variances, each chi-squared with its edf.
 
-    A reading of slopes uses three points of the curve; this uses all, and lets each noise explain only what
-    the others do not. Neighbouring points share data: the errors allow for it by counting each octave once.
+    Reading slopes off a curve uses three of its points. This uses all of them, and each noise explains only
+    what the others do not. Neighbouring points share data; the errors allow for it by counting each octave
+    once.
     """
-    from scipy.optimize import minimize  # noqa: PLC0415 - the daemon stays light
+    from scipy.optimize import minimize  # noqa: PLC0415 - loaded when used: the daemon stays light
 
     variance, shapes, weight = curve.deviation**2, _shapes(curve.tau), curve.edf / (2.0 * PER_OCTAVE)
     scale = variance[0] * curve.tau[0], variance.min() / FLOOR**2, 3.0 * variance[-1] / curve.tau[-1]

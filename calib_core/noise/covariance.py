@@ -1,8 +1,8 @@
-"""Coloured noise of an inertial sensor: Allan deviation, covariance of bin means, likelihood fit.
+"""Coloured noise of an inertial sensor: Allan deviations, the covariance of bin means, a likelihood fit.
 
-The model is white + flicker + Gauss-Markov + random walk. Everything works on *bins* (means over
-stretches of any length, any distance apart), because rests come when the phone lies still, not on a grid.
-Nothing here knows what was measured.
+The model is white noise + flicker noise + a Gauss-Markov process + a random walk. The fit works on bins,
+which are means over spans of any length and any distance apart, because rests come when the phone lies still
+and not on a grid.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 
 FLICKER_TIMES_PER_DECADE = 2
+"""Gauss-Markov processes a decade of correlation time that make up flicker noise (Keshner 1982)."""
 
-_STRETCH = 1 << 15  # 256 KB: three of them fit a second-level cache
+_PART = 1 << 15  # 256 KB: three of them fit a second-level cache
 
 
 def allan_deviation(values: Array, m: int) -> float:
     """Return the overlapping Allan deviation of equally spaced `values` (n,) at an averaging factor `m`.
 
-    As allan_deviations, which see. White noise falls with the square root of the averaging time:
+    See allan_deviations. That of white noise falls with the square root of the averaging time:
 
     >>> white = np.random.default_rng(1).normal(0.0, 1.0, 100_000)
     >>> [round(allan_deviation(white, m), 2) for m in (1, 100)]
@@ -35,7 +36,7 @@ def allan_deviations(values: Array, factors: Iterable[int]) -> Array:
     """Return the overlapping Allan deviations of equally spaced `values` (n,) at averaging factors m, (k,).
 
     NIST SP1065, Eq. 10 (overlapping, from phase). Raises ValueError where n < 2 m + 1 or m < 1. The phase is
-    summed once, and each stretch of it that fits a processor's cache serves all factors in turn.
+    summed once, and each part of it that fits a processor's cache serves all factors in turn.
     """
     wanted = [int(m) for m in factors]
     for m in wanted:
@@ -45,16 +46,16 @@ def allan_deviations(values: Array, factors: Iterable[int]) -> Array:
     phase = np.concatenate(([0.0], values))
     phase[1:] -= values.mean()
     np.cumsum(phase, out=phase)
-    half, scratch = -0.5 * phase, np.empty(_STRETCH)
+    half, scratch = -0.5 * phase, np.empty(_PART)
     totals = np.zeros(len(wanted))
-    for first in range(0, phase.size, _STRETCH):
+    for first in range(0, phase.size, _PART):
         totals += [_squares(phase, half, m, first, scratch) for m in wanted]
     terms = phase.size - 2.0 * np.array(wanted)
     return np.asarray(np.sqrt(2.0 * totals / terms) / wanted)
 
 
 def _squares(phase: Array, half: Array, m: int, first: int, scratch: Array) -> float:
-    """Sum (x[i+m] - (x[i] + x[i+2m]) / 2)^2 over a stretch of i; half: -x / 2."""
+    """Return the sum of (x[i+m] - (x[i] + x[i+2m]) / 2)^2 over a part of i; half: -x / 2."""
     last = min(first + scratch.size, phase.size - 2 * m)
     if last <= first:
         return 0.0
@@ -65,7 +66,7 @@ def _squares(phase: Array, half: Array, m: int, first: int, scratch: Array) -> f
 
 
 def white_covariance(duration: Array) -> Array:
-    """Covariance (n, n) of bin means under white noise of unit density: 1 / duration (s).
+    """Return the covariance (n, n) of bin means of white noise of unit density; duration: (n,) s.
 
     >>> white_covariance(np.array([1.0, 4.0]))
     array([[1.  , 0.  ],
@@ -75,9 +76,10 @@ def white_covariance(duration: Array) -> Array:
 
 
 def gauss_markov_covariance(t: Array, duration: Array, tau: float) -> Array:
-    """Covariance (n, n) of the means of a unit-variance Gauss-Markov process over disjoint bins.
+    """Return the covariance (n, n) of bin means of a Gauss-Markov process of unit variance.
 
-    t: (n,) s, middles; duration: (n,) s; tau: s. Exact averages of exp(-|dt| / tau).
+    t: (n,) s, middles of disjoint bins. duration: (n,) s. tau: s, correlation time. The averages of
+    exp(-|dt| / tau) are exact.
     """
     x = duration / (2.0 * tau)
     # Gaps are taken from edge to edge so that the growing sinh cannot overflow for bins longer than tau.
@@ -90,7 +92,7 @@ def gauss_markov_covariance(t: Array, duration: Array, tau: float) -> Array:
 
 
 def random_walk_covariance(t: Array, duration: Array) -> Array:
-    """Covariance (n, n) of the means of a unit-density random walk that starts at the first bin's start."""
+    """Return the covariance (n, n) of bin means of a random walk from the first bin's start, unit density."""
     start = float((t - duration / 2.0).min())
     covariance = np.minimum(t[:, None], t[None, :]) - start
     np.fill_diagonal(covariance, t - start - duration / 6.0)
@@ -98,11 +100,11 @@ def random_walk_covariance(t: Array, duration: Array) -> Array:
 
 
 def flicker_covariance(t: Array, duration: Array) -> Array:
-    """Covariance (n, n) of bin means of flicker noise whose Allan variance's floor is one.
+    """Return the covariance (n, n) of bin means of flicker noise with an Allan variance of 1.
 
-    A sum of equal Gauss-Markov processes, `FLICKER_TIMES_PER_DECADE` correlation times a decade, from the
-    thirtieth of the shortest bin to ten times the span (Keshner 1982). The floor of flicker noise is 2 ln 2 h
-    (SP1065, Table 6), h the variance per e-fold of correlation time over two.
+    It is a sum of equal Gauss-Markov processes, `FLICKER_TIMES_PER_DECADE` correlation times a decade, from
+    the thirtieth of the shortest bin to ten times the span (Keshner 1982). The floor of flicker noise is 2 ln
+    2 h (SP1065, Table 6), with h half the variance per e-fold of correlation time.
     """
     span = float(np.ptp(t) + duration.max())
     low, high = np.log10(float(duration.min()) / 30.0), np.log10(10.0 * span)
@@ -116,10 +118,12 @@ def flicker_covariance(t: Array, duration: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Coloured noise of one axis. white: unit sqrt(s); flicker: floor of the Allan deviation, unit;
-    gauss_markov: standard deviation, unit; tau: its correlation time, s; walk: unit / sqrt(s).
-    log_likelihood: restricted, of the fit it came from (0 where it came from none).
-    """  # noqa: D205 - the first sentence names all fields of one quantity
+    """The coloured noise of one axis.
+
+    white: density, unit sqrt(s). flicker: floor of the Allan deviation, unit. gauss_markov: standard
+    deviation, unit. tau: its correlation time, s. walk: density of the random walk, unit / sqrt(s).
+    log_likelihood: restricted, of the fit that it came from, 0 where it came from none.
+    """
 
     white: float
     flicker: float = 0.0
@@ -129,14 +133,14 @@ class NoiseModel:
     log_likelihood: float = 0.0
 
     def covariance(self, t: Array, duration: Array) -> Array:
-        """Covariance (n, n) of the means over bins with middles `t` and lengths `duration`, s."""
+        """Return the covariance (n, n) of means over bins with middles t and lengths duration, (n,) s."""
         parts = components(t, duration, self.tau)
         amplitudes = (self.white, self.flicker, self.gauss_markov, self.walk)
         return np.asarray(sum(a**2 * c for a, c in zip(amplitudes, parts, strict=True)), dtype=np.float64)
 
 
 def components(t: Array, duration: Array, tau: float) -> tuple[Array, Array, Array, Array]:
-    """Return unit covariances (n, n) of white, flicker, Gauss-Markov and random-walk noise."""
+    """Return the unit covariances, (n, n) each, of white, flicker, Gauss-Markov and random-walk noise."""
     return (
         white_covariance(duration),
         flicker_covariance(t, duration),
@@ -148,7 +152,7 @@ def components(t: Array, duration: Array, tau: float) -> tuple[Array, Array, Arr
 def restricted_log_likelihood(covariance: Array, y: Array, design: Array) -> tuple[float, Array, Array]:
     """Return the restricted log likelihood, P y and P, with P the projected inverse covariance.
 
-    y: (n,), design: (n, p). Patterson and Thompson, Biometrika 58 (1971).
+    covariance: (n, n). y: (n,). design: (n, p). Patterson and Thompson, Biometrika 58 (1971).
     """
     inverse = np.linalg.inv(covariance)
     weighted = inverse @ design
@@ -164,8 +168,8 @@ def fit_noise(
 ) -> NoiseModel:
     """Fit white + flicker + Gauss-Markov + random walk to bin means by restricted maximum likelihood.
 
-    t, duration, values: (n,), s, s, unit. The mean is free. The Gauss-Markov time is the best of `taus`.
-    Raises ValueError with fewer than 8 bins.
+    t: (n,) s, middles of the bins. duration: (n,) s. values: (n,). The mean is free. The correlation time of
+    the Gauss-Markov process is the best of `taus`, s. Raises ValueError with fewer than 8 bins.
     """
     if t.size < 8:
         raise ValueError(f"coloured noise needs at least 8 bins, have {t.size}")
@@ -174,8 +178,8 @@ def fit_noise(
 
 
 def _fit_components(parts: tuple[Array, ...], values: Array, tau: float) -> NoiseModel:
-    """Fit the amplitudes of given unit covariances, in units of the values' own scatter."""
-    from scipy.optimize import minimize  # noqa: PLC0415 - the daemon stays light
+    """Fit the amplitudes of unit covariances, in units of the values' own scatter."""
+    from scipy.optimize import minimize  # noqa: PLC0415 - loaded when used: the daemon stays light
 
     scatter = max(float(values.std()), 1e-300)
     design = np.ones((values.size, 1))

@@ -1,7 +1,7 @@
-"""What goes into the engine besides samples: events of the phone's world, on the sensor's own time.
+"""Events: the engine's input besides samples, on the sensor's own time.
 
-They are plain records. They are tagged as they stand in a recording's events file, and so can be saved with
-the engine's state.
+They are plain records with the tags of a recording's events file, so that they can be saved with the engine's
+state.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import msgspec
 
 
 class Charging(msgspec.Struct, frozen=True, tag_field="event", tag="charging"):
-    """The charger was plugged in (on) or pulled out. t: s."""
+    """The charger was plugged in (on) or unplugged at t (s)."""
 
     t: float
     on: bool
 
 
 class Location(msgspec.Struct, frozen=True, tag_field="event", tag="location"):
-    """The phone learned where it is. t: s; latitude, longitude: deg; altitude: m or None."""
+    """The phone's place became known at t (s). latitude, longitude: deg. altitude: m or None."""
 
     t: float
     latitude: float
@@ -26,13 +26,13 @@ class Location(msgspec.Struct, frozen=True, tag_field="event", tag="location"):
 
 
 class Tick(msgspec.Struct, frozen=True, tag_field="event", tag="tick"):
-    """Time has come to t (s) and no sample before it is still on its way: the clock of a sleeping phone."""
+    """Time has reached t (s), and no earlier sample is still on its way: the clock of a sleeping phone."""
 
     t: float
 
 
 class End(msgspec.Struct, frozen=True, tag_field="event", tag="end"):
-    """The stream is over at t (s); what is open is closed and, where there is cause, calibrated."""
+    """The stream ends at t (s): open rests are closed, and a calibration is tried where one is due."""
 
     t: float
 

@@ -1,8 +1,7 @@
-"""Validated runs of samples, as struct of arrays: what every sensor stream is made of.
+"""Runs of samples of one sensor, as checked arrays.
 
-One `Samples` holds one sensor only: a phone delivers accelerometer and gyroscope as separate
-streams with their own time stamps. Values are SI and read-only. Nothing here knows files or units
-other than SI; conversion happens where recordings are read.
+One `Samples` is of one sensor, because a phone delivers accelerometer and gyroscope as separate streams with
+their own time stamps. Values are SI and read-only; other units are converted where recordings are read.
 """
 
 from __future__ import annotations
@@ -20,14 +19,17 @@ from stillcal.calib_core.streams.limits import READING, STAMP_S, usable
 
 
 class Sensor(StrEnum):
-    """Which of the two sensors a stream comes from."""
+    """The sensor that a stream comes from."""
 
     ACCELEROMETER = "accelerometer"
     GYROSCOPE = "gyroscope"
 
 
 class SampleError(UserError):
-    """A sample that cannot be used: `row` is its index in the block, `reason` says why."""
+    """A sample that cannot be used.
+
+    row: its index in the block. reason: why it cannot be used.
+    """
 
     def __init__(self, row: int, reason: str) -> None:
         super().__init__(f"sample {row}: {reason}")
@@ -88,7 +90,7 @@ class Samples:
 
     @classmethod
     def joined(cls, blocks: Iterable[Samples]) -> Samples:
-        """Join runs of one sensor end to end; an optional column survives only where all runs have it."""
+        """Join runs of one sensor end to end; an optional column is kept only where all runs have it."""
         parts = list(blocks)
         if len(parts) == 1:
             return parts[0]

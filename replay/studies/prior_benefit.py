@@ -99,8 +99,8 @@ def left_out(devices: Sequence[Device]) -> Iterator[tuple[Device, FleetPrior, Fl
 def _flat(learnt: Population) -> FleetPrior:
     """Return what is expected of a device of which not even the model is known."""
     share = learnt.devices / learnt.devices.sum()
-    mean = share @ learnt.centres
-    off = learnt.centres - mean
+    mean = share @ learnt.model_means
+    off = learnt.model_means - mean
     return FleetPrior(mean, learnt.within + np.einsum("g,gi,gj->ij", share, off, off), learnt.scatter)
 
 
