@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from msgspec import structs
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array
@@ -141,3 +142,13 @@ def sensed(rng: np.random.Generator, phone: Phone, rates: list[Array], up: list[
 def recording(seed: int, n: int = 20, **changes: object) -> Recording:
     rng = np.random.default_rng(seed)
     return recorded(rng, some_phone(rng, **changes), n)
+
+
+def later(trip: Recording, by: float) -> Recording:
+    """Move a recording on by some seconds, so that it can follow another: rests are told apart by time."""
+
+    def moved(rest: RestState) -> RestState:
+        return structs.replace(rest, t_start=rest.t_start + by, t_end=rest.t_end + by)
+
+    turns = [replace(u, before=moved(u.before), after=moved(u.after), t=u.t + by) for u in trip.turns]
+    return replace(trip, rests=[moved(rest) for rest in trip.rests], turns=turns)
