@@ -61,9 +61,15 @@ def test_importing_stillcal_alone_is_light() -> None:
     assert "numpy" in loaded_by("import stillcal; stillcal.load")  # the same measure sees it where it is
 
 
-def test_the_daemon_does_not_import_the_public_interface() -> None:
-    code = "import sys, stillcal.daemon.app; print('stillcal.api' in sys.modules, 'scipy' in sys.modules)"
-    assert printed_by(code) == ["False", "False"]
+def test_the_daemon_imports_no_more_than_it_needs() -> None:
+    """It runs for months: neither scipy nor anything of the public interface, of replay or of the diagnosis."""
+    names = printed_by("import sys, stillcal.daemon.app\nprint(*sys.modules)")
+    ours = [name for name in names if name.startswith("stillcal.")]
+    above = ("stillcal.api", "stillcal.replay", "stillcal.calib_core.diagnosis")
+    assert [name for name in ours if name.startswith(above)] == []
+    others = {name.split(".")[0] for name in names} - set(sys.stdlib_module_names)
+    others = {name for name in others if not name.startswith(("_", "__editable__"))}
+    assert others <= {"stillcal", "numpy", "serial", "msgspec", "click", "asyncvarlink", "typing_extensions"}
 
 
 def test_names_are_listed_and_others_refused() -> None:
