@@ -25,6 +25,7 @@ from stillcal.calib_core.maths import random_effects
 from stillcal.calib_core.maths.levenberg_marquardt import Damping
 from stillcal.calib_core.maths.student_t import quantile
 from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.ranges import check_ranges
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 
 
@@ -56,19 +57,18 @@ class AccelerometerSettings:
     rounds: int = 10
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("attitude_angle", 0.0, 1.0),
-            ("max_amplification", 1.0, np.inf),
-            ("max_norm_sd", 0.0, np.inf),
-            ("spare_attitudes", 0, 100),
-            ("outlier_level", 0.0, 0.5),
-            ("max_outliers", 0.0, 0.5),
-            ("max_bias", 0.0, np.inf),
-            ("max_scale_error", 0.0, 1.0),
-            ("rounds", 1, 1000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}: allowed {low} to {high}")
+        allowed = {
+            "attitude_angle": (0.0, 1.0),
+            "max_amplification": (1.0, np.inf),
+            "max_norm_sd": (0.0, np.inf),
+            "spare_attitudes": (0, 100),
+            "outlier_level": (0.0, 0.5),
+            "max_outliers": (0.0, 0.5),
+            "max_bias": (0.0, np.inf),
+            "max_scale_error": (0.0, 1.0),
+            "rounds": (1, 1000),
+        }
+        check_ranges(self, allowed)
 
 
 class AttitudesMissing(NotSupported):

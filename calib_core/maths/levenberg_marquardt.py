@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.ranges import check_ranges
 
 Residuals = Callable[[Array], tuple[Array, Array]]
 """v (p,) -> residuals (n,) and their Jacobian (n, p)."""
@@ -37,17 +38,16 @@ class Damping:
     iterations: int = 200
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("start", 0.0, 1e3),
-            ("fade", 0.0, 1.0),
-            ("grow", 1.0, 1e6),
-            ("most", 1.0, 1e16),
-            ("tolerance", 1e-15, 1e-2),
-            ("floor", 0.0, 1.0),
-            ("iterations", 1, 100_000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"damping {name} is {getattr(self, name)}: allowed {low} to {high}")
+        allowed = {
+            "start": (0.0, 1e3),
+            "fade": (0.0, 1.0),
+            "grow": (1.0, 1e6),
+            "most": (1.0, 1e16),
+            "tolerance": (1e-15, 1e-2),
+            "floor": (0.0, 1.0),
+            "iterations": (1, 100_000),
+        }
+        check_ranges(self, allowed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

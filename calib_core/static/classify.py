@@ -161,8 +161,8 @@ class Windows:
     @classmethod
     def of(cls, accel: Array, gyro: Array, widths: Index, settings: DetectorSettings) -> Windows:
         """Join two sensors' cell rows into windows; widths: cells of the window of each accelerometer row."""
-        at, found = matched(accel[:, K], gyro[:, K])
-        rows = paired(joined(accel, widths), joined(gyro[found], widths[at[found]]))
+        at, present = matched(accel[:, K], gyro[:, K])
+        rows = paired(joined(accel, widths), joined(gyro[present], widths[at[present]]))
         gyro_rows = rows[:, COLUMNS:]
         unusable = (gyro_rows[:, GAP] > settings.gap_s) | (2 * gyro_rows[:, N] < settings.min_samples)
         gyro_rows[unusable | (across(gyro_rows[:, D2]) == 0)] = 0.0

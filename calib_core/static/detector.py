@@ -198,9 +198,9 @@ class StationaryDetector:
         """Classify all windows that are complete before cell `horizon`."""
         state = self._state
         accel, gyro = _before(state.accel.rows, horizon), _before(state.gyro.rows, horizon)
-        at, found = matched(gyro[:, K], accel[:, K])
+        at, present = matched(gyro[:, K], accel[:, K])
         counts = accel[:, N].copy()
-        counts[found] = np.minimum(counts[found], gyro[at[found], N])
+        counts[present] = np.minimum(counts[present], gyro[at[present], N])
         widths = window_cells(state.pace, accel[:, K], counts, self.settings.min_samples)
         ends = (np.floor(accel[:, K] / widths) + 1.0) * widths
         whole = int(np.searchsorted(ends, horizon, side="right"))

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+
+from stillcal.calib_core.ranges import check_ranges
 
 
 class Mode(StrEnum):
@@ -49,49 +50,33 @@ class Sleep:
 Want = Sense | Sleep
 
 
-@dataclass(frozen=True, slots=True)
-class Range:
-    """A closed range that a setting must lie within."""
-
-    low: float
-    high: float
-
-
 _ALLOWED = {
-    "window_s": Range(0.1, 5.0),
-    "min_samples": Range(4, 1000),
-    "gap_s": Range(0.01, 10.0),
-    "max_lag_s": Range(0.0, 3600.0),
-    "accel_factor": Range(1.0, 100.0),
-    "gyro_factor": Range(1.0, 100.0),
-    "accel_ceiling": Range(1e-6, 10.0),
-    "gyro_ceiling": Range(1e-6, 10.0),
-    "force_low": Range(0.0, 9.0),
-    "force_high": Range(10.5, 100.0),
-    "step_factor": Range(1.0, 100.0),
-    "force_step": Range(0.0, 1.0),
-    "rate_step": Range(0.0, 1.0),
-    "max_tilt_rate": Range(0.0, 1.0),
-    "w_min_s": Range(1.0, 3600.0),
-    "w_spread_s": Range(0.0, 3600.0),
-    "settle_s": Range(0.0, 600.0),
-    "max_rest_s": Range(1.0, 3600.0),
-    "probe_min_s": Range(0.0, 86400.0),
-    "probe_max_s": Range(0.0, 86400.0),
-    "startup_s": Range(0.0, 60.0),
-    "half_life_s": Range(60.0, 1e7),
-    "cluster_windows": Range(2, 1000),
-    "cluster_share": Range(0.0, 0.5),
-    "seed": Range(0, 2**63),
+    "window_s": (0.1, 5.0),
+    "min_samples": (4, 1000),
+    "gap_s": (0.01, 10.0),
+    "max_lag_s": (0.0, 3600.0),
+    "accel_factor": (1.0, 100.0),
+    "gyro_factor": (1.0, 100.0),
+    "accel_ceiling": (1e-6, 10.0),
+    "gyro_ceiling": (1e-6, 10.0),
+    "force_low": (0.0, 9.0),
+    "force_high": (10.5, 100.0),
+    "step_factor": (1.0, 100.0),
+    "force_step": (0.0, 1.0),
+    "rate_step": (0.0, 1.0),
+    "max_tilt_rate": (0.0, 1.0),
+    "w_min_s": (1.0, 3600.0),
+    "w_spread_s": (0.0, 3600.0),
+    "settle_s": (0.0, 600.0),
+    "max_rest_s": (1.0, 3600.0),
+    "probe_min_s": (0.0, 86400.0),
+    "probe_max_s": (0.0, 86400.0),
+    "startup_s": (0.0, 60.0),
+    "half_life_s": (60.0, 1e7),
+    "cluster_windows": (2, 1000),
+    "cluster_share": (0.0, 0.5),
+    "seed": (0, 2**63),
 }
-
-
-def check_ranges(record: Any, allowed: dict[str, Range]) -> None:
-    """Raise ValueError naming the first field of `record` that lies outside its allowed range."""
-    for name, span in allowed.items():
-        value = getattr(record, name)
-        if not span.low <= value <= span.high:
-            raise ValueError(f"{name} = {value}: must lie between {span.low:g} and {span.high:g}")
 
 
 @dataclass(frozen=True, slots=True)

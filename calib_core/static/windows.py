@@ -247,9 +247,9 @@ def joined(rows: Array, widths: Index) -> Array:
 def matched(keys: Array, wanted: Array) -> tuple[Index, Flags]:
     """Look up `wanted` in sorted `keys`; return where each one is and whether it is there at all."""
     at = np.searchsorted(keys, wanted)
-    found = at < keys.size
-    found[found] = keys[at[found]] == wanted[found]
-    return at, found
+    present = at < keys.size
+    present[present] = keys[at[present]] == wanted[present]
+    return at, present
 
 
 def paired(accel: Array, gyro: Array) -> Array:
@@ -263,12 +263,12 @@ def paired(accel: Array, gyro: Array) -> Array:
         return both
     both = np.empty((accel.shape[0], 2 * COLUMNS))
     both[:, :COLUMNS] = accel
-    at, found = matched(gyro[:, K], accel[:, K])
-    if found.all():
+    at, present = matched(gyro[:, K], accel[:, K])
+    if present.all():
         both[:, COLUMNS:] = gyro[at]
     else:
         both[:, COLUMNS:] = 0.0
-        both[found, COLUMNS:] = gyro[at[found]]
+        both[present, COLUMNS:] = gyro[at[present]]
     return both
 
 

@@ -203,7 +203,7 @@ def test_arrays_that_do_not_fit(forces, sd, gravity, match):
 
 @pytest.mark.parametrize("field", ["max_amplification", "max_outliers", "rounds", "attitude_angle"])
 def test_settings_name_field_and_range(field):
-    with pytest.raises(ValueError, match=f"{field} is -1: allowed"):
+    with pytest.raises(ValueError, match=f"{field} = -1: must lie between"):
         AccelerometerSettings(**{field: -1})
 
 

@@ -56,7 +56,7 @@ def test_settings_are_taken_up_to_their_limits(name, low, high):
         assert getattr(AccelerometerSettings(**{name: value}), name) == value
     beyond = [low - 1e-9, np.nan] + ([high + 1e-9] if np.isfinite(high) else [])
     for value in beyond:
-        with pytest.raises(ValueError, match=f"{name} is"):
+        with pytest.raises(ValueError, match=f"{name} = "):
             AccelerometerSettings(**{name: value})
 
 

@@ -1,4 +1,4 @@
-"""The pool of rests: bounded, and no attitude crowds out another."""
+"""The pool of rests: bounded, and no attitude displaces another."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def filled(directions: np.ndarray, settings: PoolSettings, uncertainty: float = 
     return pool
 
 
-def test_one_attitude_does_not_crowd_out_the_others() -> None:
+def test_one_attitude_does_not_displace_the_others() -> None:
     settings = PoolSettings(rests_per_attitude=4)
     rare = np.eye(3)
     pool = filled(np.vstack([rare, np.tile([0.0, 0.0, 1.0], (200, 1))]), settings)
@@ -33,7 +33,7 @@ def test_one_attitude_does_not_crowd_out_the_others() -> None:
     assert len(pool.held) == 2 + 4
 
 
-def test_of_a_crowded_attitude_the_least_certain_goes_and_the_newest_stays() -> None:
+def test_a_full_attitude_loses_its_least_certain_rest_and_keeps_the_newest() -> None:
     settings = PoolSettings(rests_per_attitude=3)
     pool, index = Pool(), AttitudeIndex(settings)
     for i, uncertainty in enumerate([1e-3, 5e-3, 2e-3, 1e-3, 9e-3]):
@@ -50,7 +50,7 @@ def test_old_rests_and_the_oldest_attitudes_go() -> None:
     assert pool.held[-1].rest.t_start == 29900.0
 
 
-def test_a_crowd_that_follows_a_pool_groups_as_one_that_comes_to_it_anew() -> None:
+def test_an_index_kept_up_to_date_groups_as_a_new_one() -> None:
     """Crowded, ageing, near one another: each of the ways in which a rest may go and free the others."""
     rng, seen = np.random.default_rng(2), 0
     settings = PoolSettings(attitude_angle=0.3, rests_per_attitude=4, attitudes=30, max_age_s=9000)

@@ -56,7 +56,7 @@ def test_who_asks_in_vain_is_told_why() -> None:
     assert engine.update_bias() == []
 
 
-def test_who_asks_has_the_gyroscope_zeroed(lab: Samples) -> None:
+def test_the_gyroscope_bias_is_updated_on_request(lab: Samples) -> None:
     engine = fed(lab)
     engine.calibrate()
     (stored,) = (a for a in engine.update_bias() if isinstance(a, Publish))

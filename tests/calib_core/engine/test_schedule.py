@@ -68,7 +68,7 @@ def test_a_good_calibration_is_not_renewed_at_every_plug() -> None:
     assert calibration_due(CalibrationStatus(True, False, 5, 7 * 3600), Occasion.CHARGING, AUTO)
 
 
-def test_the_allowance_pays_for_a_burst_and_refills() -> None:
+def test_the_budget_pays_for_its_capacity_and_refills() -> None:
     settings = EnergySettings(burst_s=100, on_time_fraction=0.1)
     start = DutyBudget(0, 100, 0)
     assert start.remaining_s(settings) == pytest.approx(100 / 0.9)
@@ -81,12 +81,12 @@ def test_the_allowance_pays_for_a_burst_and_refills() -> None:
 @given(st.lists(st.tuples(st.floats(0, 1e4), st.floats(0, 1)), max_size=30))
 def test_on_time_never_exceeds_what_was_earned(steps: list[tuple[float, float]]) -> None:
     settings = EnergySettings(burst_s=600, on_time_fraction=0.05)
-    allowance = DutyBudget(0, 600, 0)
+    budget = DutyBudget(0, 600, 0)
     t = used = 0.0
     for length, share in steps:
-        spend = min(length * share, allowance.remaining_s(settings))
+        spend = min(length * share, budget.remaining_s(settings))
         t, used = t + length, used + spend
-        allowance = allowance.at(t, used, settings)
+        budget = budget.at(t, used, settings)
     assert used <= 600 + 0.05 * t + 1e-6
 
 

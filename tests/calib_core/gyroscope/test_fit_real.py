@@ -1,4 +1,4 @@
-"""Gyroscope from rest to rest on real recordings: gravity carried by it before and after, held-out turns."""
+"""The gyroscope fitted on real recordings: gravity propagated before and after, and held-out segments."""
 
 from __future__ import annotations
 
@@ -146,8 +146,8 @@ def broad(data_dir: Path) -> tuple[Array, Array, Array, float]:
     return t, trial["imu_gyr"] - trial["imu_gyr"][: moving[0] - 500].mean(axis=0), up, float(t[moving[0]])
 
 
-def carried_errors(broad: tuple[Array, Array, Array, float], every: int, scale: Array) -> Array:
-    """Angles between optical gravity and gravity carried over spans of 5 s, every so many samples used."""
+def propagated_errors(broad: tuple[Array, Array, Array, float], every: int, scale: Array) -> Array:
+    """Angles between optical gravity and gravity propagated over spans of 5 s, every so many samples used."""
     t, rates, up, start = broad
     errors = []
     for begin in np.arange(start, start + 120.0, 5.0):
@@ -163,6 +163,6 @@ def test_optical_truth_is_met_within_the_uncalibrated_sensors_scale(
     broad: tuple[Array, Array, Array, float],
 ) -> None:
     """An uncalibrated gyroscope over up to 5 s of turning: about a degree, at 286 Hz and at 36 Hz alike."""
-    full, eighth = (rms(carried_errors(broad, every, np.eye(3))) for every in (1, 8))
+    full, eighth = (rms(propagated_errors(broad, every, np.eye(3))) for every in (1, 8))
     assert full < np.radians(1.5)
     assert eighth < 1.2 * full
