@@ -62,7 +62,7 @@ def test_importing_stillcal_alone_is_light() -> None:
 
 
 def test_the_daemon_imports_no_more_than_it_needs() -> None:
-    """It runs for months: neither scipy nor anything of the public interface, of replay or of the diagnosis."""
+    """It runs for months: no scipy, nothing of the public interface, of replay or of the diagnosis."""
     names = printed_by("import sys, stillcal.daemon.app\nprint(*sys.modules)")
     ours = [name for name in names if name.startswith("stillcal.")]
     above = ("stillcal.api", "stillcal.replay", "stillcal.calib_core.diagnosis")
