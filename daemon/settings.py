@@ -8,7 +8,6 @@ first those that a user needs, then those that are rarely needed. A file cannot 
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import re
 import tomllib
@@ -245,6 +244,8 @@ def _expected_type(problem: str) -> str:
 
 
 def _suggestion(key: str, known: list[str]) -> str:
+    import difflib  # noqa: PLC0415 - only for a mistake; the daemon would hold it for months
+
     close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
     return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
 

@@ -1,7 +1,7 @@
-"""Small blocks of samples joined to large ones, for everything behind the wire takes its time by the block.
+"""Join small blocks of samples into large ones, because everything behind the wire costs time per block.
 
-Pure. The engine gives the same however its samples are cut; what else looks at a block looks at its first
-stamp, so that only blocks are joined between which time goes on as it should.
+Pure. The engine gives the same result however its samples are cut. The phone's clock looks at the first
+stamp of a block only, so that blocks are joined only where time goes on normally.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 T = TypeVar("T")
 
 MAX_JOIN_GAP_S = 1.0
-"""A block that begins so much later than the last one ended, s, or before it, is not joined to it."""
+"""Longest gap between joined blocks, s; blocks that overlap are not joined either."""
 
 
 def join_blocks(records: Iterable[T]) -> Iterator[T | Samples]:
-    """Join the blocks of each sensor as far as nothing else lies between them, the gyroscope's first.
+    """Join the blocks of each sensor between other records, the gyroscope's first.
 
-    So the engine waits for neither. Blocks that bring a temperature or arrival stamps are not joined to
-    those that bring none.
+    In this order the engine waits for neither. Blocks with a temperature or arrival stamps are not joined to
+    blocks without.
     """
     for sampled, group in itertools.groupby(records, lambda record: isinstance(record, Samples)):
         if not sampled:

@@ -1,7 +1,7 @@
-"""The energy ledger: what each day cost in sensor time, samples, wake-ups and processor time.
+"""The energy ledger: the sensor time, samples, wake-ups and processor time of each day.
 
-Power is what Grammenos et al. 2018 (5.3) judge calibration by. Days are of engine time, 86400 s each from
-the first sample on. Only sums here; nothing is measured.
+Grammenos et al. 2018 (5.3) judge calibration by its power. A day is 86400 s of engine time, counted from the
+first sample. The ledger adds up; others measure.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from stillcal.daemon.wire.messages import Status
 
 DAY_S = 86400.0
 KEPT_DAYS = 400
+"""Days that are kept: a year and a month."""
 MOMENT_S = 1.0
-"""What comes so shortly after a day, s, is counted to it: a stream that lasts a day ends just beyond it."""
+"""Time after the end of a day that still counts to it, s: a stream of one day ends just beyond it."""
 
 
 @dataclass(slots=True)
 class Day:
-    """A day's account. number: from 0.
+    """One day. number: from 0.
 
-    observed_s: engine time that went by. sensors_on_s, wakeups: told by the phone, 0 where it does not say.
-    asked_s: for which the engine wanted the sensors on. samples: of both sensors. cpu_s: of this process.
+    observed_s: engine time that passed. sensors_on_s, wakeups: as the phone reports, 0 where it does not.
+    asked_s: time for which the engine wanted them on. samples: of both sensors. cpu_s: of this process.
     """
 
     number: int
@@ -36,7 +37,7 @@ class Day:
 
 @dataclass(slots=True)
 class EnergyLedger:
-    """Accounts by day, the oldest forgotten after KEPT_DAYS; what is counted up elsewhere comes as totals."""
+    """The days, oldest first, at most KEPT_DAYS. told: the phone's last status."""
 
     days: list[Day] = field(default_factory=list)
     began: float | None = None
@@ -50,7 +51,7 @@ class EnergyLedger:
         self._day(t).samples += count
 
     def status(self, t: float, status: Status) -> None:
-        """Take the phone's own totals; they begin anew when it restarts."""
+        """Take the phone's own totals, which start at 0 when it restarts."""
         last = self.told
         if last is None or status.on_time < last.on_time or status.wakeups < last.wakeups:
             last = Status(0.0, 0.0, False, 0)
@@ -67,15 +68,15 @@ class EnergyLedger:
         self.asked_s, self.cpu_s = asked_s, cpu_s
 
     def copy(self) -> EnergyLedger:
-        """Return a copy that goes its own way."""
+        """Return an independent copy."""
         return replace(self, days=[replace(day) for day in self.days])
 
     def restarted(self) -> None:
-        """Expect this process's processor time to count from 0 again."""
+        """Note a restart of this process, whose processor time counts from 0 again."""
         self.cpu_s = 0.0
 
     def _day(self, t: float) -> Day:
-        """Return the day of t (s), or the newest where t is older."""
+        """Return the day of t (s), or the newest day where t is before it."""
         if self.began is None:
             self.began = self.newest = t
         number = max(int((t - self.began - MOMENT_S) // DAY_S), self.days[-1].number if self.days else 0)
@@ -89,7 +90,7 @@ class EnergyLedger:
         return day
 
     def _turn_to(self, number: int) -> None:
-        """Begin a new day: what went by up to midnight was the old one's; days nobody saw have no account."""
+        """Begin a new day; time up to midnight belongs to the old one. Days without data have no entry."""
         assert self.began is not None
         last = self.days[-1]
         last.observed_s += max(self.began + (last.number + 1) * DAY_S - self.newest, 0.0)

@@ -1,9 +1,9 @@
-"""The phone's clock and the engine's: one number apart, until the phone starts its clock anew.
+"""Map the phone's time to the engine's: a constant offset, until the phone's clock starts again.
 
-The engine runs on sample time and demands that it never runs back. A phone that restarts counts from
-zero again, and a broken one may leap by years; either way its time is carried on from the engine's, by as
-much as the host's steady clock saw go by. The host's wall clock has no part in this. No clock is read
-here: `host` is CLOCK_BOOTTIME in s, which goes on while the host is suspended.
+The engine runs on sample time, which must never run back. A phone that restarts counts from zero again, and
+a broken one may leap by years. In both cases the engine's time continues by as much as the host's steady
+clock has advanced; the host's wall clock plays no part. No clock is read here: `host` is CLOCK_BOOTTIME in s,
+which goes on while the host is suspended.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from stillcal.calib_core.streams.events import Charging, End, Location, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 LEAP_S = 86400.0
-"""A stamp that is ahead by more than this, and by more than the host saw go by, is no gap but a fault."""
+"""A stamp ahead by more than this and the host's elapsed time is a fault of the clock, not a gap, s."""
 
 BACK_S = 1.0
-"""A stream that falls back by more than this was restarted; by less, its samples are out of order."""
+"""A stream that falls back by more than this has restarted; by less, its samples are out of order, s."""
 
 LEAST_GAP_S = 1.0
-"""A restart takes at least so long on the engine's time."""
+"""Least engine time that a restart takes, s."""
 
 Timed = Samples | Charging | Location | Tick | End
 
@@ -33,7 +33,7 @@ Timed = Samples | Charging | Location | Tick | End
 class PhoneClock:
     """engine time = phone time + offset.
 
-    session: the phone's own number of its run, if it says one. newest: engine time of the newest stamp, s;
+    session: the phone's number of its run, if it gives one. newest: engine time of the newest stamp, s;
     host: when it came, s of the host's clock, None after a restart of the daemon. latest: engine time of
     each stream's newest sample. restarts, leaps, disordered: what happened so far, the last in samples.
     """
@@ -49,14 +49,14 @@ class PhoneClock:
     _anew: bool = False
 
     def meet(self, session: int) -> bool:
-        """Hear the phone's session; say whether it is another one than before, whose time is new."""
+        """Take the phone's session number; return whether it is a new session, whose clock starts again."""
         other = self.session is not None and session != self.session and math.isfinite(self.newest)
         self.session = session
         self._anew = self._anew or other
         return other
 
     def mapped(self, item: Timed, host: float) -> Timed | None:
-        """Return what came with engine times, or None where nothing of it can be used."""
+        """Return a record with engine times, or None where nothing of it can be used."""
         first = float(item.t[0]) if isinstance(item, Samples) else item.t
         self._settle(first, item, host)
         if isinstance(item, Samples):
@@ -74,7 +74,7 @@ class PhoneClock:
         return t - self.offset
 
     def _settle(self, first: float, item: Timed, host: float) -> None:
-        """Choose a new offset where the phone's time does not carry on."""
+        """Choose a new offset where the phone's time does not continue."""
         t = first + self.offset
         gone = LEAST_GAP_S if self.host is None else max(host - self.host, LEAST_GAP_S)
         known = math.isfinite(self.newest)

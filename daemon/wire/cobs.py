@@ -1,4 +1,4 @@
-"""Frames as bytes: COBS, the CRC-32 and the delimiters. frames.py says what is inside a frame.
+"""Frames as bytes: COBS coding, CRC-32 and delimiters. frames.py says what is inside a frame.
 
 A frame is 0x00, a marker byte that carries the version, COBS(payload + CRC-32), 0x00.
 
@@ -17,14 +17,14 @@ MARKERS = range(0xB0, 0xC0)
 
 MARKER = MARKERS[VERSION]
 MAX_FRAME = 65_536
-"""Bytes between a frame's delimiters, marker included: what is longer is no frame."""
+"""Longest frame, bytes between the delimiters, marker included; longer ones are dropped."""
 
 CRC = struct.Struct("<I")
 _CODES = [bytes((length + 1,)) for length in range(254)]
 
 
 class FrameError(ValueError):
-    """Bytes that are no frame. crc: whether all was well but the CRC."""
+    """The bytes are not a frame. crc: whether only the CRC is wrong."""
 
     def __init__(self, reason: str, crc: bool = False) -> None:
         super().__init__(reason)

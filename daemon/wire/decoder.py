@@ -1,4 +1,4 @@
-"""The wire, both ways, sans-I/O: bytes in, messages out, and back. Nothing here opens anything.
+"""The decoder of the wire, sans-I/O: bytes in, messages out.
 
 Binary frames and lines of text may come mixed on one line (a bootloader's chatter before the firmware's
 frames); docs/wire.md says how they are told apart. They are cut and checked here, and put in order in
@@ -62,7 +62,7 @@ class _Mode(Enum):
 
 
 class WireDecoder:
-    """Feed it what arrives, however it is cut; it returns the messages that are whole by then.
+    """Turns bytes, however they are cut, into the messages that they complete.
 
     Samples of consecutive lines of text come as one run a sensor, so only their cutting into runs
     depends on the cutting of the bytes. form: how the other side spoke last, None before it did.
@@ -88,7 +88,7 @@ class WireDecoder:
         return self._delivery.take()
 
     def end(self) -> list[Message]:
-        """Note that the connection is over: half a frame or line at its end is dropped and counted."""
+        """End the connection: an unfinished frame or line is dropped and counted."""
         if self._held or self._mode is _Mode.SKIP:
             self.counters.truncated += 1
             self._discard(self._held)
@@ -120,7 +120,7 @@ class WireDecoder:
             self._overflow(b"".join(self._parts))
 
     def _overflow(self, body: bytes) -> None:
-        """Give up a frame that does not end, and go on reading lines."""
+        """Give up a frame that is too long, and continue with lines."""
         self._bad_frame(body[:MAX_FRAME])
         last = body.rfind(b"\n", 0, MAX_FRAME) + 1
         self._begin(_Mode.LINE if last else _Mode.SKIP)
@@ -150,7 +150,7 @@ class WireDecoder:
         self._begin(_Mode.LINE)
 
     def _close(self) -> None:
-        """End the segment: a frame is whole; what stands where a line began is a piece of one."""
+        """End a segment: a frame is complete; anything else is an unfinished line and is dropped."""
         if self._mode is _Mode.FRAME:
             self._frame(b"".join(self._parts))
         elif self._held:
@@ -158,7 +158,7 @@ class WireDecoder:
             self._discard(self._held)
         self._begin(_Mode.START)
 
-    # Judging
+    # Decoding
 
     def _frame(self, body: bytes) -> None:
         try:
@@ -182,7 +182,7 @@ class WireDecoder:
         self._delivery.deliver(frame)
 
     def _bad_frame(self, body: bytes) -> None:
-        """Drop a frame, but not the whole lines within: half a frame may swallow them."""
+        """Drop a bad frame, but keep complete lines in it: a frame without its end includes what follows."""
         self.counters.bad_frames += 1
         first, *lines = body.split(b"\n")
         self._discard(len(first) + (len(lines[-1]) if lines else 0))
@@ -190,7 +190,7 @@ class WireDecoder:
             self._line(line, doubtful=True)
 
     def _line(self, line: bytes, doubtful: bool = False) -> None:
-        """Take a whole line. doubtful: it may as well be part of a broken frame, so it is no bad line."""
+        """Decode a complete line. doubtful: it may be part of a broken frame, and is not counted as bad."""
         text = line.strip(b" \t\r")
         if not text or (text.startswith(b"#") and _printable(text)):
             return

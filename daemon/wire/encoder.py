@@ -1,4 +1,4 @@
-"""Messages to bytes: the numbering and the choice of form. The forms themselves are in their own modules."""
+"""The encoder of the wire: numbers messages and writes them as frames or as lines."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from stillcal.daemon.wire.sample_blocks import BlockStyle, Coding, sample_payloa
 from stillcal.daemon.wire.text import line_of, sample_lines
 
 MESSAGES = "messages"
-"""The stream of all that are not samples, as far as sequence numbers go."""
+"""The stream of sequence numbers for all messages that are not samples."""
 
 
 class Form(StrEnum):
-    """How a side of the wire speaks."""
+    """The form of messages: binary frames or lines of text."""
 
     BINARY = "binary"
     TEXT = "text"
@@ -60,7 +60,7 @@ class WireEncoder:
         self._next: dict[str, int] = {}
 
     def encode(self, message: Message) -> bytes:
-        """Return the bytes that say `message`: one or more frames or lines."""
+        """Return a message as bytes: one or more frames or lines."""
         if isinstance(message, Samples):
             sequence = self._number(message.sensor, len(message))
             return b"".join(self._samples(message, sequence))

@@ -1,4 +1,4 @@
-"""What is inside a frame: each message's payload and back. Pure functions, no state.
+"""The payload of a frame: encode and decode each message. Pure functions, no state.
 
 sample_blocks.py has the payloads of samples; docs/wire.md has every layout.
 """
@@ -29,11 +29,11 @@ from stillcal.daemon.wire.sample_blocks import HEADER, SENSORS, parse_samples
 
 HELLO = 0x20
 MAX_HELLO = 4096
-"""Bytes of a hello's JSON."""
+"""Longest JSON of a hello, bytes."""
 
 
 class PayloadError(ValueError):
-    """A payload whose CRC was right but which makes no sense."""
+    """The payload's CRC is right but its content is not valid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +107,7 @@ def message_payload(message: Message, sequence: int) -> bytes:
 
 
 def parse_payload(payload: bytes) -> Frame:
-    """Read a payload whose CRC was right. Raises PayloadError where it makes no sense."""
+    """Read a payload whose CRC was right. Raises PayloadError where its content is not valid."""
     try:
         kind, form, n, sequence = HEADER.unpack_from(payload)
         if kind in SENSORS:

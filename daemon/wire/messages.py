@@ -1,4 +1,4 @@
-"""What can be said on the wire, as plain records: the phone's telling and the daemon's commands.
+"""The messages of the wire as plain records: the phone's records and the daemon's commands.
 
 Samples, events, Sense and Sleep are the engine's own records; here are the others. No bytes here:
 frames.py (binary) and text.py (lines) say how a record looks on the wire.
@@ -17,7 +17,7 @@ from stillcal.calib_core.streams.events import Charging, End, Location, Tick
 from stillcal.calib_core.streams.samples import Samples
 
 VERSION = 1
-"""Of the wire; docs/wire.md says what it holds."""
+"""The version of the wire protocol (docs/wire.md)."""
 
 SEQUENCE_MASK = 0xFFFFFFFF
 """Sequence numbers are 32 bits and wrap."""
@@ -26,10 +26,10 @@ Claim = str | float | bool | None | list[float]
 
 
 class Hello(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Who speaks. version: of the wire. session: another number after each start of the device.
+    """The device identifies itself. version: of the wire. session: a number that changes at each start.
 
-    flow: "credit" for a phone that waits for grants (an accelerated one), "free" for one that time carries
-    on. claims: what the maker says of the device, under the names of a recording's NAME.json, SI units.
+    flow: "credit" for a phone that waits for grants (an accelerated simulation), "free" for a real one.
+    claims: the maker's data, under the names of a recording's NAME.json, SI units.
     """
 
     version: Annotated[int, msgspec.Meta(ge=0, le=SEQUENCE_MASK)] = VERSION
@@ -48,7 +48,7 @@ class Temperature:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What the phone has spent since it started. t: its time, s; on_time: s with the sensors on.
+    """The phone's totals since it started. t: its time, s; on_time: s with the sensors on.
 
     sensing: whether they are on now. wakeups: how often they were switched on.
     """
@@ -61,28 +61,28 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """Sample both sensors at `hz`, or as near as the device can."""
+    """Sample both sensors at `hz`, or as close as the device can."""
 
     hz: float
 
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """Time may go on to t = `until` (s), not beyond: for phones whose flow is "credit"."""
+    """Credit: the phone's time may go on to `until` (s). For phones whose flow is "credit"."""
 
     until: float
 
 
 @dataclass(frozen=True, slots=True)
 class Identify:
-    """Say hello, and where time stands: sent by the daemon whenever it has opened the line."""
+    """Ask for a hello and the present time: sent whenever the daemon has opened the line."""
 
 
 PhoneMessage = Samples | Charging | Location | Tick | End | Temperature | Status | Hello
-"""From the phone."""
+"""Messages from the phone."""
 
 Command = Sense | Sleep | Rate | Grant | Identify
-"""From the daemon."""
+"""Messages from the daemon."""
 
 Message = PhoneMessage | Command
 

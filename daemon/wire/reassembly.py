@@ -1,4 +1,4 @@
-"""What a decoder understood, put in order: runs of samples, missing numbers, sessions that began anew.
+"""Put decoded messages in order: runs of samples, missing sequence numbers, new sessions.
 
 Takes whole frames and rows from decoder.py, returns messages in order, and counts errors and losses.
 """
@@ -17,7 +17,7 @@ from stillcal.daemon.wire.text import MicrosClock, Row
 
 @dataclass(slots=True)
 class WireCounters:
-    """What a decoder has met since it was made.
+    """The decoder's counters since it was created.
 
     bytes: all that came. frames, lines: good ones. samples: delivered. bad_frames: frames dropped, of
     which crc_errors were well formed otherwise. bad_lines: printable lines that say nothing or whose CRC
@@ -47,7 +47,7 @@ class WireCounters:
 
 
 class WireDelivery:
-    """Messages on their way out. clock: of lines that are stamped in microseconds."""
+    """Collects messages until they are taken. clock: converts stamps of lines in microseconds."""
 
     def __init__(self, counters: WireCounters) -> None:
         self.clock = MicrosClock()
@@ -58,7 +58,7 @@ class WireDelivery:
         self._session: int | None = None
 
     def deliver(self, frame: Frame) -> None:
-        """Take a good frame."""
+        """Add a valid frame."""
         if isinstance(frame.message, Samples):
             self._flush()
             self._counters.invalid_samples += frame.invalid
@@ -72,14 +72,14 @@ class WireDelivery:
         self._counters.lost_messages += self._gap(MESSAGES, frame.sequence, 1)
 
     def add_message(self, message: Message) -> None:
-        """Take a message that is no samples."""
+        """Add a message other than samples."""
         self._flush()
         if isinstance(message, Hello):
             self._on_session(message.session)
         self._out.append(message)
 
     def add_row(self, row: Row) -> None:
-        """Take a line of text with one sample."""
+        """Add one sample from a line of text."""
         if row.sequence is not None:
             self._counters.lost_samples += self._gap(row.sensor, row.sequence, 1)
         rows = self._rows[row.sensor]
@@ -88,13 +88,13 @@ class WireDelivery:
         self._rows[row.sensor].append(row)
 
     def take(self) -> list[Message]:
-        """Return what has come since the last time, in order."""
+        """Return the messages since the last call, in order."""
         self._flush()
         out, self._out = self._out, []
         return out
 
     def _on_session(self, session: int) -> None:
-        """Expect the numbers of a new session to begin at 0."""
+        """Expect the sequence numbers of a new session to start at 0."""
         if self._session not in (None, session):
             self._counters.restarts += 1
             self._expected = dict.fromkeys((*Sensor, MESSAGES), 0)

@@ -33,18 +33,18 @@ from stillcal.daemon.wire.messages import (
 )
 
 MAX_LINE = 4096
-"""Bytes of a line, its end not counted."""
+"""Longest line, bytes without its end."""
 
 LETTERS = {Sensor.ACCELEROMETER: "A", Sensor.GYROSCOPE: "G"}
 SENSORS = {letter.encode(): sensor for sensor, letter in LETTERS.items()}
 COUNTER = 1 << 32
 MOST_MICROS = int(limits.STAMP_S * 1e6)
 LATE = 10_000_000
-"""us: a line this little older than a wrap of the counter was taken before it."""
+"""Lines up to this much older than a wrap of the counter belong before the wrap, us."""
 
 
 class LineError(ValueError):
-    """A line that says nothing of this wire."""
+    """The line is not a valid message."""
 
 
 class Row(NamedTuple):
@@ -59,7 +59,7 @@ class Row(NamedTuple):
 
 @dataclass(slots=True)
 class MicrosClock:
-    """Turns stamps in us into s, carrying on where a 32-bit counter starts over (every 71.6 minutes).
+    """Converts stamps from us to s and unwraps a 32-bit counter (which wraps every 71.6 minutes).
 
     A stamp that falls back by more than half the counter's range is a wrap; one beyond 32 bits shows that
     the counter is wider. Lines must come in time order to within LATE. No time is beyond limits.STAMP_S:
@@ -86,7 +86,7 @@ class MicrosClock:
 
 
 def crc16(text: bytes) -> int:
-    """Return CRC-16/IBM-3740, which also goes by the name of CRC-16/CCITT-FALSE."""
+    """Return CRC-16/IBM-3740, also known as CRC-16/CCITT-FALSE."""
     return binascii.crc_hqx(text, 0xFFFF)
 
 
@@ -116,7 +116,7 @@ def parse_line(line: bytes, clock: MicrosClock) -> Row | Message:
 
 
 def line_of(message: Message) -> bytes:
-    """Return the line that says a message (no samples), with end and CRC; times are rounded to 1 us."""
+    """Return a message other than samples as a line, with end and CRC; times are rounded to 1 us."""
     return _ended(_WRITERS[type(message)](message))
 
 
