@@ -43,13 +43,13 @@ SECTIONS = {
     sections=SECTIONS,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog=examples(
+        "stillcal replay sample:lab --store store.json     # a recording that comes with stillcal",
+        "stillcal apply sample:lab --store store.json --out lab-calibrated.csv",
+        "stillcal diagnose sample:lab",
         "stillcal run --config stillcal.toml",
         "stillcal query GetCalibration",
         "stillcal watch",
-        "stillcal replay walk.csv --store store.json",
-        "stillcal apply walk.csv --store store.json --out walk-true.csv",
         "stillcal store history store.json",
-        "stillcal diagnose walk.csv --report walk.html",
     ),
 )
 @click.version_option(package_name="stillcal")

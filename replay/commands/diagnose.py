@@ -44,6 +44,7 @@ class _Asked(NamedTuple):
     "diagnose",
     short_help="Find where a recording differs from a simulation, and why.",
     epilog=examples(
+        "stillcal diagnose sample:lab",
         "stillcal diagnose walk.csv",
         "stillcal diagnose walk.csv --report walk.html --json walk.diagnosis.json",
         "stillcal diagnose walk.csv --phone-out better.toml",

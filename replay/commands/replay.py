@@ -45,6 +45,7 @@ _existing = click.Path(path_type=Path)
     "replay",
     short_help="Calibrate from a recording, with the daemon's engine.",
     epilog=examples(
+        "stillcal replay sample:lab --store store.json     # a recording that comes with stillcal",
         "stillcal replay walk.csv --store store.json",
         "stillcal replay esgi.csv --format rest --gravity 9.81 --json -",
         "stillcal replay Phones_accelerometer.csv --format hhar",
