@@ -1,7 +1,8 @@
-"""A phone file as the simulation to be judged: what it already has is no news, what differs from it is.
+"""A recording compared with a given phone: what the phone already has is not a finding.
 
-The phone's terms that follow from what was observed are taken off the recording, and what is left is judged;
-stamps, noise and single values are judged on the recording itself, with the phone's own as claims.
+The phone's effects that follow from recorded quantities are subtracted from the recording before the
+diagnosis. Time stamps, noise and single values are checked on the recording itself, with the phone's values
+as claims.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.settings import SensorSettings, per_axis
 
 SLOWEST = 0.05
-"""Rates below this are no motion that a lever arm would feel, rad/s."""
+"""Rates below this have no effect through a lever arm, rad/s."""
 
 ON_SAMPLES = (
     "saturation", "quantisation", "noise_level", "noise_unequal_axes", "noise_heavy_tailed", "vibration_tone",
     "clock_skew", "timestamp_jitter", "dropped_samples", "arrival_bursts", "bandwidth", "time_offset",
 )  # fmt: skip
-"""Findings that are taken from the recording as it is, by the end of their names."""
+"""Findings that are searched for in the recording as it is, by the end of their names."""
 
 SETTINGS = {
     "timestamp_jitter": ("sigma", "jitter_s"),
@@ -45,15 +46,15 @@ SETTINGS = {
 """Findings about the clock: their parameter, and the clock's setting that is the same."""
 
 SAME_RATE = 0.05
-"""Relative difference of rates up to which a clock is to blame, and not another setting."""
+"""Relative difference of rates that a clock can have; a larger one is another setting of the rate."""
 
 NEAR = 0.1
-"""Relative difference from the phone's own value that is none, where the interval is narrower still."""
+"""Relative difference from the phone's value that counts as equal, even outside a narrower interval."""
 
 
 @dataclass(frozen=True, slots=True)
 class PhoneJudgement:
-    """A diagnosis of what a phone leaves unexplained.
+    """The diagnosis of what a phone does not explain.
 
     already_simulated: findings that the phone has; only_simulated: what the phone has and the recording does
     not show.
@@ -79,7 +80,7 @@ class PhoneJudgement:
 
 
 def judge_phone(recording: Recording, name: str, phone: Phone) -> PhoneJudgement:
-    """Judge a phone by a recording. Raises NotSupported on too little data."""
+    """Compare a recording with a phone. name: of the recording. Raises NotSupported on too little data."""
     claimed = claims_of(recording)
     rate_hz = median_rate_hz(recording.accelerometer)
     same_rate = abs(phone.accel.rate_hz / rate_hz - 1.0) < SAME_RATE
@@ -122,7 +123,7 @@ def _claims(phone: Phone, claimed: Claims, rate_hz: float | None) -> Claims:
 
 
 def without_effects(recording: Recording, bins: Bins, phone: Phone, known: Sequence[Effect]) -> Recording:
-    """Return the recording with what the phone's observable effects add taken off."""
+    """Return the recording without what the phone's observable effects add."""
     conditions = replace(conditions_of(bins), reference_c=phone.heat.reference_c)
     streams: list[Samples | None] = []
     for samples, sensor in (
@@ -145,7 +146,7 @@ def without_effects(recording: Recording, bins: Bins, phone: Phone, known: Seque
 
 
 def observed_moment(recording: Recording, t: Array, phone: Phone, conditions: Conditions) -> Moment:
-    """Return what the phone felt at stamps (n,) s, by its own affine model of its readings."""
+    """Return the true input at stamps (n,) s, from the readings by the phone's own affine model."""
     accel, gyro = recording.accelerometer, recording.gyroscope
     force = _true_values(t, accel, np.asarray(phone.accel.scale), np.asarray(phone.accel.bias))
     rate = np.zeros_like(force)

@@ -1,7 +1,7 @@
-"""The recording that a simulated phone would have made, had it lived through a real recording's day.
+"""A real recording's motion, simulated with another phone.
 
-Rests are perfectly still in the attitudes that were found; motion between them is the recorded motion.
-Temperature and charging are the recorded ones. Stamps, noise and effects are the simulated phone's own.
+Rests are perfectly still in the attitudes measured; between them, the recorded motion is used. Temperature
+and charging are the recorded ones. Time stamps, noise and effects are those of the simulated phone.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _stream(
 def _moment(
     conditions: Conditions, recording: Recording, motion: list[Array], t: Array, delay: float
 ) -> tuple[Moment, Array | None]:
-    """Return what is felt at true times (n,) s since the start, and the temperature there, degC."""
+    """Return the true input at true times (n,) s since the start, and the temperature, degC."""
     accel, at = recording.accelerometer, t + conditions.t_start - delay
     force = interpolate(at, accel.t, motion[0])
     gyroscope = recording.gyroscope

@@ -1,7 +1,7 @@
-"""The recording as a simulated phone would have lived it: what it felt, and what a phone file adds to that.
+"""The true input of a recording, and what the effects of a phone file add to it.
 
-The phone's own forward equations (`stillcal.replay.phone`) are evaluated on what the recording observed:
-temperature, charging, attitude, rate, time since the start. Nothing is fitted here but the affine baseline.
+The phone's own forward equations (`stillcal.replay.phone`) are evaluated on the recorded
+quantities: temperature, charging, attitude, rate, time since the start. Only the affine baseline is fitted.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from stillcal.replay.phone.noise import seeded
 from stillcal.replay.phone.timeline import Steps
 
 UNPREDICTED = frozenset({"spikes", "vibration_tone", "tilt_creep"})
-"""Effects whose course a recording does not tell: random, of unknown phase, or true motion."""
+"""Effects that cannot be computed from a recording: random, of unknown phase, or true motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conditions:
-    """What a phone lived through. t_start: s, the stamp of its start; reference_c: degC, mean temperature.
+    """The conditions of a recording. t_start: s, its first stamp; reference_c: degC, mean temperature.
 
     surroundings: charging and use (where it moved) by s since the start.
     """
@@ -39,7 +39,7 @@ class Conditions:
 
 
 def conditions_of(bins: Bins) -> Conditions:
-    """Return what the still bins and their events tell of the surroundings."""
+    """Return the conditions that the static bins and events show."""
     start = bins.span[0]
     reference = 25.0 if bins.temperature is None or len(bins) == 0 else float(bins.temperature.mean())
     active = np.flatnonzero(np.diff(bins.activity[:, 1], prepend=np.nan) != 0.0)
@@ -61,7 +61,7 @@ def _charger(bins: Bins) -> Steps:
 
 
 def at_bins(bins: Bins, conditions: Conditions, up: Array, gravity: float = STANDARD) -> Moment:
-    """Return what the phone felt in the middle of every still bin. up: (n, 3) unit gravity."""
+    """Return the true input in the middle of every static bin. up: (n, 3) unit vector of gravity."""
     t, still = bins.t - conditions.t_start, np.zeros((len(bins), 3))
     warmth = np.zeros(len(bins)) if bins.temperature is None else bins.temperature - conditions.reference_c
     charging = conditions.surroundings.charging.at(t) if bins.charging is None else bins.charging
@@ -69,7 +69,7 @@ def at_bins(bins: Bins, conditions: Conditions, up: Array, gravity: float = STAN
 
 
 def observable(effect: Effect) -> bool:
-    """Whether what an effect adds to the output follows from what a recording observes."""
+    """Whether what an effect adds to the output can be computed from a recording."""
     kind = EFFECTS[effect.name]
     acts = kind.output_term is not Effect.output_term or kind.input_term is not Effect.input_term
     return acts and effect.name not in UNPREDICTED
@@ -91,7 +91,7 @@ def effects_output(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AffinePhone:
-    """The affine phone beneath the effects. accel, gyro: what the effects add in every bin, (n, 3)."""
+    """The affine part of a phone. accel, gyro: (n, 3), what the effects add in each static bin."""
 
     baseline: Baseline
     rate_bias: Array
@@ -102,7 +102,7 @@ class AffinePhone:
 def fit_affine(
     bins: Bins, effects: Sequence[Effect], conditions: Conditions, gravity: float, rounds: int = 2
 ) -> AffinePhone:
-    """Fit the affine phone to the still bins with the effects off; a faultless phone where there are none."""
+    """Fit the affine phone to the static bins without the effects; an ideal phone where there are no bins."""
     accel = gyro = np.zeros_like(bins.force)
     if len(bins) == 0:
         faultless = Baseline(np.eye(3), np.zeros(3), np.empty((0, 3)), np.empty(0), np.empty((0, 9)))

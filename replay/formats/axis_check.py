@@ -1,4 +1,4 @@
-"""How gravity's direction turns against the phone while the rates say that it turns.
+"""How gravity's direction rotates in body axes, compared with the rates.
 
 In body axes a direction u fixed in space goes as du/dt = -(rate - bias) x u (the relation behind Eq. 12-15
 of Grammenos et al. 2018). Only stretches in which the force is near gravity are used, which leaves out free
@@ -37,7 +37,7 @@ for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turning:
-    """How well the rates explain gravity's turning in one stretch of some seconds, for any factor k on them.
+    """How well the rates, times any factor k, explain gravity's rotation in one span of some seconds.
 
     du = -k (theta x u) + (b x u) dt from a bin of time to the next, with u the mean direction of the force in
     a bin, theta the step of the mean integrated rate and b the bias, which is free. pairs: pairs of bins.
@@ -55,7 +55,7 @@ class Turning:
 
 
 def turnings(accelerometer: Samples, gyroscope: Samples) -> Iterator[Turning]:
-    """Yield the stretches of a part of a recording in which gravity and rates can be compared."""
+    """Yield the spans of a chunk in which gravity and rates can be compared."""
     if len(accelerometer) < 2 or len(gyroscope) < 2:
         return
     if float(np.median(np.diff(gyroscope.t))) > SLOWEST_STEP_S:

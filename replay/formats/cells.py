@@ -1,4 +1,4 @@
-"""Cells in a block of text: where they end, which rows hold a key, and the numbers in those that are wanted.
+"""Cells in a block of text: where they end, which rows have a key, and the numbers in the selected cells.
 
 numpy on the bytes, with a comma between cells and every row of one width; what JSON does not allow (nan, +1,
 .5) is read by float(). Files, quotes and what columns mean are not known here.
@@ -41,7 +41,7 @@ def cell_ends(text: bytes, width: int) -> NDArray[np.intp] | None:
 
 
 def holding(text: bytes, ends: NDArray[np.intp], key: Sequence[tuple[int, str]]) -> NDArray[np.bool_]:
-    """Return which rows hold the key's texts at the key's places."""
+    """Return which rows have the key's texts at the key's places."""
     characters = np.frombuffer(text, dtype=np.uint8)
     rows = np.ones(len(ends), dtype=np.bool_)
     for place, expected in key:
@@ -57,9 +57,9 @@ def holding(text: bytes, ends: NDArray[np.intp], key: Sequence[tuple[int, str]])
 def cut_out(
     text: bytes, ends: NDArray[np.intp], rows: NDArray[np.bool_], columns: Sequence[int]
 ) -> tuple[bytes, NDArray[np.bool_]]:
-    """Return the cells of the chosen rows and columns that hold something, with commas between.
+    """Return the non-empty cells of the chosen rows and columns, row by row, with commas between.
 
-    Row by row; with them which ones those are, (chosen rows, columns).
+    The second value tells which cells are not empty: (chosen rows, columns).
     """
     lengths = np.diff(ends.ravel(), prepend=-1)
     filled = (lengths > 1).reshape(ends.shape)
@@ -85,7 +85,7 @@ def read_numbers(flat: bytes) -> Array | None:
 
 
 def is_number(cell: bytes) -> bool:
-    """Whether a cell is a number, or empty, which is not for this module to judge."""
+    """Whether a cell is a number or empty; whether it may be empty, the caller decides."""
     try:
         float(cell or b"0")
     except ValueError:

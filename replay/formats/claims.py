@@ -1,4 +1,4 @@
-"""What stands beside a recording: NAME.json, the maker's claims, and NAME.events.jsonl, what happened."""
+"""The files beside a recording: NAME.json, the maker's claims, and NAME.events.jsonl, the events."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PerAxis: TypeAlias = float | tuple[float, float, float]
 
 
 class Claims(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What the maker claims of a device, SI units, densities per sqrt(Hz); None where it is not said.
+    """What the maker claims of a device: SI units, densities per sqrt(Hz); None where it is not given.
 
     accel_unit, gyro_unit: nominal SI value of one count where the recording holds raw counts, accel_zero
     and gyro_zero the counts taken off first; one value, or one an axis. Fields not known are ignored.
@@ -50,7 +50,7 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class _Written(msgspec.Struct):
-    """What marks a file that stillcal wrote, and no maker."""
+    """The field by which a file of stillcal is recognised."""
 
     schema: int | None = None
 
@@ -60,7 +60,7 @@ _KNOWN: dict[str, type[Charging] | type[Location]] = {"charging": Charging, "loc
 
 
 def beside(path: Path, suffix: str) -> Path:
-    """Return the path of what stands beside a recording: NAME.csv or NAME.csv.gz -> NAME + `suffix`."""
+    """Return the path of a file beside a recording: NAME.csv or NAME.csv.gz -> NAME + `suffix`."""
     plain = path.with_suffix("") if path.suffix == ".gz" else path
     return plain.parent / (plain.stem + suffix)
 
@@ -97,7 +97,7 @@ def claimed_gravity(claims: Claims, events: Iterable[Event], path: Path) -> floa
 
 
 def written_by_stillcal(path: Path) -> bool:
-    """Tell whether a file is JSON with a schema's number, as stores, calibrations and diagnoses have."""
+    """Whether a file is JSON with the number of a schema, as stores, calibrations and diagnoses have."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=_Written).schema is not None
     except (OSError, msgspec.DecodeError, UnicodeDecodeError):
@@ -118,7 +118,7 @@ def read_events(path: Path) -> list[Event]:
 
 
 def event_line(event: Event) -> bytes:
-    """Return the line of NAME.events.jsonl that tells of `event`."""
+    """Return the line of NAME.events.jsonl for `event`."""
     fields = {name: value for name, value in msgspec.structs.asdict(event).items() if value is not None}
     return msgspec.json.encode({"t": event.t, "event": type(event).__name__.lower(), **fields}) + b"\n"
 
@@ -141,4 +141,6 @@ def _bytes_of(file: Path) -> bytes | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise TraceError(file, f"cannot be read ({error.strerror})", "check its permissions") from None
+        raise TraceError(
+            file, f"cannot be read ({error.strerror or error})", "check its permissions"
+        ) from None

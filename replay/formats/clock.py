@@ -1,7 +1,7 @@
-"""The time stamps of one file: their unit, rows that stand out of order, repeats, gaps.
+"""The time stamps of one file: their unit, rows out of order, repeats, gaps.
 
-Time must not run backwards: a recording in which it does is refused with the row. What is tolerated is
-counted, and said in notes.
+Time must not run backwards: such a recording is refused with the row. Irregularities that are tolerated are
+counted and reported in notes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ GAP_S = 1.0
 """s: a step longer than this (and than ten median steps) is counted as a gap."""
 
 REPEATS_ALLOWED = 0.05
-"""Fraction of stamps that may repeat the one before; beyond it the clock is too coarse or stands still."""
+"""Share of stamps that may repeat the previous one; with more, the clock is too coarse or has stopped."""
 
 
 @dataclass(slots=True)
@@ -55,7 +55,7 @@ class Rows:
 
 @dataclass(slots=True)
 class Tally:
-    """What was met on the way, for the notes."""
+    """Counts of irregularities, for the notes."""
 
     samples: int = 0
     repeats: int = 0
@@ -86,7 +86,7 @@ class Clock:
         return self._accepted(rows)
 
     def _sorted(self, rows: Rows, window: int) -> Rows:
-        """Put rows in order, none of them forward by more than `window`."""
+        """Return the rows in time order. Raises TraceError where one moves by more than `window` rows."""
         order = np.argsort(rows.t, kind="stable")
         late = order[order - np.arange(len(order)) > window]
         if late.size:
@@ -150,14 +150,14 @@ class Clock:
                 self.tally.longest_gap_line = int(rows.lines[longest])
 
     def notes(self) -> list[str]:
-        """Say what was tolerated, one line each."""
+        """Return the irregularities that were tolerated, one line each."""
         tally, said = self.tally, []
         if tally.reordered:
-            said.append(f"{tally.reordered} rows stood out of time order and were put back")
+            said.append(f"{tally.reordered} rows were out of time order and were sorted")
         if tally.repeats:
-            done = "kept" if self.column_map.repeats == "keep" else "left out"
+            done = "kept" if self.column_map.repeats == "keep" else "skipped"
             where = f"first in line {tally.first_repeat}"
-            said.append(f"{tally.repeats} samples repeat the stamp before and were {done} ({where})")
+            said.append(f"{tally.repeats} samples repeat the previous time stamp and were {done} ({where})")
         if tally.gaps:
             longest = f"{tally.longest_gap:.6g} s before line {tally.longest_gap_line}"
             said.append(f"{tally.gaps} gaps in time, the longest {longest}")

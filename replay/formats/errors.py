@@ -1,4 +1,4 @@
-"""The one error that every reader and writer of recordings raises, as one line a person can act on."""
+"""The error that all readers and writers of recordings raise: one line with the remedy."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from stillcal.calib_core.errors import UserError
 
 
 class TraceError(UserError):
-    """A recording that cannot be used.
+    """A recording cannot be used.
 
     file: the file at fault. row: its line, counted from 1 with the header, None where no line is at
-    fault. what: what was found. remedy: what to do about it. `str()` is one line:
+    fault. what: the fault. remedy: what to do about it. `str()` is one line:
     ``file:row: what; remedy``.
     """
 

@@ -1,4 +1,4 @@
-"""Where a column map's columns stand in one file's table, and the errors for those that do not."""
+"""Where the columns of a column map are in one file's table, and the errors for missing ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stillcal.replay.formats.columns import Column, ColumnMap, find_columns
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.text import TextTable
 
-MAP_REMEDY = "name the columns so, or say which is which in a column map given as --format (docs/formats.md)"
+MAP_REMEDY = "rename the columns, or describe them in a column map given as --format (docs/formats.md)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def _may_be_missing(table: TextTable, column_map: ColumnMap, sensor: Sensor) -> 
 def selection(
     table: TextTable, column_map: ColumnMap, selected: Sequence[str] | None = None
 ) -> list[tuple[int, str]]:
-    """Return (place, text) of the cells that a row must hold to be read; nothing where all rows are.
+    """Return (place, text) of the cells that a row must have to be read; empty where all rows are read.
 
     The texts are the map's own, else `selected`, else those of the file's first row.
     """
@@ -75,7 +75,7 @@ def selection(
 
 
 def missing(table: TextTable, columns: Sequence[Column]) -> TraceError:
-    """Return the error that names the columns not found and what stands in the file instead."""
+    """Return the error that names the missing columns and the columns that the file has."""
     absent = [c for c in columns if find_columns([c], table.names, table.width) is None]
     what = f"no column {', '.join(repr(c) for c in absent)}"
     if table.names is None:
@@ -101,7 +101,6 @@ def _other_delimiter(table: TextTable) -> str | None:
     names = table.names or []
     for mark, name in ((";", ";"), ("\t", "\\t"), (",", ",")):
         if len(names) <= 2 and any(mark in cell for cell in names):
-            return (
-                f'its cells seem to be split by another character: set delimiter = "{name}" in a column map'
-            )
+            separator = f'set delimiter = "{name}" in a column map'
+            return f"its cells seem to be separated by another character; {separator}"
     return None

@@ -43,7 +43,7 @@ def _upto(samples: Samples, end: float) -> int:
 
 
 class _Side:
-    """One stream and what of it is read but not yet passed on."""
+    """One stream, with the samples that are read and not yet passed on."""
 
     def __init__(self, file: SampleFile, sensor: Sensor) -> None:
         self.sensor = sensor
@@ -56,7 +56,7 @@ class _Side:
 
     @property
     def end(self) -> float:
-        """How far this side is known; for ever once its file has ended."""
+        """Time up to which this side is read, s; infinite once its file has ended."""
         if self.ended:
             return np.inf
         return float(self.samples.t[-1]) if len(self.samples) else -np.inf
@@ -94,9 +94,9 @@ def _two(accelerometer: SampleFile, gyroscope: SampleFile) -> Iterator[Run]:
 
 
 def _refuse_apart(accelerometer: _Side, gyroscope: _Side) -> None:
-    """Refuse two files of which one ends before the other begins: not one recording, or not one clock."""
+    """Raise TraceError where one file ends before the other begins: two recordings, or two clocks."""
     if gyroscope.last < accelerometer.first < np.inf or accelerometer.last < gyroscope.first < np.inf:
         spans = f"{gyroscope.first:.6g} to {gyroscope.last:.6g} s"
         own = f"{accelerometer.first:.6g} to {accelerometer.last:.6g} s"
-        what = f"its time, {spans}, never meets that of {accelerometer.path.name}, {own}"
+        what = f"its time range, {spans}, does not overlap that of {accelerometer.path.name}, {own}"
         raise TraceError(gyroscope.path, what, "give two files of one recording on one clock")

@@ -24,7 +24,7 @@ from stillcal.replay.formats.layout import lay_out, selection
 from stillcal.replay.formats.text import EMPTY, TextTable
 
 CLOCKS_AGREE = 0.05
-"""A difference between the sensor's and the host's clock beyond this fraction is noted."""
+"""A relative difference of the sensor's and the host's clock above this is noted."""
 
 Run = dict[Sensor, Samples]
 """Samples of the same stretch of file, by sensor."""
@@ -90,18 +90,22 @@ class SampleFile:
 
     @property
     def notes(self) -> list[str]:
-        """What was tolerated or chosen so far, one line each."""
+        """Irregularities tolerated and choices made so far, one line each."""
         lines = []
         if self._table.skipped_rows:
             chosen = " ".join(self.selected)
-            lines.append(f"only the rows of {chosen} are read, {self._table.skipped_rows} others left out")
+            lines.append(f"only the rows of {chosen} are read, {self._table.skipped_rows} others skipped")
         if self._by_arrival:
-            lines.append("the sensor's own stamps make no clock: arrival times are used")
+            lines.append(
+                "the sensor's own time stamps are not usable as a clock; arrival times are used instead"
+            )
         if self._without_cells:
             lines.append(f"{self._without_cells} rows have no sample of one sensor (empty cells)")
         own, arrival = self._spans
         if own and abs(arrival / own - 1) > CLOCKS_AGREE:
-            lines.append(f"the sensor's clock went {own:.6g} s while {arrival:.6g} s passed by arrival times")
+            lines.append(
+                f"the sensor's clock advanced {own:.6g} s while arrival times advanced {arrival:.6g} s"
+            )
         return [f"{self.path.name}: {line}" for line in [*lines, *self._clock.notes()]]
 
     def runs(self) -> Iterator[Run]:
@@ -118,7 +122,7 @@ class SampleFile:
             yield self._run(held_back)
 
     def _check_finite(self, values: Array, lines: NDArray[np.int64]) -> None:
-        """Refuse what is not finite, and empty cells where there must be a number."""
+        """Raise TraceError for values that are not finite, and for empty cells that must have a number."""
         bad = ~np.isfinite(values)
         temperature = self._layout.temperature
         if temperature is not None and bad[:, temperature].any():

@@ -1,8 +1,8 @@
-"""Text tables, plain or gzipped, as blocks of numbers: fast where rows are clean, exact where they are not.
+"""Text tables, plain or gzipped, as blocks of numbers.
 
 A block of whole lines is brought to one delimiter, the wanted cells are cut out of it and read as one flat
 JSON array (cells.py): msgspec's number reader measured twice as fast as numpy.loadtxt and gives the same
-bits. Only where that fails are the rows walked one by one to name the guilty one. What columns mean is not
+bits. Only where that fails are the rows read one by one, to name the faulty one. What columns mean is not
 known here.
 """
 
@@ -171,7 +171,7 @@ class TextTable:
                 continue
             if len(cells) != self.width:
                 cut = unfinished and number == first_line + len(rows) - 1
-                what = f"{len(cells)} cells where {self.width} are due"
+                what = f"{len(cells)} cells instead of {self.width}"
                 raise TraceError(self.path, what, _CUT_REMEDY if cut else _ROW_REMEDY, number)
             rows_kept.append(",".join(cell.replace(",", self.decimal) for cell in cells) + "\n")
             lines.append(number)
@@ -185,7 +185,7 @@ class TextTable:
         lines: NDArray[np.int64],
         places: Sequence[int],
     ) -> Array:
-        """Return the cells at `places` of the chosen rows, (n, k). Raises TraceError naming a guilty row."""
+        """Return the cells at `places` of the chosen rows, (n, k). Raises TraceError naming a faulty row."""
         columns = sorted(set(places))
         flat, filled = cut_out(text, ends, rows, columns)
         values = read_numbers(flat) if flat else np.empty(0)

@@ -1,4 +1,4 @@
-"""Does a recording look as if it were in m/s^2 and rad/s? Mistaken units are recognised and said.
+"""Checks whether a recording can be in m/s^2 and rad/s, and names the unit it seems to have if not.
 
 Acceleration is judged by its norm: for the first samples together it must not be what g, mg or raw
 counts would give. Rates are judged by gravity: as the phone turns, gravity's direction turns against it,
@@ -19,10 +19,10 @@ from stillcal.replay.formats.axis_check import Turning, turnings
 from stillcal.replay.formats.errors import TraceError
 
 OPENING, ENOUGH = 200, 2000
-"""Samples after which the acceleration is judged: by its beginning, often a rest, and again with more."""
+"""Samples after which the acceleration is checked: first its beginning, which is often a rest, then more."""
 
 FEWEST = 10
-"""Samples without which nothing is judged."""
+"""With fewer samples, nothing is checked."""
 
 DEGREE = float(np.pi / 180)
 """rad."""
@@ -49,7 +49,7 @@ _MAP = "in a column map given as --format (docs/formats.md)"
 
 @dataclass(slots=True)
 class UnitCheck:
-    """Looks at a recording as it goes by, and raises TraceError when its units cannot be right."""
+    """Checks a recording chunk by chunk, and raises TraceError when its units cannot be right."""
 
     path: Path
     _norms: list[Array] = field(default_factory=list)
@@ -73,7 +73,7 @@ class UnitCheck:
             self._judge_rates()
 
     def finish(self) -> None:
-        """Judge the acceleration by what was seen; called again at the end it has nothing left to say."""
+        """Check the acceleration by the samples so far; a second call does nothing. Raises TraceError."""
         if self._norms and self._samples >= FEWEST:
             norms = np.concatenate(self._norms)[:ENOUGH]
             if not norms.any():

@@ -1,4 +1,4 @@
-"""Writing a recording as CSV with what stands beside it: streaming, at full precision, whole or not at all.
+"""Writing a recording as CSV with its events and claims: streaming, at full precision, atomically.
 
 Numbers are written in the shortest form that reads back to the same bits (msgspec's; about four times
 as fast here as joining Python's repr, twenty times numpy.savetxt).
@@ -126,7 +126,7 @@ class TraceWriter:
             raise self._refused(error) from None
 
     def _finish(self) -> None:
-        """Make all files whole, then rename them into place, the recording itself last."""
+        """Complete all files, then rename them into place, the recording itself last."""
         assert self._file is not None and self._stream is not None
         if self._stream is not self._file:
             self._stream.close()

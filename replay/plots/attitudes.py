@@ -1,4 +1,4 @@
-"""The attitudes that rests were gathered in, on the two halves of the sphere."""
+"""The attitudes of the rests, on the two halves of the sphere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the parameters went from calibration to calibration, with 95 % intervals."""
+"""The parameters from calibration to calibration, with 95 % intervals."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def draw(part: FigureBase, material: Material) -> None:
     for axis in panels[2:]:
         axis.set_xlabel(unit)
     part.suptitle(
-        "change from the last value (above each panel); bars: 95 %; hollow: fitted and not taken",
+        "change from the last value (above each panel); bars: 95 %; hollow: fitted and rejected",
         fontsize="small",
     )
 
@@ -71,7 +71,7 @@ def draw(part: FigureBase, material: Material) -> None:
 def _panel(
     axis: Axes, moments: Sequence[Moment], sensor: Part, names: Sequence[str], units: tuple[float, float]
 ) -> None:
-    """Draw one kind of parameter less its last value. units: factor to what is shown; s in one of time."""
+    """Draw one kind of parameter minus its last value. units: factor to the unit shown; s per time unit."""
     gain, length = units
     span = np.ptp([m.at or 0.0 for m in moments]) / length or 1.0
     last = [sensor(m.record) for m in moments if m.what != "rejected" and sensor(m.record) is not None]

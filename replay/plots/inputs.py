@@ -58,7 +58,7 @@ class Rests:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """A calibration of the history. what: current, replaced, rejected, ...; at: s, when it came about."""
+    """A calibration of the history. what: current, replaced, rejected, ...; at: s, when it was made."""
 
     what: str
     at: float | None
@@ -77,7 +77,7 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Material:
-    """All that can be drawn. stretches: one a sensor, none for a store, which holds no samples."""
+    """All inputs of the figures. stretches: one per sensor, none for a store, which has no samples."""
 
     name: str
     rests: Rests
@@ -103,7 +103,7 @@ def rests_of(
 def of_record(record: CalibrationRecord | None, name: str, history: tuple[Moment, ...]) -> Material:
     """Return what a calibration holds itself. Raises NotSupported where there is none of an accelerometer."""
     if record is None or record.accelerometer is None or not record.states:
-        raise NotSupported(f"{name} holds no calibration with its rests", ["a calibration"])
+        raise NotSupported(f"{name} has no calibration with its rests", ["a calibration"])
     part = record.accelerometer
     return Material(name, rests_of(record.states, part, part.gravity), history)
 

@@ -1,4 +1,4 @@
-"""What gravity's norm shows of each rest before calibration and after it."""
+"""The residual of gravity's norm in each rest, before and after calibration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def draw(part: FigureBase, material: Material) -> None:
     """Draw residuals into a figure or a part of one. Raises NotSupported where nothing is calibrated."""
     rests = material.rests
     if not rests.calibrated:
-        raise NotSupported("there is no calibration to hold the rests against", ["more attitudes"])
+        raise NotSupported("there is no calibration to compare the rests with", ["more attitudes"])
     before, after = within(part, 2, 1)
     number = np.arange(1, len(rests.t) + 1)
     for axis, values, colour, title in (

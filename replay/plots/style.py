@@ -1,4 +1,4 @@
-"""How figures look, in one place: sizes, colours that anybody tells apart (Okabe and Ito), light grids.
+"""The style of all figures: sizes, colours for the colour-blind too (Okabe and Ito), light grids.
 
 matplotlib is imported only where a figure is made. An axis of a sensor has the same colour and mark
 everywhere.
@@ -48,7 +48,7 @@ def figure(columns: float = 1, rows: float = 1) -> Figure:
 
 
 def dressed(axes: Iterable[Axes]) -> list[Axes]:
-    """Give panels their grid and colours, and take off two sides of their frame."""
+    """Return panels with their grid and colours, and without two sides of their frame."""
     styled = list(axes)
     for axis in styled:
         axis.spines[["top", "right"]].set_visible(False)

@@ -1,8 +1,8 @@
-"""A recording and a simulated one side by side: whether their residuals have the same statistics.
+"""Comparison of a recording and a simulated one: whether their residuals have the same statistics.
 
-Independent things are compared, never samples: still bins, stretches of stamps, rests, and what the bias
-follows with its coloured uncertainty. A difference counts from where it leaves a tolerance that phones of one
-model have among themselves; p-values are corrected for the number of comparisons (Holm, Scand. J. Statist. 6,
+The units compared are independent of each other, unlike samples: static bins, spans of time stamps, rests,
+and coefficients with their coloured uncertainty. A difference counts only beyond a tolerance within which
+phones of one model differ; p-values are corrected for the number of comparisons (Holm, Scand. J. Statist. 6,
 1979).
 """
 
@@ -26,19 +26,19 @@ from stillcal.replay.diagnosis.report.comparison_slow import SlowSide, slow_diff
 from stillcal.replay.formats.trace import Recording
 
 LEVEL = 0.01
-"""Corrected p below which the simulation is not the recording's."""
+"""Corrected p-value below which the simulation is rejected."""
 
 BANDS = 4
 """Bands of equal width in the logarithm of frequency."""
 
 SPREAD_TOLERANCE = 0.1
-"""Relative difference of noise levels that is no difference."""
+"""Relative difference of noise levels that does not count."""
 
 BAND_TOLERANCE = 0.2
 """The same for the power in a band, which is a square."""
 
 SHAPE_TOLERANCE = 0.15
-"""Difference of excess kurtosis that is no difference."""
+"""Difference of excess kurtosis that does not count."""
 
 PIECES = 40
 """Spans of time of equally many intervals; each gives one value of a statistic of the time stamps."""
@@ -73,7 +73,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Side:
-    """One recording with its still bins and what is slow in them."""
+    """One recording with its static bins and their slow statistics."""
 
     recording: Recording
     bins: Bins
@@ -101,7 +101,7 @@ def compare(recorded: Side, simulated: Side) -> Comparison:
 
 
 def holm_corrected(comparisons: Sequence[Compared], level: float = LEVEL) -> Comparison:
-    """Correct p-values by Holm's steps."""
+    """Return the comparisons with p-values corrected by Holm's method, most different first."""
     ordered = sorted(comparisons, key=lambda c: c.p_value)
     steps = [min(1.0, c.p_value * (len(ordered) - i)) for i, c in enumerate(ordered)]
     rising: list[float] = np.maximum.accumulate(steps).tolist() if steps else []
@@ -110,7 +110,7 @@ def holm_corrected(comparisons: Sequence[Compared], level: float = LEVEL) -> Com
 
 
 def difference(one: Measured, other: Measured, tolerance: float) -> float:
-    """Return p of two means being further apart than the tolerance, two-sided."""
+    """Return the two-sided p-value of a difference of two means beyond the tolerance."""
     distance = Measured(one.value - other.value, float(np.hypot(one.error, other.error)))
     return tail(distance.beyond(-tolerance, tolerance))
 
@@ -142,13 +142,13 @@ def _compare_pieces(
 
 
 def _mean(pieces: Array) -> Measured:
-    """Mean of pieces with the standard error of their scatter; a zero scatter is allowed to be one."""
+    """Return the mean of pieces with its standard error, which is at least 1e-12."""
     error = float(pieces.std(ddof=1)) / np.sqrt(pieces.size)
     return Measured(float(pieces.mean()), max(error, 1e-12))
 
 
 def _intervals(samples: Samples, period: float) -> tuple[Array, Array, Array]:
-    """Mean, scatter and missing part of the intervals, (PIECES,) each."""
+    """Return mean, scatter and missing samples per sample of the intervals, (PIECES,) each."""
     parts = np.array_split(np.diff(samples.t), PIECES)
     even = [p[np.abs(p - period) < 0.75 * period] for p in parts]
     mean = [float(np.median(p)) for p in parts]
@@ -189,7 +189,7 @@ def _compare_samples(
         name, unit = f"{sensor} {axis}", UNIT[sensor]
         yield _compare_steps(name, unit, (steps[0][a], steps[1][a]), moments)
         if _coarse(steps[0][a], moments[0]) and _coarse(steps[1][a], moments[1]):
-            continue  # noise that hides in a step depends on where between two values a rest happens to lie
+            continue  # noise below a step depends on where a rest lies between two values
         spreads, shapes = (
             (moments[0][what][:, a], moments[1][what][:, a]) for what in ("spread", "kurtosis")
         )
@@ -216,7 +216,7 @@ def _compare_means(
 def _compare_logarithms(
     what: str, channel: str, unit: str, sides: tuple[Array, Array], tolerance: float
 ) -> Compared:
-    """Compare logarithms; what is told are the geometric means, in `unit`."""
+    """Compare logarithms; the result has the geometric means, in `unit`."""
     logarithmic = _compare_means(what, channel, unit, sides, tolerance)
     return replace(
         logarithmic,
@@ -226,7 +226,7 @@ def _compare_logarithms(
 
 
 def _per_bin(pieces: Sequence[Array]) -> dict[str, Array]:
-    """Logarithm of the spread and excess kurtosis of every bin, (n, 3) each."""
+    """Return the logarithm of the spread and the excess kurtosis of every bin, (n, 3) each."""
     sd = np.array([p.std(axis=0) for p in pieces])
     fourth = np.array([np.mean(p**4, axis=0) for p in pieces])
     floor = np.maximum(sd, 1e-12)
@@ -236,7 +236,7 @@ def _per_bin(pieces: Sequence[Array]) -> dict[str, Array]:
 def _compare_steps(
     channel: str, unit: str, step: tuple[float, float], moments: list[dict[str, Array]]
 ) -> Compared:
-    """Compare the steps of values: they differ where one is coarse beside the noise and not the other's."""
+    """Compare quantisation steps: they differ where one is coarse relative to the noise and not equal."""
     coarse = any(_coarse(s, side) for s, side in zip(step, moments, strict=True))
     same = not coarse or abs(step[0] - step[1]) < 0.02 * max(step)
     return Compared("step of values", channel, *step, unit, 1.0 if same else 1e-12)
@@ -251,7 +251,7 @@ def _edges(rate: float) -> Array:
 
 
 def _band_power(measured: tuple[Array, Array], rate: float) -> Array:
-    """Logarithm of the mean density of every bin in every band, (n, BANDS, 3)."""
+    """Return the logarithm of the mean density of every bin in every band, (n, BANDS, 3)."""
     f, power = measured
     band = np.digitize(f, _edges(rate)) - 1
     means = [power[:, band == b].mean(axis=1) for b in range(BANDS)]

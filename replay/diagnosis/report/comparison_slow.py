@@ -1,7 +1,7 @@
-"""The slow half of the comparison: what the bias follows, its mean, its wander, the affine calibration.
+"""The slow half of the comparison: effects on bias, mean rate, slow scatter, affine calibration.
 
-A curve's coefficients are fitted to either recording under the same coloured noise as in the diagnosis, so
-that a wander common to both is no difference.
+Coefficients are fitted to each recording with the coloured noise of the diagnosis, so that slow noise common
+to both is not a difference.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ COMPARED_EFFECTS = (
 """Effects whose coefficients are compared, by the end of their names."""
 
 PARAMETER_TOLERANCE = 3e-3
-"""Part of a parameter's physical size that two phones of one make may differ by, as a standard deviation."""
+"""Standard deviation between phones of one make, as a share of a parameter's physical size."""
 
 WANDER_TOLERANCE = 0.7
-"""Logarithm by which two draws of one slow noise may differ in scatter."""
+"""Difference of the logarithm of scatter that two draws of the same slow noise may have."""
 
 CALIBRATION_TOLERANCE = 1e-3
-"""Relative to gravity, what two affine calibrations may differ by."""
+"""Difference of two affine calibrations that does not count, relative to gravity."""
 
 RATE_TOLERANCE = 2e-4
-"""Difference of gyroscope biases that is no difference, rad/s (0.011 deg/s)."""
+"""Difference of gyroscope biases that does not count, rad/s (0.011 deg/s)."""
 
 THERMAL_EFFECTS = ("bias_temperature", "thermal_latent")
-"""What is fitted first, because charging, time and attitude may go with it."""
+"""Effects that are fitted first, because charging, time and attitude may correlate with them."""
 
 DIRECTION_VIEW = "turn"
-"""The view of gravity's direction after turns, rad; all others are in their sensor's unit."""
+"""The name of the residuals of gravity's direction after rotations, rad; others have the sensor's unit."""
 
 TAU = 300.0
-"""Time constant, s, of the curve that stands for its entry's grid."""
+"""Time constant, s: of an effect's grid, the curve nearest to it is compared."""
 
 LEAST_RESTS = 14
 """Rests that an affine calibration is compared from: its nine parameters and five more."""
@@ -58,7 +58,7 @@ LEAST_RESTS = 14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
-    """What a sensor's bias follows a curve by. value: (k,), covariance: (k, k), in `unit`."""
+    """The fitted coefficients of one effect. value: (k,), covariance: (k, k), in `unit`."""
 
     effect: str
     sensor: str
@@ -81,7 +81,7 @@ class SlowSide:
 
 
 def slow_side(bins: Bins, gravity: float) -> SlowSide:
-    """Fit what is slow in a recording's still bins."""
+    """Return the slow statistics of a recording's static bins."""
     slow_scenes = scenes(bins, gravity) if len(bins) >= thresholds.LEAST_BINS else []
     coefficients = {key: c for scene in slow_scenes for key, c in _fitted_coefficients(scene)}
     return SlowSide(bins, gravity, tuple(slow_scenes), coefficients)
@@ -99,7 +99,7 @@ def slow_differences(recorded: SlowSide, simulated: SlowSide) -> list[Row]:
 
 
 def _fitted_coefficients(scene: Scene) -> Iterator[tuple[tuple[str, str, float], Coefficients]]:
-    """Fit every curve that is compared; heat first, and the others beside it."""
+    """Yield the coefficients of every effect compared; thermal ones first, then the others with them."""
     curves = [h for entry in slow_entries(scene.sensor) for h in _proposed(entry, scene)]
     heat = [h for h in curves if h.entry.effect.endswith(THERMAL_EFFECTS)][:1]
     others = [h for h in curves if h not in heat]
@@ -141,12 +141,12 @@ def _wald(one: Coefficients, other: Coefficients) -> Row:
 
 
 def _wander(one: Scene, other: Scene) -> Iterator[Row]:
-    """Compare the scatter of still bins about their mean, over all of the recording."""
+    """Compare the scatter of static bins about their mean, over the whole recording."""
     for a, b in zip(one.views, other.views, strict=False):
         if a.name != b.name:
             continue
         log_scatters = [np.log(max(_scatter(v), 1e-12)) for v in (a, b)]
-        # A wander has few independent pieces however many bins: its variance is known to some ten of them.
+        # Slow noise has few independent pieces however many bins: about ten determine its variance.
         error = np.sqrt(1.0 / 10.0)
         sigmas = max(abs(log_scatters[0] - log_scatters[1]) - WANDER_TOLERANCE, 0.0) / error
         from scipy.special import erfc  # noqa: PLC0415 - the daemon stays light
@@ -165,7 +165,7 @@ def _wander(one: Scene, other: Scene) -> Iterator[Row]:
 
 
 def _scatter(view: View) -> float:
-    """Root mean square of a view's residuals with all that the baseline phone may do projected out."""
+    """Return the root mean square of a view's residuals, with the baseline phone projected out."""
     columns = [view.nuisance(b) for b in range(len(view.y))]
     residuals = [r - x @ np.linalg.lstsq(x, r, rcond=None)[0] for r, x in zip(view.y, columns, strict=True)]
     return float(np.sqrt(np.mean(np.square(residuals))))
@@ -194,7 +194,7 @@ def _calibration(recorded: SlowSide, simulated: SlowSide) -> Iterator[Row]:
 
 
 def _mean_of_rests(bins: Bins) -> tuple[Array, Array]:
-    """Mean force (k, 3) of every rest and its white variance."""
+    """Return the mean force (k, 3) of every rest and its white variance (k, 3)."""
     first = np.unique(bins.rest, return_index=True)[1]
     counts = np.bincount(bins.rest)[np.unique(bins.rest)][:, None]
     return rest_means(bins.force, bins.rest)[first], bins.force_variance[first] / counts
@@ -206,7 +206,7 @@ def _chi2(force: Array, variance: Array, gravity: float) -> float:
 
 
 def _mean_rates(one: Array, other: Array) -> Iterator[Row]:
-    """Compare the mean rate at rest; its error from ten stretches of time, which a wander makes differ."""
+    """Compare the mean rate at rest; its error comes from ten spans of time, so slow noise is in it."""
     from scipy.stats import t as student  # noqa: PLC0415 - the daemon stays light
 
     for a, axis in enumerate("xyz"):

@@ -1,8 +1,7 @@
-"""Component and residual of every slow finding: what a bias does against what it follows, axis by axis.
+"""Component-plus-residual curves of slow findings: bias against its driver, axis by axis.
 
-A point is the finding's own term plus what nothing explains, divided by how much of that axis the residual
-sees (component-plus-residual plots, Ezekiel, JASA 19, 1924). The held-out term is fitted without the fifth of
-the recording that it is drawn in.
+A point is the finding's own term plus the residual, divided by the share of that axis in the residual
+(Ezekiel, JASA 19, 1924). The held-out term is fitted without the fifth of the recording in which it is drawn.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, at_bins, effects_output, observable
 
 LEAST_SHARE = 0.5
-"""An axis is drawn from bins in which the residual shows at least this part of it."""
+"""An axis is drawn from bins in which the residual has at least this share of it."""
 
 SENSOR = {"accel": Sensor.ACCELEROMETER, "gyro": Sensor.GYROSCOPE}
 
@@ -57,7 +56,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residual:
-    """A slow residual of a sensor. y: (n,), project: (n, 3), baseline: (n, p)."""
+    """A slow residual of a sensor: y (n,), its derivative by each axis (n, 3), baseline columns (n, p)."""
 
     y: Array
     project: Array
@@ -65,7 +64,7 @@ class Residual:
 
 
 def is_slow(finding: Finding) -> bool:
-    """Whether a finding is about a bias of the still bins, and so has a curve."""
+    """Whether a finding is about the bias of static bins, and so has a curve."""
     return (
         finding.sensor in SENSOR
         and finding.where.band_hz[1] <= SLOW_BAND[1]
@@ -96,7 +95,7 @@ def affine_columns(up: Array) -> Array:
 
 
 def unexplained_residual(part: Residual, explained: Array) -> Array:
-    """Return what the baseline and errors `explained` (n, 3) leave of a residual, (n,)."""
+    """Return a residual (n,) without the baseline and the errors `explained` (n, 3)."""
     y = part.y - np.einsum("na,na->n", part.project, explained)
     return np.asarray(y - part.baseline @ np.linalg.lstsq(part.baseline, y, rcond=None)[0])
 
@@ -216,7 +215,7 @@ def _size(y: Array, column: Array, baseline: Array) -> float:
 
 
 def _driver(finding: Finding, bins: Bins, axis: int, affine: AffinePhone) -> tuple[str, Array]:
-    """Return what a finding is drawn against."""
+    """Return the name and the values (n,) of what a finding is drawn against."""
     follows = finding.where.driver
     if "temperature" in follows and bins.temperature is not None:
         return "temperature, degC", bins.temperature
@@ -235,7 +234,7 @@ def _strongest_axis(finding: Finding, axis: int) -> int:
 
 
 def running_median(x: Array, y: Array, count: int = 15) -> tuple[Array, Array]:
-    """Return middles and medians of `count` stretches of equally many points, by rising x."""
+    """Return the medians of x and y in `count` groups of equally many points, by rising x."""
     order: NDArray[np.int64] = np.argsort(x).astype(np.int64)
     parts = [p for p in np.array_split(order, min(count, max(1, x.size // 3))) if p.size]
     return np.array([np.median(x[p]) for p in parts]), np.array([np.median(y[p]) for p in parts])

@@ -1,7 +1,8 @@
-"""Where a recording departs from its twin: time by channel, in units of noise and in the channel's own.
+"""The map of where a recording differs from the simulation: time by channel, in units of noise.
 
-Slow channels are residuals of the baseline phone before anything found is taken off; their noise is what is
-left after it is, from bin to bin. Quick channels are the spread of single samples beside what is declared.
+Slow channels are residuals of the affine phone with the effects still in them; their noise is the scatter
+from bin to bin without the effects. Fast channels are the spread of single samples relative to the datasheet
+value.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ CELLS = 96
 """Columns of the map: a quarter of an hour each, for a day."""
 
 LEAST_NOISE = 0.05
-"""Logarithm of a spread that is noise at least: 5 %."""
+"""Least noise of the logarithm of a spread: 5 %."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepartureMap:
-    """edges: (CELLS + 1,) s of the recording's stamps."""
+    """The map. edges: (CELLS + 1,) s, boundaries of the columns in the recording's stamps."""
 
     edges: Array
     channels: tuple[Channel, ...]
@@ -70,7 +71,7 @@ def _rounded(values: Array) -> list[float | None]:
 def map_of(
     recording: Recording, bins: Bins, affine_phones: tuple[AffinePhone, AffinePhone], claims: Claims
 ) -> DepartureMap:
-    """Draw the map. affine_phones: fitted without and with the effects found."""
+    """Return the map. affine_phones: fitted without and with the effects found."""
     accel = recording.accelerometer
     edges = np.linspace(float(accel.t[0]), float(accel.t[-1]), CELLS + 1)
     rows = _slow("accel", bins, affine_phones, claims.gravity, edges) if len(bins) > 5 else []
@@ -83,7 +84,7 @@ def map_of(
 
 
 def _cells(t: Array, values: Array, edges: Array) -> Array:
-    """Mean of values in every cell, nan where there are none."""
+    """Return the mean of values (n,) in every cell, (CELLS,), NaN where there are none."""
     cell = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, CELLS - 1)
     count = np.bincount(cell, minlength=CELLS)
     total = np.bincount(cell, weights=values, minlength=CELLS)
@@ -112,7 +113,7 @@ def _slow(
 
 
 def _bin_to_bin(remaining: Array, bins: Bins) -> float:
-    """Noise of a bin from differences of neighbours in one rest, or of all where rests are short."""
+    """Return a bin's noise, from differences of neighbours in one rest, or of all if rests are short."""
     step = np.diff(remaining)
     inside = step[np.diff(bins.rest) == 0]
     used = inside if inside.size >= 10 else step
@@ -121,7 +122,7 @@ def _bin_to_bin(remaining: Array, bins: Bins) -> float:
 
 
 def _spreads(sensor: str, samples: Samples, bins: Bins, claims: Claims, edges: Array) -> list[Channel]:
-    """Spread of single samples in still bins against the declared one, or their own middle."""
+    """Return the spread of single samples in static bins relative to the declared one, or to their median."""
     short_windows = windows(samples, *bins.span)
     inside = np.zeros(short_windows.t.size, dtype=bool)
     for t, d in zip(bins.t, bins.duration, strict=True):
@@ -156,7 +157,7 @@ def _declared(sensor: str, claims: Claims, rate: float) -> float | None:
 
 
 def _stamps(samples: Samples, edges: Array) -> Channel:
-    """Scatter of the intervals in units of what Android allows a stamp."""
+    """Return the deviation of sample intervals, in units of the jitter that Android allows."""
     steps = np.diff(samples.t)
     period = float(np.median(steps))
     off = np.minimum(np.abs(steps - period), 10.0 * period)

@@ -30,10 +30,10 @@ WIDTH, HEIGHT = 5.0, 3.1
 
 INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", "#c65a11", "#0b6e99"
 CLIP = 8.0
-"""Departures beyond this many units of noise have one colour."""
+"""Differences beyond this many units of noise have the same colour."""
 
 SHADED_BELOW = 0.9
-"""A finding in less than this part of the recording is shaded in time."""
+"""A finding in less than this share of the recording is shaded in time."""
 
 STYLE: Any = {
     "font.size": 9.5,
@@ -55,7 +55,7 @@ STYLE: Any = {
 
 
 class NoMatplotlibError(ValueError):
-    """The pictures cannot be drawn."""
+    """matplotlib is not installed, so the pictures cannot be drawn."""
 
     def __init__(self) -> None:
         remedy = "pip install '.[report]' in the source folder, or pip install matplotlib"
@@ -64,7 +64,7 @@ class NoMatplotlibError(ValueError):
 
 @contextmanager
 def drawing(height: float = HEIGHT) -> Iterator[tuple[Figure, Axes, list[str]]]:
-    """Give a figure with one pair of axes; the list holds its SVG when the block has ended.
+    """Give a figure with one pair of axes; the list has its SVG text after the block.
 
     What was labelled stands in a legend above the axes, where it can lie on no curve.
     """
@@ -107,7 +107,7 @@ def map_figure(departure_map: DepartureMap) -> str:
 
 
 def curve_figures(curve: Curve) -> list[str]:
-    """Draw a finding on one axis: against what it follows, and in time with the held-out prediction."""
+    """Draw a finding on one axis: against its driver, and in time with the cross-validated prediction."""
     scale, unit = prefixed(curve.point, curve.unit)
     pictures = [_in_time(curve, scale, unit)]
     if not curve.x_name.startswith("time"):
@@ -179,7 +179,7 @@ def spectrum_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, mar
             density = np.sqrt(np.median(power, axis=0).max(axis=1))
             dash = (
                 "--" if colour == AFTER else "-"
-            )  # what fits lies on what was recorded: both are to be seen
+            )  # a simulation that matches lies on the recording: both must be visible
             axes.loglog(f[1:], density[1:], dash, color=colour, lw=1.5, label=label)
         if mark is not None:
             axes.axvline(mark, color="#999999", lw=1.0, ls=":")
@@ -189,7 +189,7 @@ def spectrum_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, mar
 
 
 def values_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, axis: int) -> str:
-    """Draw how single samples at rest scatter about their bin's mean."""
+    """Draw a histogram of single samples at rest about their bin's mean."""
     with drawing() as (_, axes, out):
         parts = [
             (label, colour, _pooled(samples, bins, axis))
@@ -231,7 +231,7 @@ def intervals_figure(recorded_and_simulated: RecordedAndSimulated, *, arrival: b
 
 
 def extremes_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, limit: float) -> str:
-    """Draw how often large values of any axis occur. limit: marked."""
+    """Draw a histogram of the largest axis value of each sample. limit: is marked."""
     with drawing() as (_, axes, out):
         edges = np.linspace(0.0, 1.3 * limit, 131)
         for label, colour, samples, _bins in recorded_and_simulated:
@@ -245,7 +245,7 @@ def extremes_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, lim
 
 
 def held_out_figure(before: float, after: float) -> str:
-    """Draw the held-out residual without and with what was found, for findings that have no other picture."""
+    """Draw the cross-validation residual without and with a finding that has no other picture."""
     with drawing(1.5) as (_, axes, out):
         axes.barh([1.0, 0.0], [before, after], color=[BEFORE, AFTER], height=0.7)
         axes.set_yticks([1.0, 0.0], ["without it", "with it"])

@@ -1,4 +1,4 @@
-"""Everything that is shown of one diagnosed recording, worked out once."""
+"""The inputs of all outputs about one diagnosed recording, computed once."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ from stillcal.replay.phone.effect_base import Effect
 from stillcal.replay.phone.phone import Phone
 
 SEEDS = (1, 2)
-"""Of the simulated recordings before and after."""
+"""Seeds of the simulations without and with the effects."""
 
 ShowStage = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """A recording, what was found in it, and the affine phones with nothing and with all of it known.
+    """A recording with its findings.
 
-    known: effects that the judged simulation had already.
+    mapped: findings with their effects. known: effects that the given phone has already. plain, better: the
+    affine phone fitted without and with the effects found.
     """
 
     recording: Recording
@@ -44,7 +45,7 @@ class Case:
     departure_map: DepartureMap
 
     def phone(self) -> Phone:
-        """Return the phone that the recording shows, with what was found."""
+        """Return the phone that the recording shows, with the effects found."""
         effects = (*self.known, *(m.effect for m in self.mapped if m.effect is not None))
         return phone_of(self.recording, self.bins, effects, self.conditions, self.gravity)
 
@@ -59,7 +60,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Resimulation:
-    """A simulated recording of the same day and how it compares."""
+    """A simulation of the recording's motion, and its comparison with the recording."""
 
     recording: Recording
     bins: Bins
@@ -67,7 +68,7 @@ class Resimulation:
 
 
 def case_of(recording: Recording, diagnosis: Diagnosis, known: Sequence[Effect] = ()) -> Case:
-    """Work out what is to be shown. known: effects that the judged simulation had already."""
+    """Compute the inputs of all outputs. known: effects that the given phone has already."""
     bins, claims = bins_of(recording), claims_of(recording)
     conditions = conditions_of(bins)
     mapped = tuple(map_findings(diagnosis.findings, bins, conditions))
@@ -91,7 +92,7 @@ def case_of(recording: Recording, diagnosis: Diagnosis, known: Sequence[Effect] 
 def resimulate_before_and_after(
     case: Case, show_stage: ShowStage = lambda stage: None
 ) -> tuple[Resimulation, Resimulation]:
-    """Simulate the recording's day with the phone before and after the findings, and compare both with it."""
+    """Simulate the recording's motion without and with the effects found, and compare both with it."""
     show_stage("simulating the recording without and with the effects")
     phone = case.phone()
     before = plain_phone(phone, case.mapped, case.known, case.recording, case.plain)

@@ -1,4 +1,4 @@
-"""The report: one page that needs nothing else, read from the top down.
+"""The report: one HTML page that loads no other file.
 
 All text that comes from files or names is escaped; pictures are data in the page itself.
 """

@@ -1,4 +1,4 @@
-"""The better phone: the affine and noisy baseline measured on a recording, with the found effects in it."""
+"""The phone file: constant errors and noise measured on a recording, with the effects found."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ LEAST_BINS = 8
 """Fewer static bins than this show no slow noise."""
 
 MOST_BINS = 48
-"""Slow noise is fitted to so many bins at most: neighbours in a rest are put together beyond."""
+"""Slow noise is fitted to at most this many bins; with more, neighbours in a rest are merged."""
 
 MOST_MISSING = 0.5
-"""Where more of the samples than this are missing the intervals are uneven, not samples lost."""
+"""With a larger share of samples missing, the intervals are uneven and no samples are lost."""
 
 TAUS = (240.0,)
 """Correlation times of the Gauss-Markov part that are tried, s."""
@@ -94,7 +94,7 @@ def plain_phone(
     recording: Recording,
     affine: AffinePhone,
 ) -> Phone:
-    """Return the phone as it was before anything was found: affine, its wander the same, its clock even.
+    """Return the phone without the effects found: affine, with the same slow noise and an even clock.
 
     affine: the affine phone fitted with no effects but those known before.
     """
@@ -125,7 +125,7 @@ def _as_claimed(settings: SensorSettings, density: float | None, replaced: bool)
 
 
 def _claims(recording: Recording) -> Claims:
-    """Return what the maker says of the phone; what it does not say is then taken from the settings."""
+    """Return the maker's claims; a phone takes missing ones from its settings."""
     return msgspec.convert(msgspec.to_builtins(recording.claims.without_counts()), Claims)
 
 
@@ -165,7 +165,7 @@ def _sensor(
     rate = median_rate_hz(samples)
     steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
     coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
-    # Noise that hides in a coarse step has no level of its own: the maker's word is then all there is.
+    # Noise below a coarse step cannot be measured: only the maker's claim is left.
     level = np.full(3, claimed) if coarse and claimed else _density(samples, bins)
     rounding = 0.0 if coarse and claimed else max([0.0, *steps]) ** 2 / (6.0 * rate)
     lsb = float(np.median(steps)) if steps and not coarse else 0.0
@@ -223,7 +223,7 @@ def _tail_power(samples: Samples, effects: Sequence[Effect]) -> float:
 
 
 def _force_wander(bins: Bins, affine: AffinePhone, gravity: float) -> NoiseModel | None:
-    """Return the slow noise that gravity's norm shows, taken to be alike on the axes."""
+    """Return the slow noise of gravity's norm, assumed equal on the axes."""
     up, scale = affine.baseline.up, affine.baseline.scale
     corrected = (bins.force - affine.accel - affine.baseline.bias) @ scale.T
     return _wander(bins, np.einsum("na,na->n", up, corrected) - gravity)
@@ -243,10 +243,10 @@ def _wander(bins: Bins, values: Array) -> NoiseModel | None:
 
 
 def _bounded(model: NoiseModel, bins: Bins, values: Array) -> NoiseModel:
-    """Keep wander within what neighbouring bins of one rest differ by.
+    """Return the model with its slow noise bounded by the difference of neighbouring bins of one rest.
 
-    Flicker moves as much between neighbours as over any time, so what follows an attitude or a curve without
-    a name, and moves more between rests than in them, is no flicker.
+    Flicker noise changes as much between neighbours as over any time. A residual that changes more between
+    rests than inside them is therefore not flicker noise.
     """
     inside = np.diff(bins.rest) == 0
     if inside.sum() < LEAST_BINS:

@@ -70,7 +70,7 @@ def line(row: int, text: str) -> Callable[[list[str]], list[str]]:
 
 
 BAD = {
-    "truncated": (lambda lines: [*lines[:-1], lines[-1][:9]], "cells where 7 are due"),
+    "truncated": (lambda lines: [*lines[:-1], lines[-1][:9]], "cells instead of 7"),
     "missing column": (lambda lines: [lines[0].replace(",az", ""), *lines[1:]], "no column 'az'"),
     "not a number": (line(50, "0.48,0.1,nan,9.8,0,0,0"), ":50: column 'ay' holds nan"),
     "infinite": (line(50, "0.48,0.1,inf,9.8,0,0,0"), ":50: column 'ay' holds inf"),

@@ -48,7 +48,7 @@ def refused(path: Path, format: str = "csv") -> TraceError:
     [
         (cell(50, 2, "abc"), 50, "column 'ay' holds 'abc', which is not a number"),
         (cell(50, 2, "1_0"), 50, "holds '1_0', which is not a number"),
-        (cell(50, 2, "9,8"), 50, "8 cells where 7 are due"),
+        (cell(50, 2, "9,8"), 50, "8 cells instead of 7"),
         (cell(50, 2, "nan"), 50, "column 'ay' holds nan"),
         (cell(50, 4, "inf"), 50, "column 'gx' holds inf"),
         (cell(50, 4, "1e999"), 50, "column 'gx' holds inf"),
@@ -56,7 +56,7 @@ def refused(path: Path, format: str = "csv") -> TraceError:
         (cell(50, 0, ""), 50, "column 't' is empty"),
         (cell(50, 2, ""), 50, "column 'ay' is empty"),
         (cell(50, 0, "0.1"), 50, "time runs backwards by 0.37 s"),
-        (lambda text: [*text[:60], text[60][:20]], 61, "cells where 7 are due"),
+        (lambda text: [*text[:60], text[60][:20]], 61, "cells instead of 7"),
         (lambda text: text[:1], 1, "header only"),
         (lambda text: text[:2], None, "one accelerometer sample"),
         (lambda text: text[1:], 1, "the first line is not a header"),

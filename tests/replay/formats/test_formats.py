@@ -222,7 +222,7 @@ def test_hhar_takes_the_first_device_from_both_files_and_says_so(tmp_path: Path)
     recording = read_all(path, "hhar")
     assert recording.gyroscope is not None
     assert len(recording.accelerometer) == len(recording.gyroscope) == 300
-    assert recording.notes[0].endswith("only the rows of a one are read, 200 others left out")
+    assert recording.notes[0].endswith("only the rows of a one are read, 200 others skipped")
 
 
 def test_hhar_puts_late_rows_back_but_refuses_a_clock_set_back(tmp_path: Path) -> None:
@@ -230,7 +230,7 @@ def test_hhar_puts_late_rows_back_but_refuses_a_clock_set_back(tmp_path: Path) -
     late = [*rows[:50], rows[53], *rows[50:53], *rows[54:]]
     recording = read_all(hhar(tmp_path, "accelerometer", late), "hhar")
     np.testing.assert_allclose(recording.accelerometer.t, np.arange(2000) / 100)
-    assert "1 rows stood out of time order" in recording.notes[1]
+    assert "1 rows were out of time order" in recording.notes[1]
     reset = [(a, c if a < 15_000 else c - 10**10, d) for a, c, d in rows]
     with pytest.raises(TraceError, match=r"csv:1501: time runs backwards by 9\.99 s"):
         read_all(hhar(tmp_path, "accelerometer", reset), "hhar")

@@ -75,9 +75,9 @@ def test_degrees_taken_for_radians_are_recognised(data_dir: Path, tmp_path: Path
 def test_hhar_stamps_are_put_in_order_and_a_sleeping_clock_is_noted(data_dir: Path) -> None:
     phone = read_all(data_dir / "hhar/Phones_accelerometer.csv.gz", "hhar")
     assert (np.diff(phone.accelerometer.t) > 0).all()
-    assert any("287 rows stood out of time order" in note for note in phone.notes)
+    assert any("287 rows were out of time order" in note for note in phone.notes)
     watch = read_all(data_dir / "hhar/Watch_accelerometer.csv.gz", "hhar")
-    assert any("135.595 s while 538.567 s passed" in note for note in watch.notes)
+    assert any("advanced 135.595 s while arrival times advanced 538.567 s" in note for note in watch.notes)
 
 
 def judged(force: np.ndarray, rate: np.ndarray) -> bool:
