@@ -67,6 +67,17 @@ def test_a_command_on_files_runs(folder: Path, line: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_the_python_interface_runs(folder: Path) -> None:
+    code = (
+        "import stillcal; r = stillcal.load('lab.csv'); print(stillcal.calibrate(r).accelerometer.parameters)"
+    )
+    environ = os.environ | {"PYTHONPATH": TAKEN_AWAY}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, env=environ, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "9\n"), done.stderr
+
+
 def test_the_calibration_is_the_same_as_here(folder: Path) -> None:
     here = [sys.executable, "-c", "from stillcal.daemon.cli.main import main; main()"]
     subprocess.run([*here, "replay", "lab.csv", "--json", "here.json", "--quiet"], cwd=folder, check=True)
