@@ -30,9 +30,7 @@ _KINDS = np.repeat(np.arange(3), 3)  # kind of each parameter: bias, diagonal, c
 _CROSS_AXIS = 0.005  # half of the 1 % of cross-axis sensitivity that phones' datasheets give
 _UNKNOWN = 1.0  # variance of a parameter that a device's fit did not estimate, far beyond any phone's
 _ROUNDS, _SETTLED = 500, 1e-6  # most steps of expectation-maximisation, and the relative change that ends it
-_REWEIGHED = (
-    2  # fits in turn with the weights: the second has weights from a fitted model, which change little
-)
+_REWEIGHED = 2  # fits with new weights: those of the second come from a fitted model and hardly change more
 _SURPRISE_CHANCE = 1e-6  # probability of a false alarm for one device; a fleet has thousands
 
 

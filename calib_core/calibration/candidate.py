@@ -158,7 +158,8 @@ def with_updated_bias(record: CalibrationRecord, recent: Pool, t: float) -> Cali
         rotation_admitted=_nan_where_unbounded(estimate.undetected_rotation_bound),
         zeroed_at=t,
     )
-    reason = f"gyroscope bias measured on {estimate.n_rests} rests"
+    n = estimate.n_rests
+    reason = f"gyroscope bias measured on {n} rest{'' if n == 1 else 's'}"
     return replace(record, gyroscope=part, acceptance=Acceptance(how="zeroing", reason=reason))
 
 

@@ -52,6 +52,13 @@ sample, as behind a first-order low-pass at 3 % of the sampling rate. Slower cha
 _MIN_BATCHES = 4
 """The standard deviation of four batch means is uncertain by 40 %, that of fewer by more."""
 
+_SIGNIFICANT = 4.0
+"""Standard uncertainties beyond which a tilt is real: normal noise exceeds them in 1 rest of 16 000 at most,
+where all of it is on one axis."""
+
+_COVERAGE = 2.0
+"""Standard uncertainties added to a bound, for 95 % coverage (JCGM 100:2008, 6.2)."""
+
 _HELD_SHARE = 0.9
 """Share of windows without any change beyond which the sensor counts as stuck. A coarse sensor at rest still
 changes its code now and then; a stuck one changes it only where it came to life."""
@@ -192,11 +199,11 @@ def rest_from_windows(rows: Array, drifted: bool, settings: DetectorSettings) ->
         return Label.FROZEN
     bias = _quantisation(accel)
     slope, uncertainty = _tilt(accel, bias)
-    if slope > max(settings.max_tilt_rate, 4.0 * uncertainty):
+    if slope > max(settings.max_tilt_rate, _SIGNIFICANT * uncertainty):
         return Label.TILTING
     gyro = rows[rows[:, COLUMNS + N] > 0, COLUMNS:]
     rates = _Sums.of(gyro) if 2 * gyro.shape[0] >= rows.shape[0] else None
-    return _rest(accel, bias, rates, slope + 2.0 * uncertainty)
+    return _rest(accel, bias, rates, slope + _COVERAGE * uncertainty)
 
 
 def _rest(accel: _Sums, bias: Array, gyro: _Sums | None, tilt_rate_limit: float) -> RestState:
@@ -226,7 +233,7 @@ def _rate_fields(gyro: _Sums, force: Array) -> dict[str, Any]:
         "rate_sd": frozen(np.sqrt(gyro.variance)),
         "rate_uncertainty": frozen(uncertainty),
         "rate_level": float(np.sqrt(gyro.variance.mean())),
-        "undetected_rotation_bound": float(abs(rate @ up) + 2.0 * np.linalg.norm(uncertainty * up)),
+        "undetected_rotation_bound": float(abs(rate @ up) + _COVERAGE * np.linalg.norm(uncertainty * up)),
     }
 
 
