@@ -20,6 +20,7 @@ from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
 from stillcal.replay.diagnosis.report.answer import Answer, Request, diagnose_recording, diagnose_table
+from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.summary import summary
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.phone.phone import Phone, load_phone
@@ -99,6 +100,8 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
 def _check(asked: _Asked) -> None:
     """Refuse early what would fail late. Raises UsageError."""
     report, phone_out = asked.report, asked.phone_out
+    if report is not None:
+        require_matplotlib()
     if report is not None and report.suffix not in (".html", ".htm"):
         raise click.UsageError(f"{report}: a report is an HTML page; choose a name that ends in .html")
     if phone_out is not None and phone_out.suffix != ".toml":

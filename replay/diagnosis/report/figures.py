@@ -6,6 +6,7 @@ matplotlib (the extra `report`).
 
 from __future__ import annotations
 
+import importlib.util
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.low_pass import quiet, spectra
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.curves import Curve, running_median
 from stillcal.replay.diagnosis.report.departure_map import DepartureMap
@@ -54,12 +56,18 @@ STYLE: Any = {
 }
 
 
-class NoMatplotlibError(ValueError):
+class NoMatplotlibError(UserError):
     """matplotlib is not installed, so the pictures cannot be drawn."""
 
     def __init__(self) -> None:
         remedy = "pip install '.[report]' in the source folder, or pip install matplotlib"
         super().__init__(f"the report's pictures need matplotlib: {remedy}")
+
+
+def require_matplotlib() -> None:
+    """Raise NoMatplotlibError where matplotlib is not installed, before any work is done."""
+    if importlib.util.find_spec("matplotlib") is None:
+        raise NoMatplotlibError
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.diagnosis.diagnose import diagnose_recording, diagnose_rests
@@ -190,6 +192,19 @@ def test_stamps_in_milliseconds_are_refused_in_one_line(recording: Maker, tmp_pa
     result = CliRunner().invoke(cli, ["diagnose", str(trace), "--json", str(tmp_path / "d.json")])
     assert isinstance(result.exception, ValueError) and "time stamps step by 40" in str(result.exception)
     assert not (tmp_path / "d.json").exists()
+
+
+def test_a_report_without_matplotlib_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name, *more: None if name == "matplotlib" else found(name, *more)
+    )
+    words = ["diagnose", "sample:lab", "--report", str(tmp_path / "lab.html")]
+    with pytest.raises(UserError, match=r"need matplotlib: pip install '\.\[report\]'"):
+        CliRunner().invoke(cli, words, catch_exceptions=False)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("arguments", [["--report", "page.txt"], ["--format", "rest", "--phone", "typical"]])
