@@ -61,7 +61,7 @@ def outcome_rows(outcome: Outcome, store: Path | None = None) -> list[tuple[str,
     record = outcome.record
     if record is None:
         return rows
-    rows += record_rows(record)
+    rows += [*record_rows(record), ("Accepted", record.acceptance.reason)]
     return rows if store is None else [*rows, ("Stored in", f"{store} as {record.id}")]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.candidate import Candidate, fit_accelerometer
+from stillcal.calib_core.calibration.candidate import ASSUMED_SCATTER, Candidate, fit_accelerometer
 from stillcal.calib_core.calibration.drift_check import QualitySettings, norm_residuals
 from stillcal.calib_core.calibration.record import Acceptance, CalibrationRecord, Evidence
 from stillcal.calib_core.errors import NotSupported
@@ -82,7 +82,17 @@ def decide(
 def with_decision(new: Candidate, decision: Decision, occasion: str) -> CalibrationRecord:
     """Return the candidate's record with the reason and the figures that it was decided on."""
     evidence: Evidence = {"occasion": occasion, **decision.evidence}
-    return replace(new.record, acceptance=Acceptance(reason=decision.reason, evidence=evidence))
+    reason = decision.reason
+    if new.change is not None:
+        evidence |= {"bias_change": new.change.largest, "bias_change_p": new.change.p_value}
+        reason = f"{reason}; {new.change.words()}, which widens its interval"
+    if new.accelerometer.n_states <= new.accelerometer.parameters:
+        evidence["untested"] = True
+        reason = (
+            f"{reason}; as many parameters as attitudes: nothing is left to test it, and its interval "
+            f"assumes a scatter of {ASSUMED_SCATTER:g} m/s^2"
+        )
+    return replace(new.record, acceptance=Acceptance(reason=reason, evidence=evidence))
 
 
 def compare_on_held_out_rests(

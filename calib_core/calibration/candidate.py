@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit, AccelerometerSettings
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.constancy import Change, find_change, norm_jacobian
 from stillcal.calib_core.calibration.record import (
     AccelerometerRecord,
     Acceptance,
@@ -39,6 +40,10 @@ _PARAMETER_COUNT = {Parameters.BIAS: 3, Parameters.SCALE3: 6, Parameters.FULL9: 
 _GYRO_NAMES = (*(f"S_{a}{b}" for a in "xyz" for b in "xyz"), "b_x", "b_y", "b_z")
 
 
+ASSUMED_SCATTER = 0.01
+"""m/s^2: the scatter of a phone's attitudes (AccelerometerSettings), for where nothing is left to show it."""
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrateSettings:
     """The settings of both estimators. folds: number of parts, at most, that attitudes are held out in."""
@@ -57,7 +62,8 @@ class Candidate:
     """A calibration that was fitted and is not accepted yet.
 
     pool: the rests and rotation segments it was fitted to. labels: (n,) number of the attitude that each rest
-    of the pool is in.
+    of the pool is in. change: how the bias changes among them, None where it does not show; the record's
+    covariance allows for it.
     """
 
     record: CalibrationRecord
@@ -66,6 +72,7 @@ class Candidate:
     pool: Pool
     settings: CalibrateSettings
     labels: NDArray[np.intp]
+    change: Change | None = None
 
     @property
     def gravity(self) -> Gravity:
@@ -80,10 +87,11 @@ def fit_candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSet
     gyroscope fit, the record has the gyroscope's bias alone, or no gyroscope part.
     """
     fit = fit_accelerometer(pool.held, gravity, settings.accelerometer)
+    change = find_change(fit, pool.held)
     gyro = _fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
     labels = attitude_labels(forces(pool.rests), settings.accelerometer.attitude_angle)
     record = CalibrationRecord(
-        accelerometer=_accelerometer_record(fit),
+        accelerometer=_accelerometer_record(fit, change, forces(pool.rests)),
         gyroscope=None if gyro is None else gyroscope_record(gyro, t),
         gravity=gravity,
         fitted_at=t,
@@ -94,7 +102,7 @@ def fit_candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSet
             for rest, residual, label in zip(pool.rests, fit.residuals, labels, strict=True)
         ),
     )
-    return Candidate(record, fit, gyro, pool, settings, labels)
+    return Candidate(record, fit, gyro, pool, settings, labels, change)
 
 
 def fit_accelerometer(
@@ -172,13 +180,23 @@ def _fit_gyroscope(
         return None
 
 
-def _accelerometer_record(fit: AccelerometerFit) -> AccelerometerRecord:
+def _accelerometer_record(fit: AccelerometerFit, change: Change | None, raw: Array) -> AccelerometerRecord:
+    """Return the record of a fit to raw forces (n, 3), whose covariance holds what the fit could not see.
+
+    That is a bias that changed, and, where there are no more attitudes than parameters, the scatter that no
+    residual is left to show.
+    """
+    covariance = np.array(fit.total_covariance)
+    if change is not None:
+        covariance += change.covariance
+    if fit.n_states <= fit.parameters:
+        covariance += ASSUMED_SCATTER**2 * np.linalg.pinv(_normal_matrix(fit, raw))
     return AccelerometerRecord(
         scale=fit.model.scale,
         bias=fit.model.bias,
         parameters=fit.parameters,
         names=fit.names,
-        covariance=frozen(fit.total_covariance),
+        covariance=frozen(covariance),
         rms_residual=fit.rms_residual,
         n_rests=fit.n_rests,
         n_states=fit.n_states,
@@ -190,6 +208,11 @@ def _accelerometer_record(fit: AccelerometerFit) -> AccelerometerRecord:
         n_dropped=len(fit.dropped),
         iterations=fit.iterations,
     )
+
+
+def _normal_matrix(fit: AccelerometerFit, raw: Array) -> Array:
+    design, _ = norm_jacobian(fit, raw[fit.used])
+    return np.asarray(design.T @ design)
 
 
 def _validity(rests: Sequence[RestState]) -> Validity:

@@ -19,6 +19,7 @@ from stillcal.calib_core.calibration.candidate import (
     fit_candidate,
     with_updated_bias,
 )
+from stillcal.calib_core.calibration.constancy import Shape
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
@@ -30,6 +31,13 @@ from stillcal.calib_core.engine.state import EngineState, Refusal, Trouble
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.detector import StationaryDetector
+
+LEAST_UNSEEN_S = 300.0
+"""A recording that ends so long after its last rest, s, may have become another phone's."""
+
+STEP_LIMIT = 0.05
+"""m/s^2 (5 mg): a bias that steps by more is another sensor's from then on. Temperature and time change a
+phone's bias by less from one rest to the next."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +67,7 @@ class FitOutcome:
 
     record: None where the rests do not support a fit; `reason` then says why and `missing` what to gather.
     accepted: whether the record replaces the current one. settled: whether enough rests were held out to
-    tell. recent_only: whether the rests from before sound_until were left out because the sensor has changed.
+    tell. since: s, where the sensor has changed: rests from before were left out; else None.
     """
 
     record: CalibrationRecord | None
@@ -67,36 +75,66 @@ class FitOutcome:
     reason: str
     missing: tuple[str, ...] = ()
     settled: bool = True
-    recent_only: bool = False
+    since: float | None = None
 
 
 def fit_and_decide(task: FitTask) -> FitOutcome:
     """Fit the rests gathered, and decide whether the fit replaces the current calibration."""
-    candidate, recent_only = _candidate(task)
+    candidate, since = _candidate(task)
     if isinstance(candidate, NotSupported):
         return FitOutcome(None, False, candidate.reason, candidate.missing)
     decision = decide(candidate, task.current, task.degraded, task.quality)
     record = inherit_terms(task.current, with_decision(candidate, decision, task.occasion))
-    return FitOutcome(record, decision.accepted, decision.reason, (), decision.settled, recent_only)
+    if (unseen := _unseen(task)) is not None:
+        reason = (
+            f"{record.acceptance.reason}; no rest in the last {unseen:.0f} s: unknown whether it holds there"
+        )
+        record = replace(record, acceptance=replace(record.acceptance, reason=reason))
+    return FitOutcome(record, decision.accepted, record.acceptance.reason, (), decision.settled, since)
 
 
-def _candidate(task: FitTask) -> tuple[Candidate | NotSupported, bool]:
-    """Fit the pool, and say whether the rests from before the last passed check were left out.
+def _unseen(task: FitTask) -> float | None:
+    """Return for how long (s) there was no rest before a recording's end, if for longer than it had rests."""
+    begin = min(rest.t_start for rest in task.pool.rests)
+    end = max(rest.t_end for rest in task.pool.rests)
+    long = task.t - end > max(LEAST_UNSEEN_S, end - begin)
+    return task.t - end if task.occasion is Occasion.END and long else None
 
-    After a failed check the older rests stay only if one calibration explains them and the recent ones.
-    Otherwise the sensor has changed, and only the recent rests are used.
+
+def _candidate(task: FitTask) -> tuple[Candidate | NotSupported, float | None]:
+    """Fit the pool, or its rests since the sensor changed; return the fit and since when (s), else None.
+
+    A bias that steps by more than STEP_LIMIT among the rests is another sensor's from then on: another phone,
+    a fall, a restart. What came before it is left out, and where too little came after it nothing is fitted.
     """
     confirmed = {id(held.rest): sound for held, sound in zip(task.pool.held, task.confirmed, strict=True)}
+    candidate, since = _since_sound(task, confirmed)
+    change = None if isinstance(candidate, NotSupported) else candidate.change
+    if change is None or change.shape is not Shape.STEP or change.largest <= STEP_LIMIT:
+        return candidate, since
+    newer = _fit(task.pool.since(change.at), confirmed, task)
+    if isinstance(newer, NotSupported):
+        reason = f"{change.words()}, as if it were another sensor's from then on; since then, {newer.reason}"
+        return NotSupported(reason, newer.missing), None
+    return newer, change.at
+
+
+def _since_sound(task: FitTask, confirmed: dict[int, bool]) -> tuple[Candidate | NotSupported, float | None]:
+    """Fit the pool, or after a failed check perhaps only the rests since the last passed one.
+
+    The older rests stay only if one calibration explains them and the recent ones. Otherwise the sensor has
+    changed, and only the recent rests are used.
+    """
     recent = task.pool.since(task.sound_until) if task.degraded else task.pool
     whole = _fit(task.pool, confirmed, task)
     if len(recent.held) == len(task.pool.held):
-        return whole, False
+        return whole, None
     if isinstance(whole, Candidate):
         check = check_calibration(whole.record, recent, task.quality)
         if check.verdict is not Verdict.RECALIBRATE:
-            return whole, False
+            return whole, None
     candidate = _fit(recent, confirmed, task)
-    return candidate, not isinstance(candidate, NotSupported)
+    return candidate, None if isinstance(candidate, NotSupported) else task.sound_until
 
 
 def _fit(pool: Pool, confirmed: dict[int, bool], task: FitTask) -> Candidate | NotSupported:
@@ -162,6 +200,15 @@ class CalibrationPolicy:
             state.trouble = None
             self.update_bias(t, since)
 
+    def notice_change(self, t: float) -> None:
+        """Check at t (s) before a check is due where the rests since the last one already show a change."""
+        state = self._state
+        if state.record is None or state.record.accelerometer is None or state.degraded:
+            return
+        recent = state.pool.since(state.checked).where(self._detector.still_valid)
+        if check_calibration(state.record, recent, self._settings.quality).verdict is Verdict.RECALIBRATE:
+            self.check(t)
+
     def update_bias(self, t: float, since: float | None) -> None:
         """Measure the gyroscope's bias anew on the rests since a time, s, if they have rates (4.7)."""
         state = self._state
@@ -218,8 +265,8 @@ class CalibrationPolicy:
         if outcome.record is None:
             self._report_refusal(t, outcome, occasion)
             return
-        if outcome.recent_only:
-            state.pool = state.pool.since(state.sound_until)
+        if outcome.since is not None:
+            state.pool = state.pool.since(outcome.since)
             state.attitudes = len(state.pool.attitudes(self._settings.pool))
         fields = {"occasion": str(occasion)}
         if not outcome.accepted:

@@ -263,6 +263,7 @@ class Engine:
             self._intake.move_to(event)
         elif isinstance(event, End):
             self._intake.gather(self._detector.finish())
+            self._policy.notice_change(t)
             self._policy.calibrate(t, Occasion.END)
             self._state.next_review = self._state.next_check = None
             return
@@ -279,6 +280,8 @@ class Engine:
     def _do_review(self, t: float) -> None:
         if self._state.check_due:
             self._policy.check(t)
+        else:
+            self._policy.notice_change(t)
         if self._state.charging:
             self._policy.calibrate(t, Occasion.CHARGING)
         elif self._state.charging is None and self._has_enough_attitudes():

@@ -48,11 +48,11 @@ def _log_tail(t: float, freedom: float) -> float:
     x = freedom / (freedom + t * t)
     a, b = 0.5 * freedom, 0.5
     if x < (a + 1.0) / (a + b + 2.0):
-        return math.log(0.5) + _log_beta_share(a, b, x)
-    return math.log(0.5) + math.log1p(-math.exp(_log_beta_share(b, a, t * t / (freedom + t * t))))
+        return math.log(0.5) + log_beta_share(a, b, x)
+    return math.log(0.5) + math.log1p(-math.exp(log_beta_share(b, a, t * t / (freedom + t * t))))
 
 
-def _log_beta_share(a: float, b: float, x: float) -> float:
+def log_beta_share(a: float, b: float, x: float) -> float:
     """Return log I_x(a, b), the regularised incomplete beta function, by its continued fraction.
 
     DLMF 8.17.22, evaluated forwards (Lentz 1976).

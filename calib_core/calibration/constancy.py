@@ -1,0 +1,181 @@
+"""Whether one calibration holds for all rests that it was fitted to, or the sensor has changed among them.
+
+A fit takes its parameters for constant. A bias that drifts, that steps, or that belongs to another phone from
+some time on leaves residuals that follow time. Extra columns for a bias that changes are added to the fit's
+own, and the fall of the residuals is judged by an F test (Draper and Smith 1998, Applied Regression Analysis,
+section 6.1): a trend of the bias, a step of the bias between any two rests, and other parameters altogether
+from some rest on (Chow 1960, Econometrica 28(3)), as another phone has. The scatter that remains is the
+yardstick, so that other errors of the model make a finding less likely, never more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from stillcal.calib_core.accelerometer.fit import AccelerometerFit
+from stillcal.calib_core.accelerometer.parameters import basis
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.rest_pool import HeldRest
+from stillcal.calib_core.maths.f_distribution import tail
+from stillcal.calib_core.static.rest import force_uncertainties, forces
+
+LEVEL = 1e-3
+"""Probability of finding a change, of either kind and anywhere, where there is none."""
+
+LEAST_SIDE = 5
+"""Rests on either side of a step: fewer are explained by three extra parameters whatever they say."""
+
+MOST_SPLITS = 32
+"""Places at which a step is tried; of more rests, only every so many-th begins one."""
+
+MOST_LEFT_OUT = 200
+"""Up to so many rests, a finding must also stand without any single one of them."""
+
+
+class Shape(StrEnum):
+    """How a bias changes with time."""
+
+    DRIFT = "drift"
+    STEP = "step"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """A bias that is not constant.
+
+    at: s, when the first rest after a step began, or of a drift the first rest.
+    size: (3,) m/s^2, raw, by how much the bias changes: at the step, or from the first rest to the last. shift:
+    (p,), by how much the change has shifted the fit's parameters, which took the bias for constant.
+    span_s: s, over which it drifts; 0 for a step. warmth: correlation of a drift with temperature, NaN where
+    that is unknown or constant. p_value: of the F test, for all places tried.
+    """
+
+    shape: Shape
+    at: float
+    size: Array
+    shift: Array
+    span_s: float
+    warmth: float
+    p_value: float
+
+    @property
+    def largest(self) -> float:
+        """The largest axis of `size`, m/s^2."""
+        return float(np.abs(self.size).max())
+
+    @property
+    def covariance(self) -> Array:
+        """What the change adds to the covariance of the parameters, (p, p), bias first.
+
+        The shift of all of them, and by how much the bias at either end may differ from a constant one.
+        """
+        added = np.outer(self.shift, self.shift)
+        added[:3, :3] += np.diag(self.size**2)
+        return added
+
+    def words(self) -> str:
+        """Say it in a sentence."""
+        largest_mg = self.largest / 9.80665e-3
+        if self.shape is Shape.STEP:
+            return f"the bias changed by {largest_mg:.2g} mg at {self.at:.0f} s"
+        rate = largest_mg / (self.span_s / 60.0)
+        follows = " as the temperature does" if abs(self.warmth) > FOLLOWS else ""
+        return f"the bias drifts by {rate:.2g} mg/min{follows}"
+
+
+FOLLOWS = 0.9
+"""Correlation with temperature from which a drift is said to follow it."""
+
+
+def find_change(fit: AccelerometerFit, held: Sequence[HeldRest]) -> Change | None:
+    """Return how the bias changes among the rests that were fitted, None where no change shows."""
+    order = np.argsort([h.rest.t_start for h in held], kind="stable")
+    rests = [held[i].rest for i in order]
+    t = np.array([(r.t_start + r.t_end) / 2 for r in rests])
+    design, by_bias = norm_jacobian(fit, forces(rests))
+    n, p = design.shape
+    if n < p + 3 + 1 or n < 2 * LEAST_SIDE or t[-1] <= t[0]:
+        return None
+    scale = 1 / np.hypot(force_uncertainties(rests).max(axis=1), fit.rms_residual)
+    residuals = fit.residuals[order] * scale
+    design, by_bias = design * scale[:, None], by_bias * scale[:, None]
+    drift = (t - t[0]) / (t[-1] - t[0])
+    curves = [(Shape.DRIFT, 0, by_bias * drift[:, None])]
+    curves += [(Shape.STEP, k, by_bias * _after(n, k)) for k in _splits(n, LEAST_SIDE)]
+    curves += [(Shape.STEP, k, design * _after(n, k)) for k in _splits(n, p + 2)]
+    tests = [_f_test(residuals, design, extra) for _, _, extra in curves]
+    best = min(range(len(tests)), key=lambda i: tests[i][0])
+    p_value = min(tests[best][0] * len(tests), 1.0)
+    if p_value > LEVEL:
+        return None
+    shape, split, extra = curves[best]
+    if not _stands_without_any(residuals, design, extra, LEVEL / len(tests)):
+        return None
+    span = float(t[-1] - t[0]) if shape is Shape.DRIFT else 0.0
+    celsius = np.array([np.nan if r.temperature is None else r.temperature for r in rests])
+    warmth = _correlation(t, celsius) if shape is Shape.DRIFT else float("nan")
+    _, solution = tests[best]
+    size, shift = frozen(-solution[p : p + 3]), frozen(solution[:p])
+    return Change(shape, rests[split].t_start, size, shift, span, warmth, p_value)
+
+
+def norm_jacobian(fit: AccelerometerFit, raw: Array) -> tuple[Array, Array]:
+    """Return derivatives of the calibrated norm of raw forces (n, 3) by parameters (n, p) and bias (n, 3)."""
+    shifted = raw - fit.model.bias
+    calibrated = shifted @ fit.model.scale.T
+    up = calibrated / np.linalg.norm(calibrated, axis=1)[:, None]
+    by_bias = -up @ fit.model.scale
+    by_scale = (up[:, :, None] * shifted[:, None, :]).reshape(-1, 9)
+    return np.hstack((by_bias, by_scale)) @ basis(fit.parameters, fit.form), by_bias
+
+
+def _after(n: int, split: int) -> Array:
+    return (np.arange(n) >= split).astype(np.float64)[:, None]
+
+
+def _splits(n: int, side: int) -> Iterator[int]:
+    """Yield the rests of n before which a step is tried, with `side` rests at least on either side."""
+    first, last = side, n - side
+    step = max(1, -(-(last - first + 1) // MOST_SPLITS))
+    yield from range(first, last + 1, step)
+
+
+def _f_test(residuals: Array, design: Array, extra: Array) -> tuple[float, Array]:
+    """Return the probability that extra columns (n, k) explain as much by chance, and all coefficients."""
+    n = len(residuals)
+    both = np.hstack((design, extra))
+    before, rank_before, _ = _left(residuals, design)
+    after, rank_after, solution = _left(residuals, both)
+    free, more = n - rank_after, rank_after - rank_before
+    if free < 1 or more < 1:
+        return 1.0, solution
+    ratio = max(before - after, 0.0) / more / max(after / free, 1e-300)
+    return tail(ratio, more, free), solution
+
+
+def _left(residuals: Array, design: Array) -> tuple[float, int, Array]:
+    """Return the sum of squares that a least-squares fit leaves, the design's rank, and the solution."""
+    norms = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    solution, _, rank, _ = np.linalg.lstsq(design / norms, residuals, rcond=1e-9)
+    rest = residuals - (design / norms) @ solution
+    return float(rest @ rest), int(rank), solution / norms
+
+
+def _stands_without_any(residuals: Array, design: Array, extra: Array, level: float) -> bool:
+    """Say whether a finding stands without any single rest: one bad rest among few makes any curve fit."""
+    n = len(residuals)
+    if n > MOST_LEFT_OUT:
+        return True
+    kept = ~np.eye(n, dtype=bool)
+    return all(_f_test(residuals[k], design[k], extra[k])[0] <= level for k in kept)
+
+
+def _correlation(t: Array, celsius: Array) -> float:
+    known = np.isfinite(celsius)
+    if known.sum() < 3 or np.ptp(celsius[known]) == 0.0:
+        return float("nan")
+    return float(np.corrcoef(t[known], celsius[known])[0, 1])

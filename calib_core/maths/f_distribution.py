@@ -1,0 +1,24 @@
+"""The F distribution's tail, which a test of extra columns needs, without scipy (see student_t.py)."""
+
+from __future__ import annotations
+
+import math
+
+from stillcal.calib_core.maths.student_t import log_beta_share
+
+
+def tail(ratio: float, more: float, free: float) -> float:
+    """Return the probability of more than `ratio` with (more, free) degrees of freedom.
+
+    Abramowitz and Stegun 26.6.2: I_x(free/2, more/2) with x = free / (free + more ratio).
+
+    >>> round(tail(4.26, 3, 9), 3)
+    0.039
+    """
+    if ratio <= 0.0:
+        return 1.0
+    x = free / (free + more * ratio)
+    a, b = 0.5 * free, 0.5 * more
+    if x < (a + 1.0) / (a + b + 2.0):
+        return math.exp(log_beta_share(a, b, x))
+    return -math.expm1(log_beta_share(b, a, 1.0 - x))
