@@ -47,11 +47,11 @@ class Shape(StrEnum):
 class Change:
     """A bias that is not constant.
 
-    at: s, when the first rest after a step began, or of a drift the first rest.
-    size: (3,) m/s^2, raw, by how much the bias changes: at the step, or from the first rest to the last. shift:
-    (p,), by how much the change has shifted the fit's parameters, which took the bias for constant.
-    span_s: s, over which it drifts; 0 for a step. warmth: correlation of a drift with temperature, NaN where
-    that is unknown or constant. p_value: of the F test, for all places tried.
+    at: s, when the first rest after a step began, or of a drift the first rest. size: (3,) m/s^2, raw, by how
+    much the bias changes: at the step, or from the first rest to the last. shift: (p,), by how much this has
+    shifted the fit's parameters, which took the bias for constant. span_s: s, over which it drifts; 0 for a
+    step. warmth: correlation of a drift with temperature, NaN where that is unknown or constant. p_value: of
+    the F test, for all places tried.
     """
 
     shape: Shape

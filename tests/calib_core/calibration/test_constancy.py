@@ -131,11 +131,11 @@ def test_as_many_attitudes_as_parameters_are_said_to_be_untested_and_one_more_is
         outcome = decided(Pool(tuple(held), ()), t=500.0)
         sd = outcome.record.accelerometer.bias_uncertainty
         assert ("nothing is left to test it" in outcome.reason) is untested
-        assert (sd.min() > 0.5 * MG) is untested
+        assert bool(sd.min() > 0.5 * MG) is untested
 
 
 def lived(change_at: float, added: Array, phones: tuple[str, ...] = ("typical",)) -> tuple[Engine, list[Any]]:
-    """Let an engine live through a lab recording of each phone; `added` is on the force from a time (s) on."""
+    """Let an engine live through a lab recording of each phone; from a time (s) on `added` is in it."""
     engine, kept, begin = Engine(), [], 0.0
     chunks = []
     for number, name in enumerate(phones):
