@@ -1,8 +1,10 @@
 """`python benchmarks [ITEM ...]`: everything that is claimed of speed, measured here and now.
 
 Writes out/benchmarks/results.json after every item and the page docs/performance.md after the last; prints
-each row as it comes. Ratios are taken within one run, on one machine. An item that fails is said so.
+each row as it comes. Ratios are taken within one run, on one machine. A failed item is reported.
 """
+
+# ruff: noqa: PLC0415 - numpy reads the number of threads when it is first imported; items come in turn
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ from typing import Any
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # one thread for all alike; before numpy is imported
 
-import click  # noqa: E402
+import click  # noqa: E402 - after the threads are set
 
 ITEMS = {
     "calibrating": "1",
@@ -32,10 +34,10 @@ PAGE, TRIED = Path("docs/performance.md"), Path("out/benchmarks/performance.md")
 
 def machine() -> dict[str, object]:
     """Say what this is measured on."""
-    import platform  # noqa: PLC0415
+    import platform
 
-    import numpy as np  # noqa: PLC0415 - after the threads are set
-    import scipy  # noqa: PLC0415
+    import numpy as np
+    import scipy
 
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
@@ -52,9 +54,9 @@ def machine() -> dict[str, object]:
 
 def measured(name: str, quick: bool, document: dict[str, Any]) -> None:
     """Measure one item; rows, time taken and what went wrong go into the document."""
-    import importlib  # noqa: PLC0415 - each item when its turn comes
+    import importlib
 
-    from page import line  # noqa: PLC0415
+    from page import line
 
     began = time.monotonic()
     try:
@@ -78,11 +80,11 @@ def measured(name: str, quick: bool, document: dict[str, Any]) -> None:
 @click.option("--quick", is_flag=True, help="Fewer rounds, shorter inputs: to see that it works.")
 def main(items: tuple[str, ...], out: Path, page_path: Path | None, quick: bool) -> None:
     """Measure ITEMS, or all of them."""
-    from page import HEAD, page  # noqa: PLC0415
-    from peers import versions  # noqa: PLC0415
+    from page import HEAD, page
+    from peers import versions
 
-    from stillcal.daemon.store.atomic import write_atomically  # noqa: PLC0415
-    from stillcal.daemon.store.document import pretty  # noqa: PLC0415
+    from stillcal.daemon.store.atomic import write_atomically
+    from stillcal.daemon.store.document import pretty
 
     warnings.simplefilter("ignore", RuntimeWarning)
     names = items or tuple(ITEMS)

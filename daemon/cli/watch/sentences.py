@@ -82,13 +82,13 @@ def next_step(now: Snapshot) -> str:
     """Say what the daemon needs or does next, the most urgent first."""
     status = now.status
     if status.get("trouble"):
-        return f"the disk must accept writes again: {status['trouble']}"
+        return f"the disk refuses writes: {status['trouble']}"
     if not status.get("connected"):
         return "waiting for the phone to connect"
     if now.calibration is None:
         return _missing_for_calibration(now)
     if status.get("degraded"):
-        return "new rests, because the calibration no longer fits"
+        return "needs new rests: the calibration no longer fits"
     due = status.get("decides_in_s")
     return "no decision is planned" if due is None else f"next measurement in {duration(due)}"
 
