@@ -29,7 +29,7 @@ from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.daemon.store.document import calibration_json
-from stillcal.replay.diagnosis.report.answer import Request, diagnose_recording
+from stillcal.replay.diagnosis.report.answer import Request, answer_for_recording
 from stillcal.replay.diagnosis.report.summary import summary
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.in_memory import column_names, of_arrays, of_table, warmed
@@ -282,7 +282,7 @@ def diagnose(
     known = None if phone is None else load_phone(_text(phone))
     other = None if simulated is None else load(simulated)
     request = Request(phone=known, phone_name="" if phone is None else _text(phone), simulated=other)
-    return Diagnosis(diagnose_recording(load(recording), request).answer)
+    return Diagnosis(answer_for_recording(load(recording), request).answer)
 
 
 def simulate(scenario: PathLike, *, phone: PathLike = "typical", seed: int = 0) -> Recording:

@@ -19,7 +19,7 @@ from stillcal.daemon.cli.options import format_option, gyro_option, quiet_option
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
-from stillcal.replay.diagnosis.report.answer import Answer, Request, diagnose_recording, diagnose_table
+from stillcal.replay.diagnosis.report.answer import Answer, Request, answer_for_recording, answer_for_table
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.summary import summary
 from stillcal.replay.formats.trace import read_all
@@ -88,7 +88,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     _check(asked)
     try:
         with _stages(quiet) as show_stage:
-            answer = diagnose_table(trace) if format_ == "rest" else _diagnosed(asked, show_stage)
+            answer = answer_for_table(trace) if format_ == "rest" else _diagnosed(asked, show_stage)
     except NotSupported as refusal:
         click.echo(f"stillcal: {trace}: too little data: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
@@ -124,7 +124,7 @@ def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> Answer:
     simulated = None if asked.simulated is None else read_all(asked.simulated)
     phone = None if asked.phone is None else _loaded(asked.phone)
     report, phone_file = asked.report is not None, asked.phone_out is not None
-    return diagnose_recording(
+    return answer_for_recording(
         recording, Request(phone, asked.phone or "", simulated, report, phone_file), show_stage
     )
 

@@ -47,12 +47,12 @@ class Answer:
     phone: str | None = None
 
 
-def diagnose_table(table: Path) -> Answer:
+def answer_for_table(table: Path) -> Answer:
     """Diagnose a table of rests. Raises TraceError, NotSupported."""
     return Answer(diagnose_rests(read_rest_table(table), table.name))
 
 
-def diagnose_recording(
+def answer_for_recording(
     recording: Recording, request: Request, show_stage: Callable[[str], None] = lambda stage: None
 ) -> Answer:
     """Diagnose a recording and make what was asked for. Raises NotSupported on too little data.
