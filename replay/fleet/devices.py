@@ -1,4 +1,4 @@
-"""From rows of recordings to devices: one calibration each, in the parameters that a prior speaks of."""
+"""From rows of recordings to devices: one calibration each, in the parameters of a prior."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Devices:
 
 
 def devices(rows: Sequence[dict[str, Any]]) -> Devices:
-    """Take of every device's recordings the calibrated one with the most attitudes."""
+    """Return for each device the calibrated recording with the most attitudes."""
     best: dict[str, dict[str, Any]] = {}
     for row in rows:
         usable = row["status"] == CALIBRATED and row["accel_covariance"]

@@ -1,4 +1,4 @@
-"""Finding recordings in a folder or by a pattern, and whose they are by where they lie."""
+"""Finding recordings in a folder or by a pattern, and their device and model by their folders."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _WILD = frozenset("*?[")
 
 
 class NoRecordingsError(ValueError):
-    """Nothing was found where recordings were looked for."""
+    """No recording was found."""
 
 
 @dataclass(frozen=True, slots=True)

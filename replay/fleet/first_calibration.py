@@ -1,4 +1,4 @@
-"""A new phone's first calibration: whatever rests its recording has, and what the fleet says of its model."""
+"""A new phone's first calibration, from the rests of its recording and the fleet's prior of its model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Devices that do not belong: robust Mahalanobis distance from the others of the fleet."""
+"""Outlier devices: robust Mahalanobis distance from the other devices of the fleet."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 
 LEVEL = 0.01
-"""Chance that a sound fleet has any device pointed out."""
+"""Probability that a fleet without outliers has any device named."""
 
 _LEAST = 5  # devices per parameter below which a covariance is not to be had robustly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distances:
-    """squared: (n,) distances, each against its device's own uncertainty too; limit: beyond it is an outlier.
+    """Distances of devices from the fleet.
+
+    squared: (n,), each including its device's own uncertainty. limit: a larger one is an outlier.
 
     robust: whether the centre and covariance are of the half that agrees best, or, in a fleet too small for
     that, medians and median deviations of each parameter alone.

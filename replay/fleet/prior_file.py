@@ -1,4 +1,4 @@
-"""Reading a prior from a fleet's report, and refusing one that cannot be what a fleet says of a phone."""
+"""Reading a prior from a fleet's report, and refusing one that cannot be right."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What only a fleet can tell, from its two tables: spread by model, outliers, clusters, priors."""
+"""The summary of a fleet from its two tables: spread by model, outliers, clusters, priors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NAMES = fleet_prior.FleetPrior(np.zeros(9), np.eye(9)).names
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A device that does not belong: how far, of what limit, and its parameter farthest from the median."""
+    """An outlier: its distance and the limit, and its parameter that is farthest from the median."""
 
     device: str
     model: str
@@ -51,7 +51,7 @@ class Cluster:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """All of it. recordings: by status. limits: what this fleet cannot show."""
+    """The summary of a fleet. recordings: counts by status. limits: what this fleet cannot show."""
 
     recordings: dict[str, int]
     spreads: list[Spread]
@@ -62,7 +62,7 @@ class Report:
     limits: list[str]
 
     def document(self) -> dict[str, Any]:
-        """Return it as plain values."""
+        """Return the report as plain values."""
         plain = {
             k: [asdict(x) for x in getattr(self, k)] for k in ("spreads", "effects", "outliers", "clusters")
         }
@@ -84,7 +84,7 @@ def prior_document(prior: FleetPrior) -> dict[str, Any]:
 
 
 def report(folder: Path) -> Report:
-    """Read the results in `folder`, finished or not, and say what they show."""
+    """Return the summary of the results in `folder`, finished or not."""
     rows, findings = results_folder.read(folder)
     counts: dict[str, int] = {}
     for row in rows:
@@ -106,7 +106,7 @@ def report(folder: Path) -> Report:
 
 
 def outliers(fleet: Devices, limits: list[str]) -> list[Outlier]:
-    """Return the devices whose biases and scales do not belong, farthest first."""
+    """Return the devices whose biases and scales are outliers, farthest first."""
     values = fleet.values[:, :_PARAMETERS]
     judged_distances = distances(values, fleet.covariances[:, :_PARAMETERS, :_PARAMETERS])
     if not judged_distances.robust:

@@ -1,4 +1,4 @@
-"""A folder of results that a crash, a kill or Ctrl-C leaves whole, and that the next run goes on from.
+"""A folder of results that stays consistent after a crash, a kill or Ctrl-C; the next run continues from it.
 
 Outcomes are kept in parts of some seconds' work; the two tables are written from them at the end of every
 run. A part counts once its recordings' file is there, written after its findings'.
@@ -16,15 +16,15 @@ from stillcal.replay.fleet.parquet import FINDINGS, RECORDINGS, Rows
 from stillcal.replay.fleet.worker import LOST, Examined, Task, content
 
 FLUSH_S, FLUSH_ROWS = 5.0, 256
-"""A kill of the process that keeps the results loses at most this much of them."""
+"""Results that are lost at most if this process is killed: seconds of work, and rows."""
 
 NAMES = ("recordings.parquet", "findings.parquet")
 
 
 class Results:
-    """The results in `folder`, made where it is not there.
+    """The results in `folder`, which is made if needed.
 
-    made_by: what a kept row must come from to count as finished.
+    made_by: version and options; a row of another made_by does not count as finished.
     """
 
     def __init__(self, folder: Path, made_by: str) -> None:
@@ -44,7 +44,7 @@ class Results:
         return [task for task in tasks if not self._done(task)]
 
     def keep(self, task: Task, outcome: Examined) -> None:
-        """Keep what came of a task; it is on the disk within FLUSH_S or FLUSH_ROWS."""
+        """Add the outcome of a task; it is on the disk within FLUSH_S or FLUSH_ROWS."""
         size, mtime = task.recording.stat if task.recording.path.exists() else (None, None)
         outcome.row |= {"made_by": self.made_by, "size_bytes": size, "mtime_ns": mtime}
         self._fresh.append(outcome)
@@ -52,7 +52,7 @@ class Results:
             self.flush()
 
     def flush(self) -> None:
-        """Write what was kept since the last time as one part."""
+        """Write the outcomes since the last flush as one part."""
         self._flushed = time.monotonic()
         if not self._fresh:
             return

@@ -1,4 +1,4 @@
-"""How a fleet's phones differ: bias, scale and every left-out effect, by model."""
+"""How a fleet's phones differ: bias, scale and every effect found, by model."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A left-out effect by model: in how many of its diagnosed recordings it was found, and how large.
+    """An effect by model: in how many diagnosed recordings it was found, and how large.
 
     median, low, high: of the size of its first parameter, in `unit`; NaN where it has none.
     """

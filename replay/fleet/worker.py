@@ -1,6 +1,6 @@
-"""What a worker does with one recording: calibrate, diagnose, and never raise because the recording is bad.
+"""The work on one recording: calibrate and diagnose it, without raising for a bad recording.
 
-A task goes out and its outcome comes back as plain values, so that either passes any wire.
+Task and outcome are plain values, so that both can be sent to another process or machine.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from stillcal.replay.formats.trace import Recording, Trace, open_trace
 from stillcal.replay.runner import Outcome, replay, replay_rests, with_choices
 
 CALIBRATED, REFUSED, ERROR, LOST = "calibrated", "refused", "error", "lost"
-"""What can come of a recording. Refused: it supports no calibration. Lost: the workers that had it died."""
+"""Statuses of a recording. Refused: it allows no calibration. Lost: the workers that had it died."""
 
 _UNMIRRORED = {low: high for high, low in LOWER.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A recording to be examined. format: as for `stillcal replay`; watch: how the engine looks."""
+    """A recording to be examined. format: as for `stillcal replay`; watch: when the sensors are on."""
 
     recording: FoundRecording
     format: str = "csv"
@@ -43,14 +43,14 @@ class Task:
 
 @dataclass(slots=True)
 class Examined:
-    """What came of it: columns of its row (tables.py), and rows of findings."""
+    """The outcome of a task: the columns of its row (parquet.py), and its rows of findings."""
 
     row: dict[str, Any]
     findings: list[dict[str, Any]] = field(default_factory=list)
 
 
 def examine(task: Task) -> Examined:
-    """Calibrate and diagnose one recording; whatever is wrong with it becomes its row."""
+    """Calibrate and diagnose one recording; an error becomes the status and reason of its row."""
     outcome = Examined(identity(task))
     try:
         outcome.row["content"] = content(task.recording)

@@ -1,4 +1,4 @@
-"""`python -m stillcal.replay.phone [SCENARIO ...]`: what the figures in docs/phone.md rest on, printed anew.
+"""`python -m stillcal.replay.phone [SCENARIO ...]`: the figures of docs/phone.md, computed again.
 
 For each scenario, over several seeds: rests of 10 s or more, their share of the time, attitudes more than 8
 degrees apart, and how well these determine nine parameters; then the processor time that it takes to record.
@@ -49,7 +49,7 @@ def variety(scenario: Scenario, seed: int) -> tuple[float, float, float, float]:
 @click.option("--phone", default="typical", show_default=True, help="Phone to record with.")
 @click.option("--seeds", default=8, show_default=True, help="Number of seeds to look at.")
 def report(names: tuple[str, ...], phone: str, seeds: int) -> None:
-    """Print how varied the rests of ready scenarios are, and what recording them costs."""
+    """Print how varied the rests of the ready scenarios are, and the processor time to simulate them."""
     for name in names or ("lab", "tables", "desk", "night", "day"):
         scenario = load_scenario(name)
         spans = np.array([variety(scenario, seed) for seed in range(seeds)])

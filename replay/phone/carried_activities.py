@@ -27,24 +27,24 @@ FORWARD, SIDEWAYS, UPWARD = np.eye(3)
 
 
 class Hand(Activity, frozen=True, kw_only=True, tag="hand"):
-    """In use before the eyes, now and then held anew."""
+    """The phone in use before the eyes, with changes of grip."""
 
     hold_s: Span = (6.0, 40.0)
 
     def perform(self, planner: Planner) -> None:
-        """Hold, change the grip, hold."""
+        """Lay pieces of holding, with changes of grip between."""
         end = planner.t + drawn(self.duration_s, planner.rng)
         while planner.t < end:
             look_at(planner, log_drawn(self.hold_s, planner.rng))
 
 
 class Pocket(Activity, frozen=True, kw_only=True, tag="pocket"):
-    """In the pocket of somebody who sits or stands: breathing and fidgeting."""
+    """The phone in the pocket of somebody who sits or stands: breathing and fidgeting."""
 
     shift_s: Span = (5.0, 240.0)
 
     def perform(self, planner: Planner) -> None:
-        """Nearly quiet, then a shift."""
+        """Lay pieces of breathing and fidgeting, with shifts between."""
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
         planner.turn_to(lying(CARRIED["pocket"], rng))
@@ -73,7 +73,7 @@ class Walk(Activity, frozen=True, kw_only=True, tag="walk"):
     stretch_s: Span = (8.0, 60.0)
 
     def perform(self, planner: Planner) -> None:
-        """Walk stretches of one pace, with turns between."""
+        """Lay pieces of walking at one pace, with turns between."""
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
         planner.turn_to(lying(CARRIED[self.carry], rng))
@@ -116,7 +116,7 @@ class Walk(Activity, frozen=True, kw_only=True, tag="walk"):
 
 
 class Stairs(Walk, frozen=True, kw_only=True, tag="stairs"):
-    """On stairs: slower and harder than the level, to another altitude if a place says so."""
+    """Walking on stairs: slower and harder than on level ground."""
 
     cadence_hz: Span = (1.4, 1.9)
     vigour: Span = (0.8, 1.4)
@@ -124,7 +124,7 @@ class Stairs(Walk, frozen=True, kw_only=True, tag="stairs"):
 
 
 class Drive(Activity, frozen=True, kw_only=True, tag="drive"):
-    """In a car: engine, road, speeding up and braking, bends, and waits with the engine idling."""
+    """The phone in a car: engine, road, accelerating, braking, bends, and waits with the engine idling."""
 
     support: str = "leaning"
     road_rms: Span = (0.3, 0.9)
@@ -132,7 +132,7 @@ class Drive(Activity, frozen=True, kw_only=True, tag="drive"):
     engine_hz: Span = (22.0, 30.0)
 
     def perform(self, planner: Planner) -> None:
-        """Wait, speed up, cruise through bends, brake."""
+        """Lay pieces of waiting, accelerating, driving through bends and braking."""
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
         planner.turn_to(lying(support_named(self.support), rng))

@@ -1,4 +1,4 @@
-"""When samples are taken, what time they are stamped with, whether and when they arrive."""
+"""When samples are taken, their time stamps, and whether and when they arrive."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ Each effect is a small record whose name and parameters are those of a diagnosis
 `[[effect]]` with `name = "..."`. It acts in one of three places: it changes a setting (range, lsb,
 bandwidth, noise, clock), it disturbs the true input (lever arm, tones), or it adds a term to the output
 before bandwidth, range and lsb are applied. Terms of different effects add up. The effects themselves
-live in `slow_bias`, `input_effects` and `setting_effects`.
+are in `effects_on_bias`, `effects_on_input` and `effects_on_settings`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SENSORS: dict[Which, tuple[Sensor, ...]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """All that a sensor can feel at n moments, body axes.
+    """The true input of a sensor at n moments, body axes.
 
     t: (n,) s, true time. force m/s^2, rate rad/s, rate_dot rad/s^2: (n, 3), true. warmth: (n,) K over the
     reference temperature. charging: (n,) 0 or 1.
@@ -57,7 +57,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
-    """What a term must know before it starts: the sensor's rate in Hz, surroundings, its own randomness."""
+    """The inputs of a term: the sensor's rate in Hz, the surroundings, and its own random generator."""
 
     rate_hz: float
     surroundings: Surroundings
@@ -69,7 +69,7 @@ Term = Callable[[Moment], Array]
 
 
 class Effect(Settings, frozen=True, kw_only=True, tag_field="name"):
-    """Base of all effects: does nothing anywhere."""
+    """Base of all effects; it changes nothing itself."""
 
     sensors: ClassVar[tuple[Sensor, ...]] = ()
     of_whole_phone: ClassVar[bool] = False
@@ -104,19 +104,19 @@ class Effect(Settings, frozen=True, kw_only=True, tag_field="name"):
 
 
 class OnAccel(Effect, frozen=True, kw_only=True):
-    """Acts on the accelerometer."""
+    """Base of the effects on the accelerometer."""
 
     sensors: ClassVar[tuple[Sensor, ...]] = SENSORS["accel"]
 
 
 class OnGyro(Effect, frozen=True, kw_only=True):
-    """Acts on the gyroscope."""
+    """Base of the effects on the gyroscope."""
 
     sensors: ClassVar[tuple[Sensor, ...]] = SENSORS["gyro"]
 
 
 class OnEither(Effect, frozen=True, kw_only=True):
-    """Acts on the sensor that `sensor` says."""
+    """Base of the effects on the sensor that the parameter `sensor` names."""
 
     sensor: Which = "both"
 

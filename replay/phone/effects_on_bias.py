@@ -1,4 +1,4 @@
-"""Effects that move the bias or scale slowly: with temperature, time, the plug."""
+"""Effects that change bias or scale slowly: with temperature, time or charging."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class _BiasTemperature(Effect, frozen=True, kw_only=True):
     slope: Vector
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Slope times warmth."""
+        """Return the term slope times warmth."""
         return lambda m: stretch(m.warmth, self.slope)
 
 
@@ -51,20 +51,20 @@ class _ScaleTemperature(Effect, frozen=True, kw_only=True):
     slope: Vector
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Slope times warmth times the true input."""
+        """Return the term slope times warmth times the true input."""
         return lambda m: stretch(m.warmth, self.slope) * m.felt_by(sensor)
 
 
 class AccelScaleTemperature(
     _ScaleTemperature, OnAccel, frozen=True, kw_only=True, tag="accel_scale_temperature"
 ):
-    """Accelerometer scale factor against temperature."""
+    """Scale factor of the accelerometer against temperature; slope in 1/K."""
 
 
 class GyroScaleTemperature(
     _ScaleTemperature, OnGyro, frozen=True, kw_only=True, tag="gyro_scale_temperature"
 ):
-    """Gyroscope scale factor against temperature."""
+    """Scale factor of the gyroscope against temperature; slope in 1/K."""
 
 
 class _Warmup(Effect, frozen=True, kw_only=True):
@@ -74,7 +74,7 @@ class _Warmup(Effect, frozen=True, kw_only=True):
     tau_s: float
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Approach exponentially."""
+        """Return the term that approaches the amplitude exponentially."""
         return lambda m: stretch(-np.expm1(-m.t / self.tau_s), self.amplitude)
 
 
@@ -93,28 +93,28 @@ class ThermalLatent(OnEither, frozen=True, kw_only=True, tag="thermal_latent"):
     tau_s: float
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Amplitude times the lagged heating."""
+        """Return the term amplitude times lagged heating."""
         hidden = circumstances.surroundings.heating().lagged(self.tau_s)
         return lambda m: stretch(hidden.at(m.t), self.amplitude)
 
 
 class _BiasStep(Effect, frozen=True, kw_only=True):
-    """Bias jumps by `step` at time at_s."""
+    """Bias changes by `step` at the time at_s, s."""
 
     step: Vector
     at_s: float
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Jump."""
+        """Return the term that jumps by the step at its time."""
         return lambda m: stretch((m.t >= self.at_s).astype(float), self.step)
 
 
 class AccelBiasStep(_BiasStep, OnAccel, frozen=True, kw_only=True, tag="accel_bias_step"):
-    """Accelerometer bias step, m/s^2."""
+    """A step of the accelerometer's bias, m/s^2."""
 
 
 class GyroBiasStep(_BiasStep, OnGyro, frozen=True, kw_only=True, tag="gyro_bias_step"):
-    """Gyroscope bias step, rad/s."""
+    """A step of the gyroscope's bias, rad/s."""
 
 
 class _BiasDrift(Effect, frozen=True, kw_only=True):
@@ -123,34 +123,34 @@ class _BiasDrift(Effect, frozen=True, kw_only=True):
     rate: Vector
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Rate times time."""
+        """Return the term rate times time."""
         return lambda m: stretch(m.t, self.rate)
 
 
 class AccelBiasDrift(_BiasDrift, OnAccel, frozen=True, kw_only=True, tag="accel_bias_drift"):
-    """Accelerometer bias drift, m/s^3."""
+    """A drift of the accelerometer's bias, m/s^3."""
 
 
 class GyroBiasDrift(_BiasDrift, OnGyro, frozen=True, kw_only=True, tag="gyro_bias_drift"):
-    """Gyroscope bias drift, rad/s^2."""
+    """A drift of the gyroscope's bias, rad/s^2."""
 
 
 class _ChargingBias(Effect, frozen=True, kw_only=True):
-    """Bias is `step` more while charging, at once."""
+    """Bias is larger by `step` while charging, without delay."""
 
     step: Vector
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Add the step while the plug is in."""
+        """Return the term that is the step while charging."""
         return lambda m: stretch(m.charging, self.step)
 
 
 class AccelChargingBias(_ChargingBias, OnAccel, frozen=True, kw_only=True, tag="accel_charging_bias"):
-    """Accelerometer bias by the supply, m/s^2."""
+    """Accelerometer bias while charging; step in m/s^2."""
 
 
 class GyroChargingBias(_ChargingBias, OnGyro, frozen=True, kw_only=True, tag="gyro_charging_bias"):
-    """Gyroscope bias by the supply, rad/s."""
+    """Gyroscope bias while charging; step in rad/s."""
 
 
 class _ThermalHysteresis(Effect, frozen=True, kw_only=True):
@@ -161,7 +161,7 @@ class _ThermalHysteresis(Effect, frozen=True, kw_only=True):
     tau_s: float = 900.0
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Multiply coefficient and the lead of temperature over its lagged self."""
+        """Return the term coefficient times the temperature minus its lagged value."""
         lagging = Smoother(self.tau_s, circumstances.rate_hz)
 
         def term(m: Moment) -> Array:

@@ -1,4 +1,4 @@
-"""Effects that follow the input: nonlinearity, g-sensitivity, vibration, lever arm; and spikes."""
+"""Effects that depend on the input: nonlinearity, g-sensitivity, vibration, lever arm; and spikes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _Nonlinearity(Effect, frozen=True, kw_only=True):
     cubic: Vector = (0.0, 0.0, 0.0)
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Add the even and the odd term."""
+        """Return the term with the quadratic and the cubic part."""
         k2, k3 = per_axis(self.quadratic), per_axis(self.cubic)
 
         def term(m: Moment) -> Array:
@@ -54,12 +54,12 @@ class GyroNonlinearity(_Nonlinearity, OnGyro, frozen=True, kw_only=True, tag="gy
 
 
 class GyroGSensitivity(OnGyro, frozen=True, kw_only=True, tag="gyro_g_sensitivity"):
-    """The gyroscope feels the specific force through a matrix, (rad/s)/(m/s^2)."""
+    """The gyroscope's output contains the specific force times a matrix, (rad/s)/(m/s^2)."""
 
     matrix: Matrix
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Multiply matrix and force."""
+        """Return the term matrix times force."""
         G = np.asarray(self.matrix)
         return lambda m: m.force @ G.T
 
@@ -75,7 +75,7 @@ class _VibrationRectification(Effect, frozen=True, kw_only=True):
     lag_s: float = 0.5
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Multiply coefficient and smoothed power."""
+        """Return the term coefficient times smoothed power."""
         slow, power = Smoother(self.lag_s, circumstances.rate_hz), Smoother(self.lag_s, circumstances.rate_hz)
         coefficient = per_axis(self.coefficient)
 
@@ -106,7 +106,7 @@ class Spikes(OnEither, frozen=True, kw_only=True, tag="spikes"):
     per_hour: float
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Add rare signed impulses."""
+        """Return the term of rare impulses with random signs."""
         chance = self.per_hour / 3600.0 / circumstances.rate_hz
 
         def term(m: Moment) -> Array:
@@ -118,12 +118,12 @@ class Spikes(OnEither, frozen=True, kw_only=True, tag="spikes"):
 
 
 class LeverArm(OnAccel, frozen=True, kw_only=True, tag="lever_arm"):
-    """The accelerometer sits at `position` m from the point that the motion is told of."""
+    """The accelerometer is at `position`, m, from the point whose motion is simulated."""
 
     position: Vector
 
     def input_term(self, circumstances: Circumstances) -> Term:
-        """Add rate_dot x r + rate x (rate x r)."""
+        """Return the term rate_dot x r + rate x (rate x r)."""
         r = np.asarray(self.position)
 
         def term(m: Moment) -> Array:
@@ -144,7 +144,7 @@ class VibrationTone(OnEither, frozen=True, kw_only=True, tag="vibration_tone"):
     duration_s: float = math.inf
 
     def input_term(self, circumstances: Circumstances) -> Term:
-        """Add the sinusoid while it lasts."""
+        """Return the term of the sinusoid while it lasts."""
 
         def term(m: Moment) -> Array:
             on = ((m.t >= self.start_s) & (m.t < self.start_s + self.duration_s)).astype(float)

@@ -1,4 +1,4 @@
-"""Effects on range, resolution, bandwidth, noise, timing and support: they change settings, not samples."""
+"""Effects on range, resolution, bandwidth, noise, timing and support: they change a phone's settings."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from stillcal.replay.phone.settings import (
 
 
 class _Saturation(Effect, frozen=True, kw_only=True):
-    """Values stop at plus and minus `limit`, or the element itself does, ahead of bandwidth and bias."""
+    """Values are clipped at plus and minus `limit`, after the filter or, with before_filter, before it."""
 
     limit: float
     before_filter: bool = False
 
     def on_sensor(self, settings: SensorSettings) -> SensorSettings:
-        """Narrow the range."""
+        """Return the settings with the range limited."""
         if self.before_filter:
             limit = min(self.limit, settings.element_range or math.inf)
             return msgspec.structs.replace(settings, element_range=limit)
@@ -39,11 +39,11 @@ class _Saturation(Effect, frozen=True, kw_only=True):
 
 
 class AccelSaturation(_Saturation, OnAccel, frozen=True, kw_only=True, tag="accel_saturation"):
-    """Accelerometer clipping, m/s^2."""
+    """Saturation of the accelerometer, m/s^2."""
 
 
 class GyroSaturation(_Saturation, OnGyro, frozen=True, kw_only=True, tag="gyro_saturation"):
-    """Gyroscope clipping, rad/s."""
+    """Saturation of the gyroscope, rad/s."""
 
 
 class _Quantisation(Effect, frozen=True, kw_only=True):
@@ -52,16 +52,16 @@ class _Quantisation(Effect, frozen=True, kw_only=True):
     step: float
 
     def on_sensor(self, settings: SensorSettings) -> SensorSettings:
-        """Coarsen the lsb."""
+        """Return the settings with the coarser lsb."""
         return msgspec.structs.replace(settings, lsb=max(self.step, settings.lsb))
 
 
 class AccelQuantisation(_Quantisation, OnAccel, frozen=True, kw_only=True, tag="accel_quantisation"):
-    """Accelerometer resolution, m/s^2."""
+    """Quantisation of the accelerometer, m/s^2."""
 
 
 class GyroQuantisation(_Quantisation, OnGyro, frozen=True, kw_only=True, tag="gyro_quantisation"):
-    """Gyroscope resolution, rad/s."""
+    """Quantisation of the gyroscope, rad/s."""
 
 
 class Bandwidth(OnEither, frozen=True, kw_only=True, tag="bandwidth"):
@@ -70,7 +70,7 @@ class Bandwidth(OnEither, frozen=True, kw_only=True, tag="bandwidth"):
     cutoff: float
 
     def on_sensor(self, settings: SensorSettings) -> SensorSettings:
-        """Lower the cutoff."""
+        """Return the settings with the lower cutoff."""
         return msgspec.structs.replace(settings, cutoff_hz=min(self.cutoff, settings.cutoff_hz or math.inf))
 
 
@@ -80,7 +80,7 @@ class HeldSamples(OnEither, frozen=True, kw_only=True, tag="held_samples"):
     fraction: float
 
     def on_sensor(self, settings: SensorSettings) -> SensorSettings:
-        """Hold more."""
+        """Return the settings with the larger share held."""
         return msgspec.structs.replace(settings, held_fraction=max(self.fraction, settings.held_fraction))
 
 
@@ -99,7 +99,7 @@ class NoiseLevel(OnEither, frozen=True, kw_only=True, tag="noise_level"):
     ratio: float
 
     def on_sensor(self, settings: SensorSettings) -> SensorSettings:
-        """Scale the white noise."""
+        """Return the settings with the white noise scaled."""
         return _louder(settings, white=_scaled_white(settings.noise, per_axis(self.ratio)))
 
 
@@ -109,7 +109,7 @@ class NoiseUnequalAxes(OnEither, frozen=True, kw_only=True, tag="noise_unequal_a
     ratio: Vector
 
     def on_sensor(self, settings: SensorSettings) -> SensorSettings:
-        """Scale the white noise by axis."""
+        """Return the settings with the white noise scaled, axis by axis."""
         return _louder(settings, white=_scaled_white(settings.noise, per_axis(self.ratio)))
 
 
@@ -120,7 +120,7 @@ class NoiseHeavyTailed(OnEither, frozen=True, kw_only=True, tag="noise_heavy_tai
     fraction: float = 0.02
 
     def on_sensor(self, settings: SensorSettings) -> SensorSettings:
-        """Fatten the tails."""
+        """Return the settings with heavier tails."""
         return _louder(settings, tail_ratio=self.ratio, tail_fraction=self.fraction)
 
 
@@ -130,7 +130,7 @@ class _RandomWalk(Effect, frozen=True, kw_only=True):
     density: Vector
 
     def on_sensor(self, settings: SensorSettings) -> SensorSettings:
-        """Add the walk's power."""
+        """Return the settings with the random walk added in power."""
         x, y, z = np.hypot(per_axis(self.density), per_axis(settings.noise.random_walk))
         return _louder(settings, random_walk=(float(x), float(y), float(z)))
 
@@ -149,27 +149,27 @@ class ClockSkew(Effect, frozen=True, kw_only=True, tag="clock_skew"):
     relative: float
 
     def on_clock(self, clock: ClockSettings) -> ClockSettings:
-        """Set the skew on top of the phone's own."""
+        """Return the settings with the skew added to the phone's own."""
         return msgspec.structs.replace(clock, skew=clock.skew + self.relative)
 
 
 class TimestampJitter(Effect, frozen=True, kw_only=True, tag="timestamp_jitter"):
-    """Stamps scatter by `sigma` s."""
+    """Time stamps have random errors of standard deviation `sigma`, s."""
 
     sigma: float
 
     def on_clock(self, clock: ClockSettings) -> ClockSettings:
-        """Add the jitter's variance."""
+        """Return the settings with the jitter's variance added."""
         return msgspec.structs.replace(clock, jitter_s=math.hypot(clock.jitter_s, self.sigma))
 
 
 class DroppedSamples(Effect, frozen=True, kw_only=True, tag="dropped_samples"):
-    """A `fraction` of samples never arrives."""
+    """A `fraction` of the samples is lost."""
 
     fraction: float
 
     def on_clock(self, clock: ClockSettings) -> ClockSettings:
-        """Drop more."""
+        """Return the settings with more samples lost."""
         delivered = (1.0 - clock.drop_fraction) * (1.0 - self.fraction)
         return msgspec.structs.replace(clock, drop_fraction=1.0 - delivered)
 
@@ -180,7 +180,7 @@ class DoubledSamples(Effect, frozen=True, kw_only=True, tag="doubled_samples"):
     fraction: float
 
     def on_clock(self, clock: ClockSettings) -> ClockSettings:
-        """Double more."""
+        """Return the settings with the larger share delivered twice."""
         return msgspec.structs.replace(clock, double_fraction=max(self.fraction, clock.double_fraction))
 
 
@@ -191,17 +191,17 @@ class ArrivalBursts(Effect, frozen=True, kw_only=True, tag="arrival_bursts"):
     burst_s: float = 0.2
 
     def on_clock(self, clock: ClockSettings) -> ClockSettings:
-        """Set the bursts."""
+        """Return the settings with these bursts."""
         return msgspec.structs.replace(clock, burst_fraction=self.fraction, burst_s=self.burst_s)
 
 
 class AccelGyroTimeOffset(Effect, frozen=True, kw_only=True, tag="accel_gyro_time_offset"):
-    """The gyroscope tells of motion `delay` s before its stamp (late is positive)."""
+    """The gyroscope measures the motion `delay` s before its time stamp (late is positive)."""
 
     delay: float
 
     def on_clock(self, clock: ClockSettings) -> ClockSettings:
-        """Delay the gyroscope further."""
+        """Return the settings with the delay added to the gyroscope's own."""
         return msgspec.structs.replace(clock, gyro_delay_s=clock.gyro_delay_s + self.delay)
 
 

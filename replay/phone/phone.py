@@ -17,11 +17,11 @@ from stillcal.replay.phone.settings import ClockSettings, HeatSettings, SensorSe
 
 
 class Claims(formats.Claims, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the maker says of the phone, right or wrong; a phone file may not misspell it."""
+    """The maker's claims about the phone, right or wrong; unknown fields in a phone file are refused."""
 
 
 class Phone(Settings, frozen=True, kw_only=True, rename={"effects": "effect"}):
-    """All that makes one phone's recordings differ from true motion. gyro: None for a phone without one."""
+    """A simulated phone: all its departures from true motion. gyro: None for a phone without one."""
 
     description: str = ""
     accel: SensorSettings = SensorSettings()
@@ -52,7 +52,7 @@ class Phone(Settings, frozen=True, kw_only=True, rename={"effects": "effect"}):
         return next((e for e in self.effects if isinstance(e, TiltCreep)), None)
 
     def claimed(self) -> dict[str, Any]:
-        """Return what the maker says, as `NAME.json` holds it; unsaid figures come from the settings."""
+        """Return the maker's claims as `NAME.json` has them; claims not given come from the settings."""
         claims: dict[str, Any] = {"device": self.description, "nominal_rate_hz": self.accel.rate_hz}
         for name, settings in (("accel", self.accel), ("gyro", self.gyro)):
             if settings is not None:

@@ -1,4 +1,4 @@
-"""The hand that moves the phone: lays out pieces of motion end to end, each starting where the last ended."""
+"""The planner of motion: it lays pieces end to end, each starting where the last one ended."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Span = float | tuple[float, float]
 
 
 def drawn(span: Span, rng: np.random.Generator) -> float:
-    """Draw evenly from a span."""
+    """Draw a number uniformly from a span."""
     return span if isinstance(span, float | int) else float(rng.uniform(*span))
 
 

@@ -1,4 +1,4 @@
-"""Phones as people have them: draws of devices with the spread that 36 real ones showed."""
+"""Random phones with the spread of errors of 36 real devices."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ class Activity(Settings, frozen=True, kw_only=True, tag_field="activity"):
         return str(self.__struct_config__.tag)
 
     def perform(self, planner: Planner) -> None:
-        """Lay the activity's pieces."""
+        """Add the activity's pieces of motion to the planner."""
         raise NotImplementedError
 
 
@@ -87,7 +87,7 @@ def support_named(name: str) -> Support:
 
 
 def drawn_support(weights: Mapping[str, float], rng: np.random.Generator) -> Support:
-    """Draw a support by weight."""
+    """Draw a support with probability proportional to its weight."""
     share = np.array(list(weights.values()))
     return support_named(list(weights)[int(rng.choice(len(share), p=share / share.sum()))])
 
@@ -98,7 +98,7 @@ class Rest(Activity, frozen=True, kw_only=True, tag="rest"):
     support: str = "screen_up"
 
     def perform(self, planner: Planner) -> None:
-        """Put it down, leave it."""
+        """Lay pieces of putting the phone down, and one rest."""
         end = planner.t + drawn(self.duration_s, planner.rng)
         planner.put_down(lying(support_named(self.support), planner.rng))
         planner.rest(max(end - planner.t, 1.0), self.name)
@@ -117,7 +117,7 @@ class Table(Activity, frozen=True, kw_only=True, tag="table"):
     supports: dict[str, float] = msgspec.field(default_factory=lambda: dict(TABLE_WEIGHTS))
 
     def perform(self, planner: Planner) -> None:
-        """Rest, handle, rest again, until the time is up."""
+        """Lay rests with handling between, until the time is up."""
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
         while planner.t < end:
@@ -164,7 +164,7 @@ class Desk(Activity, frozen=True, kw_only=True, tag="desk"):
     typing_rms: Span = (0.01, 0.08)
 
     def perform(self, planner: Planner) -> None:
-        """Alternate quiet and typing."""
+        """Lay alternating pieces of rest and typing."""
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
         planner.put_down(lying(support_named(self.support), rng))
@@ -184,7 +184,7 @@ class Washer(Activity, frozen=True, kw_only=True, tag="washer"):
     spin_rms: Span = (0.5, 2.0)
 
     def perform(self, planner: Planner) -> None:
-        """Alternate pauses, tumbling and spinning."""
+        """Lay alternating pieces of pauses, tumbling and spinning."""
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
         planner.put_down(lying(support_named(self.support), rng))
@@ -224,7 +224,7 @@ class Mattress(Activity, frozen=True, kw_only=True, tag="mattress"):
     shift_s: Span = (300.0, 2400.0)
 
     def perform(self, planner: Planner) -> None:
-        """Breathe; now and then turn over."""
+        """Lay pieces of breathing, with shifts when the sleeper turns over."""
         rng = planner.rng
         end = planner.t + drawn(self.duration_s, rng)
         planner.turn_to(lying(SUPPORTS["cushion"], rng))

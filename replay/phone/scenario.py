@@ -1,4 +1,4 @@
-"""People's days: what happens to a phone, in order, as a TOML file says it."""
+"""Scenarios: what happens to a phone, in order, read from a TOML file."""
 
 from __future__ import annotations
 

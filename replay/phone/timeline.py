@@ -1,4 +1,4 @@
-"""Things that change in steps, and what answers them slowly: both are pure functions of time.
+"""Quantities that change in steps, and their first-order lags: both are pure functions of time.
 
 Charging, screen use and the room's temperature come in steps; heat follows them as first-order lags,
 solved exactly from step to step so that any time can be asked for in any order.
@@ -23,7 +23,7 @@ class Steps:
 
     @classmethod
     def of(cls, t: ArrayLike, value: ArrayLike) -> Steps:
-        """Build from anything array-like."""
+        """Return steps from times and values that are array-like."""
         return cls(frozen(t), frozen(value))
 
     def at(self, t: Array) -> Array:

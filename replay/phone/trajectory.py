@@ -19,7 +19,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class Profile(Protocol):
-    """A quantity's course in time."""
+    """A quantity as a function of time."""
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
         """Return value, first and second derivative at times (n,) s from the piece's start."""

@@ -1,6 +1,7 @@
-"""A phone on a pseudo-terminal: what a daemon opens by its path as it would a USB device.
+"""A phone on a pseudo-terminal, which a daemon opens by its path like a USB device.
 
-Bytes, pace and plugging are here; what is sent when is phone_stream.py's. One asyncio loop, no thread.
+This module has the bytes, the pace and the plugging; stream.py decides what is sent when. One asyncio loop,
+no thread.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ READ_BYTES = 65_536
 """Bytes read from the terminal at a time, at most."""
 
 STRIDE_S = 10.0
-"""s of the phone's time that are on their way at once, at most: what a sudden unplugging can cost."""
+"""Most time, s of the phone's, that is in transit at once and lost by unplugging."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +87,7 @@ class PhoneLink:
 
     @property
     def heard(self) -> WireCounters:
-        """What came from the daemon."""
+        """Counters of what was received from the daemon."""
         return self._decoder.snapshot()
 
     def plug(self, path: Path | None = None) -> Path:
@@ -261,7 +262,7 @@ class _Line:
 def _linked(path: Path, terminal: Path) -> Path:
     """Make `path` a link to the terminal, in place of an older link. Raises FileExistsError on any other."""
     if path.exists() and not path.is_symlink():
-        raise FileExistsError(f"{path} exists and is no link: give another path for the phone")
+        raise FileExistsError(f"{path} exists and is not a link; give another path for the phone")
     fresh = path.with_name(f"{path.name}.{os.getpid()}")
     fresh.symlink_to(terminal)
     return fresh.replace(path)

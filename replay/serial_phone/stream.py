@@ -1,7 +1,7 @@
 """What a phone sends, sans-I/O: a simulated or recorded stream that obeys sense, sleep, rate and grants.
 
 Chunks and commands in, messages out. Time is the stream's own; nothing here waits, reads a clock or
-knows a serial line (phone_link.py does).
+knows a serial line (link.py does).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Chunk(Protocol):
 
     @property
     def events(self) -> Sequence[PhoneEvent]:
-        """What happened, in time order."""
+        """The events, in time order."""
 
 
 class PhoneStream:
@@ -62,7 +62,7 @@ class PhoneStream:
 
     @property
     def done(self) -> bool:
-        """Whether all has been sent."""
+        """Whether the whole stream has been sent."""
         return self._span is None
 
     @property
@@ -71,7 +71,7 @@ class PhoneStream:
         return not self.done and self.t >= self._granted
 
     def standing(self) -> list[Message]:
-        """Say where time stands: what the phone answers when asked, and repeats while it waits."""
+        """Return the present status and time: the phone's answer when asked, repeated while it waits."""
         status = Status(self.t, self._on_time, self._asleep_until is None, self._wakeups)
         end = [End(math.nextafter(self._last, math.inf))] if self.done else []
         return [status, Tick(self.t), *end]
