@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,11 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.store.document import (
     MIGRATIONS,
     SCHEMA,
+    WIDTH,
     Fault,
     StoreDocument,
     StoreFormatError,
+    calibration_json,
     checksum,
     fewest_parameters,
     parse,
@@ -259,3 +262,79 @@ def test_figures_survive_as_finite_or_unknown(make_record):
     again = parse(render(StoreDocument(current=make_record(1))))[0].current
     assert math.isclose(again.accelerometer.bias_uncertainty[0], 1e-3)
     assert np.isnan(again.accelerometer.bias_uncertainty[1:]).all()
+
+
+def published(*records, limit=32):
+    document = StoreDocument()
+    for record in records:
+        document = document.after_publishing(record, limit)
+    return document
+
+
+# Its layout and its schemas, to the column
+
+
+def test_nothing_current_is_said_in_full():
+    value = calibration_json(None)
+    assert list(value)[:4] == ["schema", "format", "model", "units"]
+    assert (value["schema"], value["id"]) == (1, None)
+    assert (value["accelerometer"], value["gyroscope"], value["states"]) == (None, None, [])
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_value_fills_110_columns_and_no_more(more):
+    assert WIDTH == 110
+    inner = {"k": "x" * (WIDTH - 4 - len('"key": {"k": ""}') + more)}
+    text = pretty({"outer": {"key": inner, "list": [[1], [2]], "long": "y" * WIDTH}})
+    line = next(line for line in text.splitlines() if '"key"' in line)
+    assert (len(line.rstrip(",")) == WIDTH) == (more == 0)
+    assert json.loads(text) == {"outer": {"key": inner, "list": [[1], [2]], "long": "y" * WIDTH}}
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_list_of_vectors_fills_110_columns_and_no_more(more):
+    rows = [[1], ["x" * (WIDTH - 2 - len('"m": [[1], [""]]') + more)]]
+    text = pretty({"m": rows, "z": 0})
+    assert ('"m": [[1], [' in text) == (more == 0)
+    assert max(map(len, text.splitlines())) <= WIDTH + 1
+    assert json.loads(text) == {"m": rows, "z": 0}
+
+
+def test_the_document_itself_is_never_one_line(make_record):
+    assert pretty({"a": [1], "b": {"c": [[1], [2]]}}).splitlines() == [
+        "{",
+        '  "a": [1],',
+        '  "b": {"c": [[1], [2]]}',
+        "}",
+    ]
+
+
+def test_a_vector_stays_on_one_line_however_long():
+    long = list(range(100))
+    assert f'  "v": {json.dumps(long)},' in pretty({"v": long, "w": 1}).splitlines()
+
+
+def test_a_store_of_the_gyroscope_alone_is_read(make_record):
+    document = published(replace(make_record(1), accelerometer=None))
+    again = parse(render(document))[0].current
+    assert again.accelerometer is None and again.gyroscope is not None
+
+
+@pytest.mark.parametrize("missing", ["accelerometer", "gyroscope", "checksum"])
+def test_a_schema_1_without_its_keys_is_foreign(make_record, missing):
+    value = json.loads(render(published(make_record(1))))
+    del value[missing]
+    with pytest.raises(StoreFormatError, match="but not a stillcal store") as refusal:
+        parse(json.dumps(value).encode())
+    assert refusal.value.fault is Fault.FOREIGN
+
+
+@pytest.mark.parametrize("sensor", ["accel", "gyro"])
+def test_either_sensor_makes_a_schema_0(sensor):
+    data = json.dumps({sensor: {"S": np.eye(3).tolist(), "b": [0.1, 0.2, 0.3]}}).encode()
+    document, schema = parse(data)
+    assert schema == 0
+    found = document.current.accelerometer if sensor == "accel" else document.current.gyroscope
+    assert found.bias.tolist() == [0.1, 0.2, 0.3]
+    if sensor == "accel":
+        assert found.gravity == 9.80665

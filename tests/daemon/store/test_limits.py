@@ -4,26 +4,14 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import json
 import os
-from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from stillcal.calib_core.calibration.record import Acceptance
 from stillcal.daemon.store import store as store_module
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import (
-    WIDTH,
-    Fault,
     StoreDocument,
-    StoreFormatError,
-    bounded,
-    calibration_json,
-    parse,
-    pretty,
-    render,
 )
 from stillcal.daemon.store.files import MAX_BYTES, StoreLockedError, read, store_error, take_lock
 from stillcal.daemon.store.store import Store, StoreError, StoreSettings
@@ -80,164 +68,6 @@ def test_each_change_keeps_as_many_as_the_settings_say(path, make_record):
         assert [e.what for e in store.history()] == ["rejected", "rolled_back"]
         store.retire("another phone")
         assert len(store.history()) == 2
-
-
-# History
-
-
-def test_half_of_the_history_may_be_rejected_and_no_more(make_record):
-    document = published(*map(make_record, range(4)))
-    for number in range(10, 14):
-        document = document.after_rejecting(make_record(number), "worse", 32)
-    entries = document.history
-    assert [e.what for e in entries] == ["replaced"] * 3 + ["rejected"] * 4
-    assert [e.calibration.fitted_at for e in bounded(entries, 7)] == [0.0, 1.0, 2.0, 11.0, 12.0, 13.0]
-    assert [e.calibration.fitted_at for e in bounded(entries, 5)] == [0.0, 1.0, 2.0, 12.0, 13.0]
-    assert [e.calibration.fitted_at for e in bounded(entries, 4)] == [1.0, 2.0, 12.0, 13.0]
-    assert bounded(entries, 8) == entries
-
-
-def test_only_a_zeroing_after_a_zeroing_is_forgotten(make_record):
-    calibration, zeroing = make_record(1), make_record(2, how="zeroing")
-    assert [e.calibration.id for e in published(calibration, zeroing).history] == [calibration.id]
-    again = published(zeroing, calibration)
-    assert [e.calibration.id for e in again.history] == [zeroing.id]
-    assert published(zeroing, make_record(3, how="zeroing")).history == ()
-
-
-def test_what_nobody_dated_is_dated_by_its_successor(make_record):
-    first, second = make_record(1), make_record(2)
-    (entry,) = published(first, second).history
-    assert (entry.at, entry.reason) == (2.0, f"replaced by {second.id}: number 2")
-    (candidate,) = StoreDocument().after_rejecting(second, "worse", 32).history
-    assert candidate.at == 2.0
-    (retired,) = published(first).after_retiring("another phone", 32).history
-    assert (retired.at, retired.what, retired.reason) == (1.0, "replaced", "another phone")
-    (dated,) = published(first).after_retiring("another phone", 32, at=50.0).history
-    assert dated.at == 50.0
-    (at_zero,) = published(first).after_retiring("another phone", 32, at=0.0).history
-    assert at_zero.at == 0.0
-
-
-def test_a_calibration_that_gives_no_reason_is_named_alone(make_record):
-    silent = replace(make_record(2), acceptance=Acceptance(how="calibration", reason="", evidence={}))
-    (entry,) = published(make_record(1), silent).history
-    assert entry.reason == f"replaced by {silent.id}"
-
-
-def test_retiring_nothing_changes_nothing(make_record):
-    document = StoreDocument().after_rejecting(make_record(1), "worse", 32)
-    assert document.after_retiring("another phone", 32) is document
-    assert published(make_record(1)).after_retiring("another phone", 32).current is None
-
-
-def test_a_candidate_is_rejected_once_and_a_replaced_one_may_be(make_record):
-    document = published(make_record(1), make_record(2)).after_rejecting(make_record(3), "worse", 32)
-    assert document.after_rejecting(make_record(3), "again", 32) is document
-    once_current = document.after_rejecting(make_record(1), "worse now", 32)
-    assert [e.what for e in once_current.history] == ["replaced", "rejected", "rejected"]
-
-
-def test_history_leaves_out_the_rests(make_record):
-    (entry,) = published(make_record(1, states=5), make_record(2)).history
-    assert entry.calibration.states == ()
-    assert len(make_record(1, states=5).states) == 5
-
-
-def test_rolling_back_counts_what_was_replaced_only(make_record):
-    document = published(*map(make_record, (1, 2, 3))).after_rejecting(make_record(9), "worse", 32)
-    assert document.after_rollback(2, 32).current.id == make_record(1).id
-    back = document.after_rollback(1, 32)
-    assert back.current.acceptance.reason == f"rolled back from {make_record(3).id}"
-    assert back.history[-1].reason == f"rolled back to {back.current.id}"
-    assert (back.history[-1].what, back.history[-1].at) == ("rolled_back", None)
-    assert [e.calibration.fitted_at for e in back.history] == [1.0, 9.0, 3.0]
-    with pytest.raises(ValueError, match=r"the history holds 1 earlier"):
-        back.after_rollback(2, 32)
-
-
-def test_rolling_back_without_a_current_calibration(make_record):
-    document = published(make_record(1)).after_retiring("another phone", 32)
-    back = document.after_rollback(1, 32)
-    assert back.current.acceptance.reason == "rolled back"
-    assert back.history == ()
-
-
-def test_an_id_that_fits_two_calibrations_is_refused(make_record):
-    document = published(*map(make_record, range(40)), limit=40)
-    ids = [e.calibration.id for e in document.history]
-    shared = next(i[0] for i in ids if sum(other[0] == i[0] for other in ids) > 1)
-    with pytest.raises(ValueError, match=r"^\d+ earlier calibrations with an id beginning with"):
-        document.after_rollback(shared, 40)
-
-
-# The document
-
-
-def test_nothing_current_is_said_in_full():
-    value = calibration_json(None)
-    assert list(value)[:4] == ["schema", "format", "model", "units"]
-    assert (value["schema"], value["id"]) == (1, None)
-    assert (value["accelerometer"], value["gyroscope"], value["states"]) == (None, None, [])
-
-
-@pytest.mark.parametrize("more", [0, 1])
-def test_a_value_fills_110_columns_and_no_more(more):
-    assert WIDTH == 110
-    inner = {"k": "x" * (WIDTH - 4 - len('"key": {"k": ""}') + more)}
-    text = pretty({"outer": {"key": inner, "list": [[1], [2]], "long": "y" * WIDTH}})
-    line = next(line for line in text.splitlines() if '"key"' in line)
-    assert (len(line.rstrip(",")) == WIDTH) == (more == 0)
-    assert json.loads(text) == {"outer": {"key": inner, "list": [[1], [2]], "long": "y" * WIDTH}}
-
-
-@pytest.mark.parametrize("more", [0, 1])
-def test_a_list_of_vectors_fills_110_columns_and_no_more(more):
-    rows = [[1], ["x" * (WIDTH - 2 - len('"m": [[1], [""]]') + more)]]
-    text = pretty({"m": rows, "z": 0})
-    assert ('"m": [[1], [' in text) == (more == 0)
-    assert max(map(len, text.splitlines())) <= WIDTH + 1
-    assert json.loads(text) == {"m": rows, "z": 0}
-
-
-def test_the_document_itself_is_never_one_line(make_record):
-    assert pretty({"a": [1], "b": {"c": [[1], [2]]}}).splitlines() == [
-        "{",
-        '  "a": [1],',
-        '  "b": {"c": [[1], [2]]}',
-        "}",
-    ]
-
-
-def test_a_vector_stays_on_one_line_however_long():
-    long = list(range(100))
-    assert f'  "v": {json.dumps(long)},' in pretty({"v": long, "w": 1}).splitlines()
-
-
-def test_a_store_of_the_gyroscope_alone_is_read(make_record):
-    document = published(replace(make_record(1), accelerometer=None))
-    again = parse(render(document))[0].current
-    assert again.accelerometer is None and again.gyroscope is not None
-
-
-@pytest.mark.parametrize("missing", ["accelerometer", "gyroscope", "checksum"])
-def test_a_schema_1_without_its_keys_is_foreign(make_record, missing):
-    value = json.loads(render(published(make_record(1))))
-    del value[missing]
-    with pytest.raises(StoreFormatError, match="but not a stillcal store") as refusal:
-        parse(json.dumps(value).encode())
-    assert refusal.value.fault is Fault.FOREIGN
-
-
-@pytest.mark.parametrize("sensor", ["accel", "gyro"])
-def test_either_sensor_makes_a_schema_0(sensor):
-    data = json.dumps({sensor: {"S": np.eye(3).tolist(), "b": [0.1, 0.2, 0.3]}}).encode()
-    document, schema = parse(data)
-    assert schema == 0
-    found = document.current.accelerometer if sensor == "accel" else document.current.gyroscope
-    assert found.bias.tolist() == [0.1, 0.2, 0.3]
-    if sensor == "accel":
-        assert found.gravity == 9.80665
 
 
 # Files
