@@ -163,6 +163,11 @@ def test_forces_of_about_one_are_taken_for_multiples_of_g(norm, multiples):
     assert ("multiples of g" in refusal.value.reason) == multiples
 
 
+def test_empty_lists_are_no_rest_and_no_error():
+    with pytest.raises(AttitudesMissing, match="there is no rest"):
+        accelerometer.fit([], [], G)
+
+
 def test_arrays_are_checked_for_shape_and_sign():
     raw = raw_of(directions(20))
     assert accelerometer.fit(raw, np.zeros((20, 3)), G, 0.0).parameters == 9
@@ -301,17 +306,20 @@ def test_as_many_rests_are_dropped_as_the_settings_allow():
         assert fitted(raw, 1e-3, max_norm_sd=1.0, **none).dropped == ()
 
 
+@pytest.mark.parametrize(("fitted_rests", "free"), [(20, 11), (10, 1), (9, 1)])
 @pytest.mark.parametrize(("share", "explained"), [(0.999, True), (1.001, False)])
-def test_a_rest_is_explained_within_students_quantile_of_the_fits_own_scatter(share, explained):
-    """A hundredth over 25 rests and two sides, on 20 - 9 degrees of freedom; the model known exactly."""
+def test_a_rest_is_explained_within_students_quantile_of_the_fits_own_scatter(
+    share, explained, fitted_rests, free
+):
+    """A hundredth over 25 rests and two sides, on rests - 9 degrees of freedom; the model known exactly."""
     raw = raw_of(directions(25))
     task = task_of(raw, np.zeros_like(raw), G, 0.0, 9, "symmetric", AccelerometerSettings())
     v = np.linalg.lstsq(task.norms.matrix, np.r_[BIAS / G, SCALE.ravel()], rcond=None)[0]
-    sd = 1e-3
-    limit = student.ppf(1 - 0.01 / (2 * 25), 20 - 9)
+    sd = 1e-5
+    limit = student.ppf(1 - 0.01 / (2 * 25), free)
     length = 1.0 + share * limit * sd
     raw[4] = raw_of(directions(25)[4:5] * np.sqrt(2 * length - 1))[0]  # Eq. 4: (norm^2 - 1) / 2
     task = task_of(raw, np.zeros_like(raw), G, 0.0, 9, "symmetric", AccelerometerSettings())
     solution = Solution(v, np.zeros((9, 9)), 0.6 * sd**2, 0.4 * sd**2, 3, True)
-    found = accelerometer._explained(task, solution, 20)
+    found = accelerometer._explained(task, solution, fitted_rests)
     assert bool(found[4]) is explained and found.sum() == 24 + explained

@@ -24,6 +24,7 @@ from stillcal.calib_core.gyroscope.solver import (
     _require_observed,
     _require_plausible,
     _searched,
+    solve,
 )
 from tests.support.turned_phones import ACCEL, G, recorded, recording, some_phone
 
@@ -245,6 +246,28 @@ def test_the_search_takes_as_many_steps_as_it_may() -> None:
     fewer = replace(problem, settings=GyroscopeSettings(max_iterations=steps - 1))
     with pytest.raises(NotSupported, match=f"did not settle in {steps - 1} iterations"):
         _searched(fewer, EVERYTHING, NOMINAL, 0.0, 1e-7)
+
+
+def test_a_search_that_starts_at_its_end_takes_one_step() -> None:
+    problem = Problem.of(recording(13, n=12).turns, ACCEL, GyroscopeSettings())
+    found = _searched(problem, EVERYTHING, NOMINAL, 0.0, 1e-9)
+    assert _searched(problem, EVERYTHING, found.theta, 0.0, 1e-6).iterations == 1
+
+
+def test_the_shift_counts_among_the_residuals_by_what_is_known_beforehand() -> None:
+    """The variance factor: squares of whitened residuals and of the shift over its prior sd, per degree."""
+    trip = recording(31, n=40)
+    turns = []
+    for turn in trip.turns:
+        inside = (turn.t > turn.before.t_end) & (turn.t < turn.after.t_start)
+        turns.append(replace(turn, rates=turn.rates + inside[:, None] * 4e-4))
+    settings = GyroscopeSettings(bias_shift=1e-4)
+    posed, found = solve(Problem.of(turns, ACCEL, settings), Parameters.FULL9)
+    _, misfit = posed.at(found.theta, 0.0).whitened(found.used)
+    prior = ((found.theta[9:] / 1e-4) ** 2).sum()
+    assert prior > 3.0
+    expected = (misfit @ misfit + prior) / (2 * found.used.sum() - 9)
+    assert found.variance_factor == pytest.approx(expected, rel=1e-3)
 
 
 def test_steps_of_both_searches_are_counted() -> None:
