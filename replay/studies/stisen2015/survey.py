@@ -19,9 +19,9 @@ from stillcal.replay.studies.methods.device_faces import DeviceOutcome, calibrat
 
 _PAGE = """# How far phones are off
 
-{total} devices lay still on their faces (Stisen et al. 2015): {done} calibrated, {refused} refused for want
-of a face, {broken} broken. Local gravity is not known and taken as {gravity} m/s², so all scales share its
-error, up to 0.3 %. Made by `python -m stillcal.replay.studies.stisen2015.survey FOLDER`.
+{total} devices lay still on their faces (Stisen et al. 2015). {done} were calibrated, {refused} were refused
+because a face is missing, and {broken} have a broken sensor. Local gravity is not known; {gravity} m/s² is used, so
+all scales have its error in common, up to 0.3 %. Made by `python -m stillcal.replay.studies.stisen2015.survey FOLDER`.
 
 ![Bias and scale of each device](figures/hhar_still.png)
 
@@ -29,9 +29,9 @@ error, up to 0.3 %. Made by `python -m stillcal.replay.studies.stisen2015.survey
 
 {distribution_table}
 
-Tilt is how far the faces are from truly opposite (rms, approach 2's own residual). Up to 0.01 rad the faces
-are taken as known (approach 2 of ESGI'95), beyond it only their norm is (6 parameters, which fit six faces
-exactly: no residual is left to judge them by).
+Tilt is how far the faces are from exactly opposite (rms, the residual of approach 2). Up to 0.01 rad the faces
+count as known (approach 2 of ESGI'95). Beyond that only their norm is used: 6 parameters, which fit six faces
+exactly, so that no residual is left to judge the fit by.
 
 ## Refused
 
