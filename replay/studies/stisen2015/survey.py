@@ -20,8 +20,9 @@ from stillcal.replay.studies.methods.device_faces import DeviceOutcome, calibrat
 _PAGE = """# How far phones are off
 
 {total} devices lay still on their faces (Stisen et al. 2015). {done} were calibrated, {refused} were refused
-because a face is missing, and {broken} have a broken sensor. Local gravity is not known; {gravity} m/s² is used, so
-all scales have its error in common, up to 0.3 %. Made by `python -m stillcal.replay.studies.stisen2015.survey FOLDER`.
+because a face is missing, and {broken} have a broken sensor. Local gravity is not known; {gravity} m/s² is used,
+so all scales have its error in common, up to 0.3 %. Made by
+`python -m stillcal.replay.studies.stisen2015.survey FOLDER`.
 
 ![Bias and scale of each device](figures/hhar_still.png)
 
@@ -29,9 +30,9 @@ all scales have its error in common, up to 0.3 %. Made by `python -m stillcal.re
 
 {distribution_table}
 
-Tilt is how far the faces are from exactly opposite (rms, the residual of approach 2). Up to 0.01 rad the faces
-count as known (approach 2 of ESGI'95). Beyond that only their norm is used: 6 parameters, which fit six faces
-exactly, so that no residual is left to judge the fit by.
+Tilt is how far the faces are from exactly opposite (rms, the residual of approach 2). Up to 0.01 rad the
+faces count as known (approach 2 of ESGI'95). Beyond that only their norm is used: 6 parameters, which fit six
+faces exactly, so that no residual is left to judge the fit by.
 
 ## Refused
 
