@@ -20,8 +20,8 @@ from stillcal.replay.studies.methods.device_faces import DeviceOutcome, calibrat
 _PAGE = """# How far phones are off
 
 {total} devices lay still on their faces (Stisen et al. 2015). {done} were calibrated, {refused} were refused
-because a face is missing, and {broken} have a broken sensor. Local gravity is not known; {gravity} m/s² is used,
-so all scales have its error in common, up to 0.3 %. Made by
+because a face is missing, and {broken} have a broken sensor. Local gravity is not known; {gravity} m/s² is
+used, so all scales have its error in common, up to 0.3 %. Made by
 `python -m stillcal.replay.studies.stisen2015.survey FOLDER`.
 
 ![Bias and scale of each device](figures/hhar_still.png)
