@@ -151,17 +151,17 @@ class Clock:
 
     def notes(self) -> list[str]:
         """Return the irregularities that were tolerated, one line each."""
-        tally, said = self.tally, []
+        tally, lines = self.tally, []
         if tally.reordered:
-            said.append(f"{tally.reordered} rows were out of time order and were sorted")
+            lines.append(f"{tally.reordered} rows were out of time order and were sorted")
         if tally.repeats:
             done = "kept" if self.column_map.repeats == "keep" else "skipped"
             where = f"first in line {tally.first_repeat}"
-            said.append(f"{tally.repeats} samples repeat the previous time stamp and were {done} ({where})")
+            lines.append(f"{tally.repeats} samples repeat the previous time stamp and were {done} ({where})")
         if tally.gaps:
             longest = f"{tally.longest_gap:.6g} s before line {tally.longest_gap_line}"
-            said.append(f"{tally.gaps} gaps in time, the longest {longest}")
-        return said
+            lines.append(f"{tally.gaps} gaps in time, the longest {longest}")
+        return lines
 
 
 def seconds_per_unit(unit: str, stamps: Array, rate_hz: float | None) -> float | None:

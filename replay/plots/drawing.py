@@ -30,29 +30,29 @@ def draw_figure(what: str, material: Material) -> tuple[Figure, list[str]]:
     """
     if what != ALL:
         draw, columns, rows = FIGURES[what]
-        made = style.figure(columns, rows)
-        draw(made, material)
-        return made, []
-    names, left_out = _possible(material)
+        sheet = style.figure(columns, rows)
+        draw(sheet, material)
+        return sheet, []
+    names, omitted = _possible(material)
     if not names:
-        raise NotSupported("; ".join(left_out), ["a recording with rests"])
+        raise NotSupported("; ".join(omitted), ["a recording with rests"])
     heights = [FIGURES[name][2] for name in names]
-    made = style.figure(2.0, sum(heights))
-    parts = made.subfigures(len(names), 1, height_ratios=heights, squeeze=False)[:, 0]
+    sheet = style.figure(2.0, sum(heights))
+    parts = sheet.subfigures(len(names), 1, height_ratios=heights, squeeze=False)[:, 0]
     for name, part in zip(names, parts, strict=True):
         FIGURES[name][0](part, material)
-    return made, left_out
+    return sheet, omitted
 
 
 def _possible(material: Material) -> tuple[list[str], list[str]]:
     """Return the names of the figures that there is material for, and a line on each of the others."""
-    left_out: list[str] = []
+    omitted: list[str] = []
     names: list[str] = []
     for name, (draw, columns, rows) in FIGURES.items():
         try:
             draw(style.figure(columns, rows), material)
         except NotSupported as refusal:
-            left_out.append(f"no {name}: {refusal}")
+            omitted.append(f"no {name}: {refusal}")
         else:
             names.append(name)
-    return names, left_out
+    return names, omitted

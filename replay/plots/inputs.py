@@ -115,9 +115,11 @@ def of_trace(trace: Trace, engine: Engine, progress: Callable[[], None], noise: 
 
     Where it supports no calibration its rests are drawn all the same.
     """
-    kept: list[Publish | Reject] = []
-    outcome = replay(trace.chunks(), engine, kept.append, progress)
-    history = tuple(Moment("accepted" if isinstance(k, Publish) else "rejected", k.t, k.record) for k in kept)
+    calibrations: list[Publish | Reject] = []
+    outcome = replay(trace.chunks(), engine, calibrations.append, progress)
+    history = tuple(
+        Moment("accepted" if isinstance(k, Publish) else "rejected", k.t, k.record) for k in calibrations
+    )
     record, state = outcome.record, outcome.state
     name = trace.path.name
     if record is not None and record.accelerometer is not None and record.states:
@@ -141,8 +143,8 @@ def _stretches(trace: Trace, progress: Callable[[], None]) -> list[Stretch]:
         for samples in (chunk.accelerometer, chunk.gyroscope):
             runs[samples.sensor].append(samples.between(*span))
         progress()
-    found = (even(Samples.joined(run)) for run in runs.values() if run)
-    return [stretch for stretch in found if stretch is not None]
+    runs_at_rest = (even(Samples.joined(run)) for run in runs.values() if run)
+    return [stretch for stretch in runs_at_rest if stretch is not None]
 
 
 def _scanned(trace: Trace, progress: Callable[[], None]) -> list[RestState]:

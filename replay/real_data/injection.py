@@ -230,22 +230,22 @@ def _scattered(r: Recording, size: float, strength: float, rng: np.random.Genera
 def _dropped(r: Recording, size: float, strength: float, rng: np.random.Generator) -> tuple[Recording, Any]:
     fraction = size * strength
 
-    def thinned(samples: Samples, kept: NDArray[np.bool_]) -> Samples:
+    def thinned(samples: Samples, delivered: NDArray[np.bool_]) -> Samples:
         def of(values: Array | None) -> Array | None:
-            return None if values is None else frozen(values[kept])
+            return None if values is None else frozen(values[delivered])
 
         return replace(
             samples,
-            t=frozen(samples.t[kept]),
-            xyz=frozen(samples.xyz[kept]),
+            t=frozen(samples.t[delivered]),
+            xyz=frozen(samples.xyz[delivered]),
             temperature=of(samples.temperature),
             t_arrival=of(samples.t_arrival),
         )
 
-    kept = rng.random(len(r.accelerometer)) >= fraction
-    same = r.gyroscope is not None and len(r.gyroscope) == kept.size
-    gyroscope = thinned(r.gyroscope, kept) if same and r.gyroscope is not None else r.gyroscope
-    return replace(r, accelerometer=thinned(r.accelerometer, kept), gyroscope=gyroscope), fraction
+    delivered = rng.random(len(r.accelerometer)) >= fraction
+    same = r.gyroscope is not None and len(r.gyroscope) == delivered.size
+    gyroscope = thinned(r.gyroscope, delivered) if same and r.gyroscope is not None else r.gyroscope
+    return replace(r, accelerometer=thinned(r.accelerometer, delivered), gyroscope=gyroscope), fraction
 
 
 def _late(r: Recording, size: float, strength: float, _: np.random.Generator) -> tuple[Recording, Any]:
