@@ -150,6 +150,7 @@ def test_the_peak_is_sought_in_the_first_full_octave_and_the_next():
 
 
 def test_a_peak_at_either_end_is_cut_there():
+    assert lowest_cluster(histogram(b0=7), SETTINGS) == np.inf
     assert lowest_cluster(histogram(b0=8), SETTINGS) == pytest.approx(middle(0))
     assert lowest_cluster(histogram(b0=8, b1=4), SETTINGS) == pytest.approx(middle(4 / 12))
     assert lowest_cluster(histogram(b94=4, b95=8), SETTINGS) == pytest.approx(middle((94 * 4 + 95 * 8) / 12))
