@@ -29,6 +29,7 @@ from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.daemon.store.document import calibration_json
+from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.diagnosis.report.answer import Request, answer_for_recording
 from stillcal.replay.diagnosis.report.summary import summary
 from stillcal.replay.formats.claims import Claims
@@ -275,13 +276,16 @@ def diagnose(
 
     The same as `stillcal diagnose`. recording: a Recording, or what `load` takes. phone: the simulation to be
     judged, a ready phone's name or the path of a phone.toml; None for the phone that calibration assumes,
-    with constant scale and bias and plain noise. simulated: a simulated recording to compare with.
+    with constant scale and bias and plain noise. simulated: what any simulator recorded; it is then judged
+    instead, and the answer has schema 2 (what differs, what agrees, what could not be compared).
+    the answer has schema 2 (what differs, what agrees, what could not be compared).
 
     Raises NotSupported where there is too little data, ValueError where the phone cannot be had.
     """
+    if simulated is not None:
+        return Diagnosis(judge_simulation(load(recording), load(simulated)).answer)
     known = None if phone is None else load_phone(_text(phone))
-    other = None if simulated is None else load(simulated)
-    request = Request(phone=known, phone_name="" if phone is None else _text(phone), simulated=other)
+    request = Request(phone=known, phone_name="" if phone is None else _text(phone))
     return Diagnosis(answer_for_recording(load(recording), request).answer)
 
 

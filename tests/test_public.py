@@ -289,4 +289,6 @@ def test_a_phone_and_a_simulation_can_be_given(sample: stillcal.Recording) -> No
     own = stillcal.diagnose(sample, phone=SAMPLES / "lab.phone.toml")
     assert "gyro_bias_temperature" not in [f["effect"] for f in own.findings]
     again = stillcal.simulate(SAMPLES / "lab.scenario.toml", phone=SAMPLES / "lab.phone.toml", seed=2)
-    assert "comparison" in stillcal.diagnose(sample, simulated=again).answer
+    judged = stillcal.diagnose(sample, simulated=again)
+    assert judged.answer["schema"] == 2 and "accel_bias" not in [f["effect"] for f in judged.findings]
+    assert "quantities compared" in repr(judged)

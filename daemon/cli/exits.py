@@ -4,5 +4,6 @@ NOT_MET = DAMAGED = REFUSED = 1
 BAD_INPUT = 2
 TOO_LITTLE = 3
 NO_DAEMON = 4
+VERDICT = 5
 TRY_AGAIN = 75  # EX_TEMPFAIL of sysexits.h: the service manager starts the daemon again
 INTERRUPTED = 130

@@ -13,19 +13,25 @@ from rich.console import Console
 
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.errors import NotSupported
-from stillcal.daemon.cli.exits import TOO_LITTLE
+from stillcal.daemon.cli.exits import TOO_LITTLE, VERDICT
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import format_option, gyro_option, quiet_option
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
+from stillcal.replay.diagnosis.given_simulation import judge_simulation
+from stillcal.replay.diagnosis.relation_text import VERDICTS as JUDGEMENTS
 from stillcal.replay.diagnosis.report.answer import Answer, Request, answer_for_recording, answer_for_table
+from stillcal.replay.diagnosis.report.comparison_page import comparison_page
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.summary import summary
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.phone.phone import Phone, load_phone
 
 _path = click.Path(path_type=Path)
+
+VERDICTS = (*JUDGEMENTS, "adequate", "explained", "partly_explained", "unexplained")
+"""Those of a given simulation, and those of the built-in one and of a phone file."""
 
 
 class _Asked(NamedTuple):
@@ -34,6 +40,7 @@ class _Asked(NamedTuple):
     trace: Path
     phone: str | None
     simulated: Path | None
+    simulated_format: str | None
     json: Path | None
     report: Path | None
     phone_out: Path | None
@@ -51,14 +58,22 @@ class _Asked(NamedTuple):
         "stillcal diagnose walk.csv --phone-out better.toml",
         "stillcal simulate day --phone better.toml --out day.csv",
         "stillcal diagnose walk.csv --phone mpu6050        # compare with a simulated phone",
-        "stillcal diagnose walk.csv --simulated day.csv    # compare with a simulated recording",
+        "stillcal diagnose walk.csv --simulated sim.csv    # where does my simulator differ?",
+        "stillcal diagnose walk.csv --simulated sim.csv --report difference.html",
         "stillcal diagnose Phones_accelerometer.csv --format hhar --json -",
         "stillcal diagnose esgi.csv --format rest",
     ),
 )
 @click.argument("trace", type=_path)
 @click.option("--phone", help="The simulated phone to compare with: a ready one, or a phone.toml.")
-@click.option("--simulated", type=_path, help="A simulated recording to compare with TRACE.")
+@click.option("--simulated", type=_path, help="The simulation to be judged: a recording that it made.")
+@click.option("--simulated-format", default=None, help="The format of --simulated, where it is not csv.")
+@click.option(
+    "--fail-on",
+    type=click.Choice(VERDICTS),
+    multiple=True,
+    help="Exit with 5 on this verdict; may be given several times.",
+)
 @click.option("--json", "json_path", type=_path, help="Write the findings ('-': print them).")
 @click.option("--report", type=_path, help="Write a report page for a browser (.html).")
 @click.option(
@@ -71,6 +86,8 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path,
     phone: str | None,
     simulated: Path | None,
+    simulated_format: str | None,
+    fail_on: tuple[str, ...],
     json_path: Path | None,
     report: Path | None,
     phone_out: Path | None,
@@ -78,13 +95,13 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     gyro: Path | None,
     quiet: bool,
 ) -> None:
-    """Find where a recording differs from a simulated sensor, and name the effects that explain it.
+    """Find where a recording differs from a simulation, by what physics, and by how much.
 
-    The simulation is an ideal sensor with constant errors, or the one that --phone names. Many recordings
-    show no difference. Checks that the recording does not allow are listed with the reason. Exit code 3: too
-    little data.
+    The simulation is an ideal sensor moved as TRACE was, a phone file (--phone), or a recording that any
+    simulator made (--simulated): other motion, another rate and another length do not matter then. What
+    could not be checked is said. Exit code 3 where there is too little data.
     """
-    asked = _Asked(trace, phone, simulated, json_path, report, phone_out, format_, gyro)
+    asked = _Asked(trace, phone, simulated, simulated_format, json_path, report, phone_out, format_, gyro)
     _check(asked)
     try:
         with _stages(quiet) as show_stage:
@@ -95,6 +112,8 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     _write(answer, asked)
     if not quiet and json_path != STANDARD_OUTPUT:
         click.echo("\n".join(summary(answer.answer)))
+    if answer.answer["verdict"] in fail_on:
+        sys.exit(VERDICT)
 
 
 def _check(asked: _Asked) -> None:
@@ -112,6 +131,10 @@ def _check(asked: _Asked) -> None:
         raise click.UsageError(
             "a rest table has no samples, which --phone, --simulated, --report and --phone-out need"
         )
+    if asked.simulated is not None and (asked.phone is not None or phone_out is not None):
+        raise click.UsageError("give --simulated, or --phone and --phone-out: each is another simulation")
+    if asked.simulated_format is not None and asked.simulated is None:
+        raise click.UsageError("--simulated-format goes with --simulated")
     reads = [*recording_files(asked.trace), *files(asked.gyro)]
     reads += [] if asked.simulated is None else recording_files(asked.simulated)
     reads += [Path(asked.phone)] if asked.phone and asked.phone.endswith(".toml") else []
@@ -121,12 +144,14 @@ def _check(asked: _Asked) -> None:
 def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> Answer:
     show_stage(f"reading {asked.trace.name}")
     recording = read_all(asked.trace, asked.format, asked.gyro)
-    simulated = None if asked.simulated is None else read_all(asked.simulated)
+    if asked.simulated is not None:
+        show_stage(f"reading {asked.simulated.name}")
+        simulation = read_all(asked.simulated, asked.simulated_format or "csv")
+        judged = judge_simulation(recording, simulation, show_stage)
+        return Answer(judged.answer, comparison_page(judged) if asked.report is not None else None)
     phone = None if asked.phone is None else _loaded(asked.phone)
     report, phone_file = asked.report is not None, asked.phone_out is not None
-    return answer_for_recording(
-        recording, Request(phone, asked.phone or "", simulated, report, phone_file), show_stage
-    )
+    return answer_for_recording(recording, Request(phone, asked.phone or "", report, phone_file), show_stage)
 
 
 def _loaded(name: str) -> Phone:

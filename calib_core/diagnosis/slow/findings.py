@@ -50,10 +50,11 @@ ALTERNATIVES = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stated:
-    """A finding with the hypothesis it states; None where it is a property of the noise."""
+    """A finding with the hypothesis it states and the scene it was found in; None where it has none."""
 
     finding: Finding
     hypothesis: Hypothesis | None = None
+    scene: Scene | None = None
 
 
 def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
@@ -136,7 +137,7 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         least = [LEAST_GAIN * (f.effect == "unknown" or len(made) > 1) for f in made]
         gains = [f.evidence.heldout_log_score_gain - x for f, x in zip(made, least, strict=True)]
         if min(gains) > 0.0:
-            return [Stated(f, h) for f, h in zip(made, found, strict=True)]
+            return [Stated(f, h, scene) for f, h in zip(made, found, strict=True)]
         steps = _without(steps, kept[int(np.argmin(gains))])
     passed_over = first.others[0] if first and first.others else None
     if first is None or passed_over is None or passed_over.score <= first.winner.score:

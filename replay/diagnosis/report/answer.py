@@ -9,15 +9,12 @@ from typing import Any, NamedTuple
 
 from stillcal.replay.diagnosis.diagnose import (
     answer_of,
-    bins_of,
-    claims_of,
     diagnose_rests,
     diagnosis_of,
     facts,
 )
 from stillcal.replay.diagnosis.judge_phone import PhoneJudgement, judge_phone
-from stillcal.replay.diagnosis.report.comparison import compare, side_of
-from stillcal.replay.diagnosis.report.inputs import Case, case_of, resimulate_before_and_after
+from stillcal.replay.diagnosis.report.inputs import case_of, resimulate_before_and_after
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.report.phone_file import phone_text
 from stillcal.replay.formats.trace import Recording, read_rest_table
@@ -27,13 +24,12 @@ from stillcal.replay.phone.phone import Phone
 class Request(NamedTuple):
     """What the user asked for beside the findings.
 
-    phone: the simulated phone to compare with, named `phone_name`. simulated: a recording to compare with.
-    report: whether the page is made; phone_file: whether the phone with the effects found is.
+    phone: the simulated phone to compare with, named `phone_name`. report: whether the page is made;
+    phone_file: whether the phone with the effects found is.
     """
 
     phone: Phone | None = None
     phone_name: str = ""
-    simulated: Recording | None = None
     report: bool = False
     phone_file: bool = False
 
@@ -68,12 +64,13 @@ def answer_for_recording(
     show_stage("locating the differences")
     case = case_of(recording, judgement.diagnosis, judgement.known())
     answer = answer_of(judgement.diagnosis, facts(recording, case.bins))
-    answer |= {"map": case.departure_map.plain(), **judgement.plain(), "simulation": _simulation(request)}
+    answer |= {
+        "map": case.departure_map.plain(),
+        **judgement.plain(),
+        "simulation": request.phone_name or "built-in",
+    }
     if request.phone is not None:
         answer["judged_phone"] = request.phone_name
-    if request.simulated is not None:
-        show_stage(f"comparing with {request.simulated.name}")
-        answer["comparison"] = _compared(case, request.simulated)
     resimulated = None
     if request.report and len(case.bins):
         resimulated = resimulate_before_and_after(case, show_stage)
@@ -84,13 +81,3 @@ def answer_for_recording(
     show_stage("drawing" if request.report else "writing")
     phone = phone_text(case.phone(), case.mapped, name) if request.phone_file else None
     return Answer(answer, page(case, answer, resimulated) if request.report else None, phone)
-
-
-def _simulation(request: Request) -> str:
-    """Return the name of what the recording is compared with."""
-    return request.phone_name or "built-in" if request.simulated is None else request.simulated.name
-
-
-def _compared(case: Case, other: Recording) -> dict[str, Any]:
-    gravity = claims_of(other).gravity
-    return compare(case.side(), side_of(other, bins_of(other), gravity)).plain()

@@ -19,7 +19,7 @@ from stillcal.replay.diagnosis.report.curves import is_slow
 from stillcal.replay.diagnosis.report.inputs import Case, Resimulation
 from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.report.pictures import Picture, pictures
-from stillcal.replay.diagnosis.report.summary import comparison_text, simulated_verdict
+from stillcal.replay.diagnosis.report.summary import comparison_text
 from stillcal.replay.diagnosis.wording import (
     EQUATIONS,
     certainty,
@@ -39,7 +39,8 @@ body{font:16px/1.5 system-ui,sans-serif;color:#222;background:#fff;margin:0 auto
 h1{font-size:1.5rem;line-height:1.25}h2{font-size:1.2rem;margin-top:2.2rem;border-top:1px solid #ccc;
  padding-top:1rem}h3{font-size:1.05rem;margin-top:1.8rem}
 .verdict{font-size:1.15rem;padding:.8rem 1rem;border-left:.4rem solid #0b6e99;background:#f1f6f8}
-.verdict.unexplained,.verdict.partly_explained{border-color:#c65a11;background:#fbf3ec}
+.verdict.unexplained,.verdict.partly_explained,.verdict.unidentified,.verdict.partly_identified,
+.verdict.not_judged{border-color:#c65a11;background:#fbf3ec}
 .pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,27rem),1fr));gap:1rem}
 figure{margin:.6rem 0;max-width:31rem}figure.wide{max-width:46rem}
 img{width:100%;height:auto;display:block}figcaption{font-size:.9rem;color:#444}
@@ -66,17 +67,22 @@ def page(case: Case, answer: dict[str, Any], resimulated: tuple[Resimulation, Re
         f"<h1>Why {name} differs from its simulation</h1>" if answer["findings"] else f"<h1>{name}</h1>",
         *_verdict(case, answer),
         "<h2>Where it differs</h2>",
-        _figure(_map(case), wide=True),
+        figure_html(_map(case), wide=True),
         *_findings(case, answer, resimulated),
         *_comparison(answer),
         *_checked(answer),
         "<footer>Made by <code>stillcal diagnose</code>. Intervals are 95 %; p-values carry the size of the"
         " search. docs/diagnosis.md describes the method, docs/report.md this page.</footer>",
     ]
+    return document(f"{name}: {escape(answer['verdict'].replace('_', ' '))}", parts)
+
+
+def document(title: str, parts: Iterable[str]) -> str:
+    """Return a whole HTML document. title, parts: trusted HTML."""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{name}: {escape(answer['verdict'].replace('_', ' '))}</title>"
+        f"<title>{title}</title>"
         f"<style>{STYLE}{tables.STYLE}</style></head><body><main>\n{chr(10).join(parts)}\n</main></body></html>\n"
     )
 
@@ -140,7 +146,8 @@ def _largest(values: Any) -> float:
     return max(finite, default=0.0)
 
 
-def _figure(picture: Picture, *, wide: bool = False) -> str:
+def figure_html(picture: Picture, *, wide: bool = False) -> str:
+    """Return a picture with its caption, held in the page itself."""
     data = base64.b64encode(picture.svg.encode()).decode()
     kind = ' class="wide"' if wide else ""
     return (
@@ -169,7 +176,7 @@ def _finding(
         yield f'<p class="equation">{equation}</p>'
     shown_pictures = pictures(case, mapped, resimulated)
     if shown_pictures:
-        yield f'<div class="pictures">{"".join(_figure(p) for p in shown_pictures)}</div>'
+        yield f'<div class="pictures">{"".join(figure_html(p) for p in shown_pictures)}</div>'
     yield tables.parameters(finding)
     yield f"<p>{_sure(finding, case.conditions.t_start)}</p>"
     yield _alternatives(finding)
@@ -221,9 +228,6 @@ def _alternatives(finding: Finding) -> str:
 
 
 def _comparison(answer: dict[str, Any]) -> Iterator[str]:
-    if "comparison" in answer:
-        yield "<h2>Comparison with the simulated recording</h2>"
-        yield f"<p>{escape(simulated_verdict(answer))}</p>" + tables.comparison(answer["comparison"])
     before, after = answer.get("comparison_before"), answer.get("comparison_after")
     if before is None or after is None:
         return

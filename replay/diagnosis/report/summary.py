@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from stillcal.replay.diagnosis.relation_text import comparison_summary
 from stillcal.replay.diagnosis.wording import counted, headline, judged_against, number, readable
 
 LINES = 10
@@ -12,7 +13,9 @@ LINES = 10
 
 
 def summary(answer: dict[str, Any]) -> list[str]:
-    """Return at most `LINES` lines. answer: the diagnosis as plain values."""
+    """Return at most `LINES` lines. answer: the diagnosis as plain values, of schema 1 or 2."""
+    if answer["schema"] == 2:
+        return comparison_summary(answer, LINES + 2)
     lines = [
         _verdict(answer),
         *_judged_phone(answer),
@@ -50,8 +53,6 @@ def _findings(answer: dict[str, Any]) -> Iterator[str]:
 
 
 def _comparisons(answer: dict[str, Any]) -> Iterator[str]:
-    if "comparison" in answer:
-        yield f"  {simulated_verdict(answer)}"
     if "comparison_after" not in answer:
         return
     if not answer["findings"]:
@@ -59,14 +60,6 @@ def _comparisons(answer: dict[str, Any]) -> Iterator[str]:
         return
     yield f"  Without these effects, the simulation {comparison_text(answer['comparison_before'])}."
     yield f"  With these effects added, the simulation {comparison_text(answer['comparison_after'])}."
-
-
-def simulated_verdict(answer: dict[str, Any]) -> str:
-    """Return whether the simulated recording that was given matches, as a sentence."""
-    comparison, name = answer["comparison"], answer.get("simulation", "The simulated recording")
-    if comparison["accepted"]:
-        return f"{name} matches the recording: it {comparison_text(comparison)}."
-    return f"{name} does NOT match the recording: it {comparison_text(comparison)}."
 
 
 def comparison_text(comparison: dict[str, Any]) -> str:

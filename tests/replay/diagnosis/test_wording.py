@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from stillcal.replay.diagnosis.report.summary import comparison_text, simulated_verdict, summary
+from stillcal.replay.diagnosis.report.summary import comparison_text, summary
 from stillcal.replay.diagnosis.wording import certainty, headline
 
 
@@ -61,22 +61,14 @@ def test_a_comparison_counts_the_tests_that_fail_and_names_the_worst() -> None:
     )
 
 
-def test_a_given_simulation_matches_or_does_not() -> None:
-    matching = {"comparison": outcome(0.5, 0.5), "simulation": "sim.csv"}
-    failing = {"comparison": outcome(0.001, 0.5), "simulation": "sim.csv"}
-    assert simulated_verdict(matching) == "sim.csv matches the recording: it passes all 2 tests."
-    assert simulated_verdict(failing).startswith(
-        "sim.csv does NOT match the recording: it fails 1 of 2 tests"
-    )
-
-
 def test_the_summary_has_one_line_a_finding_and_the_notes() -> None:
     finding = {
         "effect": "gyro_saturation", "sensor": "gyro", "axes": ["x"], "alternatives": [],
         "statement": "The gyroscope saturates at 5 rad/s^2.",
     }  # fmt: skip
     answer = {
-        "recording": "walk.csv", "verdict": "explained", "findings": [finding], "checked": [{"done": True}],
+        "schema": 1, "recording": "walk.csv", "verdict": "explained", "findings": [finding],
+        "checked": [{"done": True}],
         "comparison_before": outcome(0.001, 0.5), "comparison_after": outcome(0.5, 0.5),
         "limits": ["No gyroscope data"],
     }  # fmt: skip

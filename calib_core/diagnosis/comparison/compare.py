@@ -1,0 +1,330 @@
+"""The comparison as a whole: what differs, what agrees, what cannot be compared and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.comparison import noise
+from stillcal.calib_core.diagnosis.comparison.direct import (
+    direct_statements,
+    named,
+    pair_of,
+    quantity_of,
+    why_not_shown,
+)
+from stillcal.calib_core.diagnosis.comparison.linear import Wanted, linear_quantities, wanted_of
+from stillcal.calib_core.diagnosis.comparison.quantity import (
+    CERTAIN,
+    Difference,
+    Quantity,
+    Relation,
+    posterior,
+    subtract,
+    weighed,
+)
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Where
+from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN, Bins
+
+Verdict = Literal["match", "identified", "partly_identified", "unidentified", "not_judged"]
+Key = tuple[str, str]
+
+LEAST_JUDGED = 1.0 / 3.0
+"""Part of the checks that must have been possible for a verdict."""
+
+LEVEL = 0.01
+"""p below which a simulation is rejected."""
+
+AXIS_SIGMA = 2.6
+"""An axis is named where its difference is this many standard deviations from nothing (two-sided 1 %)."""
+
+GYROSCOPE_ONLY = ("gyro_bias", "gyro_scale", "gyro_slow_noise")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discrepancy:
+    """One thing that differs. difference: None where only one of the two has the effect at all.
+
+    finding: the single recording's finding where it comes from one (`recorded` or `simulated` has it).
+    log_bayes_factor: nats for a difference, against none.
+    """
+
+    effect: str
+    sensor: str
+    axes: list[str]
+    where: Where
+    relation: Relation
+    probability: float
+    log_bayes_factor: float
+    difference: Difference | None = None
+    recorded: Finding | None = None
+    simulated: Finding | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NotCompared:
+    """An effect that could not be compared, and why."""
+
+    effect: str
+    sensor: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """The whole answer. comparisons: how many quantities were compared; p: of both being alike."""
+
+    discrepancies: list[Discrepancy] = field(default_factory=list)
+    agreed: list[Difference] = field(default_factory=list)
+    compared: list[Difference] = field(default_factory=list)
+    not_compared: list[NotCompared] = field(default_factory=list)
+    comparisons: int = 0
+    p: float = 1.0
+
+    def verdict(self, p_after: float) -> Verdict:
+        """Return the verdict; p_after: p of the corrected simulation being like the recording."""
+        checks = self.comparisons + len(self.not_compared)
+        if self.comparisons < LEAST_JUDGED * checks:
+            return "not_judged"
+        if not self.discrepancies:
+            return "match"
+        names = [d.effect != "unknown" for d in self.discrepancies]
+        if all(names) and p_after >= LEVEL:
+            return "identified"
+        return "partly_identified" if any(names) else "unidentified"
+
+
+def compare(recorded: Examination, simulated: Examination, names: tuple[str, str]) -> Comparison:
+    """Compare a recording with a simulation. names: of both, for the reasons given."""
+    wanted = _union(wanted_of(recorded), wanted_of(simulated))
+    reference = _reference(recorded.bins, simulated.bins)
+    sides = [_quantities(exam, wanted, reference) for exam in (recorded, simulated)]
+    keys = list(dict.fromkeys([*_expected(recorded, simulated, wanted), *sides[0], *sides[1]]))
+    pairs: list[Difference] = []
+    missing: list[NotCompared] = []
+    for key in keys:
+        one, other = (side.get(key) for side in sides)
+        reason = _why_not(key, (one, other), (recorded, simulated), names)
+        if reason is None and one is not None and other is not None:
+            pairs.append(subtract(one, other))
+        else:
+            missing.append(NotCompared(*key, reason or "neither of the two shows it"))
+    direct, more, unseen = _direct(recorded, simulated, names)
+    pairs += direct
+    count = len(pairs) + len(more)
+    pairs = weighed(pairs, max(count, 1))
+    found = [_discrepancy(d) for d in pairs if d.probability >= CERTAIN]
+    sole = [_sole(finding, gain, of_recording, count) for finding, gain, of_recording in more]
+    found += [d for d in sole if d.probability >= CERTAIN]
+    had = {(w.hypothesis.entry.effect, w.hypothesis.entry.sensor) for w in wanted}
+    agreed = [d for d in pairs if d.probability <= 1.0 - CERTAIN and _worth_telling(d, had)]
+    missing += unseen
+    missing += [
+        _undecided(d, names) for d in pairs if 1.0 - CERTAIN < d.probability < CERTAIN and _key(d) in had
+    ]
+    factors = [d.log_bayes_factor for d in pairs] + [gain for _, gain, _ in more]
+    found.sort(key=lambda d: -d.log_bayes_factor)
+    return Comparison(found, agreed, pairs, missing, count, p_of(factors))
+
+
+def p_of(log_bayes_factors: Sequence[float]) -> float:
+    """Return p of no difference at all: the inverse of the mean Bayes factor, at most 1.
+
+    Under that hypothesis each Bayes factor has expectation one, hence their mean; by Markov's inequality it
+    exceeds k with probability 1 / k at most (Vovk and Wang, Ann. Statist. 49, 2021, e-values).
+    """
+    if not log_bayes_factors:
+        return 1.0
+    mean = float(np.logaddexp.reduce(np.asarray(log_bayes_factors))) - float(np.log(len(log_bayes_factors)))
+    return float(np.exp(-np.clip(mean, 0.0, 690.0)))
+
+
+def _union(one: Sequence[Wanted], other: Sequence[Wanted]) -> list[Wanted]:
+    """Return the effects of both, each once; those of the recording first, with their grid points."""
+    out: dict[tuple[str, str, str, int], Wanted] = {}
+    for wanted in (*one, *other):
+        out.setdefault(wanted.key, wanted)
+    return list(out.values())
+
+
+def _reference(recorded: Bins, simulated: Bins) -> float | None:
+    """Return the degC at which constants are compared: the recording's mean, if both have a thermometer."""
+    if recorded.temperature is None or simulated.temperature is None:
+        return None
+    return float(recorded.temperature.mean()) if len(recorded) and len(simulated) else None
+
+
+def _quantities(
+    exam: Examination, wanted: Sequence[Wanted], reference_c: float | None
+) -> dict[Key, Quantity]:
+    """Return all that one recording shows, by effect and sensor."""
+    out = linear_quantities(exam, wanted, reference_c)
+    for stream in exam.streams:
+        if (level := noise.density(stream)) is not None:
+            out["noise_level", stream.sensor] = level
+    for scene in exam.scenes:
+        if len(scene.bins) >= thresholds.LEAST_BINS and (slow := noise.slow_noise(exam, scene)) is not None:
+            out[slow.effect, slow.sensor] = slow
+    out["sample_rate", "timing"] = noise.rate(exam.accelerometer)
+    return out
+
+
+def _expected(recorded: Examination, simulated: Examination, wanted: Sequence[Wanted]) -> list[Key]:
+    """Return what every comparison looks at, whether the two recordings can show it or not."""
+    keys: list[Key] = [("accel_bias", "accel"), ("accel_scale", "accel"), ("noise_level", "accel")]
+    keys.append(("accel_slow_noise", "accel"))
+    if recorded.gyroscope is not None or simulated.gyroscope is not None:
+        keys += [(effect, "gyro") for effect in (*GYROSCOPE_ONLY, "noise_level")]
+    return [*keys, *((w.hypothesis.entry.effect, w.hypothesis.entry.sensor) for w in wanted)]
+
+
+def _why_not(
+    key: Key,
+    pair: tuple[Quantity | None, Quantity | None],
+    exams: tuple[Examination, Examination],
+    names: tuple[str, str],
+) -> str | None:
+    """Say why a quantity cannot be compared; None where it can."""
+    for quantity, exam, name in zip(pair, exams, names, strict=True):
+        if quantity is None:
+            return f"{name}: {_why_absent(key, exam)}"
+        if not quantity.logarithmic and not quantity.informed.any():
+            return f"{name}: {_why_uninformed(key)}"
+    one, other = pair
+    assert one is not None and other is not None, "a missing one was told of above"
+    if not one.logarithmic and not (one.informed & other.informed).any():
+        return "the two show it on different axes"
+    return None
+
+
+def _why_absent(key: Key, exam: Examination) -> str:
+    """Say why a recording has no such quantity: the first reason that applies."""
+    effect, sensor = key
+    bins = exam.bins
+    still = float(bins.duration.sum()) if len(bins) else 0.0
+    turning = ("gyro_scale", "gyro_nonlinearity", "gyro_scale_temperature")
+    reasons = (
+        (sensor == "gyro" and exam.gyroscope is None, "it has no gyroscope"),
+        (effect == "noise_level", _why_no_density(exam, sensor)),
+        (
+            len(bins) < thresholds.LEAST_BINS,
+            f"it lies still for {still:.0f} s, {SHORTEST_BIN * thresholds.LEAST_BINS:.0f} s are needed",
+        ),
+        ("temperature" in effect and bins.temperature is None, "it has no temperature"),
+        ("charging" in effect and bins.charging is None, "it has no charging events"),
+        (effect in turning, "it has too few turns from rest to rest"),
+        (effect.endswith("slow_noise"), f"it has too few rests of {noise.LAG:.0f} s"),
+    )
+    otherwise = "its rests do not let it be told (too few attitudes, or what drives it hardly changes)"
+    return next((text for applies, text in reasons if applies), otherwise)
+
+
+def _why_no_density(exam: Examination, sensor: str) -> str:
+    streams = [s for s in exam.streams if s.sensor == sensor]
+    return noise.why_no_density(streams[0]) if streams else "it has no such sensor"
+
+
+def _why_uninformed(key: Key) -> str:
+    if key[0] in ("accel_bias", "accel_scale", "accel_nonlinearity", "gyro_g_sensitivity"):
+        return "too few attitudes to know it"
+    if key[0] == "gyro_scale":
+        return "too few turns to know it"
+    return "what drives it changes too little to know it"
+
+
+def _key(difference: Difference) -> Key:
+    return difference.recorded.effect, difference.recorded.sensor
+
+
+def _worth_telling(difference: Difference, had: set[Key]) -> bool:
+    """Whether agreement says something: a noise, or an effect that one of the two was found to have."""
+    return difference.recorded.logarithmic or _key(difference) in had or difference.recorded.shows()
+
+
+def _undecided(difference: Difference, names: tuple[str, str]) -> NotCompared:
+    odds = f"probability of a difference {difference.probability:.2f}"
+    return NotCompared(*_key(difference), f"{names[0]} and {names[1]} do not decide it: {odds}")
+
+
+def _discrepancy(difference: Difference) -> Discrepancy:
+    recorded = difference.recorded
+    assert recorded.where is not None, "every quantity says where it was measured"
+    return Discrepancy(
+        recorded.effect,
+        recorded.sensor,
+        _axes(difference),
+        recorded.where,
+        difference.relation(),
+        difference.probability,
+        difference.log_bayes_factor,
+        difference,
+    )
+
+
+def _axes(difference: Difference) -> list[str]:
+    """Return the axes whose numbers differ beyond their errors and tolerance, at least the clearest one."""
+    error = np.hypot(difference.sigma, difference.recorded.tolerance)
+    strength = np.abs(difference.value) / np.maximum(error, 1e-300)
+    owner = difference.recorded.axis_of
+    if (owner < 0).all():
+        return []
+    by_axis = [float(strength[owner == a].max(initial=0.0)) for a in range(3)]
+    least = min(AXIS_SIGMA, max(by_axis))
+    return [AXES[a] for a in range(3) if by_axis[a] >= least]
+
+
+Sole = tuple[Finding, float, bool]
+
+
+def _direct(
+    recorded: Examination, simulated: Examination, names: tuple[str, str]
+) -> tuple[list[Difference], list[Sole], list[NotCompared]]:
+    """Compare the effects that samples show directly.
+
+    Returned are differences of what both have; what one alone has, with its held-out gain (nats) and whether
+    it is the recording; and what the other could not show.
+    """
+    sides = (direct_statements(recorded), direct_statements(simulated))
+    both: list[Difference] = []
+    sole: list[Sole] = []
+    unseen: list[NotCompared] = []
+    for own, others, other, name, of_recording in (
+        (sides[0], sides[1], simulated, names[1], True),
+        (sides[1], sides[0], recorded, names[0], False),
+    ):
+        for finding in own:
+            pair = pair_of(finding, others)
+            if pair is not None:
+                both += _paired(finding, pair) if of_recording else []
+                continue
+            reason = why_not_shown(finding, other)
+            if reason is not None:
+                unseen.append(NotCompared(finding.effect, finding.sensor, f"{name}: {reason}"))
+            elif finding.evidence.heldout_log_score_gain > 0.0:
+                sole.append((finding, finding.evidence.heldout_log_score_gain, of_recording))
+    return both, sole, unseen
+
+
+def _paired(one: Finding, other: Finding) -> list[Difference]:
+    a, b = quantity_of(one), quantity_of(other)
+    return [subtract(a, b)] if a is not None and b is not None and a.value.shape == b.value.shape else []
+
+
+def _sole(finding: Finding, gain: float, of_recording: bool, count: int) -> Discrepancy:
+    return Discrepancy(
+        finding.effect,
+        finding.sensor,
+        named(finding),
+        finding.where,
+        "lacking" if of_recording else "superfluous",
+        posterior(gain, max(count, 1)),
+        gain,
+        None,
+        finding if of_recording else None,
+        None if of_recording else finding,
+    )

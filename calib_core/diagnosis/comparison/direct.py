@@ -1,0 +1,101 @@
+"""Effects that samples, values and stamps show directly, compared where one recording or both have them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.noise import TIMES
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Parameter
+from stillcal.calib_core.streams.samples import Samples
+
+MEASURED_ELSEWHERE = ("noise_level", "noise_unequal_axes", "bias_random_walk")
+"""Findings of one recording by itself whose quantity is compared as a density."""
+
+ALIKE = 0.05
+"""Relative difference of a limit, a step, a frequency or a fraction that is none."""
+
+
+def direct_statements(exam: Examination) -> list[Finding]:
+    """Return the findings that state no slow hypothesis, and those that no other recording can have."""
+    return [
+        s.finding
+        for s in exam.statements
+        if (s.hypothesis is None or s.hypothesis.entry.effect == "unknown" or s.hypothesis.entry.recurs)
+        and not s.finding.effect.endswith(MEASURED_ELSEWHERE)
+    ]
+
+
+def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:
+    """Return the finding of another recording that is of the same effect and sensor; None without one."""
+    same = [o for o in others if (o.effect, o.sensor) == (finding.effect, finding.sensor)]
+    same = [o for o in same if o.effect != "unknown" or o.where.driver == finding.where.driver]
+    return same[0] if same else None
+
+
+def quantity_of(finding: Finding) -> Quantity | None:
+    """Return the parameters of a finding as a quantity; None where it has no interval for them."""
+    names = [n for n, p in finding.parameters.items() if _interval(p) is not None]
+    if not names:
+        return None
+    values = [np.atleast_1d(np.asarray(finding.parameters[n].value, dtype=np.float64)).ravel() for n in names]
+    errors = [_interval(finding.parameters[n]) for n in names]
+    value = np.concatenate(values)
+    sigma = np.concatenate([e for e in errors if e is not None])
+    positive = bool((value > 0.0).all())
+    parts = tuple(Part(n, finding.parameters[n].unit, v.size) for n, v in zip(names, values, strict=True))
+    size = np.full(value.size, TIMES) if positive else np.maximum(3.0 * np.abs(value), 10.0 * sigma)
+    alike = np.full(value.size, ALIKE) if positive else ALIKE * np.abs(value)
+    if positive:
+        value, sigma = np.log(value), sigma / value
+    return Quantity(
+        finding.effect, finding.sensor, parts, value, np.diag(sigma**2), size, alike,
+        np.arange(value.size) % 3 if value.size % 3 == 0 else np.full(value.size, -1),
+        logarithmic=positive, where=finding.where,
+    )  # fmt: skip
+
+
+def _interval(parameter: Parameter) -> Array | None:
+    """Return standard errors from a 95 % interval; None where there is no width to it."""
+    if parameter.ci95 is None:
+        return None
+    value = np.atleast_1d(np.asarray(parameter.value, dtype=np.float64)).ravel()
+    ci = np.asarray(parameter.ci95, dtype=np.float64).reshape(-1, 2)
+    if ci.shape[0] != value.size:
+        return None
+    error = (ci[:, 1] - ci[:, 0]) / (2.0 * 1.96)
+    return error if bool((error > 0.0).all()) else None
+
+
+def why_not_shown(finding: Finding, other: Examination) -> str | None:
+    """Say why another recording could not show an effect at all; None where it could."""
+    samples = other.gyroscope if finding.sensor == "gyro" else other.accelerometer
+    between = finding.effect in ("accel_gyro_time_offset", "lever_arm")
+    reasons = (
+        ((finding.sensor == "gyro" or between) and other.gyroscope is None, "it has no gyroscope"),
+        (between and not (other.aligned and other.aligned.turns), "it is not turned between rests"),
+        (
+            finding.effect.endswith("saturation") and samples is not None and _below_limit(finding, samples),
+            "its motion does not reach the limit",
+        ),
+        (
+            finding.effect == "arrival_bursts" and other.accelerometer.t_arrival is None,
+            "it has no times of arrival",
+        ),
+        (finding.effect == "unknown" and len(other.bins) == 0, "it is never at rest"),
+    )
+    return next((text for applies, text in reasons if applies), None)
+
+
+def _below_limit(finding: Finding, samples: Samples) -> bool:
+    limit = float(np.min(finding.parameters["limit"].value))
+    return bool(np.abs(samples.xyz).max() < limit)
+
+
+def named(finding: Finding) -> list[str]:
+    """Return the finding's axes in their order."""
+    return [a for a in AXES if a in finding.axes]

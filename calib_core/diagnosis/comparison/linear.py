@@ -1,0 +1,271 @@
+"""Constant and slow parameters of one recording, fitted together: bias, scale, and what changes them.
+
+A static bin's residual is linear in all of them. They are fitted with the noise averaged over its shapes
+(`model.likelihood`), the constants free beside the effects, so that a slope in temperature and the bias at a
+reference temperature are one estimate and not two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.hypothesis import (
+    Entry,
+    Hypothesis,
+    Linear,
+    Scene,
+    bias_columns,
+    no_hypotheses,
+)
+from stillcal.calib_core.diagnosis.model.likelihood import fit_hypothesis
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
+from stillcal.calib_core.diagnosis.model.residuals import (
+    BIAS_SIZE,
+    MISALIGNMENT_SIZE,
+    SCALE_SIZE,
+    View,
+    fit_baseline,
+)
+from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
+from stillcal.calib_core.diagnosis.slow.effects import slow_entries
+from stillcal.calib_core.diagnosis.slow.rotation_effects import turn_entries
+from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+
+RATE_BIAS_SIZE = 0.05
+"""Prior size of a gyroscope's bias, rad/s: 3 deg/s, three times the zero-rate offset of consumer parts."""
+
+LOCAL_GRAVITY = 0.002
+"""Relative standard deviation of gravity where nobody gave it: it runs from 9.780 to 9.832 m/s^2 at sea level
+(WGS 84), and a common scale looks the same."""
+
+ALIKE_BIAS = {"accel": 2e-3, "gyro": 1e-4}
+"""Bias, m/s^2 and rad/s, that two recordings of one phone may differ by and nothing is wrong: 0.2 mg and
+0.006 deg/s, what a rest of some minutes leaves uncertain by slow noise in the parts of consumer phones."""
+
+ALIKE_SCALE = 2e-4
+"""Scale and misalignment, relative, for which the same holds."""
+
+ALIKE_EFFECT = 0.03
+"""Part of an effect's value by which two recordings may differ: no effect is exactly of its named form."""
+
+CONSTANTS = {
+    "accel": (
+        Linear("bias", "m/s^2", 3, BIAS_SIZE),
+        Linear("scale", "1", 3, SCALE_SIZE),
+        Linear("misalignment", "rad", 3, MISALIGNMENT_SIZE),
+    ),
+    "gyro": (Linear("bias", "rad/s", 3, RATE_BIAS_SIZE),),
+    "turn": (Linear("scale", "1", 9, GYRO_SCALE_SIZE),),
+}
+"""Constant parameters of the accelerometer's bins, the gyroscope's bins, and the turns between rests."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wanted:
+    """An effect to be measured, as one of the recordings has it. kind: "accel", "gyro" or "turn"."""
+
+    kind: str
+    hypothesis: Hypothesis
+
+    @property
+    def key(self) -> tuple[str, str, str, int]:
+        """Return what makes two of them the same effect: kind, name, driver, number of parameters."""
+        entry = self.hypothesis.entry
+        return self.kind, entry.effect, entry.follows, len(entry.parameters)
+
+
+def wanted_of(exam: Examination) -> list[Wanted]:
+    """Return the linear effects that a recording was found to have and that another can be asked for."""
+    return [
+        Wanted(_kind(s.scene), s.hypothesis)
+        for s in exam.statements
+        if s.hypothesis is not None and s.scene is not None and transferable(s.hypothesis)
+    ]
+
+
+def transferable(hypothesis: Hypothesis) -> bool:
+    """Whether another recording can have the same effect; a step at one moment cannot be had again."""
+    return hypothesis.entry.effect != "unknown" and not hypothesis.entry.recurs
+
+
+def _kind(scene: Scene) -> str:
+    return "turn" if scene.views[0].name == "turn" else scene.sensor
+
+
+def linear_quantities(
+    exam: Examination, wanted: Sequence[Wanted], reference_c: float | None
+) -> dict[tuple[str, str], Quantity]:
+    """Measure the constants and the wanted effects; by effect and sensor.
+
+    reference_c: degC at which bias and scale are stated where they follow temperature. An effect is missing
+    where the recording lacks what drives it, all of them where it has too few static bins.
+    """
+    out: dict[tuple[str, str], Quantity] = {}
+    scenes = [*exam.scenes, *([exam.turns[0]] if exam.turns else [])]
+    for scene in scenes:
+        if len(scene.bins) >= thresholds.LEAST_BINS:
+            own = [w for w in wanted if w.kind == _kind(scene)]
+            for quantity in _fitted(exam, scene, own, reference_c):
+                out[quantity.effect, quantity.sensor] = quantity
+    return out
+
+
+def _fitted(
+    exam: Examination, scene: Scene, wanted: Sequence[Wanted], reference_c: float | None
+) -> list[Quantity]:
+    kind = _kind(scene)
+    free = replace(scene, views=tuple(_freed(v, scene.gravity) for v in scene.views))
+    effects = [h for w in wanted if (h := proposed(exam, scene, w)) is not None]
+    hypotheses = [_constants(kind, scene), *effects]
+    whole = Hypothesis(
+        Entry("all", scene.sensor, "", no_hypotheses, sum((h.entry.parameters for h in hypotheses), ()), ""),
+        {},
+        tuple(
+            np.concatenate(columns, axis=2) for columns in zip(*(h.columns for h in hypotheses), strict=True)
+        ),
+    )
+    fit = fit_hypothesis(reduce_scene(free, [whole]), 0)
+    sizes = whole.sizes
+    value, covariance = fit.beta * sizes, fit.covariance * np.outer(sizes, sizes)
+    ends = np.cumsum([h.sizes.size for h in hypotheses])
+    parts = [np.arange(end - h.sizes.size, end) for h, end in zip(hypotheses, ends, strict=True)]
+    turned = _at_reference(scene, hypotheses, parts, reference_c)
+    stated, covariance = turned @ value, turned @ covariance @ turned.T
+    out = _constant_quantities(exam, kind, stated, covariance, reference_c)
+    for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
+        out.append(_effect_quantity(scene, hypothesis, stated[rows], covariance[np.ix_(rows, rows)]))
+    return out
+
+
+def proposed(exam: Examination, scene: Scene, wanted: Wanted) -> Hypothesis | None:
+    """Return the effect as this recording would have it, at the nearest grid point; None if it cannot."""
+    if wanted.kind == "turn":
+        entries = [] if exam.turns is None else turn_entries(exam.turns[1], exam.turns[0])
+    else:
+        entries = slow_entries(wanted.kind)
+    for entry in entries:
+        found = [h for h in entry.propose(entry, scene) if Wanted(wanted.kind, h).key == wanted.key]
+        if found:
+            return min(found, key=lambda h: _apart(h.grid, wanted.hypothesis.grid))
+    return None
+
+
+def _apart(one: dict[str, float], other: dict[str, float]) -> float:
+    """Return how far two grid points are from each other, positive numbers by their logarithms."""
+    total = 0.0
+    for name in one.keys() & other.keys():
+        a, b = one[name], other[name]
+        total += abs(np.log(a / b)) if a > 0.0 and b > 0.0 else abs(a - b)
+    return total
+
+
+def _freed(view: View, gravity: float) -> View:
+    """Return a view whose constants are no longer projected out, since they are fitted."""
+    if view.name == "norm":
+        local = np.full((view.t.size, 1), LOCAL_GRAVITY * gravity)
+        return replace(view, baseline=view.baseline[:, :, :0], absorbed=local)
+    if view.name == "turn":
+        return replace(view, baseline=view.baseline[:, :, :0])
+    return replace(view, baseline=view.baseline[:, :, :0]) if view.name.startswith("rate") else view
+
+
+def _constants(kind: str, scene: Scene) -> Hypothesis:
+    """Return the constant parameters as a hypothesis: what they do to the residuals of a faultless phone."""
+    entry = Entry("constants", scene.sensor, "nothing", no_hypotheses, CONSTANTS[kind], "")
+    if kind == "accel":
+        bins = scene.bins
+        slope = -fit_baseline(bins.force, bins.force_variance, bins.rest, scene.gravity).jacobian
+        columns = tuple(
+            slope[None] if v.name == "norm" else np.zeros((*v.y.shape, slope.shape[1])) for v in scene.views
+        )
+    elif kind == "turn":
+        columns = tuple(v.baseline for v in scene.views)
+    else:
+        columns = bias_columns(scene, np.ones(len(scene.bins)))
+    return Hypothesis(entry, {}, columns)
+
+
+SHIFTED = {"accel_bias_temperature": (0, 1.0), "gyro_bias_temperature": (0, 1.0)} | {
+    "accel_scale_temperature": (3, -1.0)
+}
+"""Effects whose columns are about the recording's mean temperature: the first constant that they move, and
+the sign (the accelerometer's scale is that of the correction, so what the sensor gains it loses)."""
+
+
+def _at_reference(
+    scene: Scene, hypotheses: Sequence[Hypothesis], parts: Sequence[Array], reference_c: float | None
+) -> Array:
+    """Return the matrix that takes constants at the mean temperature to those at the reference."""
+    matrix = np.eye(int(parts[-1][-1]) + 1)
+    if reference_c is None or scene.bins.temperature is None:
+        return matrix
+    warmer = reference_c - float(scene.bins.temperature.mean())
+    for hypothesis, rows in zip(hypotheses, parts, strict=True):
+        if hypothesis.entry.effect in SHIFTED:
+            first, sign = SHIFTED[hypothesis.entry.effect]
+            matrix[np.arange(first, first + 3), rows] += sign * warmer
+    return matrix
+
+
+def _constant_quantities(
+    exam: Examination, kind: str, value: Array, covariance: Array, reference_c: float | None
+) -> list[Quantity]:
+    """Return bias and scale, or of turns the scale, as quantities of their own."""
+    where = Where(*exam.bins.span, SLOW_BAND, "nothing")
+    if kind == "turn":
+        assert exam.aligned is not None, "turns come from an alignment"
+        error = value[:9].reshape(3, 3)
+        value = (exam.aligned.mapping - error @ exam.aligned.mapping - np.eye(3)).ravel()
+    reference = {} if reference_c is None or kind == "turn" else {"temperature_c": reference_c}
+    sensor = "gyro" if kind == "turn" else kind
+    out, first = [], 0
+    for name, of in _by_effect(CONSTANTS[kind]).items():
+        count = sum(p.count for p in of)
+        rows = np.arange(first, first + count)
+        first += count
+        out.append(
+            Quantity(
+                f"{sensor}_{name}",
+                sensor,
+                tuple(Part(p.name, p.unit, p.count) for p in of),
+                value[rows],
+                covariance[np.ix_(rows, rows)],
+                np.concatenate([np.full(p.count, p.size) for p in of]),
+                np.full(count, ALIKE_BIAS[sensor] if name == "bias" else ALIKE_SCALE),
+                np.repeat(np.arange(3), 3) if kind == "turn" else np.arange(count) % 3,
+                reference=reference,
+                where=where,
+            )
+        )
+    return out
+
+
+def _by_effect(constants: Sequence[Linear]) -> dict[str, list[Linear]]:
+    """Group constants by the effect they are stated as: misalignment goes with scale."""
+    out: dict[str, list[Linear]] = {}
+    for one in constants:
+        out.setdefault("bias" if one.name == "bias" else "scale", []).append(one)
+    return out
+
+
+def _effect_quantity(scene: Scene, hypothesis: Hypothesis, value: Array, covariance: Array) -> Quantity:
+    entry = hypothesis.entry
+    return Quantity(
+        entry.effect,
+        scene.sensor,
+        tuple(Part(p.name, p.unit, p.count) for p in entry.parameters),
+        value,
+        covariance,
+        hypothesis.sizes,
+        np.full(value.size, ALIKE_EFFECT * float(np.abs(value).max())) + 1e-9 * hypothesis.sizes,
+        np.asarray(hypothesis.axis_of),
+        reference=dict(hypothesis.grid),
+        where=Where(*scene.bins.span, SLOW_BAND, entry.follows),
+    )

@@ -1,0 +1,164 @@
+"""Noise and stamps of one recording as quantities that do not depend on its rate or length."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.diagnose import Examination, Stream
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene, nothing
+from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
+from stillcal.calib_core.diagnosis.model.noise_models import families, kinds
+from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.streams.samples import Samples
+
+TIMES = float(np.log(3.0))
+"""Prior size of how far a simulation's noise may be off: a factor of three, as datasheets and parts are."""
+
+ALIKE_DENSITY = float(np.log(1.05))
+"""Noise densities of one phone on two days differ by some per cent with temperature and what it lies on."""
+
+ALIKE_WANDER = float(np.log(1.4))
+"""Slow noise of one phone on two days: an Allan deviation of a process with such power at low frequency."""
+
+LAG = 100.0
+"""s: the averaging time at which slow noise is compared; rests of some minutes show it."""
+
+NEAR_LAG = (60.0, 160.0)
+"""s: lags that count as `LAG`."""
+
+FEWEST_PAIRS = 6
+Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
+SAME_ATTITUDE = 0.9
+"""Least correlation of a bias in two bins (cosine of the angle between attitudes) to compare them."""
+
+LEAST_SPREAD = 0.15
+"""The strengths of wander are tried a quarter decade of variance apart: no deviation is known better (ln)."""
+
+ALIKE_RATE = 2e-3
+"""Relative difference of sample rates that two recordings of one phone may have: nominal rates are round."""
+
+PIECES = 40
+LEAST_RATE_ERROR = 1e-6
+
+
+def density(stream: Stream) -> Quantity | None:
+    """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown."""
+    if stream.levels is None or not stream.levels.own:
+        return None
+    values = np.maximum(stream.levels.values(), 1e-12)
+    return Quantity(
+        "noise_level",
+        stream.sensor,
+        (Part("density", f"{UNIT[stream.sensor]}/sqrt(Hz)", 3),),
+        np.log(values),
+        np.diag(stream.levels.errors() ** 2),
+        np.full(3, TIMES),
+        np.full(3, ALIKE_DENSITY),
+        np.arange(3),
+        logarithmic=True,
+        where=Where(*_span(stream.samples), (0.0, stream.still.rate / 2.0), "noise at rest"),
+    )
+
+
+def why_no_density(stream: Stream) -> str:
+    """Say why a stream's white noise is not shown."""
+    if stream.levels is not None:
+        return "its noise at rest is not the sensor's own: something shakes the phone"
+    if stream.steps.hides_noise():
+        return "its values come in steps that hide the noise"
+    return "too little of it is at rest"
+
+
+def slow_noise(exam: Examination, scene: Scene) -> Quantity | None:
+    """Return the Allan deviation of the bias at `LAG`, logarithms; None without rests that long.
+
+    It is averaged over the noise shapes by their posterior, the effects that were found taken out first.
+    """
+    explained = [s.hypothesis for s in exam.statements if s.scene is scene and s.hypothesis is not None]
+    reduced = reduce_scene(scene, [nothing(scene)], explained)
+    _, weights = joint(reduced, [log_terms(v, v.yy) for v in reduced])
+    shown = [
+        _deviation(view, sums, weight)
+        for view, sums, weight in zip(scene.views, reduced, weights, strict=True)
+        if view.name != "tangent"
+    ]
+    known = [s for s in shown if s is not None]
+    if len(known) < len(shown):
+        return None
+    value, error = np.array(known).T
+    return Quantity(
+        f"{scene.sensor}_slow_noise",
+        scene.sensor,
+        (Part("allan_deviation_100s", UNIT[scene.sensor], value.size),),
+        value,
+        np.diag(error**2),
+        np.full(value.size, TIMES),
+        np.full(value.size, ALIKE_WANDER),
+        np.arange(3) if value.size == 3 else np.array([-1]),
+        logarithmic=True,
+        reference={"averaging_s": LAG},
+        where=Where(*scene.bins.span, (0.0, 1.0 / LAG), "nothing"),
+    )
+
+
+def _deviation(view: View, sums: Reduced, weight: Array) -> tuple[float, float] | None:
+    """Return mean and standard deviation of the log of the Allan deviation, over the shapes (G,)."""
+    pairs = _pairs(view)
+    if pairs is None:
+        return None
+    white = float(np.median(view.variance * view.duration)) / LAG
+    wander = kinds(view)
+    median = float(np.median(view.variance))
+    variances = []
+    for family in families(view):
+        unit = 0.0 if family.name == "white" else _half_difference(wander[family.name].covariance, pairs)
+        strengths = np.ones(1) * 0.0 if family.name == "white" else family.strengths
+        variances.append(white + strengths * median * unit)
+    scale = (sums.known + sums.yy) / max(sums.dof - 2.0, 1.0)
+    logs = 0.5 * np.log(np.concatenate(variances) * scale)
+    middle = float(weight @ logs)
+    return middle, float(np.hypot(np.sqrt(weight @ (logs - middle) ** 2), LEAST_SPREAD))
+
+
+def _pairs(view: View) -> Pairs | None:
+    """Return the pairs of bins that are `LAG` apart and see the same bias; None where they are few."""
+    lag = view.t[None, :] - view.t[:, None]
+    alike = np.broadcast_to(view.coupling, lag.shape) > SAME_ATTITUDE
+    rows = np.argwhere((lag > NEAR_LAG[0]) & (lag < NEAR_LAG[1]) & alike)
+    first, second = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
+    return (first, second) if first.size >= FEWEST_PAIRS else None
+
+
+def _half_difference(covariance: Array, pairs: Pairs) -> float:
+    first, second = pairs
+    own = covariance.diagonal()
+    return float(np.mean(0.5 * (own[first] + own[second]) - covariance[first, second]))
+
+
+def rate(samples: Samples) -> Quantity:
+    """Return the logarithm of the samples in a second: a count over time, in whatever bursts they come."""
+    pieces = [p for p in np.array_split(samples.t, PIECES) if p.size > 1 and p[-1] > p[0]]
+    logs = np.log([(p.size - 1) / (p[-1] - p[0]) for p in pieces])
+    error = 1.4826 * float(np.median(np.abs(logs - np.median(logs)))) / np.sqrt(len(pieces))
+    return Quantity(
+        "sample_rate",
+        "timing",
+        (Part("rate", "Hz", 1),),
+        np.array([float(np.median(logs))]),
+        np.array([[max(error, LEAST_RATE_ERROR) ** 2]]),
+        np.array([TIMES]),
+        np.array([ALIKE_RATE]),
+        np.array([-1]),
+        logarithmic=True,
+        where=Where(*_span(samples), (0.0, 0.0), "time stamps"),
+    )
+
+
+def _span(samples: Samples) -> tuple[float, float]:
+    return float(samples.t[0]), float(samples.t[-1])

@@ -1,0 +1,182 @@
+"""A simulated recording with the differences that were found put into its samples.
+
+The forward equations are those of `stillcal.replay.phone`'s sensors, written for samples that exist already.
+What cannot be put into samples (another rate, less noise) is left out and named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
+from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.formats.trace import Recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corrected:
+    """The recording with the differences in it, and the effects that could not be put into samples."""
+
+    recording: Recording
+    left_out: list[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stream:
+    """One sensor's samples with what its errors follow. true: (n, 3), its input; force: (n, 3) m/s^2."""
+
+    samples: Samples
+    true: Array
+    force: Array
+    age: Array
+    temperature: Array | None
+    charging: Array | None
+
+
+def correct(simulation: Recording, discrepancies: Sequence[Discrepancy], seed: int = 0) -> Corrected:
+    """Return the simulation's recording with every difference added that samples can take.
+
+    seed: of the noise that is added where the simulation has too little.
+    """
+    rng = np.random.default_rng(seed)
+    left_out: list[str] = []
+    streams: dict[str, Samples | None] = {
+        "accel": simulation.accelerometer,
+        "gyro": simulation.gyroscope,
+    }
+    for one in discrepancies:
+        samples = streams.get(one.sensor)
+        added = None if samples is None else _added(simulation, samples, one, rng)
+        if samples is None or added is None:
+            left_out.append(one.effect)
+        else:
+            streams[one.sensor] = replace(samples, xyz=frozen(samples.xyz + added))
+    accelerometer = streams["accel"]
+    assert accelerometer is not None, "every recording has an accelerometer"
+    return Corrected(replace(simulation, accelerometer=accelerometer, gyroscope=streams["gyro"]), left_out)
+
+
+def _added(
+    simulation: Recording, samples: Samples, one: Discrepancy, rng: np.random.Generator
+) -> Array | None:
+    """Return what a difference adds to the samples, (n, 3); None where it cannot be added."""
+    if one.difference is None:
+        return None
+    if one.effect == "noise_level":
+        return _noise(samples, one, rng)
+    kind = one.effect.partition("_")[2]
+    if one.effect.startswith(("accel_", "gyro_")) and kind in TERMS:
+        return TERMS[kind](_stream(simulation, samples), one)
+    return None
+
+
+def _stream(simulation: Recording, samples: Samples) -> _Stream:
+    accel = simulation.accelerometer
+    warm = accel.temperature
+    if warm is not None and np.isfinite(warm).any():
+        known = np.isfinite(warm)
+        warm = np.interp(samples.t, accel.t[known], warm[known])
+    plugs = [e for e in simulation.events if isinstance(e, Charging)]
+    states = np.array([0.0, *(float(e.on) for e in plugs)])
+    charging = states[np.searchsorted([e.t for e in plugs], samples.t, side="right")] if plugs else None
+    force = np.stack([np.interp(samples.t, accel.t, accel.xyz[:, a]) for a in range(3)], axis=1)
+    return _Stream(samples, samples.xyz, force, samples.t - samples.t[0], warm, charging)
+
+
+def _part(one: Discrepancy, name: str) -> Array:
+    """Return the difference of one named parameter, recorded less simulated."""
+    assert one.difference is not None, "only differences have parameters to add"
+    first = 0
+    for part in one.difference.recorded.parts:
+        if part.name == name:
+            return np.asarray(one.difference.value[first : first + part.count])
+        first += part.count
+    return np.zeros(3)
+
+
+def _bias(stream: _Stream, one: Discrepancy) -> Array:
+    return np.broadcast_to(_part(one, "bias"), stream.samples.xyz.shape)
+
+
+def _scale(stream: _Stream, one: Discrepancy) -> Array:
+    """Return the change of the readings when the correction's matrix changes: to first order, minus it."""
+    if one.sensor == "gyro":
+        change = _part(one, "scale").reshape(3, 3)
+    else:
+        change = np.diag(_part(one, "scale"))
+        for value, (a, b) in zip(_part(one, "misalignment"), ((0, 1), (0, 2), (1, 2)), strict=True):
+            change[a, b] = change[b, a] = value
+    return np.asarray(-stream.true @ change.T)
+
+
+def _bias_temperature(stream: _Stream, one: Discrepancy) -> Array | None:
+    if stream.temperature is None:
+        return None
+    return np.outer(stream.temperature - _reference(stream, one), _part(one, "slope"))
+
+
+def _scale_temperature(stream: _Stream, one: Discrepancy) -> Array | None:
+    if stream.temperature is None:
+        return None
+    warmer = (stream.temperature - _reference(stream, one))[:, None]
+    return np.asarray(stream.true * warmer * _part(one, "slope"))
+
+
+def _reference(stream: _Stream, one: Discrepancy) -> float:
+    assert one.difference is not None and stream.temperature is not None, "asked for where both are known"
+    return float(one.difference.recorded.reference.get("temperature_c", stream.temperature.mean()))
+
+
+def _warmup(stream: _Stream, one: Discrepancy) -> Array | None:
+    assert one.difference is not None, "only differences are added"
+    tau = one.difference.recorded.reference.get("tau_s")
+    return None if tau is None else np.outer(-np.expm1(-stream.age / tau), _part(one, "amplitude"))
+
+
+def _drift(stream: _Stream, one: Discrepancy) -> Array:
+    return np.outer(stream.age, _part(one, "rate"))
+
+
+def _charging(stream: _Stream, one: Discrepancy) -> Array | None:
+    return None if stream.charging is None else np.outer(stream.charging, _part(one, "step"))
+
+
+def _g_sensitivity(stream: _Stream, one: Discrepancy) -> Array:
+    return np.asarray(stream.force @ _part(one, "matrix").reshape(3, 3).T)
+
+
+def _nonlinearity(stream: _Stream, one: Discrepancy) -> Array:
+    return np.asarray(stream.true**2 * _part(one, "quadratic") + stream.true**3 * _part(one, "cubic"))
+
+
+TERMS: dict[str, Callable[[_Stream, Discrepancy], Array | None]] = {
+    "bias": _bias,
+    "scale": _scale,
+    "bias_temperature": _bias_temperature,
+    "scale_temperature": _scale_temperature,
+    "warmup": _warmup,
+    "bias_drift": _drift,
+    "charging_bias": _charging,
+    "g_sensitivity": _g_sensitivity,
+    "nonlinearity": _nonlinearity,
+}
+"""What a difference adds to the samples, by the effect's name without its sensor."""
+
+
+def _noise(samples: Samples, one: Discrepancy, rng: np.random.Generator) -> Array | None:
+    """Return white noise of the power that is missing; None where the simulation has too much of it.
+
+    Samples at f Hz with a one-sided density d have a standard deviation of d sqrt(f / 2).
+    """
+    assert one.difference is not None, "noise is compared as a density"
+    recorded, simulated = np.exp(one.difference.recorded.value), np.exp(one.difference.simulated.value)
+    missing = recorded**2 - simulated**2
+    if (missing < 0.0).any():
+        return None
+    rate = (len(samples) - 1) / float(samples.t[-1] - samples.t[0])
+    return np.asarray(rng.normal(size=samples.xyz.shape) * np.sqrt(missing * rate / 2.0))
