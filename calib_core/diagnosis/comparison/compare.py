@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -42,6 +42,9 @@ LEVEL = 0.01
 
 AXIS_SIGMA = 2.6
 """An axis is named where its difference is this many standard deviations from nothing (two-sided 1 %)."""
+
+CROSSING_SPREAD_K = 10.0
+"""K: how far from a recording's mean temperature the one lies at which a sensor was trimmed."""
 
 GYROSCOPE_ONLY = ("gyro_bias", "gyro_scale", "gyro_slow_noise")
 
@@ -102,14 +105,21 @@ class Comparison:
 def compare(recorded: Examination, simulated: Examination, names: tuple[str, str]) -> Comparison:
     """Compare a recording with a simulation. names: of both, for the reasons given."""
     wanted = _union(wanted_of(recorded), wanted_of(simulated))
-    reference = _reference(recorded.bins, simulated.bins)
-    sides = [_quantities(exam, wanted, reference) for exam in (recorded, simulated)]
+    exams = (recorded, simulated)
+    reference = _mean_temperature(recorded.bins, simulated.bins)
+    sides = [_quantities(exam, wanted, reference) for exam in exams]
+    crossing = _crossing_temperatures(sides, reference)
+    if crossing:
+        sides = [
+            side | linear_quantities(e, wanted, reference | crossing)
+            for e, side in zip(exams, sides, strict=True)
+        ]
     keys = list(dict.fromkeys([*_expected(recorded, simulated, wanted), *sides[0], *sides[1]]))
     pairs: list[Difference] = []
     missing: list[NotCompared] = []
     for key in keys:
         one, other = (side.get(key) for side in sides)
-        reason = _why_not(key, (one, other), (recorded, simulated), names)
+        reason = _why_not(key, (one, other), exams, names)
         if reason is None and one is not None and other is not None:
             pairs.append(subtract(one, other))
         else:
@@ -152,15 +162,38 @@ def _union(one: Sequence[Wanted], other: Sequence[Wanted]) -> list[Wanted]:
     return list(out.values())
 
 
-def _reference(recorded: Bins, simulated: Bins) -> float | None:
+def _crossing_temperatures(
+    sides: Sequence[Mapping[Key, Quantity]], reference: Mapping[str, float]
+) -> dict[str, float]:
+    """Return, by sensor, the degC at which the biases of both agree best, where their slopes differ.
+
+    A slope that is missing has a temperature at which it adds nothing. At any other one the bias would seem
+    to differ too. It is the least squares crossing of the two lines of bias, with a prior about the mean.
+    """
+    out = {}
+    for sensor, mean in reference.items():
+        keys = ((f"{sensor}_bias_temperature", sensor), (f"{sensor}_bias", sensor))
+        if not all(key in side for key in keys for side in sides):
+            continue
+        slope, bias = (subtract(sides[0][key], sides[1][key]) for key in keys)
+        if posterior(slope.log_bayes_factor, len(sides[0])) < CERTAIN:
+            continue
+        weight = np.linalg.inv(bias.covariance + np.diag(bias.recorded.tolerance**2))
+        pull = float(slope.value @ weight @ bias.value)
+        out[sensor] = mean - pull / (float(slope.value @ weight @ slope.value) + CROSSING_SPREAD_K**-2.0)
+    return out
+
+
+def _mean_temperature(recorded: Bins, simulated: Bins) -> dict[str, float]:
     """Return the degC at which constants are compared: the recording's mean, if both have a thermometer."""
     if recorded.temperature is None or simulated.temperature is None:
-        return None
-    return float(recorded.temperature.mean()) if len(recorded) and len(simulated) else None
+        return {}
+    mean = float(recorded.temperature.mean()) if len(recorded) and len(simulated) else None
+    return {} if mean is None else {"accel": mean, "gyro": mean}
 
 
 def _quantities(
-    exam: Examination, wanted: Sequence[Wanted], reference_c: float | None
+    exam: Examination, wanted: Sequence[Wanted], reference_c: Mapping[str, float]
 ) -> dict[Key, Quantity]:
     """Return all that one recording shows, by effect and sensor."""
     out = linear_quantities(exam, wanted, reference_c)
@@ -286,8 +319,8 @@ def _direct(
 ) -> tuple[list[Difference], list[Sole], list[NotCompared]]:
     """Compare the effects that samples show directly.
 
-    Returned are differences of what both have; what one alone has, with its held-out gain (nats) and whether
-    it is the recording; and what the other could not show.
+    Returned are differences of what both have; what one alone has, with its evidence (nats) and whether
+    it is the recording; what the other could not show.
     """
     sides = (direct_statements(recorded), direct_statements(simulated))
     both: list[Difference] = []
@@ -305,9 +338,20 @@ def _direct(
             reason = why_not_shown(finding, other)
             if reason is not None:
                 unseen.append(NotCompared(finding.effect, finding.sensor, f"{name}: {reason}"))
-            elif finding.evidence.heldout_log_score_gain > 0.0:
-                sole.append((finding, finding.evidence.heldout_log_score_gain, of_recording))
+            elif (evidence := _log_bayes_factor(finding)) > 0.0:
+                sole.append((finding, evidence, of_recording))
     return both, sole, unseen
+
+
+def _log_bayes_factor(finding: Finding) -> float:
+    """Return the evidence, nats, for a finding that one recording makes by itself.
+
+    It is the gain in held-out log score, but no more than its p value can stand for: the Bayes factor against
+    no effect is at most 1 / (-e p ln p) (Sellke, Bayarri and Berger, Am. Stat. 55, 2001).
+    """
+    p = max(finding.evidence.p_value, 1e-300)
+    most = -1.0 - np.log(p) - np.log(-np.log(p)) if p < np.exp(-1.0) else 0.0
+    return float(min(finding.evidence.heldout_log_score_gain, most))
 
 
 def _paired(one: Finding, other: Finding) -> list[Difference]:

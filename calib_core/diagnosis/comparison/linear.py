@@ -7,7 +7,7 @@ reference temperature are one estimate and not two.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,19 +100,19 @@ def _kind(scene: Scene) -> str:
 
 
 def linear_quantities(
-    exam: Examination, wanted: Sequence[Wanted], reference_c: float | None
+    exam: Examination, wanted: Sequence[Wanted], reference_c: Mapping[str, float]
 ) -> dict[tuple[str, str], Quantity]:
     """Measure the constants and the wanted effects; by effect and sensor.
 
-    reference_c: degC at which bias and scale are stated where they follow temperature. An effect is missing
-    where the recording lacks what drives it, all of them where it has too few static bins.
+    reference_c: by sensor, degC at which bias and scale are stated where they follow temperature. An effect
+    is missing where the recording lacks what drives it, all of them where it has too few static bins.
     """
     out: dict[tuple[str, str], Quantity] = {}
     scenes = [*exam.scenes, *([exam.turns[0]] if exam.turns else [])]
     for scene in scenes:
         if len(scene.bins) >= thresholds.LEAST_BINS:
             own = [w for w in wanted if w.kind == _kind(scene)]
-            for quantity in _fitted(exam, scene, own, reference_c):
+            for quantity in _fitted(exam, scene, own, reference_c.get(scene.sensor)):
                 out[quantity.effect, quantity.sensor] = quantity
     return out
 
@@ -140,7 +140,10 @@ def _fitted(
     stated, covariance = turned @ value, turned @ covariance @ turned.T
     out = _constant_quantities(exam, kind, stated, covariance, reference_c)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
-        out.append(_effect_quantity(scene, hypothesis, stated[rows], covariance[np.ix_(rows, rows)]))
+        effect = _effect_quantity(scene, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
+        if reference_c is not None and hypothesis.entry.effect in SHIFTED:
+            effect = replace(effect, reference=dict(effect.reference) | {"temperature_c": reference_c})
+        out.append(effect)
     return out
 
 

@@ -1,0 +1,226 @@
+"""A given simulation is judged: what it lacks, has half of, has, has twice of, and has alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from stillcal.calib_core.errors import NotSupported
+from stillcal.daemon.cli.main import cli
+from stillcal.replay.diagnosis.given_simulation import judge_simulation
+from stillcal.replay.diagnosis.report.comparison_page import comparison_page
+from stillcal.replay.formats.trace import Recording, TraceWriter
+from stillcal.replay.phone.phone import Phone
+from tests.support.report_days import phone_with, recorded
+
+SLOPE = np.array([0.006, 0.0, -0.005])
+
+
+def named(recording: Recording, name: str) -> Recording:
+    return replace(recording, name=name)
+
+
+def thermal(share: float) -> dict[str, Any]:
+    return {"name": "accel_bias_temperature", "slope": (share * SLOPE).tolist()}
+
+
+def changed(phone: Phone, sensor: str, **values: Any) -> Phone:
+    settings = msgspec.structs.replace(getattr(phone, sensor), **values)
+    return msgspec.structs.replace(phone, **{sensor: settings})
+
+
+@cache
+def real(share: float = 1.0) -> Recording:
+    effects = [thermal(share)] if share else []
+    return named(recorded(phone_with(*effects), 3), "real.csv")
+
+
+@cache
+def simulated(share: float) -> Recording:
+    effects = [thermal(share)] if share else []
+    return named(recorded(phone_with(*effects), 8), "sim.csv")
+
+
+def answer(recording: Recording, simulation: Recording) -> dict[str, Any]:
+    return judge_simulation(recording, simulation).answer
+
+
+def effects(said: Mapping[str, Any]) -> set[str]:
+    return {f["effect"] for f in said["findings"]}
+
+
+def only(said: Mapping[str, Any]) -> dict[str, Any]:
+    (finding,) = said["findings"]
+    return finding
+
+
+def holds(parameter: Mapping[str, Any], truth: np.ndarray) -> bool:
+    """Whether truth lies within one and a half times each 95 % interval (1 miss in 300 by chance)."""
+    low, high = np.asarray(parameter["ci95"]).T
+    middle, half = (low + high) / 2.0, (high - low) / 2.0
+    return bool((np.abs(truth - middle) < 1.5 * half).all())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("share", "relation"), [(0.0, "lacking"), (0.5, "too_small"), (1.5, "too_large"), (2.0, "too_large")]
+)
+def test_a_share_of_an_effect_is_told_with_what_is_missing(share: float, relation: str) -> None:
+    finding = only(answer(real(), simulated(share)))
+    assert (finding["effect"], finding["relation"]) == ("accel_bias_temperature", relation)
+    assert holds(finding["difference"]["slope"], (1.0 - share) * SLOPE)
+    assert holds(finding["parameters"]["slope"], SLOPE)
+    assert holds(finding["simulated"]["slope"], share * SLOPE)
+    assert finding["probability"] > 0.95 and "sim.csv" in finding["statement"]
+
+
+@pytest.mark.slow
+def test_what_only_the_simulation_has_is_superfluous() -> None:
+    finding = only(answer(real(0.0), simulated(1.0)))
+    assert (finding["effect"], finding["relation"]) == ("accel_bias_temperature", "superfluous")
+    assert holds(finding["difference"]["slope"], -SLOPE)
+
+
+@pytest.mark.slow
+def test_a_simulation_that_has_the_effect_agrees() -> None:
+    said = answer(real(), simulated(1.0))
+    assert said["verdict"] == "match" and said["findings"] == []
+    assert "accel_bias_temperature" in {a["effect"] for a in said["agreed"]}
+    assert said["fit"]["p_before"] > 0.01
+
+
+def test_the_corrected_simulation_passes() -> None:
+    said = answer(real(), simulated(0.0))
+    assert said["verdict"] == "identified"
+    assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
+    assert said["fit"]["not_put_in"] == []
+
+
+@pytest.mark.slow
+def test_constants_and_noise_that_differ_are_told_in_their_own_units() -> None:
+    phone = phone_with()
+    bias = (np.asarray(phone.accel.bias) + np.array([0.1, 0.0, 0.0])).tolist()
+    noise = msgspec.structs.replace(phone.accel.noise, white=2.0 * 0.00147)
+    other = named(recorded(changed(phone, "accel", bias=bias, noise=noise), 8), "sim.csv")
+    found = {f["effect"]: f for f in answer(real(0.0), other)["findings"]}
+    assert set(found) == {"accel_bias", "noise_level"}
+    assert found["accel_bias"]["axes"] == ["x"] and found["accel_bias"]["relation"] == "too_large"
+    assert holds(found["accel_bias"]["difference"]["bias"], np.array([-0.1, 0.0, 0.0]))
+    assert found["noise_level"]["relation"] == "too_large"
+    assert found["noise_level"]["difference"]["ratio"]["value"] == pytest.approx([0.5] * 3, rel=0.05)
+
+
+@pytest.mark.slow
+def test_another_rate_is_one_finding_and_nothing_else() -> None:
+    phone = phone_with()
+    fast = changed(changed(phone, "accel", rate_hz=50.0), "gyro", rate_hz=50.0)
+    finding = only(answer(real(0.0), named(recorded(fast, 8), "sim.csv")))
+    assert (finding["effect"], finding["relation"]) == ("sample_rate", "too_large")
+    assert finding["difference"]["rate"]["value"] == pytest.approx(-25.0, abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_simulation_without_noise_lacks_it() -> None:
+    phone = phone_with()
+    quiet = type(phone.accel.noise)()
+    silent = changed(changed(phone, "accel", noise=quiet, lsb=0.0), "gyro", noise=quiet, lsb=0.0)
+    found = answer(real(0.0), named(recorded(silent, 8), "sim.csv"))["findings"]
+    lacking = {(f["effect"], f["sensor"]) for f in found if f["relation"] == "lacking"}
+    assert {("noise_level", "accel"), ("noise_level", "gyro")} <= lacking
+
+
+@pytest.mark.slow
+def test_what_cannot_be_compared_is_said_with_its_reason() -> None:
+    whole = simulated(0.0)
+    blind = replace(whole, gyroscope=None, accelerometer=replace(whole.accelerometer, temperature=None))
+    said = answer(real(), blind)
+    reasons = {(n["effect"], n["sensor"]): n["reason"] for n in said["not_compared"]}
+    assert reasons["gyro_bias", "gyro"] == "sim.csv: it has no gyroscope"
+    assert reasons["accel_bias_temperature", "accel"] == "sim.csv: it has no temperature"
+    assert "gyro_bias" not in effects(said)
+
+
+@pytest.mark.slow
+def test_a_simulation_that_never_lies_still_is_not_judged() -> None:
+    whole = simulated(0.0)
+    rng = np.random.default_rng(1)
+    shaken = replace(
+        whole.accelerometer, xyz=whole.accelerometer.xyz + rng.normal(0.0, 3.0, whole.accelerometer.xyz.shape)
+    )
+    said = answer(real(0.0), replace(whole, accelerometer=shaken, gyroscope=None))
+    assert said["verdict"] == "not_judged"
+
+
+@pytest.mark.slow
+def test_every_quantity_says_how_small_a_difference_it_would_have_shown() -> None:
+    rows = answer(real(0.0), simulated(0.0))["sensitivity"]
+    least = {(r["effect"], r["parameter"]): r["smallest_seen_90"] for r in rows}
+    assert 0.0 < least["accel_bias", "bias"] < 0.05
+    assert 0.0 < least["gyro_bias", "bias"] < 0.002
+    assert 0.0 < least["noise_level", "density"] < 0.0015
+
+
+def test_too_short_a_simulation_is_refused_by_name() -> None:
+    short = simulated(0.0)
+    cut = replace(short, accelerometer=short.accelerometer.between(0.0, 5.0), gyroscope=None)
+    with pytest.raises(NotSupported, match=r"sim\.csv"):
+        judge_simulation(real(0.0), cut)
+
+
+@pytest.mark.slow
+def test_the_page_shows_both_files_and_every_finding() -> None:
+    pytest.importorskip("matplotlib")
+    page = comparison_page(judge_simulation(real(), simulated(0.5)))
+    assert "real.csv against sim.csv" in page and "Differences found, all identified" in page
+    assert "too small in the simulation" in page.lower() and page.count("<svg") + page.count("svg+xml") >= 1
+    assert "25 Hz" in page and "http" not in page.replace("http://www.w3.org", "")
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[[Recording, str], Path]:
+    def write(recording: Recording, name: str) -> Path:
+        path = tmp_path / name
+        with TraceWriter(path, temperature=True, arrival=True, claims=recording.claims) as writer:
+            writer.write(recording.accelerometer, recording.gyroscope, tuple(recording.events))
+        return path
+
+    return write
+
+
+def run(*words: Any) -> Any:
+    return CliRunner().invoke(cli, ["diagnose", *map(str, words)])
+
+
+def test_the_command_judges_and_fails_where_it_is_asked_to(written: Any, tmp_path: Path) -> None:
+    trace, other = written(real(), "real.csv"), written(simulated(0.0), "sim.csv")
+    out = tmp_path / "answer.json"
+    done = run(trace, "--simulated", other, "--json", out, "--fail-on", "identified")
+    assert done.exit_code == 5, done.output
+    assert "sim.csv lacks the change of the accelerometer's bias with temperature" in done.output
+    said = json.loads(out.read_text())
+    assert (said["schema"], said["recording"], said["simulation"]) == (2, "real.csv", "sim.csv")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--simulated", "nowhere.csv"], "nowhere.csv"),
+        (["--simulated-format", "csv"], "--simulated-format goes with --simulated"),
+        (["--simulated", "sim.csv", "--phone", "typical"], "each is another simulation"),
+        (["--fail-on", "bad"], "bad"),
+    ],
+)
+def test_bad_input_is_one_line(words: list[str], says: str, written: Any, tmp_path: Path) -> None:
+    trace = written(real(0.0), "real.csv")
+    done = run(trace, *words)
+    assert done.exit_code == 2 and says in done.output and "Traceback" not in done.output
+    assert sorted(p.suffix for p in tmp_path.iterdir()) == sorted(p.suffix for p in trace.parent.iterdir())
