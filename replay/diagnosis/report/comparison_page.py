@@ -41,7 +41,7 @@ def comparison_page(judged: Judged) -> str:
         *_not_compared(answer),
         *_sensitivity(answer),
         "<footer>Made by <code>stillcal diagnose --simulated</code>. Intervals are 95 %. Both recordings were"
-        " fitted with the same model; docs/diagnosis.md says how.</footer>",
+        " fitted with the same model; docs/comparison.md says how.</footer>",
     ]
     return document(f"{names[0]} against {names[1]}", parts)
 
