@@ -271,6 +271,9 @@ def test_without_a_rate_or_a_bias_the_gyroscope_is_unknown() -> None:
     assert check_rests(IDENTITY, 0.002, None, turning([0, 0, 0]), SETTINGS).gyroscope is Drift.UNKNOWN
     found = check_rests(IDENTITY, 0.002, np.zeros(3), [held([0, 0, 9.8])], SETTINGS)
     assert (found.gyroscope, found.gyro_residual, found.gyro_uncertainty) == (Drift.UNKNOWN, None, None)
+    unsure = held([0, 0, 9.8], [0, 0.005, 0])
+    without = HeldRest(replace(unsure.rest, rate_uncertainty=None), unsure.gravity)
+    assert check_rests(IDENTITY, 0.002, np.zeros(3), [without], SETTINGS).gyroscope is Drift.UNKNOWN
     mixed = [held([0, 0, 9.8]), *turning([0, 0.005, 0])]
     assert check_rests(IDENTITY, 0.002, np.zeros(3), mixed, SETTINGS).gyroscope is Drift.DRIFTED
 
