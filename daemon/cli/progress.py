@@ -1,4 +1,4 @@
-"""How far a command has come, shown on standard error where somebody may look."""
+"""A progress bar on standard error, where that is a terminal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rich.progress import Progress
 
 @contextmanager
 def progress(what: str, total: float, quiet: bool) -> Iterator[Callable[[float], None]]:
-    """Give a function to say how much of `total` is done; shown on a terminal only, and not if `quiet`."""
+    """Yield a function that reports how much of `total` is done; a bar is shown unless `quiet`."""
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
         task = bar.add_task(what, total=total)

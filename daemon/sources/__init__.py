@@ -1,1 +1,1 @@
-"""Where samples come from: a serial line, or Linux's own industrial I/O sensors."""
+"""Sources of samples: a phone on a serial line, or the machine's own sensors (Linux industrial I/O)."""

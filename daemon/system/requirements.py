@@ -1,7 +1,7 @@
-"""What this operating system can do, for commands that need more of it than files.
+"""Check that the operating system has what a command needs.
 
-Recordings, stores and reports are files, and everything about them runs wherever Python runs. The daemon
-needs Linux, and those who ask it need local sockets.
+Recordings, stores and reports are files; commands on files run wherever Python runs. The daemon needs Linux,
+and its clients need local sockets.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ PRINTABLE = bytes(range(0x20, 0x7F)) + b"\t"
 
 
 class _Mode(Enum):
-    """Where the decoder is: at a segment's start, in a frame, in a line, in a line that is too long."""
+    """The decoder's state: at a segment's start, in a frame, in a line, in a line that is too long."""
 
     START = auto()
     FRAME = auto()

@@ -25,7 +25,7 @@ class Form(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class WireSettings:
-    """How to write. coding: of samples. block: the most samples in a frame.
+    """Settings of the encoder. coding: of samples. block: the most samples in a frame.
 
     accel_unit, gyro_unit: SI value of one count (counts only). tick_ns: unit of time steps, ns (all but
     exact).

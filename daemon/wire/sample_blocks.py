@@ -42,7 +42,7 @@ class Coding(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class BlockStyle:
-    """How to write samples. size: the most in a block.
+    """Settings of sample blocks. size: most samples in a block.
 
     unit: SI value of one count (COUNTS only; what does not fit into 16 bits saturates). tick_ns: unit of
     the time steps of the compact codings; a step beyond 65,535 of them begins another block.
