@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PYTEST := $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist worksteal
 
-.PHONY: run test test-fast mutants check faults week evaluate bench clean
+.PHONY: run test test-fast mutants check faults fuzz week evaluate bench clean
 
 run: $(READY)
 	$(BIN)/python -m stillcal.replay.trials.demo.tour
@@ -29,6 +29,10 @@ check: $(READY)
 
 faults: $(READY)
 	$(BIN)/python -m stillcal.replay.trials.faults
+
+# Ten minutes for each parser; FUZZ=--seconds=60 for less.
+fuzz: $(READY)
+	$(BIN)/python -m stillcal.replay.trials.fuzz $(FUZZ)
 
 week: $(READY)
 	$(BIN)/python -m stillcal.replay.trials.week

@@ -276,4 +276,5 @@ class PhoneSession:
 
 def device_name(hello: Hello) -> str:
     """Return what a phone says it is: printable, of bounded length, "" where it does not say."""
-    return printable(str(hello.claims.get("device") or ""))[:DEVICE_CHARACTERS]
+    claimed = hello.claims.get("device")
+    return printable(claimed)[:DEVICE_CHARACTERS] if isinstance(claimed, str) else ""

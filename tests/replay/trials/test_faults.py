@@ -23,6 +23,7 @@ from stillcal.daemon.store.store import Store
 from stillcal.replay.phone import load_phone, load_scenario, simulate
 from stillcal.replay.trials.faults import __main__ as faults
 from stillcal.replay.trials.faults.disk import failing_disks
+from stillcal.replay.trials.faults.endure import hostile_bytes, hostile_messages, leavers, tables
 from stillcal.replay.trials.faults.fit import calibrating
 from stillcal.replay.trials.faults.kill import example, killed
 from stillcal.replay.trials.faults.live import killed_live
@@ -79,9 +80,30 @@ def test_an_attacked_daemon_goes_on() -> None:
     assert judged["24 idle clients"].counts["stay"] == 16
 
 
+def judged(found: Figures) -> Figures:
+    """What a trial came to but for times, which depend on the machine's other work."""
+    assert found.counts["exit code"] == 0 and found.counts["answers to another client"] > 0, found
+    assert found.counts["bytes of log"] < 200_000, found
+    return found
+
+
+def test_whatever_a_phone_sends_the_daemon_answers_on_and_ends() -> None:
+    assert judged(faults.in_folder(lambda f: hostile_messages(120, 2, f))).counts["pieces"] == 120
+    assert judged(faults.in_folder(lambda f: hostile_bytes(20_000, 2, f))).counts["bytes"] == 20_000
+
+
+def test_clients_that_leave_at_every_stage_give_their_places_back() -> None:
+    assert judged(faults.in_folder(lambda f: leavers(22, f))).counts["places not given back"] == 0
+
+
+def test_tables_without_end_keep_nobody_from_an_answer() -> None:
+    found = judged(faults.in_folder(lambda f: tables(1.0, f)))
+    assert found.counts["tables answered"] > 0 and found.counts["hung up on"] == 0
+
+
 def test_the_command_says_what_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     figures = [Figures("good", True, {"lost_samples": 0}), Figures("bad", False, {"torn stores": 2})]
-    monkeypatch.setattr(faults, "all_faults", lambda *arguments: iter(figures))
+    monkeypatch.setattr(faults, "all_faults", lambda **arguments: iter(figures))
     ran = CliRunner().invoke(faults.main)
     assert ran.exit_code == 1
     assert [line.split()[-1] for line in ran.output.splitlines()] == ["holds", "0", "FAILS", "2"]

@@ -1,0 +1,261 @@
+"""A daemon on trial: a phone that sends anything, clients that leave at any stage, tables without end.
+
+`stillcal run` in a process of its own on a pseudo-terminal whose other end is played here. Meanwhile one more
+client asks on and on, and notes how long it waits. Each trial ends with SIGTERM, whose answer is timed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+import time
+import tty
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stillcal.daemon.settings import SocketSettings
+from stillcal.daemon.store.store import Store
+from stillcal.daemon.varlink.rows import MAX_ROWS
+from stillcal.replay.trials.faults.hostile import runs
+from stillcal.replay.trials.faults.kill import example
+from stillcal.replay.trials.faults.target import START_S, Target, ask, question, status
+from stillcal.replay.trials.faults.wire import Figures
+
+STOP_S = 2.0
+"""Within which a daemon must end after SIGTERM, s."""
+
+P99_S = 0.05
+"""Within which 99 of 100 answers must come to a client that means well, s, on an idle machine."""
+
+ASK_EVERY_S = 0.02
+FLOODING = 8
+"""Clients that ask for tables without end."""
+
+BYTES_AT_ONCE = 4096
+SETTLED_S = 10.0
+LOG_BYTES = 200_000
+"""What a trial may make the daemon write to its log."""
+
+RUN = "from stillcal.daemon.cli.entry import main; main()"
+
+
+@dataclass(slots=True)
+class Trial:
+    """A daemon on trial, and what was measured. line: the phone's end of its terminal."""
+
+    target: Target
+    line: int
+    waited: list[float] = field(default_factory=list)
+    stopped_s: float = float("inf")
+    exit_code: int = -1
+    log_bytes: int = 0
+
+    def figures(self, name: str, counts: dict[str, int], holds: bool) -> Figures:
+        """Return what a trial came to. Times are printed; on a busy machine only the end's is judged."""
+        waited = np.array(self.waited or [0.0])
+        p99, most = np.quantile(waited, (0.99, 1.0))
+        measured = {
+            "answers to another client": len(self.waited),
+            "their p99, us": round(1e6 * p99),
+            "their slowest, us": round(1e6 * most),
+            "exit code": self.exit_code,
+            "ms from SIGTERM to its end": round(1e3 * self.stopped_s),
+            "bytes of log": self.log_bytes,
+        }
+        sound = self.exit_code == 0 and self.stopped_s <= STOP_S and self.log_bytes <= LOG_BYTES
+        return Figures(name, holds and sound and bool(self.waited), {**counts, **measured})
+
+
+@contextlib.asynccontextmanager
+async def on_trial(folder: Path) -> AsyncIterator[Trial]:
+    """Run a daemon with a calibration in its store; another client asks it meanwhile; end it by SIGTERM."""
+    Store(folder / "store.json").publish(example()[0])
+    (folder / "stillcal.toml").write_text("")
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    (folder / "tty").symlink_to(os.ttyname(slave))
+    names = {"--config": "stillcal.toml", "--port": "tty", "--store": "store.json", "--socket": "socket"}
+    arguments = [word for option, name in names.items() for word in (option, str(folder / name))]
+    with (folder / "log").open("wb") as log:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-c", RUN, "run", *arguments, stderr=log
+        )
+    trial = Trial(Target(folder, SocketSettings(), process), master)  # type: ignore[arg-type]  # its pid is enough
+    try:
+        async with asyncio.timeout(START_S):
+            await _connected(trial.target)
+        asking = asyncio.create_task(_asking(trial))
+        yield trial
+        asking.cancel()
+        await asyncio.gather(asking, return_exceptions=True)
+    finally:
+        began = time.monotonic()
+        with contextlib.suppress(ProcessLookupError):
+            process.terminate()
+        trial.exit_code = await asyncio.wait_for(process.wait(), START_S)
+        trial.stopped_s = time.monotonic() - began
+        trial.log_bytes = (folder / "log").stat().st_size
+        os.close(master)
+        os.close(slave)
+
+
+async def _connected(target: Target) -> None:
+    while True:
+        with contextlib.suppress(OSError, EOFError):
+            if (await status(target))["connected"]:
+                return
+        await asyncio.sleep(0.05)
+
+
+async def _asking(trial: Trial) -> None:
+    """Ask on and on as one who means well, and note how long each answer took."""
+    reader, writer = await asyncio.open_unix_connection(trial.target.socket)
+    while True:
+        began = time.monotonic()
+        await ask(reader, writer)
+        trial.waited.append(time.monotonic() - began)
+        await asyncio.sleep(ASK_EVERY_S)
+
+
+# The phone
+
+
+def hostile_messages(number: int, seed: int, folder: Path) -> Figures:
+    """Send so many well-formed messages with any values in their fields; the daemon must answer on."""
+    return asyncio.run(_sent(f"{number} hostile well-formed messages", list(runs(number, seed)), folder))
+
+
+def hostile_bytes(number: int, seed: int, folder: Path) -> Figures:
+    """Send so many random bytes over the line."""
+    rng = np.random.default_rng(seed)
+    pieces = [rng.bytes(min(BYTES_AT_ONCE, number - at)) for at in range(0, number, BYTES_AT_ONCE)]
+    return asyncio.run(_sent(f"{number} random bytes over the line", pieces, folder))
+
+
+async def _sent(name: str, pieces: Iterable[bytes], folder: Path) -> Figures:
+    count = size = 0
+    async with on_trial(folder) as trial:
+        for piece in pieces:
+            await _write(trial.line, piece)
+            count, size = count + 1, size + len(piece)
+        async with asyncio.timeout(START_S):
+            while (wire := (await status(trial.target))["wire"])["bytes"] < size:
+                await asyncio.sleep(0.05)
+    counts = {"pieces": count, "bytes": size, "samples taken": wire["samples"]}
+    counts |= {"bad frames": wire["bad_frames"], "bad lines": wire["bad_lines"]}
+    return trial.figures(name, counts, Store(folder / "store.json").verify().whole)
+
+
+async def _write(line: int, data: bytes) -> None:
+    """Write to the phone's end as fast as it is taken; what the daemon says is read and thrown away."""
+    view = memoryview(data)
+    while view:
+        with contextlib.suppress(BlockingIOError):
+            os.read(line, 65_536)
+        try:
+            view = view[os.write(line, view[:BYTES_AT_ONCE]) :]
+        except BlockingIOError:
+            await asyncio.sleep(0.001)
+
+
+# Clients
+
+
+def leavers(number: int, folder: Path) -> Figures:
+    """Let so many clients come and leave, in turn at every stage of a call; all places must be free again."""
+    return asyncio.run(_left(number, folder))
+
+
+async def _left(number: int, folder: Path) -> Figures:
+    counts = {name: 0 for name, _ in STAGES}
+    async with on_trial(folder) as trial:
+        await asyncio.sleep(0.2)
+        own = trial.target.sockets()
+        for i in range(number):
+            name, stage = STAGES[i % len(STAGES)]
+            with contextlib.suppress(OSError, EOFError):
+                await stage(trial.target.socket)
+            counts[name] += 1
+        until = time.monotonic() + SETTLED_S
+        while (left := trial.target.sockets() - own) > 0 and time.monotonic() < until:
+            await asyncio.sleep(0.05)
+        answers = int("wire" in await status(trial.target))
+    counts |= {"places not given back": left, "answers on": answers}
+    return trial.figures(f"{number} clients that leave at every stage", counts, left <= 0 and bool(answers))
+
+
+MONITOR = json.loads(question("Monitor")[:-1]) | {"more": True}
+
+
+async def _says(path: str, data: bytes, answers: int = 0, half: bool = False, reset: bool = False) -> None:
+    """Connect, say something, take so many answers, and leave: by closing, half closing or a reset."""
+    reader, writer = await asyncio.open_unix_connection(path)
+    try:
+        if data:
+            writer.write(data)
+        for _ in range(answers):
+            await asyncio.wait_for(reader.readuntil(b"\0"), SETTLED_S)
+        if half:
+            writer.write_eof()
+            await asyncio.wait_for(reader.read(), SETTLED_S)
+    finally:
+        if reset:
+            writer.transport.abort()
+        writer.close()
+
+
+def _stage(data: bytes, **how: Any) -> Callable[[str], Coroutine[Any, Any, None]]:
+    return lambda path: _says(path, data, **how)
+
+
+_LISTEN = json.dumps(MONITOR).encode() + b"\0"
+STAGES: list[tuple[str, Callable[[str], Coroutine[Any, Any, None]]]] = [
+    ("leaves at once", _stage(b"")),
+    ("half a question", _stage(question("GetStatus")[:20])),
+    ("a question, no answer taken", _stage(question("GetStatus"))),
+    ("a question, the answer taken", _stage(question("GetStatus"), answers=1)),
+    ("fifty questions", _stage(question("GetStatus") * 50, answers=3)),
+    ("listens and leaves at once", _stage(_LISTEN)),
+    ("listens, hears, and leaves", _stage(_LISTEN, answers=1)),
+    ("listens and half closes", _stage(_LISTEN, answers=1, half=True)),
+    ("listens and resets", _stage(_LISTEN, answers=1, reset=True)),
+    ("asks to calibrate and leaves", _stage(question("Calibrate"))),
+    ("a table, and leaves", _stage(question("Correct", sensor="gyroscope", samples=[[1, 2, 3]] * MAX_ROWS))),
+]
+
+
+def tables(seconds: float, folder: Path) -> Figures:
+    """Let FLOODING clients ask for tables of 240 kB without pause; others are answered as ever."""
+    return asyncio.run(_tables(seconds, folder))
+
+
+async def _tables(seconds: float, folder: Path) -> Figures:
+    over = question("Correct", sensor="gyroscope", samples=[[1, 1, 1]] * 20_000)
+    full = question("Correct", sensor="gyroscope", samples=[[1.25, 2.5, 3.75]] * MAX_ROWS)
+    asked = [0]
+
+    async def flood(path: str) -> None:
+        reader, writer = await asyncio.open_unix_connection(path, limit=2**20)
+        while True:
+            for table in (over, full):
+                writer.write(table)
+                await reader.readuntil(b"\0")
+                asked[0] += 1
+
+    async with on_trial(folder) as trial:
+        floods = [asyncio.create_task(flood(trial.target.socket)) for _ in range(FLOODING)]
+        await asyncio.sleep(seconds)
+        for client in floods:
+            client.cancel()
+        ended = await asyncio.gather(*floods, return_exceptions=True)
+    hung_up = sum(not isinstance(e, asyncio.CancelledError) for e in ended)
+    counts = {"tables answered": asked[0], "hung up on": hung_up}
+    return trial.figures(f"{FLOODING} clients that ask for tables", counts, not hung_up and asked[0] > 0)
