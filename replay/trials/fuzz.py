@@ -146,7 +146,7 @@ async def _answered(data: bytes) -> None:
     asyncio.get_running_loop().set_exception_handler(lambda _, context: raised.append(context))
     record, _ = example_record()
     view = SimpleNamespace(record=record, refusal=None)
-    server = Server(SimpleNamespace(view=view, document=StoreDocument(current=record)), SocketSettings())  # type: ignore[arg-type]
+    server = Server(SimpleNamespace(view=view, document=StoreDocument(current=record)), SocketSettings())
     ours, theirs = socket.socketpair()
     with ours, theirs:
         client = Connection(server._registry, server)
@@ -265,9 +265,6 @@ def inputs(seeds: list[bytes]) -> st.SearchStrategy[bytes]:
         return ends.map(lambda at: data[min(at) : max(at)])
 
     pieces = st.one_of([st.just(data) for data in seeds] + [piece(data) for data in seeds])
-    overwriting = st.tuples(
-        st.sampled_from(seeds), st.integers(0, 1 << 20), st.binary(min_size=1, max_size=8)
-    )
     return st.one_of(
         st.binary(max_size=MOST_BYTES),
         st.lists(pieces | anything, max_size=5).map(b"".join),
