@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import functools
 import hashlib
+import logging
 import socket
 import sys
 import tempfile
@@ -137,7 +138,11 @@ def _varlink_seeds() -> list[bytes]:
 
 
 def _feed_varlink(data: bytes) -> None:
-    asyncio.run(_answered(data))
+    logging.disable()  # calls that get as far as the daemon, of which there is none here, are logged
+    try:
+        asyncio.run(_answered(data))
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 async def _answered(data: bytes) -> None:
