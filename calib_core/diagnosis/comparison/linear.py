@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -52,8 +53,9 @@ ALIKE_BIAS = {"accel": 2e-3, "gyro": 1e-4}
 ALIKE_SCALE = 2e-4
 """Scale and misalignment, relative, for which the same holds."""
 
-ALIKE_EFFECT = 0.03
-"""Part of an effect's value by which two recordings may differ: no effect is exactly of its named form."""
+MODEL_ERROR = 0.03
+"""Standard deviation of the model's own error in an effect's numbers, as a part of the largest of them:
+residuals are linear in the effects, and no effect is exactly of its named form."""
 
 CONSTANTS = {
     "accel": (
@@ -258,16 +260,26 @@ def _by_effect(constants: Sequence[Linear]) -> dict[str, list[Linear]]:
     return out
 
 
+def _rows(hypothesis: Hypothesis) -> list[slice]:
+    """Return which of a hypothesis' numbers belong to each of its parameters."""
+    ends = np.cumsum([0, *(p.count for p in hypothesis.entry.parameters)]).tolist()
+    return [slice(a, b) for a, b in pairwise(ends)]
+
+
 def _effect_quantity(scene: Scene, hypothesis: Hypothesis, value: Array, covariance: Array) -> Quantity:
     entry = hypothesis.entry
+    largest = [float(np.abs(value[rows]).max()) for rows in _rows(hypothesis)]
+    rough = np.concatenate(
+        [np.full(p.count, MODEL_ERROR * x) for p, x in zip(entry.parameters, largest, strict=True)]
+    )
     return Quantity(
         entry.effect,
         scene.sensor,
         tuple(Part(p.name, p.unit, p.count) for p in entry.parameters),
         value,
-        covariance,
+        covariance + np.diag(rough**2),
         hypothesis.sizes,
-        np.full(value.size, ALIKE_EFFECT * float(np.abs(value).max())) + 1e-9 * hypothesis.sizes,
+        1e-9 * hypothesis.sizes,
         np.asarray(hypothesis.axis_of),
         reference=dict(hypothesis.grid),
         where=Where(*scene.bins.span, SLOW_BAND, entry.follows),

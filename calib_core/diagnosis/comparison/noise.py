@@ -33,6 +33,11 @@ NEAR_LAG = (60.0, 160.0)
 """s: lags that count as `LAG`."""
 
 FEWEST_PAIRS = 6
+"""Pairs of bins below which their mean says little: a variance of six has a relative error of 0.6."""
+
+SILENT = 1e-12
+"""Density below which samples have no noise at all, only rounding of double precision, as simulations may."""
+
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
 SAME_ATTITUDE = 0.9
 """Least correlation of a bias in two bins (cosine of the angle between attitudes) to compare them."""
@@ -49,15 +54,19 @@ LEAST_RATE_ERROR = 1e-6
 
 def density(stream: Stream) -> Quantity | None:
     """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown."""
-    if stream.levels is None or not stream.levels.own:
+    if stream.levels is None:
         return None
-    values = np.maximum(stream.levels.values(), 1e-12)
+    values = stream.levels.values()
+    silent = float(values.max()) < SILENT
+    if not (stream.levels.own or silent):
+        return None
+    errors = np.full(3, LEAST_SPREAD) if silent else stream.levels.errors()
     return Quantity(
         "noise_level",
         stream.sensor,
         (Part("density", f"{UNIT[stream.sensor]}/sqrt(Hz)", 3),),
-        np.log(values),
-        np.diag(stream.levels.errors() ** 2),
+        np.log(np.maximum(values, SILENT)),
+        np.diag(errors**2),
         np.full(3, TIMES),
         np.full(3, ALIKE_DENSITY),
         np.arange(3),
