@@ -74,6 +74,10 @@ def record_rows(record: CalibrationRecord) -> list[tuple[str, str]]:
         rows += _accelerometer(record, record.accelerometer)
     if record.gyroscope is not None:
         rows += _gyroscope(record.gyroscope)
+    valid = record.validity
+    if valid.temperature_min is not None and valid.temperature_max is not None:
+        span = f"{valid.temperature_min:.1f} to {valid.temperature_max:.1f} °C"
+        rows.append(("Measured at", f"{span}; outside, it is extrapolated"))
     return rows
 
 
@@ -143,6 +147,9 @@ def _gyroscope(part: GyroscopeRecord) -> list[tuple[str, str]]:
                 f"{before:.3g}° before, {after:.3g}° after (rms), {part.n_turns} rotations",
             )
         )
+    if part.rotation_admitted is not None and np.isfinite(part.rotation_admitted).all():
+        hourly = float(np.max(part.rotation_admitted)) * _DEG * 3600.0
+        rows.append(("  slow rotation unseen", f"up to {hourly:.2g} °/h may be in the bias"))
     if part.missing:
         rows.append(("  to improve", "; ".join(part.missing)))
     return rows

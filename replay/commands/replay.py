@@ -37,6 +37,7 @@ from stillcal.replay.formats.trace import Chunk, Trace, open_trace
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.outcome import current_in_store, keep_in_store, outcome_rows, why_not
 from stillcal.replay.runner import Outcome, replay, replay_rests, with_choices
+from stillcal.replay.suitability import Suitability
 
 _existing = click.Path(path_type=Path)
 
@@ -119,11 +120,14 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
     """Write the recording with its sensor errors corrected: scale @ (raw - bias)."""
     record = current_in_store(store_path)
     refuse_collisions(new_recording_files(out), [*_input_files(trace, gyro), *store_files(store_path)])
-    opened = open_trace(trace, format_, gyro)
+    opened, suits = open_trace(trace, format_, gyro), Suitability(record)
     with progress(opened.path.name, opened.size_bytes, quiet) as step, _writer(opened, out, record) as write:
         for chunk in opened.chunks():
+            suits.see(chunk.accelerometer)
             write(chunk)
             step(opened.bytes_read)
+    for warning in suits.warnings():
+        click.echo(f"stillcal: {trace}: {warning}", err=True)
     if not quiet:
         Console().print(f"{out}: corrected with calibration {record.id}")
 

@@ -1,0 +1,76 @@
+"""Whether a calibration suits the recording that it is applied to: its temperature, and whether it is raw."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.streams.samples import Samples
+
+WINDOW = 50
+"""Samples whose scatter is looked at together."""
+
+STILL = 0.05
+"""m/s^2: a window whose force scatters by less on every axis is taken for rest."""
+
+MOST_WINDOWS = 10_000
+LEAST_WINDOWS = 5
+WORSE = 3.0
+"""A calibration that leaves gravity so many times worse at rest does not belong to these samples."""
+
+SLACK_C = 1.0
+"""degC beyond the temperatures of the calibration that are not worth a word."""
+
+
+class Suitability:
+    """Looks at a recording while a calibration is applied to it."""
+
+    def __init__(self, record: CalibrationRecord) -> None:
+        self._record = record
+        self._means: list[Array] = []
+        self._coldest, self._hottest = np.inf, -np.inf
+
+    def see(self, raw: Samples) -> None:
+        """Take a run of the accelerometer's samples as they are before the calibration is applied."""
+        if raw.temperature is not None and np.isfinite(raw.temperature).any():
+            self._coldest = min(self._coldest, float(np.nanmin(raw.temperature)))
+            self._hottest = max(self._hottest, float(np.nanmax(raw.temperature)))
+        windows = raw.xyz[: len(raw) // WINDOW * WINDOW].reshape(-1, WINDOW, 3)
+        still = (windows.std(axis=1) < STILL).all(axis=1)
+        self._means += list(windows[still].mean(axis=1)[: MOST_WINDOWS - len(self._means)])
+
+    def warnings(self) -> list[str]:
+        """Say what speaks against the calibration, a sentence each."""
+        return [text for text in (self._temperature(), self._corrected_already()) if text]
+
+    def _temperature(self) -> str:
+        valid = self._record.validity
+        if valid.temperature_min is None or valid.temperature_max is None or self._coldest > self._hottest:
+            return ""
+        low, high = valid.temperature_min - SLACK_C, valid.temperature_max + SLACK_C
+        if low <= self._coldest and self._hottest <= high:
+            return ""
+        measured = f"{valid.temperature_min:.1f} to {valid.temperature_max:.1f} °C"
+        return (
+            f"the calibration was measured at {measured}, the recording goes from {self._coldest:.1f} to "
+            f"{self._hottest:.1f} °C: outside, the calibration is extrapolated"
+        )
+
+    def _corrected_already(self) -> str:
+        """Compare gravity at rest before and after: only samples that were corrected before get worse."""
+        part = self._record.accelerometer
+        if part is None or len(self._means) < LEAST_WINDOWS:
+            return ""
+        means = np.array(self._means)
+        before, after = (
+            float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - part.gravity) ** 2)))
+            for force in (means, part.model.apply(means))
+        )
+        if after <= WORSE * before or after <= STILL:
+            return ""
+        return (
+            f"gravity at rest is {1000 * before / STANDARD:.2g} mg off before the correction and "
+            f"{1000 * after / STANDARD:.2g} mg after: the samples are corrected already, or another phone's"
+        )
