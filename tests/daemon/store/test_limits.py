@@ -85,6 +85,15 @@ def test_64_megabytes_are_read_and_not_a_byte_more(path):
     assert MAX_BYTES == 64 * 1024 * 1024
 
 
+def test_a_file_too_large_for_a_store_and_without_a_twin_is_somebody_elses(path):
+    with path.open("wb") as file:
+        file.truncate(MAX_BYTES + 1)
+    with pytest.raises(StoreError, match="is not a stillcal store"):
+        Store(path).recover()
+    assert path.stat().st_size == MAX_BYTES + 1
+    assert [p.name for p in path.parent.iterdir() if "unreadable" in p.name] == []
+
+
 def test_a_lock_without_a_number_names_nobody(path):
     lock = path.with_name("lock")
     lock.write_text("somebody")
