@@ -85,12 +85,17 @@ def fit_and_decide(task: FitTask) -> FitOutcome:
         return FitOutcome(None, False, candidate.reason, candidate.missing)
     decision = decide(candidate, task.current, task.degraded, task.quality)
     record = inherit_terms(task.current, with_decision(candidate, decision, task.occasion))
+    if since is not None and not task.degraded:
+        record = _remarked(record, f"the sensor changed: only its rests from {since:.0f} s on are used")
     if (unseen := _unseen(task)) is not None:
-        reason = (
-            f"{record.acceptance.reason}; no rest in the last {unseen:.0f} s: unknown whether it holds there"
-        )
-        record = replace(record, acceptance=replace(record.acceptance, reason=reason))
+        record = _remarked(record, f"no rest in the last {unseen:.0f} s: unknown whether it holds there")
     return FitOutcome(record, decision.accepted, record.acceptance.reason, (), decision.settled, since)
+
+
+def _remarked(record: CalibrationRecord, remark: str) -> CalibrationRecord:
+    """Return the record with a remark after the reason that it was decided on."""
+    acceptance = replace(record.acceptance, reason=f"{record.acceptance.reason}; {remark}")
+    return replace(record, acceptance=acceptance)
 
 
 def _unseen(task: FitTask) -> float | None:

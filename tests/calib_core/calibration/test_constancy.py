@@ -105,6 +105,7 @@ def test_after_a_large_step_only_the_rests_since_count() -> None:
     step = np.array([20.0, 0.0, 0.0]) * MG
     outcome = decided(pool(30, 2, lambda i, t: step * (i >= 15)))
     assert outcome.accepted and outcome.since == pytest.approx(15 * 60.0, abs=61.0)
+    assert "only its rests from" in outcome.reason
     part = outcome.record.accelerometer
     assert part.bias == pytest.approx(BIAS + step, abs=0.2 * MG)
 
