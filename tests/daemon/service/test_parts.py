@@ -136,7 +136,7 @@ def test_an_unreadable_state_is_set_aside_and_its_room_is_bounded(tmp_path: Path
     for n in range(saved_state.ASIDE + 2):
         path.write_bytes(b"nonsense %d" % n)
         found = saved_state.load(path)
-        assert found.state is None and "set aside" in found.note
+        assert found.state is None and "moved to" in found.note
     assert not path.exists()
     assert len(list(tmp_path.iterdir())) == saved_state.ASIDE
 
