@@ -1,6 +1,8 @@
-"""What the papers claim, beside what comes out here: one study a system or table, one page of all.
+"""Studies that compare the claims of four papers with our own results, and the page that shows them all.
 
-It lives inside `replay` because, like the rest of it, it only feeds recordings and simulated phones through
-the product; nothing of the product imports it. `claim.py` is what a study says, `studies.py` which there are,
-`page.py` how they are kept and written down, `drawing.py` how they look.
+The package lies inside `replay` because it only feeds recordings and simulated phones through the product, as
+the rest of `replay` does; nothing of the product imports it. `claim.py` defines a claim with its verdict and
+its kind of evidence, `registry.py` names the studies, `evaluate.py` runs them, `page.py` keeps the results
+and writes the page, `drawing.py` holds the style of the figures. `methods` holds those methods of the papers
+that only the studies need.
 """

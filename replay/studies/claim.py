@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
@@ -15,18 +15,45 @@ StudyFunction = Callable[[Path | None, Path, int, Progress], "Study"]
 
 
 class Verdict(StrEnum):
-    """Whether a figure came out as published."""
+    """Whether a figure came out as published.
+
+    OPEN is for questions that a paper leaves open: our figure stands beside no claim, so it reproduces none.
+    """
 
     REPRODUCED = "reproduced"
     DIFFERS = "differs"
+    OPEN = "left open by the paper"
     UNTESTED = "cannot be tested here"
+
+
+class Evidence(StrEnum):
+    """What kind of evidence a verdict rests on, strongest first.
+
+    REAL: recordings of real devices. SEMI_SYNTHETIC: real activity carried through the measured errors of
+    real devices. SIMULATION: simulated phones or random draws. THEORY: a derivation, checked numerically.
+    ARITHMETIC: counted, timed or computed from given numbers. CONFIGURATION: a parameter of our own simulator
+    compared with the figure it was taken from. PRINTED: the numbers that the paper itself prints.
+    NONE: nothing; the claim could not be tested.
+    """
+
+    REAL = "real recordings"
+    SEMI_SYNTHETIC = "semi-synthetic"
+    SIMULATION = "simulation"
+    THEORY = "theory"
+    ARITHMETIC = "arithmetic"
+    CONFIGURATION = "configuration"
+    PRINTED = "the paper's own numbers"
+    NONE = "none"
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """One claim beside ours. source: the paper, as page.py lists them. where: "Table 2", "3.5.3". data: what
-    it was computed from. because: the tolerance and its reason, or why it differs, or what is missing.
-    """  # noqa: D205 - the fields are the summary
+    """One claim of a paper beside our figure.
+
+    source: the paper, as page.py lists them. where: its place in the paper, such as "Table 2" or "3.5.3".
+    data: what our figure was computed from. because: the tolerance and its reason, the tested cause of a
+    difference, or what is missing. evidence: the kind of evidence.
+    """
 
     source: str
     where: str
@@ -36,13 +63,16 @@ class Claim:
     data: str
     verdict: Verdict
     because: str = ""
+    evidence: Evidence = field(kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """Claims and a text about them. name: as on the command line. text: Markdown, headings from ###, with
-    figures by `picture`. figures: their file names. seed: what it was drawn with.
-    """  # noqa: D205 - the fields are the summary
+    """A study's claims and a text about them.
+
+    name: as on the command line. text: Markdown, headings from ###, with figures by `picture`. figures: their
+    file names. seed: the seed of everything that was drawn.
+    """
 
     name: str
     title: str

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from stillcal.replay.studies.claim import Claim, Study, Verdict, table
+from stillcal.replay.studies.claim import Claim, Evidence, Study, Verdict, table
 from stillcal.replay.studies.registry import STUDIES
 
 FOLDER = "evaluation"
@@ -22,18 +22,82 @@ PAPERS = {
     "Stisen 2015": "A. Stisen et al., *Smart Devices are Different*, SenSys 2015",
 }
 
+SUMMARY = {
+    "Grammenos 2018": (
+        "the gyroscope's bias can be disregarded",
+        "what is accepted is a stationary state",
+        "a significant degradation is detected",
+        "calibration lowers the MSE to the aggregate: walk",
+        "gain by the method: stairs up against walk",
+        "gain by the method: stairs down against stairs up",
+        "the method gains more than the Kalman filter",
+        "residual of E, accelerometer",
+        "g from latitude and height",
+        "a Kalman filter takes",
+        "overhead on an app",
+        "first calibration within one day",
+        "fewer than 10 positions",
+    ),
+    "ESGI'95": (
+        "dataset 1, positions 1-20: parameters",
+        "largest error by non-orthogonality",
+        "non-orthogonality is very serious",
+        "standard deviations are well below",
+        "dataset 3, 3-23: two like positions",
+    ),
+    "Collin 2019": (
+        "white noise falls",
+        "consumer sensors cannot navigate",
+        "consumer, 25 deg/h: time to 2 %",
+        "1 % of accelerometer scale, length from variance",
+        "mpu6050: the bias",
+        "Bayes, all features, real people",
+    ),
+    "Stisen 2015": (
+        "range of mean deviations",
+        "biases differ within a model",
+        "arrival scatters more",
+        "affinity propagation",
+        "frequency features suffer",
+        "ECDF features are the ones",
+        "training within the cluster",
+        "average F1: one device of a known model",
+        "the accelerometer scores slightly",
+        "interpolation, SVM on frequency",
+    ),
+}
+"""How the claims of the summary begin, by paper: the main results, whatever came out."""
+
 _HEAD = """# What the papers claim, and what comes out here
 
-Made by `stillcal evaluate` (extra `evaluation`); each row names the command that makes it anew, with the
-seed that it was drawn with. Every verdict is computed: *reproduced* where our figure is within the tolerance
-that the column *why* gives, *differs* otherwise, *cannot be tested here* where the data it needs are not to
-be had.
+{claims} claims of four papers beside our figures, made by `stillcal evaluate` (extra `evaluation`). Every
+verdict is computed. *Reproduced*: our figure lies within a tolerance that is given with its reason.
+*Differs*: it lies outside; what was tested of the cause is given. *Left open by the paper*: we measured
+something that the paper does not claim, so nothing is reproduced. *Cannot be tested here*: the data that it
+needs are not to be had.
 
 {papers}
 
-{counts}
+## Tally by kind of evidence
 
-{claims}
+Each cell: reproduced / differs / left open by the paper. Not in the table: {untested} claims that cannot be
+tested here.
+
+{tally}
+
+- *Real recordings*: recordings of real devices, alone.
+- *Semi-synthetic*: real activity (one phone) carried through the measured errors and noise of real devices.
+- *Simulation*: simulated phones or random draws. It shows that the methods behave as the paper says, and
+  nothing about real sensors.
+- *Theory*: a derivation, checked numerically. *Arithmetic*: counted, timed or computed from given numbers.
+- *Configuration*: a parameter of our own simulator compared with the figure it was taken from.
+- *The paper's own numbers*: figures that the paper prints, used as data.
+
+## Summary by paper
+
+{summary}
+
+{details}
 
 ## What stands in for what
 
@@ -41,16 +105,35 @@ The activity recordings of Grammenos et al. are not to be had, and those of Stis
 twelve devices in motion) not whole: of them there are the first 10,000 rows of each sensor of one phone and
 one watch, whose wearer stands and sits (`hhar`). There is the still experiment (`hhar_still`): real phones
 and watches at rest on up to six faces, of which a device's errors, noise, rate and stamps are measured.
-Activity is that of thirty people with one Galaxy S II at the waist (`ucihar`). Where a claim is of many
-devices in motion, that activity is carried through the measured devices, and the row says *semi-synthetic*:
-one phone's walk stands behind all of them, nothing above 20 Hz is in it, and nobody rides a bicycle or loads
-a phone with other work. Where nothing was recorded at all the phone is simulated ([phone.md](phone.md)).
-Where the recordings come from: [data.md](data.md).
+Activity is that of thirty people with one Galaxy S II at the waist (`ucihar`). Where a claim is about many
+devices in motion, that activity is carried through the measured devices, and the evidence is
+*semi-synthetic*: one phone's walk stands behind all of them, nothing above 20 Hz is in it, and nobody rides a
+bicycle or loads a phone with other work. Where nothing was recorded at all the phone is simulated
+([phone.md](phone.md)). Where the recordings come from: [data.md](data.md).
+
+## Where the papers' methods are
+
+What a user needs is in the product: the accelerometer's fit, the gyroscope's fit, rests, gravity by place and
+the quality check are `stillcal.calib_core` ([api.md](api.md)). Methods that only the studies need are the
+package `stillcal.replay.studies.methods`. They are documented and tested there and may be imported from
+Python in a checkout; the wheel leaves them out, and they may change with the studies:
+
+{methods}
 
 The studies are the package `stillcal.replay.studies`. It lies inside `replay` because all it does is feed
 recordings and simulated phones through the product, as the rest of `replay` does, and nothing of the product
 imports it.
 """
+
+METHODS = {
+    "coning": "coning errors of a gyroscope's rates (Collin 2019, 4.2, Eq. 26-27)",
+    "device_faces": "the six-face calibration of every device of the still experiment (`hhar_still`)",
+    "esgi": "a fit of the angles between the sensor's axes (ESGI'95, section 2)",
+    "navigation": "strapdown navigation and dead reckoning by steps (Collin 2019, 3.1 and 3.4)",
+    "smoothing": "rolling mean, its window by sampling rate, rolling median (Grammenos 2018, 4.6)",
+    "steps": "step detection and step length from the norm of the force (Collin 2019, 3.2 and 3.3)",
+}
+"""Modules of `stillcal.replay.studies.methods` and what each offers."""
 
 _COMMAND = "stillcal evaluate {name} --seed {seed}"
 
@@ -59,6 +142,10 @@ _SECTION = """## {title}
 `{command}`
 
 {text}
+
+### How each claim of {name} was judged
+
+{judged}
 """
 
 
@@ -94,36 +181,112 @@ def _read(path: Path, name: str) -> Study:
 
 def page(studies: list[Study]) -> str:
     """Write all studies as one page of Markdown."""
+    claims = [claim for study in studies for claim in study.claims]
     head = _HEAD.format(
+        claims=len(claims),
         papers="\n".join(f"- {source}: {title}." for source, title in PAPERS.items()),
-        counts=_counts([claim for study in studies for claim in study.claims]),
-        claims=_claims(studies),
+        untested=sum(c.verdict is Verdict.UNTESTED for c in claims),
+        tally=tally(claims),
+        summary=_summary(claims),
+        details="\n\n".join(_details(source, studies) for source in PAPERS if _has(source, claims)),
+        methods="\n".join(f"- `{name}`: {words}." for name, words in METHODS.items()),
     )
     sections = [
-        _SECTION.format(title=s.title, command=_COMMAND.format(name=s.name, seed=s.seed), text=s.text.strip())
+        _SECTION.format(
+            title=s.title,
+            command=_COMMAND.format(name=s.name, seed=s.seed),
+            text=s.text.strip(),
+            name=f"`{s.name}`",
+            judged=_judged(s),
+        )
         for s in studies
     ]
     return "\n".join([head, *sections])
 
 
-def _counts(claims: list[Claim]) -> str:
-    number = {verdict: sum(c.verdict == verdict for c in claims) for verdict in Verdict}
-    return f"{len(claims)} claims: " + ", ".join(f"{n} {verdict}" for verdict, n in number.items()) + "."
-
-
-def _claims(studies: list[Study]) -> str:
+def tally(claims: list[Claim]) -> str:
+    """Count the claims that could be tested: one row a kind of evidence, one column a paper, and all."""
+    tested = [c for c in claims if c.verdict is not Verdict.UNTESTED]
+    papers = [source for source in PAPERS if _has(source, claims)]
     rows = [
         (
-            f"{c.source}, {c.where}",
-            c.claim,
-            c.paper,
-            c.ours,
-            c.data,
-            f"**{c.verdict}**" if c.verdict is Verdict.DIFFERS else str(c.verdict),
-            c.because,
-            f"`{_COMMAND.format(name=s.name, seed=s.seed)}`",
+            str(kind),
+            *(_cell([c for c in tested if c.evidence is kind and c.source == p]) for p in papers),
+            _cell([c for c in tested if c.evidence is kind]),
         )
+        for kind in Evidence
+        if kind is not Evidence.NONE
+    ]
+    total = ("all", *(_cell([c for c in tested if c.source == p]) for p in papers), _cell(tested))
+    return table(("evidence", *papers, "all"), [*rows, total])
+
+
+def in_words(claims: list[Claim]) -> str:
+    """Return the tally as a sentence, for other pages."""
+
+    def share(*kinds: Evidence) -> tuple[int, int]:
+        own = [c for c in claims if c.evidence in kinds and c.verdict is not Verdict.OPEN]
+        return sum(c.verdict is Verdict.REPRODUCED for c in own), len(own)
+
+    real, semi, simulated = map(share, (Evidence.REAL, Evidence.SEMI_SYNTHETIC, Evidence.SIMULATION))
+    rest = share(Evidence.THEORY, Evidence.ARITHMETIC, Evidence.CONFIGURATION, Evidence.PRINTED)
+    return (
+        f"{real[0]} of {real[1]} claims tested on real recordings came out as published, {semi[0]} of"
+        f" {semi[1]} on semi-synthetic ones, {simulated[0]} of {simulated[1]} in simulation, {rest[0]} of"
+        f" {rest[1]} by theory, arithmetic or the papers' own numbers."
+    )
+
+
+def _has(source: str, claims: list[Claim]) -> bool:
+    return any(c.source == source for c in claims)
+
+
+def _cell(claims: list[Claim]) -> str:
+    number = [
+        sum(c.verdict is v for c in claims) for v in (Verdict.REPRODUCED, Verdict.DIFFERS, Verdict.OPEN)
+    ]
+    return " / ".join(map(str, number)) if claims else "-"
+
+
+def headlines(claims: list[Claim]) -> list[Claim]:
+    """Return the claims of the summary, in its order: those that begin as SUMMARY says."""
+    return [
+        c
+        for source, beginnings in SUMMARY.items()
+        for beginning in beginnings
+        for c in claims
+        if c.source == source and c.claim.startswith(beginning)
+    ]
+
+
+def _summary(claims: list[Claim]) -> str:
+    """Return one table with the headline claims of each paper."""
+    rows = [(c.source, c.claim, _verdict(c), str(c.evidence)) for c in headlines(claims)]
+    return table(("paper", "claim", "verdict", "evidence"), rows)
+
+
+def _details(source: str, studies: list[Study]) -> str:
+    """Return the table of all claims of a paper, each with a link to its study's section."""
+    rows = [
+        (c.where, c.claim, c.paper, c.ours, _verdict(c), str(c.evidence), f"[{s.name}](#{_anchor(s.title)})")
         for s in studies
         for c in s.claims
+        if c.source == source
     ]
-    return table(("where", "claim", "paper", "ours", "data", "verdict", "why", "command"), rows)
+    head = ("where", "claim", "paper", "ours", "verdict", "evidence", "study")
+    return f"## All claims: {source}\n\n{table(head, rows)}"
+
+
+def _judged(study: Study) -> str:
+    """Return the table of a study's data, tolerances and causes, in the order of its claims."""
+    rows = [(f"{c.source}, {c.where}: {c.claim}", c.data, c.because) for c in study.claims]
+    return table(("claim", "data", "tolerance, cause or what is missing"), rows)
+
+
+def _verdict(claim: Claim) -> str:
+    return f"**{claim.verdict}**" if claim.verdict is Verdict.DIFFERS else str(claim.verdict)
+
+
+def _anchor(title: str) -> str:
+    """Return the anchor that GitHub gives to a heading."""
+    return "".join(c for c in title.lower().replace(" ", "-") if c.isalnum() or c in "-_")

@@ -14,6 +14,9 @@ STUDIES: dict[str, str] = {
     "new-phone": "stillcal.replay.studies.grammenos2018.newphone:study",
     "gravity": "stillcal.replay.studies.grammenos2018.gravity:study",
     "power": "stillcal.replay.studies.grammenos2018.power:study",
+    "stationary-states": "stillcal.replay.studies.grammenos2018.stationary_states:study",
+    "gyroscope-bias": "stillcal.replay.studies.grammenos2018.gyroscope_bias:study",
+    "quality-check": "stillcal.replay.studies.grammenos2018.quality_check:study",
     "people": "stillcal.replay.studies.grammenos2018.people:study",
     "laboratory": "stillcal.replay.studies.esgi95.laboratory:study",
     "nonorthogonality": "stillcal.replay.studies.esgi95.nonorthogonality:study",
@@ -34,6 +37,7 @@ STUDIES: dict[str, str] = {
     "still-devices": "stillcal.replay.studies.stisen2015.rests:study",
     "heterogeneity": "stillcal.replay.studies.stisen2015.families:study",
     "modes": "stillcal.replay.studies.stisen2015.modes:study",
+    "gyroscope": "stillcal.replay.studies.stisen2015.gyroscope:study",
     "remedies": "stillcal.replay.studies.stisen2015.remedies:study",
 }
 """Name to "module:function", in the order of the page (paper by paper)."""

@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.noise.allan import FLOOR, AllanCurve, allan_curve, fit_allan
 from stillcal.replay.phone.noise import Wander, White, flicker_bank, seeded
 from stillcal.replay.studies import drawing
-from stillcal.replay.studies.claim import Claim, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
 
 WORK = "Collin 2019"
 NAMES = ("N", "B", "K")
@@ -26,9 +26,11 @@ RATE, HOURS, RECORDS = 10.0, 4.0, 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recovered:
-    """What three-axis records gave. fitted, read: (n, 3) of N, B, K over truth; errors: (n, 3) of the fit's
+    """What three-axis records gave.
+
+    fitted, read: (n, 3) of N, B, K over truth; errors: (n, 3) of the fit's
     logarithms; held: share of points whose band holds the mean curve; curve: one of them.
-    """  # noqa: D205 - the fields are the summary
+    """
 
     fitted: Array
     read: Array
@@ -110,21 +112,44 @@ def _slope_claim(
     ours, error = float(np.mean(slopes)), float(np.std(slopes, ddof=1) / np.sqrt(len(slopes)))
     room = 3.0 * error + 0.02
     return Claim(
-        WORK, "2.1.2, Fig. 2", claim, f"slope {slope:+.1f}", f"{ours:+.3f} +- {error:.3f}",
-        "24 simulated records of 4 h", holds(abs(ours - slope) <= room),
+        WORK,
+        "2.1.2, Fig. 2",
+        claim,
+        f"slope {slope:+.1f}",
+        f"{ours:+.3f} +- {error:.3f}",
+        "24 simulated records of 4 h",
+        holds(abs(ours - slope) <= room),
         f"within {room:.3f}: three standard errors, and 0.02 as ten processes are not quite 1/f",
-    )  # fmt: skip
+        evidence=Evidence.SIMULATION,
+    )
 
 
 def _library_claim(seed: int) -> Claim:
     claim, where = "overlapping Allan deviation as allantools has it", "2.1.2, Eq. 1"
     if importlib.util.find_spec("allantools") is None:
-        return Claim(WORK, where, claim, "equal", "-", "-", Verdict.UNTESTED, "allantools is not installed")
+        return Claim(
+            WORK,
+            where,
+            claim,
+            "equal",
+            "-",
+            "-",
+            Verdict.UNTESTED,
+            "allantools is not installed",
+            evidence=Evidence.NONE,
+        )
     worst = library_difference(record(TRUTH, 7200.0, RATE, seed)[:, 0])
     return Claim(
-        WORK, where, claim, "equal", f"within {worst:.0e} of it", "one simulated record of 2 h",
-        holds(worst <= 1e-9), "1e-9: both sum the same squares, in another order",
-    )  # fmt: skip
+        WORK,
+        where,
+        claim,
+        "equal",
+        f"within {worst:.0e} of it",
+        "one simulated record of 2 h",
+        holds(worst <= 1e-9),
+        "1e-9: both sum the same squares, in another order",
+        evidence=Evidence.ARITHMETIC,
+    )
 
 
 def library_difference(values: Array) -> float:
@@ -140,9 +165,16 @@ def library_difference(values: Array) -> float:
 
 def _band_claim(found: Recovered, data: str) -> Claim:
     return Claim(
-        WORK, "2.1.2", "68 % confidence bands hold the mean curve", "68.3 % of points", f"{found.held:.1%}",
-        data, holds(abs(found.held - 0.6827) <= 0.05), "within 5 %: their degrees of freedom are approximate",
-    )  # fmt: skip
+        WORK,
+        "2.1.2",
+        "68 % confidence bands hold the mean curve",
+        "68.3 % of points",
+        f"{found.held:.1%}",
+        data,
+        holds(abs(found.held - 0.6827) <= 0.05),
+        "within 5 %: their degrees of freedom are approximate",
+        evidence=Evidence.SIMULATION,
+    )
 
 
 def _fit_claims(found: Recovered, data: str) -> list[Claim]:
@@ -151,12 +183,18 @@ def _fit_claims(found: Recovered, data: str) -> list[Claim]:
         fit, read = rms_error(found.fitted[:, axis]), rms_error(found.read[:, axis])
         claims.append(
             Claim(
-                WORK, "2.1.2, Fig. 2", f"{name} is found from a curve", "read off its slopes",
+                WORK,
+                "2.1.2, Fig. 2",
+                f"{name} is found from a curve",
+                "read off its slopes",
                 f"fitted to all of it: {np.median(found.fitted[:, axis]):.2f} of the truth, rms {fit:.0%};"
-                f" read off: {np.median(found.read[:, axis]):.2f}, rms {read:.0%}", data,
-                holds(fit <= read), "the fit's rms relative error is not the larger",
+                f" read off: {np.median(found.read[:, axis]):.2f}, rms {read:.0%}",
+                data,
+                holds(fit <= read),
+                "the fit's rms relative error is not the larger",
+                evidence=Evidence.SIMULATION,
             )
-        )  # fmt: skip
+        )
     return claims
 
 
@@ -208,9 +246,15 @@ def _draw(found: Recovered, figures: Path) -> str:
         (-0.17, drawing.RED, found.fitted, "fitted"),
         (0.17, drawing.GREY, found.read, "read off"),
     ):
-        parts = right.boxplot(list(values.T), positions=places + shift, widths=0.3, whis=(5, 95),
-                              showfliers=False, patch_artist=True,
-                              medianprops={"color": "black"})  # fmt: skip
+        parts = right.boxplot(
+            list(values.T),
+            positions=places + shift,
+            widths=0.3,
+            whis=(5, 95),
+            showfliers=False,
+            patch_artist=True,
+            medianprops={"color": "black"},
+        )
         for box in parts["boxes"]:
             box.set(facecolor=colour, alpha=0.6)
         right.plot([], [], "s", color=colour, alpha=0.6, label=label)

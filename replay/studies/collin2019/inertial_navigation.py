@@ -17,7 +17,7 @@ from stillcal.calib_core.model import SensorModel
 from stillcal.replay.phone import Scenario, load_phone, simulate
 from stillcal.replay.phone.resting_activities import Rest
 from stillcal.replay.studies import drawing
-from stillcal.replay.studies.claim import Claim, Progress, Study, agreement, holds, picture, table
+from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, agreement, holds, picture, table
 from stillcal.replay.studies.methods.navigation import direction_cosines, strapdown
 
 WORK = "Collin 2019"
@@ -121,11 +121,29 @@ def _growth_claims() -> list[Claim]:
     gyro = power(*growth(0.0, 1e-5))
     data = "calib_core's mechanisation, 300 s at rest"
     return [
-        Claim(WORK, "3.1", "an error of a rate makes a position error that grows with time cubed", "power 3",
-              f"power {gyro:.3f}", data, agreement(3.0, gyro, 0.01), "within 0.01: theory is exact"),
-        Claim(WORK, "3.1", "double integration: an error of a force grows with time squared", "power 2",
-              f"power {accel:.3f}", data, agreement(2.0, accel, 0.01), "within 0.01: theory is exact"),
-    ]  # fmt: skip
+        Claim(
+            WORK,
+            "3.1",
+            "an error of a rate makes a position error that grows with time cubed",
+            "power 3",
+            f"power {gyro:.3f}",
+            data,
+            agreement(3.0, gyro, 0.01),
+            "within 0.01: theory is exact",
+            evidence=Evidence.THEORY,
+        ),
+        Claim(
+            WORK,
+            "3.1",
+            "double integration: an error of a force grows with time squared",
+            "power 2",
+            f"power {accel:.3f}",
+            data,
+            agreement(2.0, accel, 0.01),
+            "within 0.01: theory is exact",
+            evidence=Evidence.THEORY,
+        ),
+    ]
 
 
 def _hour_claim() -> Claim:
@@ -134,13 +152,16 @@ def _hour_claim() -> Claim:
         for grade, mg, deg_h in (("navigation", 0.03, 0.005), ("tactical", 1.0, 1.0))
     }
     return Claim(
-        WORK, "2.2",
+        WORK,
+        "2.2",
         "navigation grade: not more than a nautical mile after an hour; tactical grade: minutes only",
-        "1.85 km", ", ".join(f"{grade} {error / 1000:.2f} km" for grade, error in found.items()),
+        "1.85 km",
+        ", ".join(f"{grade} {error / 1000:.2f} km" for grade, error in found.items()),
         "biases of Table 1 over a round Earth",
         holds(found["navigation"] <= NAUTICAL_MILE < found["tactical"]),
         "the largest error within the hour is below a mile for the one, above for the other",
-    )  # fmt: skip
+        evidence=Evidence.THEORY,
+    )
 
 
 def _metres(error: float) -> str:
@@ -152,13 +173,17 @@ def _metres(error: float) -> str:
 def _grade_claim(curves: dict[str, tuple[Array, Array, Array, Array]]) -> Claim:
     at = {grade: float(np.interp(60.0, t, raw)) for grade, (t, raw, *_) in curves.items()}
     return Claim(
-        WORK, "2.2, 3.1", "consumer sensors cannot navigate by integration",
+        WORK,
+        "2.2, 3.1",
+        "consumer sensors cannot navigate by integration",
         "not capable of autonomous navigation",
         "after one minute at rest: "
         + ", ".join(f"{grade} {_metres(error)} m" for grade, error in at.items()),
-        "simulated phones of Table 1", holds(at["consumer"] > 100.0 > at["tactical"] > at["navigation"]),
+        "simulated phones of Table 1",
+        holds(at["consumer"] > 100.0 > at["tactical"] > at["navigation"]),
         "over 100 m within a minute, and in the order of the grades",
-    )  # fmt: skip
+        evidence=Evidence.SIMULATION,
+    )
 
 
 def _draw(curves: dict[str, tuple[Array, Array, Array, Array]], figures: Path) -> str:

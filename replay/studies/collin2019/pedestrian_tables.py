@@ -17,7 +17,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.replay.phone import Scenario, load_phone, simulate
 from stillcal.replay.phone.carried_activities import Walk
 from stillcal.replay.studies import drawing
-from stillcal.replay.studies.claim import Claim, Progress, Study, Verdict, agreement, picture, table
+from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, agreement, picture, table
 from stillcal.replay.studies.methods.navigation import dead_reckoning, headings, step_headings
 from stillcal.replay.studies.methods.steps import PATTERNS, Steps, detect_steps, patterns
 
@@ -156,23 +156,33 @@ def _table2_claims(effect: Array) -> list[Claim]:
         off = max(abs(o - p) for o, p in zip(ours, TABLE2.values(), strict=True))
         claims.append(
             Claim(
-                WORK, "Table 2", f"1 % of accelerometer scale, length from {pattern} to the power 1 to 1/4",
-                "1.00, 0.50, 0.33, 0.25 %", ", ".join(f"{o:.2f}" for o in ours) + " %",
+                WORK,
+                "Table 2",
+                f"1 % of accelerometer scale, length from {pattern} to the power 1 to 1/4",
+                "1.00, 0.50, 0.33, 0.25 %",
+                ", ".join(f"{o:.2f}" for o in ours) + " %",
                 "simulated walk of 300 s",
-                agreement(0.0, off, 0.006), "within 0.006 %: rounding, and 1.01^q against 1 + 0.01 q",
+                agreement(0.0, off, 0.006),
+                "within 0.006 %: rounding, and 1.01^q against 1 + 0.01 q",
+                evidence=Evidence.SIMULATION,
             )
-        )  # fmt: skip
+        )
     return claims
 
 
 def _bias_claim(effect: Array) -> Claim:
     worst = float(np.abs(effect[[1, 2, 4, 5]]).max())
     return Claim(
-        WORK, "3.4", "bias cancels in patterns 2, 3, 5 and 6, hardly touches 1 and 4", "0",
+        WORK,
+        "3.4",
+        "bias cancels in patterns 2, 3, 5 and 6, hardly touches 1 and 4",
+        "0",
         f"{100 * worst:.1f} % at most in 2, 3, 5, 6; {100 * abs(effect[3]):.1f} % in 4",
-        "simulated walk, 30 mg on all axes", agreement(0.0, worst, 0.01),
+        "simulated walk, 30 mg on all axes",
+        agreement(0.0, worst, 0.01),
         "within 1 %; of a norm a bias does not cancel, only along the vertical",
-    )  # fmt: skip
+        evidence=Evidence.SIMULATION,
+    )
 
 
 def _table3_claims(grade: int) -> list[Claim]:
@@ -183,12 +193,17 @@ def _table3_claims(grade: int) -> list[Claim]:
         verdict = Verdict.REPRODUCED if cut else agreement(paper, ours / unit, room)
         claims.append(
             Claim(
-                WORK, "Table 3", f"{GRADES[grade]}, {BIAS_DEG_H[grade]:g} deg/h: {name}",
-                f"{paper:g} {UNITS[unit]}", f"{ours / unit:.3g} {UNITS[unit]}", "simulation of Eq. 20-22",
+                WORK,
+                "Table 3",
+                f"{GRADES[grade]}, {BIAS_DEG_H[grade]:g} deg/h: {name}",
+                f"{paper:g} {UNITS[unit]}",
+                f"{ours / unit:.3g} {UNITS[unit]}",
+                "simulation of Eq. 20-22",
                 verdict,
                 "the printed digits, rounded or cut off",
+                evidence=Evidence.ARITHMETIC,
             )
-        )  # fmt: skip
+        )
     return claims
 
 
@@ -198,11 +213,17 @@ def _table4_claims(grade: int) -> list[Claim]:
         paper, room = printed[grade]
         claims.append(
             Claim(
-                WORK, "Table 4", f"{GRADES[grade]}, {SCALE_PERCENT[grade]:g} %: {name}", f"{paper:g}",
-                f"{ours:.4g}", "simulation of Eq. 20-22", agreement(paper, ours, room * 1.0001),
+                WORK,
+                "Table 4",
+                f"{GRADES[grade]}, {SCALE_PERCENT[grade]:g} %: {name}",
+                f"{paper:g}",
+                f"{ours:.4g}",
+                "simulation of Eq. 20-22",
+                agreement(paper, ours, room * 1.0001),
                 "the printed digits",
+                evidence=Evidence.ARITHMETIC,
             )
-        )  # fmt: skip
+        )
     return claims
 
 
@@ -212,18 +233,40 @@ def _remarks() -> list[Claim]:
     growth = np.polyfit(np.log(walked.t[rows]), np.log(np.abs(walked.estimated[rows, 1])), 1)[0]
     first = walk(60.0, scale_error=0.01).relative_error[0]
     return [
-        Claim(WORK, "3.4, Fig. 7", "by a bias of 25 deg/h the y coordinate's error grows quadratically",
-        "power 2",
-              f"power {growth:.3f}", "simulation of Eq. 20-22", agreement(2.0, float(growth), 0.01),
-              "within 0.01: sines are nearly their angles up to 4 degrees"),
-        Claim(WORK, "3.4, Fig. 8",
-        "after a turn of 180 degrees with 1 % of scale the error jumps to over 3 %",
-              "over 3 %", f"{100 * first:.2f} % with the first step", "simulation of Eq. 20-22",
-              agreement(3.14, 100 * float(first), 0.005), "2 sin(0.9 deg), to the digits of Table 4"),
-        Claim(WORK, "3.3", "the best step length models err by 2 to 3 % of the distance", "2 to 3 %", "-",
-        "-",
-              Verdict.UNTESTED, "needs recordings of walks whose length is known; there are none here"),
-    ]  # fmt: skip
+        Claim(
+            WORK,
+            "3.4, Fig. 7",
+            "by a bias of 25 deg/h the y coordinate's error grows quadratically",
+            "power 2",
+            f"power {growth:.3f}",
+            "simulation of Eq. 20-22",
+            agreement(2.0, float(growth), 0.01),
+            "within 0.01: sines are nearly their angles up to 4 degrees",
+            evidence=Evidence.ARITHMETIC,
+        ),
+        Claim(
+            WORK,
+            "3.4, Fig. 8",
+            "after a turn of 180 degrees with 1 % of scale the error jumps to over 3 %",
+            "over 3 %",
+            f"{100 * first:.2f} % with the first step",
+            "simulation of Eq. 20-22",
+            agreement(3.14, 100 * float(first), 0.005),
+            "2 sin(0.9 deg), to the digits of Table 4",
+            evidence=Evidence.ARITHMETIC,
+        ),
+        Claim(
+            WORK,
+            "3.3",
+            "the best step length models err by 2 to 3 % of the distance",
+            "2 to 3 %",
+            "-",
+            "-",
+            Verdict.UNTESTED,
+            "needs recordings of walks whose length is known; there are none here",
+            evidence=Evidence.NONE,
+        ),
+    ]
 
 
 def _draw(figures: Path) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stillcal.replay.studies.claim import Claim, Progress, Study, holds, table
+from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, holds, table
 from stillcal.replay.studies.esgi95.published import Row, esgi_table
 
 WORK = "ESGI'95"
@@ -55,6 +55,7 @@ def _claim(group: str, rows: list[Row]) -> Claim:
         DATA,
         holds(agreeing == len(rows)),
         rows[0].why if single else "within the rounding of table and figure" + _exceptions(rows),
+        evidence=Evidence.PRINTED,
     )
 
 

@@ -17,7 +17,7 @@ from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS, f
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.phone import draw_rests, load_phone
 from stillcal.replay.studies import drawing
-from stillcal.replay.studies.claim import Claim, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.studies.esgi95.published import APPROACH2_GRAVITY
 from stillcal.replay.studies.har.recordings import Still, by_device, read_still
 
@@ -32,9 +32,12 @@ PRINTED_X = np.array(
 )
 PRINTED_Y = np.array([0.264937, 0.418299, -1.1462])
 PRINTED_SD_X = np.array(
-    [[0.00021274, 0.0016114, 0.000203203], [0.00109465, 0.000171741, 0.000251313],
-     [0.000307081, 0.000715155, 0.000315258]]
-)  # fmt: skip
+    [
+        [0.00021274, 0.0016114, 0.000203203],
+        [0.00109465, 0.000171741, 0.000251313],
+        [0.000307081, 0.000715155, 0.000315258],
+    ]
+)
 PRINTED_SD_Y = np.array([0.00439571, 0.00300421, 0.00463018])
 OFF = ~np.eye(3, dtype=bool)
 
@@ -174,22 +177,34 @@ def _small_claim() -> Claim:
     row, column = np.unravel_index(np.where(OFF, x, 0.0).argmax(), x.shape)
     ratio = max(float(x[row, column]), float(y.max()))
     return Claim(
-        WORK, WHERE, "standard deviations are well below the magnitudes of the parameters", "well below",
-        f"at most {ratio:.0%} of them", "its own printed figures", holds(ratio < 0.5),
+        WORK,
+        WHERE,
+        "standard deviations are well below the magnitudes of the parameters",
+        "well below",
+        f"at most {ratio:.0%} of them",
+        "its own printed figures",
+        holds(ratio < 0.5),
         f"would hold where each is below half; X{row + 1}{column + 1} is known to {x[row, column]:.0%} of"
         " itself, "
         f"all of y to {y.max():.1%}",
-    )  # fmt: skip
+        evidence=Evidence.PRINTED,
+    )
 
 
 def _simulated_claim(by_hand: Scatter, hand: float) -> Claim:
     ours, paper = by_hand.groups[1:], PRINTED.groups[1:]
     ratio = [o / p for o, p in zip(ours, paper, strict=True)]
     return Claim(
-        WORK, WHERE, "scatter off the diagonal of X, and of y over g", ", ".join(f"{p:.2g}" for p in paper),
-        ", ".join(f"{o:.2g}" for o in ours), f"400 simulated repeats, placed within {1e3 * hand:.2g} mrad",
-        holds(all(0.5 < r < 2.0 for r in ratio)), "within a factor of two, one irregularity explaining both",
-    )  # fmt: skip
+        WORK,
+        WHERE,
+        "scatter off the diagonal of X, and of y over g",
+        ", ".join(f"{p:.2g}" for p in paper),
+        ", ".join(f"{o:.2g}" for o in ours),
+        f"400 simulated repeats, placed within {1e3 * hand:.2g} mrad",
+        holds(all(0.5 < r < 2.0 for r in ratio)),
+        "within a factor of two, one irregularity explaining both",
+        evidence=Evidence.SIMULATION,
+    )
 
 
 def _real_claim(real: dict[str, Scatter]) -> Claim:
@@ -204,16 +219,22 @@ def _real_claim(real: dict[str, Scatter]) -> Claim:
             "hhar_still",
             Verdict.UNTESTED,
             "the recordings are not here (--data)",
+            evidence=Evidence.NONE,
         )
     worst = np.array([s.groups for s in real.values()])
     inside = int((worst <= PRINTED.groups).all(axis=1).sum())
     middle = np.median(worst, axis=0)
     return Claim(
-        WORK, WHERE, claim, ", ".join(f"{g:.2g}" for g in PRINTED.groups),
+        WORK,
+        WHERE,
+        claim,
+        ", ".join(f"{g:.2g}" for g in PRINTED.groups),
         ", ".join(f"{g:.2g}" for g in middle) + f" (medians); {inside} of {len(real)} phones in all three",
-        f"hhar_still: {len(real)} phones, 5 s pieces", holds(inside > len(real) / 2),
+        f"hhar_still: {len(real)} phones, 5 s pieces",
+        holds(inside > len(real) / 2),
         "for most phones; without being laid down anew, so this is noise and wander alone",
-    )  # fmt: skip
+        evidence=Evidence.REAL,
+    )
 
 
 def _cause(perfect: Scatter) -> str:

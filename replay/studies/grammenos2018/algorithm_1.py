@@ -1,7 +1,7 @@
 """Algorithm 1 of Grammenos et al. 2018 exactly as printed, over arrays: the baseline to compare with.
 
 Its weaknesses are kept on purpose: running minima that only fall, a start that either admits walking or
-admits nothing, no look at gaps, repeats or drift. The detector in use is `stationary`.
+admits nothing, no look at gaps, repeats or drift. The detector in use is `calib_core.static`.
 """
 
 from __future__ import annotations
@@ -30,11 +30,16 @@ class PaperState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperRun:
-    """What the algorithm found, and where its running minima ended, m/s^2 and rad/s."""
+    """What the algorithm found, and where its running minima ended, m/s^2 and rad/s.
+
+    probes: how often it looked. sensing_s: s for which it gathered measurements.
+    """
 
     states: list[PaperState]
     sigma_accel_min: float
     sigma_gyro_min: float
+    probes: int
+    sensing_s: float
 
 
 def algorithm_1(
@@ -54,23 +59,26 @@ def algorithm_1(
     """
     k = settings or DetectorSettings()
     found: list[PaperState] = []
-    now, drawn = float(accel.t[0]), 0
+    now, drawn, probes, sensing = float(accel.t[0]), 0, 0, 0.0
     while len(found) < states:
         now += k.probe_min_s + (k.probe_max_s - k.probe_min_s) * uniform(k.seed, drawn)
         w_max = k.w_min_s + k.w_spread_s * uniform(k.seed, drawn + 1)
         drawn += 2
         if now + w_max > accel.t[-1]:
             break
+        probes += 1
         limits = (k.accel_factor * sigma_accel_min, k.gyro_factor * sigma_gyro_min)
         state = _window(accel, gyro, now, now + k.w_min_s)
         if _below(state, limits):
             state = _window(accel, gyro, now, now + w_max)
             if _below(state, limits):
                 sigma_accel_min = min(sigma_accel_min, state.sigma_accel)
-                sigma_gyro_min = min(sigma_gyro_min, state.sigma_gyro)
+                if gyro is not None:
+                    sigma_gyro_min = min(sigma_gyro_min, state.sigma_gyro)
                 found.append(state)
+        sensing += state.t_end - now
         now = state.t_end
-    return PaperRun(found, sigma_accel_min, sigma_gyro_min)
+    return PaperRun(found, sigma_accel_min, sigma_gyro_min, probes, sensing)
 
 
 def _below(state: PaperState, limits: tuple[float, float]) -> bool:

@@ -17,7 +17,7 @@ from stillcal.calib_core.accelerometer.known_attitudes import (
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.formats.hhar_still import read
-from stillcal.replay.studies.claim import Claim, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.studies.drawing import BLUE, GREEN, GREY, RED, panels, save
 from stillcal.replay.studies.har.data import DATA, RATE_HZ, Windows, read_windows, without_recordings
 from stillcal.replay.studies.har.devices import CARRIED, Device, read_devices
@@ -49,6 +49,8 @@ RATIO_TOLERANCE = 0.1
 
 BOOTSTRAPS = 500
 STEPS = ("raw", "smoothed", "calibrated", "calibrated and smoothed")
+METHOD = 3
+"""The step that is the paper's method whole: calibration and the rolling mean of 4.6."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +110,15 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
         *_similar(windows, rng),
         *(_moving(a, found[a], carried, rng) for a in MOVING),
         _rest(rest, found["sit"], rng),
-        Claim(WORK, *PAPER["biking"], "", "none", Verdict.UNTESTED, "nobody rides a bicycle in ucihar"),
+        Claim(
+            WORK,
+            *PAPER["biking"],
+            "",
+            "none",
+            Verdict.UNTESTED,
+            "nobody rides a bicycle in ucihar",
+            evidence=Evidence.NONE,
+        ),
     )
     file = _draw(found, rest, figures)
     progress(1.0)
@@ -207,8 +217,16 @@ def _similar(windows: Windows, rng: np.random.Generator) -> list[Claim]:
     )
     chance = f"holds for the pair in {share:.0%} of samples of people drawn anew"
     return [
-        Claim(WORK, *PAPER["similar"], ours, DATA, holds(best == ("walk", "stairs down")), chance),
-        Claim(WORK, *PAPER["threshold"], ours, DATA, Verdict.UNTESTED, why),
+        Claim(
+            WORK,
+            *PAPER["similar"],
+            ours,
+            DATA,
+            holds(best == ("walk", "stairs down")),
+            chance,
+            evidence=Evidence.REAL,
+        ),
+        Claim(WORK, *PAPER["threshold"], ours, DATA, Verdict.UNTESTED, why, evidence=Evidence.NONE),
     ]
 
 
@@ -219,32 +237,40 @@ def _pairs(traces: dict[str, Array], people: NDArray[np.intp]) -> dict[tuple[str
 
 def _moving(name: str, found: Homogeneity, data: str, rng: np.random.Generator) -> Claim:
     before, after = TABLE_5[name]
-    ratio = found.ratio("mixed", 2)
-    low, high = found.interval("mixed", 2, rng)
-    ours = (
-        f"{found.mixed[:, 0].mean():.3g} → {found.mixed[:, 2].mean():.3g} (m/s²)² ({ratio:.2f} times,"
-        f" {low:.2f} to {high:.2f}); devices alone {found.ratio('devices', 2):.2f}"
-    )
+    ratio = found.ratio("mixed", METHOD)
+    low, high = found.interval("mixed", METHOD, rng)
+    ours = f"{ratio:.2f} times ({low:.2f} to {high:.2f})"
     why = (
-        f"ratio within {RATIO_TOLERANCE}, over people and devices together as in the paper; people differ"
-        f" more than devices. Smoothing alone gives {found.ratio('mixed', 1):.2f}, with calibration"
-        f" {found.ratio('mixed', 3):.2f}"
+        f"ratio within {RATIO_TOLERANCE}, calibrated and smoothed against raw, over people and devices"
+        f" together as in the paper. Smoothing alone gives {found.ratio('mixed', 1):.2f}, calibration alone"
+        f" {found.ratio('mixed', 2):.2f}: people differ more than devices. Where only devices differ,"
+        f" calibration alone gives {found.ratio('devices', 2):.2f}, with smoothing"
+        f" {found.ratio('devices', METHOD):.2f}"
     )
     return Claim(
-        WORK, *_table_5(name), ours, data, holds(abs(ratio - after / before) <= RATIO_TOLERANCE), why
+        WORK,
+        *_table_5(name),
+        ours,
+        data,
+        holds(abs(ratio - after / before) <= RATIO_TOLERANCE),
+        why,
+        evidence=Evidence.SEMI_SYNTHETIC,
     )
 
 
 def _rest(rest: Rest, sit: Homogeneity, rng: np.random.Generator) -> Claim:
     before, after = rest.mse("before"), rest.mse("after")
     low, high = sit.interval("devices", 2, rng)
-    ours = (
-        f"{before:.4f} → {after:.4f} (m/s²)² ({after / before:.2f} times); sitting through the devices"
-        f" {sit.ratio('devices', 2):.2f} times ({low:.2f} to {high:.2f})"
-    )
+    ours = f"{before:.4f} → {after:.4f} (m/s²)², {after / before:.2f} times"
     data = f"hhar_still: {rest.devices} real devices, each face calibrated from the other five"
-    why = "would hold within 10 %: at rest nothing but the devices' errors differs, and they are taken off"
-    return Claim(WORK, *PAPER["rest"], ours, data, holds(abs(after / before - 1) <= 0.1), why)
+    why = (
+        "would hold within 10 %: at rest nothing but the devices' errors differs, and they are taken off;"
+        f" sitting, carried through the devices: {sit.ratio('devices', 2):.2f} times ({low:.2f} to"
+        f" {high:.2f})"
+    )
+    return Claim(
+        WORK, *PAPER["rest"], ours, data, holds(abs(after / before - 1) <= 0.1), why, evidence=Evidence.REAL
+    )
 
 
 def _own_error(windows: Windows) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.replay.studies.claim import Claim, Study, Verdict
+from stillcal.replay.studies.claim import Claim, Evidence, Study, Verdict
 
 RATE_HZ = 50.0
 ACTIVITIES = ("walk", "stairs up", "stairs down", "sit", "stand", "lie")
@@ -64,10 +64,22 @@ def read_windows(data: Path) -> Windows:
     )
 
 
+def read_rates(data: Path) -> tuple[Windows, Array]:
+    """Read the windows as `read_windows` does, and their angular rates, (n, 128, 3) rad/s."""
+    with np.load(data / "ucihar" / "ucihar_subset.npz") as found:
+        rates, person, row = (
+            np.concatenate([found[f"{part}_{column}"] for part in ("train", "test")])
+            for column in ("body_gyro", "subject", "official_row")
+        )
+    return read_windows(data), rates[np.lexsort((row, person))].astype(np.float64)
+
+
 def without_recordings(
     name: str, title: str, claims: Sequence[tuple[str, str, str, str]], seed: int
 ) -> Study:
     """Return a study of claims (paper, where, claim, published figure) that no recordings were given for."""
     because = "the real recordings are not here (--data)"
-    untested = tuple(Claim(*claim, "", "", Verdict.UNTESTED, because) for claim in claims)
+    untested = tuple(
+        Claim(*claim, "", "", Verdict.UNTESTED, because, evidence=Evidence.NONE) for claim in claims
+    )
     return Study(name, title, untested, "Real recordings were not given (`--data`).", seed=seed)

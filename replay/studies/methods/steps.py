@@ -27,10 +27,12 @@ PATTERNS = (
 
 @dataclass(frozen=True, slots=True)
 class StepSettings:
-    """rate: Hz, to which the signal is brought, 20 to 25 is enough; cutoff: Hz of the low-pass before it.
+    """Settings of the step detector.
+
+    rate: Hz, to which the signal is brought, 20 to 25 is enough; cutoff: Hz of the low-pass before it.
     least_rise: m/s^3, steepest rise after a crossing of g; least_peak: m/s^2 over g, height that follows;
     least_s, most_s: s, shortest time between steps and longest a step may last.
-    """  # noqa: D205 - the fields are the summary
+    """
 
     rate: float = 25.0
     cutoff: float = 4.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.fleet.clusters import clusters
-from stillcal.replay.studies.claim import Claim, Progress, Study, agreement, holds, picture, table
+from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, agreement, holds, picture, table
 from stillcal.replay.studies.drawing import COLOURS, panels, save
 from stillcal.replay.studies.har.data import without_recordings
 from stillcal.replay.studies.har.recordings import DATA, Still, by_device, read_still
@@ -20,7 +20,7 @@ from stillcal.replay.studies.stisen2015.biases import G
 NAME, TITLE, WORK = "clusters", "Clusters of devices (Figure 11)", "Stisen 2015"
 PAPER = {
     "number": ("5.1, Figure 11", "affinity propagation on bias and steadiness of rate: clusters", "5"),
-    "same": ("5.1", "phones of one model may fall into different clusters", "said"),
+    "same": ("5.1", "phones of one model may fall into different clusters", "stated"),
 }
 FEATURES = ("median bias, m/s²", "sd of sampling frequency, Hz")
 MORE = (*FEATURES, "sd of bias, m/s²", "median sampling frequency, Hz")
@@ -77,6 +77,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
             "tolerance one cluster: with any one device left out there are"
             f" {min(left_out)} to {max(left_out)}; the paper clustered 36 devices, here {len(labels)} lie on"
             " their backs with a working sensor",
+            evidence=Evidence.REAL,
         ),
         _split_models(devices, labels),
     )
@@ -94,7 +95,15 @@ def _split_models(devices: Devices, labels: NDArray[np.intp]) -> Claim:
     several = [m for m in sorted(set(devices.models)) if np.sum(models == m) > 1]
     split = [m for m in several if len(set(labels[models == m])) > 1]
     ours = f"{len(split)} of {len(several)} models with several devices"
-    return Claim(WORK, *PAPER["same"], ours, DATA, holds(bool(split)), f"split: {', '.join(split)}")
+    return Claim(
+        WORK,
+        *PAPER["same"],
+        ours,
+        DATA,
+        holds(bool(split)),
+        f"split: {', '.join(split)}",
+        evidence=Evidence.REAL,
+    )
 
 
 def _draw(devices: Devices, labels: NDArray[np.intp], exemplars: NDArray[np.intp], folder: Path) -> str:

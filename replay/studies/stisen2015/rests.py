@@ -13,7 +13,7 @@ from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.hhar_still import read
-from stillcal.replay.studies.claim import Claim, Progress, Study, holds, table
+from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, table
 from stillcal.replay.studies.har.data import without_recordings
 from stillcal.replay.studies.har.recordings import DATA, FOLDER, Still, read_still
 from stillcal.replay.studies.methods.device_faces import DeviceOutcome, calibrate_devices
@@ -69,7 +69,9 @@ def _found(found: list[Found]) -> Claim:
     missed = sorted({f.still.name for f in working if not f.rests})
     ours = f"{len(hit)} of {len(working)} recordings; rests cover {share:.0%} of a recording on the median"
     why = f"holds with 19 in 20 recordings or more; none found for {', '.join(missed) or 'none'}"
-    return Claim(WORK, *PAPER["found"], ours, DATA, holds(len(hit) >= 0.95 * len(working)), why)
+    return Claim(
+        WORK, *PAPER["found"], ours, DATA, holds(len(hit) >= 0.95 * len(working)), why, evidence=Evidence.REAL
+    )
 
 
 def _frozen(found: list[Found], outcomes: list[DeviceOutcome]) -> Claim:
@@ -80,9 +82,9 @@ def _frozen(found: list[Found], outcomes: list[DeviceOutcome]) -> Claim:
         f"{len(caught)} devices refused as broken; of their {len(frozen)} frozen recordings"
         f" {sum(f.rests > 0 for f in frozen)} pass the detector"
     )
-    why = "holds where every device with a frozen recording is refused: a calm that is too perfect is no rest"
-    good = {f.still.name for f in frozen} <= caught
-    return Claim(WORK, *PAPER["frozen"], ours, DATA, holds(good), why)
+    missed = sorted({f.still.name for f in frozen} - caught)
+    why = f"devices with a frozen recording that are not refused: {', '.join(missed) or 'none'}"
+    return Claim(WORK, *PAPER["frozen"], ours, DATA, Verdict.OPEN, why, evidence=Evidence.REAL)
 
 
 def _norm(outcomes: list[DeviceOutcome]) -> Claim:
@@ -97,7 +99,7 @@ def _norm(outcomes: list[DeviceOutcome]) -> Claim:
     ours = f"{before:.3f} → {after:.3f} m/s² ({len(pairs)} devices with six true faces)"
     bar = AccelerometerSettings().max_norm_sd
     why = f"holds below {bar} m/s², what a fit may leave open; on faces that were fitted"
-    return Claim(WORK, *PAPER["norm"], ours, DATA, holds(bool(after < bar)), why)
+    return Claim(WORK, *PAPER["norm"], ours, DATA, holds(bool(after < bar)), why, evidence=Evidence.REAL)
 
 
 def _fixed(outcome: DeviceOutcome) -> Array:

@@ -1,20 +1,31 @@
 """What a study says, how it is kept, the page, and the command."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from stillcal.replay.commands.evaluate import evaluate_command
-from stillcal.replay.studies import page
+from stillcal.replay.studies import methods, page
 from stillcal.replay.studies import registry as studies
-from stillcal.replay.studies.claim import Claim, Study, Verdict, agreement, holds, table
+from stillcal.replay.studies.claim import Claim, Evidence, Study, Verdict, agreement, holds, table
 
 DOCS = Path(__file__).parents[3] / "docs"
 
 
 def a_study(name: str = "laboratory") -> Study:
-    claim = Claim("ESGI'95", "2.4", "s1 | s2", "0.3", "0.4", "its tables", Verdict.DIFFERS, "off by 0.1")
+    claim = Claim(
+        "ESGI'95",
+        "2.4",
+        "s1 | s2",
+        "0.3",
+        "0.4",
+        "its tables",
+        Verdict.DIFFERS,
+        "off by 0.1",
+        evidence=Evidence.PRINTED,
+    )
     return Study(name, "A title", (claim,), "### Detail\n\nwords", ("a.png",), 7)
 
 
@@ -32,12 +43,47 @@ def test_what_is_kept_comes_back(tmp_path: Path) -> None:
 
 def test_page_has_every_claim_and_the_command_of_each_section() -> None:
     text = page.page([a_study()])
-    assert "1 claims: 0 reproduced, 1 differs" in text
-    assert (
-        "| ESGI'95, 2.4 | s1 \\| s2 | 0.3 | 0.4 | its tables | **differs** | off by 0.1 |"
-        " `stillcal evaluate laboratory --seed 7` |" in text
-    )
+    row = "| 2.4 | s1 \\| s2 | 0.3 | 0.4 | **differs** | the paper's own numbers | [laboratory](#a-title) |"
+    assert row in text
+    assert "| ESGI'95, 2.4: s1 \\| s2 | its tables | off by 0.1 |" in text
     assert "`stillcal evaluate laboratory --seed 7`" in text
+
+
+def test_the_tally_counts_by_kind_and_paper_what_could_be_tested() -> None:
+    one = a_study().claims[0]
+    claims = [
+        one,
+        replace(one, verdict=Verdict.REPRODUCED, evidence=Evidence.REAL, source="Stisen 2015"),
+        replace(one, verdict=Verdict.OPEN, evidence=Evidence.REAL, source="Stisen 2015"),
+        replace(one, verdict=Verdict.UNTESTED, evidence=Evidence.NONE),
+    ]
+    lines = page.tally(claims).splitlines()
+    assert lines[0] == "| evidence | ESGI'95 | Stisen 2015 | all |"
+    assert "| real recordings | - | 1 / 0 / 1 | 1 / 0 / 1 |" in lines
+    assert "| the paper's own numbers | 0 / 1 / 0 | - | 0 / 1 / 0 |" in lines
+    assert lines[-1] == "| all | 0 / 1 / 0 | 1 / 0 / 1 | 1 / 1 / 1 |"
+
+
+def test_every_headline_is_one_claim_of_the_page() -> None:
+    claims = [claim for study in page.kept(DOCS / page.FOLDER) for claim in study.claims]
+    wanted = sum(map(len, page.SUMMARY.values()))
+    assert len(page.headlines(claims)) == wanted
+
+
+def test_other_pages_give_the_tally_of_this_one() -> None:
+    claims = [claim for study in page.kept(DOCS / page.FOLDER) for claim in study.claims]
+    words = page.in_words(claims)
+    assert words in " ".join((DOCS / "accuracy.md").read_text().split())
+    first = words.split(",")[0]
+    assert first in " ".join((DOCS.parent / "README.md").read_text().split())
+
+
+def test_claims_on_the_page_are_read_at_a_glance_and_name_their_evidence() -> None:
+    for claim in (claim for study in page.kept(DOCS / page.FOLDER) for claim in study.claims):
+        lengths = len(claim.claim), len(claim.paper), len(claim.ours)
+        assert all(n <= most for n, most in zip(lengths, (100, 60, 110), strict=True)), claim
+        assert (claim.evidence is Evidence.NONE) == (claim.verdict is Verdict.UNTESTED), claim
+        assert claim.verdict is not Verdict.DIFFERS or claim.because, claim
 
 
 def test_the_page_in_the_documents_is_what_was_kept_and_whole() -> None:
@@ -50,6 +96,11 @@ def test_the_page_in_the_documents_is_what_was_kept_and_whole() -> None:
     figures = {figure for study in kept for figure in study.figures}
     assert figures == {file.name for file in folder.glob("*.png")}
     assert all(f"({page.FOLDER}/{figure})" in text for figure in figures)
+
+
+def test_the_page_names_every_method_that_the_studies_keep() -> None:
+    folder = Path(methods.__file__).parent
+    assert set(page.METHODS) == {file.stem for file in folder.glob("*.py")} - {"__init__"}
 
 
 def test_table_has_a_row_a_line() -> None:

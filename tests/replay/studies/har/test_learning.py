@@ -68,8 +68,10 @@ def test_ecdf_does_not_know_the_order_of_samples() -> None:
 
 
 def test_weighted_f1_is_that_of_scikit_learn() -> None:
-    truth, said = RNG.integers(0, 4, 200), RNG.integers(0, 4, 200)
-    assert scoring.weighted_f1(truth, said) == pytest.approx(f1_score(truth, said, average="weighted"))
+    truth, predicted = RNG.integers(0, 4, 200), RNG.integers(0, 4, 200)
+    assert scoring.weighted_f1(truth, predicted) == pytest.approx(
+        f1_score(truth, predicted, average="weighted")
+    )
 
 
 def test_folds_never_share_a_person() -> None:
@@ -116,3 +118,18 @@ def test_windows_are_whole(data_dir: Path) -> None:
     norm = np.linalg.norm(windows.of("stand").accel.mean(axis=1), axis=1).mean()
     assert norm / 9.81 - 1 == pytest.approx(0.0, abs=0.085)  # no phone of Figure 1 is farther off
     assert set(windows.label) == set(range(len(ACTIVITIES)))
+
+
+def test_mcnemar_is_the_textbook_s() -> None:
+    """Ten against two discordant pairs: (|10 - 2| - 1)^2 / 12 = 4.083, p = 0.0433 with one degree."""
+    one, other = np.r_[np.ones(10), np.zeros(2), np.ones(50)], np.r_[np.zeros(10), np.ones(2), np.ones(50)]
+    assert scoring.mcnemar(one, other) == pytest.approx((49 / 12, 0.0433), rel=2e-3)
+    assert scoring.mcnemar(one, one) == (0.0, 1.0)
+
+
+def test_principal_components_keep_what_varies() -> None:
+    rng = np.random.default_rng(1)
+    hidden = rng.normal(size=(300, 2))
+    features = hidden @ rng.normal(size=(2, 12))
+    model = scoring.principal(scoring.tree)(0).fit(features, (hidden[:, 0] > 0).astype(int))
+    assert model[1][0].n_components_ <= 2

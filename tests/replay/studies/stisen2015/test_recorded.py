@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from stillcal.replay.studies.claim import Verdict
-from stillcal.replay.studies.grammenos2018 import classes as unaided_classes
+from stillcal.replay.studies.grammenos2018 import classes as classes_study
 from stillcal.replay.studies.har.devices import Device
 from stillcal.replay.studies.har.recordings import Still
-from stillcal.replay.studies.stisen2015 import families as hetero_families
-from stillcal.replay.studies.stisen2015 import modes as hetero_modes
-from stillcal.replay.studies.stisen2015 import remedies as hetero_remedies
+from stillcal.replay.studies.stisen2015 import families as families_study
+from stillcal.replay.studies.stisen2015 import gyroscope as gyroscope_study
+from stillcal.replay.studies.stisen2015 import modes as modes_study
+from stillcal.replay.studies.stisen2015 import remedies as remedies_study
 from stillcal.replay.studies.stisen2015.recorded import (
     METHODS,
     Kinds,
@@ -91,26 +92,26 @@ def test_equal_stamps_do_not_break_splines() -> None:
         assert np.isfinite(resample(recorded, 25.0, method)).all()
 
 
-def some_rows(n: int = 240) -> hetero_modes.Rows:
+def some_rows(n: int = 240) -> modes_study.Rows:
     person, device = np.arange(n) % 12, np.arange(n) // 60
     label = RNG.integers(0, 2, n)
     features = {"one": RNG.normal(size=(n, 4)) + 3.0 * label[:, None]}
-    return hetero_modes.Rows(features, label, person, device, device // 2, device % 3)
+    return modes_study.Rows(features, label, person, device, device // 2, device % 3)
 
 
 def test_modes_keep_apart_what_they_say() -> None:
     rows = some_rows()
     modes = ("user out", "model out", "one model, user out", "cluster, user out")
-    assert all(list(hetero_modes.splits(rows, mode, 0)) for mode in modes)
-    for train, test in hetero_modes.splits(rows, "user out", 0):
+    assert all(list(modes_study.splits(rows, mode, 0)) for mode in modes)
+    for train, test in modes_study.splits(rows, "user out", 0):
         assert not set(rows.person[train]) & set(rows.person[test])
-    for train, test in hetero_modes.splits(rows, "model out", 0):
+    for train, test in modes_study.splits(rows, "model out", 0):
         assert not set(rows.model[train]) & set(rows.model[test])
-    for train, test in hetero_modes.splits(rows, "one model, user out", 0):
+    for train, test in modes_study.splits(rows, "one model, user out", 0):
         assert len(set(rows.model[train])) == 1
         assert not set(rows.model[train]) & set(rows.model[test])
         assert not set(rows.person[train]) & set(rows.person[test])
-    for train, test in hetero_modes.splits(rows, "cluster, user out", 0):
+    for train, test in modes_study.splits(rows, "cluster, user out", 0):
         assert set(rows.cluster[train]) == set(rows.cluster[test])
         assert not set(rows.person[train]) & set(rows.person[test])
 
@@ -118,8 +119,8 @@ def test_modes_keep_apart_what_they_say() -> None:
 def test_both_device_splits_test_the_same_devices() -> None:
     """Device 3 is in a cluster of its own: it is tested by neither; the others' training differs."""
     rows = replace(some_rows(), cluster=np.array([0, 0, 0, 1])[np.arange(240) // 60])
-    everywhere = list(hetero_remedies.parts(rows, "device out", 0))
-    inside = list(hetero_remedies.parts(rows, "device out, within cluster", 0))
+    everywhere = list(remedies_study.parts(rows, "device out", 0))
+    inside = list(remedies_study.parts(rows, "device out, within cluster", 0))
     for parts in (everywhere, inside):
         assert [sorted(set(rows.device[test])) for _, test in parts] == [[0], [1], [2]]
         assert all(not (train & test).any() for train, test in parts)
@@ -131,9 +132,9 @@ def test_displacement_of_a_shift_is_the_shift_in_spreads() -> None:
     """Normal features of spread 2, two moved by 3: 1.5 spreads; one that never changes is left out."""
     clean = np.c_[RNG.normal(scale=2.0, size=(4000, 2)), np.ones(4000)]
     moved = clean + np.array([3.0, -3.0, 9.0])
-    assert hetero_families.displacement(clean, clean) == 0.0
+    assert families_study.displacement(clean, clean) == 0.0
     # a sample's spread is uncertain by 1 / sqrt(2 n)
-    assert hetero_families.displacement(clean, moved) == pytest.approx(1.5, rel=4 / np.sqrt(8000))
+    assert families_study.displacement(clean, moved) == pytest.approx(1.5, rel=4 / np.sqrt(8000))
 
 
 def test_calibration_and_interpolation_undo_a_device() -> None:
@@ -141,8 +142,8 @@ def test_calibration_and_interpolation_undo_a_device() -> None:
     device = a_device()
     accel = waves(frequency=0.5)
     recorded = record(accel, device, Kinds(), np.random.default_rng(2))
-    carried = hetero_remedies.Carried(
-        hetero_remedies.Windows(accel, np.zeros(4, int), np.arange(4)), [device], [0], [recorded], 0
+    carried = remedies_study.Carried(
+        remedies_study.Windows(accel, np.zeros(4, int), np.arange(4)), [device], [0], [recorded], 0
     )
     clean = at_times(accel, np.tile(0.2 + np.arange(50) / 25.0, (4, 1)))
     off = {
@@ -153,8 +154,31 @@ def test_calibration_and_interpolation_undo_a_device() -> None:
     assert np.sqrt(np.square(off["calibrated and linear"]).mean()) < 0.05  # its noise is 0.01
 
 
+def test_sensors_are_told_apart_by_what_they_see() -> None:
+    """Only the forces hold the activity: the gyroscope guesses, and McNemar's test says so."""
+    n = 180
+    label, person = np.arange(n) % 2, np.arange(n) // 6
+    blind = RNG.normal(size=(n, 100, 3))
+    forces = blind + 4.0 * label[:, None, None]
+    found = gyroscope_study.scores(forces, blind[::-1], label, person, 0, number=2)
+    assert found.by_fold[0].mean() > 95.0
+    assert found.by_fold[1].mean() < 65.0
+
+
+def test_siblings_are_trained_on_their_own_model() -> None:
+    """Two models whose labels mean the opposite: only a sibling is right."""
+    n = 240
+    device, label = np.arange(n) // 60, RNG.integers(0, 2, n)
+    sign = np.where(device < 2, 1.0, -1.0) * (2 * label - 1)
+    features = {name: RNG.normal(size=(n, 4)) + 4.0 * sign[:, None] for name in modes_study.FAMILIES}
+    rows = modes_study.Rows(features, label, np.arange(n) % 12, device, device // 2, 0 * device)
+    found = modes_study.siblings(rows, 0)
+    assert found.f1[0].min() > 0.95
+    assert found.f1[1].max() < 0.05
+
+
 def test_ten_folds_test_every_row_once() -> None:
-    parts = list(hetero_modes.splits(some_rows(), "ten-fold", 0))
+    parts = list(modes_study.splits(some_rows(), "ten-fold", 0))
     assert len(parts) == 10
     assert (np.sum([test for _, test in parts], axis=0) == 1).all()
 
@@ -166,8 +190,9 @@ def test_comparison_of_ways_sees_what_is_there() -> None:
     blind = RNG.normal(size=(n, 40, 3))
     seeing = blind + 5.0 * label[:, None, None]
     ways = {"raw": blind, "calibrated": seeing, "Kalman": blind, "no errors": seeing}
-    data = unaided_classes.Slices(ways, label, person, RNG.integers(0, 5, n))
-    found = unaided_classes.compare(data, unaided_classes.radial_svm, unaided_classes.tilt, 0, False)
+    ways |= {classes_study.METHOD: seeing, "filtered": blind}
+    data = classes_study.Slices(ways, label, person, RNG.integers(0, 5, n))
+    found = classes_study.compare(data, classes_study.radial_svm, classes_study.tilt, 0, False)
     assert found.values[:, 1].mean() > 0.95
     assert abs(found.values[:, 0].mean() - 0.5) < 0.1
     assert found.gain("Kalman") == pytest.approx(0.0)
@@ -175,11 +200,11 @@ def test_comparison_of_ways_sees_what_is_there() -> None:
 
 def test_tilt_is_the_angle_of_the_mean() -> None:
     slices = np.tile([0.0, 9.8 * np.sin(0.3), 9.8 * np.cos(0.3)], (2, 40, 1))
-    angle_y, angle_z, norm = unaided_classes.tilt(slices)[0]
+    angle_y, angle_z, norm = classes_study.tilt(slices)[0]
     assert (angle_y, angle_z, norm) == pytest.approx((0.3, np.pi / 2 - 0.3, 9.8))
 
 
 def test_without_recordings_nothing_is_judged(tmp_path: Path) -> None:
-    for module in (hetero_families, hetero_modes, hetero_remedies, unaided_classes):
+    for module in (families_study, modes_study, remedies_study, classes_study, gyroscope_study):
         study = module.study(None, tmp_path, 0, lambda share: None)
         assert {c.verdict for c in study.claims} == {Verdict.UNTESTED}

@@ -9,10 +9,10 @@ import pytest
 
 from stillcal.replay.studies.claim import Verdict
 from stillcal.replay.studies.har.recordings import Still, read_still, stamp_unit
-from stillcal.replay.studies.stisen2015 import biases as hetero_biases
-from stillcal.replay.studies.stisen2015 import clusters as hetero_clusters
-from stillcal.replay.studies.stisen2015 import rests as hetero_rests
-from stillcal.replay.studies.stisen2015 import timing as hetero_timing
+from stillcal.replay.studies.stisen2015 import biases as biases_study
+from stillcal.replay.studies.stisen2015 import clusters as clusters_study
+from stillcal.replay.studies.stisen2015 import rests as rests_study
+from stillcal.replay.studies.stisen2015 import timing as timing_study
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +30,14 @@ def test_unit_of_stamps_survives_an_outage_of_the_app(unit: float) -> None:
 def test_outliers_of_a_normal_sample() -> None:
     """Tukey's whiskers leave 0.698 % of a normal sample outside."""
     drawn = np.random.default_rng(0).normal(size=200_000)
-    assert np.mean(hetero_timing.outliers(drawn)) == pytest.approx(0.00698, abs=4 * np.sqrt(0.007 / 200_000))
+    assert np.mean(timing_study.outliers(drawn)) == pytest.approx(0.00698, abs=4 * np.sqrt(0.007 / 200_000))
 
 
 def test_clusters_of_well_separated_groups() -> None:
     rng = np.random.default_rng(1)
     centres = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0]])
     features = np.concatenate([c + 0.1 * rng.normal(size=(6, 2)) for c in centres])
-    labels, exemplars = hetero_clusters.clusters(features, 0)
+    labels, exemplars = clusters_study.clusters(features, 0)
     assert len(exemplars) == 3
     assert [len(set(labels[k : k + 6])) for k in (0, 6, 12)] == [1, 1, 1]
 
@@ -49,8 +49,8 @@ def test_the_frozen_tablet_is_no_rest(still: list[Still]) -> None:
 
 def test_stamps_are_seconds(still: list[Still]) -> None:
     """Median interval by creation within a tenth of Table 1, but for the S3, which never ran at 150 Hz."""
-    found = hetero_timing.by_model(still)
-    nominal = {model: 1e3 / rate for model, rate in hetero_timing.RATES_HZ.items() if model in found}
+    found = timing_study.by_model(still)
+    nominal = {model: 1e3 / rate for model, rate in timing_study.RATES_HZ.items() if model in found}
     assert "Samsung-Galaxy-S3" in nominal and len(nominal) > 5
     medians = {model: float(np.median(found[model].creation)) for model in nominal}
     assert medians.pop("Samsung-Galaxy-S3") > 1.1 * nominal.pop("Samsung-Galaxy-S3")
@@ -59,7 +59,7 @@ def test_stamps_are_seconds(still: list[Still]) -> None:
 
 def test_deviations_follow_the_reference(still: list[Still]) -> None:
     """The reference unit's own mean stands in the paper: 9.82 m/s^2, here within its faces' scatter."""
-    found = hetero_biases.deviations([r for r in still if r.reference], g=9.82)
+    found = biases_study.deviations([r for r in still if r.reference], g=9.82)
     assert len(found.value) == 6
     assert abs(found.value.mean()) < 3 * found.value.std(ddof=1) / np.sqrt(6)
 
@@ -67,12 +67,12 @@ def test_deviations_follow_the_reference(still: list[Still]) -> None:
 def test_one_device_is_at_rest_and_a_frozen_one_is_not(still: list[Still]) -> None:
     phone = next(r for r in still if r.model == "LG-Nexus4")
     frozen = next(r for r in still if r.frozen)
-    assert hetero_rests.detect(phone).share > 0.9
-    assert hetero_rests.detect(frozen).rests == 0
+    assert rests_study.detect(phone).share > 0.9
+    assert rests_study.detect(frozen).rests == 0
 
 
 def test_without_recordings_nothing_is_judged(tmp_path: Path) -> None:
-    for module in (hetero_biases, hetero_timing, hetero_clusters, hetero_rests):
+    for module in (biases_study, timing_study, clusters_study, rests_study):
         study = module.study(None, tmp_path, 0, lambda share: None)
         assert {c.verdict for c in study.claims} == {Verdict.UNTESTED}
         assert not study.figures

@@ -1,0 +1,252 @@
+"""Studies of Grammenos et al. 2018, small: what is theory tightly, what is drawn with its error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from stillcal.calib_core.gravity import STANDARD, somigliana
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
+from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.phone import Truth, load_phone, load_scenario, population
+from stillcal.replay.phone.simulation import TrueInterval
+from stillcal.replay.studies.claim import Verdict
+from stillcal.replay.studies.grammenos2018 import classes as classes_study
+from stillcal.replay.studies.grammenos2018 import gravity as gravity_study
+from stillcal.replay.studies.grammenos2018 import gyroscope_bias as bias_study
+from stillcal.replay.studies.grammenos2018 import homogeneity as homogeneity_study
+from stillcal.replay.studies.grammenos2018 import newphone as newphone_study
+from stillcal.replay.studies.grammenos2018 import people as people_study
+from stillcal.replay.studies.grammenos2018 import power as power_study
+from stillcal.replay.studies.grammenos2018 import quality_check as quality_study
+from stillcal.replay.studies.grammenos2018 import smoothing as smoothing_study
+from stillcal.replay.studies.grammenos2018 import stationary_states as states_study
+from stillcal.replay.studies.grammenos2018.algorithm_1 import algorithm_1
+from stillcal.replay.studies.grammenos2018.homogeneity import aggregate_error, at_rest, similarity, smoothed
+from stillcal.replay.studies.grammenos2018.kalman import Kalman, inverse, settled, steady_gain
+from stillcal.replay.studies.grammenos2018.smoothing import filtered, middle
+from stillcal.replay.studies.har.devices import Device, read_devices
+from stillcal.replay.studies.har.recordings import read_still
+from stillcal.replay.studies.har.scoring import network
+
+
+def test_median_against_mean_on_white_noise() -> None:
+    """Variances of the median of n normal samples: 0.1383 and 0.0734 for n = 10, 20 (order statistics)."""
+    noise = np.random.default_rng(0).normal(size=(60_000, 3))
+    for n, of_median in ((10, 0.1383), (20, 0.0734)):
+        median, mean = filtered(noise, n)
+        room = 4 * np.sqrt(2 * n / noise.size)  # n neighbouring outputs share their samples
+        assert mean * n == pytest.approx(1.0, rel=room)
+        assert median == pytest.approx(of_median, rel=room)
+
+
+def test_similarity_is_zero_with_itself_and_counts_axes_and_norm() -> None:
+    trace = np.random.default_rng(1).normal(size=(50, 3)) + np.array([0.0, 0.0, 9.8])
+    assert similarity(trace, trace) == 0.0
+    up = np.tile([0.0, 0.0, 9.0], (50, 1))
+    assert similarity(up, up + np.array([0.0, 0.0, 3.0])) == pytest.approx(3.0 + 9.0)
+
+
+def test_aggregate_error_of_two_is_a_quarter_of_their_difference_squared() -> None:
+    traces = np.stack([np.zeros((10, 3)), np.full((10, 3), 2.0)])
+    assert aggregate_error(traces) == pytest.approx([1.0, 1.0])
+
+
+def test_smoothing_keeps_a_constant_and_halves_nothing_else() -> None:
+    traces = np.full((2, 20, 3), 4.0)
+    assert smoothed(traces) == pytest.approx(4.0)
+    assert smoothed(traces).shape == (2, 16, 3)
+
+
+def test_a_fit_takes_up_the_error_of_gravity() -> None:
+    """E scales as g^4 where only g differs; by the other g it is the difference of squares, squared."""
+    found = gravity_study.costs(6, 0, lambda share: None)
+    factor = (STANDARD / gravity_study.LOCAL) ** 4
+    assert found.fitted[:, 0] / found.fitted[:, 1] == pytest.approx(factor, rel=2e-3)
+    floor = (gravity_study.LOCAL**2 - STANDARD**2) ** 2
+    assert np.median(found.judged[:, 0]) == pytest.approx(floor, rel=0.1)
+
+
+def test_the_printed_formula_of_gravity_is_nearer_than_the_default() -> None:
+    """Eq. 16-18 leave out the ellipsoid's second-order terms: below 0.1 mm/s^2 at sea level, 2 at 4000 m."""
+    printed, default = gravity_study.formula_errors()
+    assert printed.max() < 2e-3
+    assert default.max() == pytest.approx(STANDARD - somigliana(0.0, 4000.0), abs=1e-9)
+
+
+def test_correction_takes_nine_additions_and_nine_multiplications() -> None:
+    done = power_study.counts()
+    assert done["apply"] == {"additions": 9, "multiplications": 9}
+    assert done["gain fixed"] == {"additions": 6, "multiplications": 3}
+    assert sum(done["Kalman"].values()) > 10 * sum(done["apply"].values())
+
+
+def test_kalman_settles_at_its_steady_gain() -> None:
+    values = np.random.default_rng(2).normal(size=(1, 400, 3))
+    kalman = Kalman(values[0, 0], 0.01, 0.1)
+    for z in values[0, 1:]:
+        kalman.update(z)
+    gain = steady_gain(0.01, 0.1)
+    assert kalman.P[0, 0] == pytest.approx(gain * 0.1, rel=1e-9)
+    assert settled(values, 0.01, 0.1)[0, -1] == pytest.approx(kalman.x, abs=1e-9)
+
+
+def test_inverse_is_an_inverse() -> None:
+    m = np.random.default_rng(3).normal(size=(3, 3))
+    assert inverse(m) @ m == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_half_an_hour_of_one_person() -> None:
+    day = msgspec.structs.replace(load_scenario("tables"), duration_s=1800.0)
+    life = people_study.live(people_study.slowed(load_phone("typical"), 10.0), day, 3)
+    assert 0 < life.attitudes <= life.rests
+    assert 0.9 < life.sensing <= 1.001  # a new phone is watched without a break
+
+
+def test_fewer_positions_than_parameters_are_never_enough() -> None:
+    spread = np.random.default_rng(0).normal(size=(20, 3))
+    spread /= np.linalg.norm(spread, axis=1, keepdims=True)
+    for k, phone in enumerate(population(5, 0)):
+        checked = people_study.fewest_positions(phone, spread, k)
+        assert 6 <= people_study.fewest_positions(phone, spread, k, checked=False) <= checked
+
+
+def test_merged_states_are_one_an_attitude_in_order() -> None:
+    up = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.01, 1.0], [0.0, 1.0, 0.0]])
+    assert people_study.merged(up).tolist() == up[[0, 1, 3]].tolist()
+
+
+def test_the_rolling_mean_is_causal_and_keeps_its_shape() -> None:
+    ramp = np.tile(np.arange(20.0)[None, :, None], (2, 1, 3))
+    found = classes_study.filtered(ramp)
+    assert found.shape == ramp.shape
+    assert found[0, 4:, 0] == pytest.approx(np.arange(4.0, 20.0) - 2.0)  # five samples: two behind
+
+
+def test_an_roc_curve_of_what_can_be_told_fills_the_square() -> None:
+    rng = np.random.default_rng(5)
+    n = 400
+    label, person = rng.integers(0, 2, n), np.arange(n) % 8
+    blind = rng.normal(size=(n, 40, 3))
+    ways = {"raw": blind, classes_study.METHOD: blind + 5.0 * label[:, None, None]}
+    data = classes_study.Slices(ways, label, person, rng.integers(0, 5, n))
+    found = classes_study.roc(data, network(10), 0)
+    assert found.areas[:, 1].mean() > 0.98
+    assert abs(found.areas[:, 0].mean() - 0.5) < 0.1
+
+
+def test_states_are_held_against_the_truth() -> None:
+    """One state at rest, one that reaches into the walk, of a truth that joins its pieces."""
+
+    def piece(begin: float, end: float, activity: str, still: bool) -> TrueInterval:
+        return TrueInterval(begin, end, activity, still, np.eye(3), np.array([0.0, 0.0, 1.0]), 9.8)
+
+    pieces = (piece(0, 10, "table", True), piece(10, 30, "table", True), piece(30, 60, "walk", False))
+    truth = Truth(None, None, pieces)  # type: ignore[arg-type]  # the sensors' models are not looked at
+    spans, up = np.array([[5.0, 15.0], [25.0, 40.0]]), np.array([[0.0, 0.0, 9.8], [0.0, 9.8, 0.0]])
+    found = states_study.judge(spans, up, 6.0, truth, 60.0)
+    assert (found.states, found.attitudes, found.right) == (2.0, 2.0, 0.5)
+    assert (found.walking, found.driving) == (1.0, 0.0)
+    assert (found.rests, found.sensing) == (1.0, 0.1)
+
+
+def test_algorithm_1_counts_what_it_gathers() -> None:
+    t = np.arange(0.0, 600.0, 0.04)
+    still = np.random.default_rng(6).normal(0.0, 0.01, (t.size, 3)) + np.array([0.0, 0.0, 9.8])
+    accel = Samples.checked(Sensor.ACCELEROMETER, t, still)
+    run = algorithm_1(accel, None, states=99)
+    assert run.probes == len(run.states) > 1  # white noise stays within twice its least deviation
+    assert sum(s.t_end - s.t_start for s in run.states) <= run.sensing_s < 600.0
+
+
+def test_a_bias_that_is_disregarded_turns_gravity_away() -> None:
+    """Half a radian about x in a second, and a bias of 0.02 rad/s over the five seconds of the segment."""
+    t = np.arange(0.0, 5.0 + 1e-9, 0.01)
+    bias = np.array([0.02, 0.0, 0.0])
+    rates = np.where((t > 2.0) & (t < 3.0), 0.5, 0.0)[:, None] * [1.0, 0.0, 0.0] + bias
+    turned = float(np.trapezoid(rates[:, 0] - bias[0], t))
+    sd = np.full(3, 1e-4)
+
+    def rest(at: float, up: np.ndarray) -> RestState:
+        return RestState(at, at + 1.0, 100, 9.8 * up, sd, sd, 1e-3)
+
+    after = np.array([0.0, np.sin(turned), np.cos(turned)])
+    segment = RotationSegment(rest(-1.0, np.array([0.0, 0.0, 1.0])), rest(5.0, after), t, rates)
+    identity = SensorModel.identity()
+    off = [
+        bias_study.rms_angle(bias_study.misalignments([segment], identity, np.eye(3), b))
+        for b in (bias, np.zeros(3))
+    ]
+    assert off[0] < 0.01
+    assert off[1] == pytest.approx(np.degrees(0.1), rel=0.01)
+
+
+def test_recovery_is_timed_from_the_step() -> None:
+    t = np.arange(0.0, 100.0) * 3600.0
+    norm = np.tile([0.3, 0.1, 0.1], (100, 1))
+    norm[60:, 2] = 0.01
+    days = quality_study.Days(t, np.zeros((100, 3)), norm, 2)
+    assert quality_study.recovery(days, 50 * 3600.0) == pytest.approx(15.0)  # six of ten rests are after it
+    assert quality_study.recovery(days, 0.0) == pytest.approx(65.0)
+    assert len(days.later(90 * 3600.0).t) == 10
+
+
+def test_an_hour_of_the_week_is_looked_at_rest_by_rest() -> None:
+    days = quality_study.live(load_phone("typical"), 3 * 3600.0, 0)
+    assert days.rate.shape == days.norm.shape == (days.t.size, 3)
+
+
+def test_real_devices(data_dir: Path) -> None:
+    """Calibrated devices' norms are within a tenth of what they were, in any attitude."""
+    devices = read_devices(data_dir)
+    assert len(devices) == 15
+    up = np.random.default_rng(4).normal(size=(200, 3))
+    up *= STANDARD / np.linalg.norm(up, axis=1, keepdims=True)
+    for k, device in enumerate(devices[:4]):
+        raw = device.distort(up)
+        off = [
+            np.abs(np.linalg.norm(v, axis=1) - STANDARD).mean()
+            for v in (raw, device.calibrated(k).apply(raw))
+        ]
+        assert off[1] < 0.1 * off[0]
+
+
+def test_tilt_and_norm_of_a_known_error() -> None:
+    """A bias of b across gravity g tilts by b / g; over all attitudes by pi / 4 of that, to first order."""
+    device = Device("m d", "m", np.eye(3), np.array([0.0, 0.0, 0.1]), ())
+    exact = SensorModel.of(np.eye(3), device.bias)
+    errors = newphone_study.attitude_errors([device], [exact], 0)
+    spread = np.sqrt(2 / 3 - (np.pi / 4) ** 2) / (np.pi / 4) / np.sqrt(newphone_study.DIRECTIONS)
+    assert errors.tilt[0, 0] == pytest.approx(np.degrees(np.pi / 4 * 0.1 / STANDARD), rel=4 * spread + 0.01)
+    assert errors.tilt[0, 1] < 1e-5
+    assert errors.norm[0] == pytest.approx([0.05, 0.0], abs=4 * 0.1 / np.sqrt(12 * 500))
+
+
+def test_drawn_life_and_its_charger() -> None:
+    day = msgspec.structs.replace(load_scenario("day"), duration_s=9000.0)
+    life = people_study.drawn_life(load_phone("typical"), day, 1)
+    assert life.rests >= life.attitudes >= 1
+    assert life.calibrated_at == np.inf or life.iterations > 0
+
+
+def test_a_face_held_out_comes_nearer_to_gravity(data_dir: Path) -> None:
+    rest = at_rest(data_dir)
+    before, after = np.sqrt(np.mean(np.square(rest.norms), axis=0))
+    assert after < 0.5 * before
+    assert rest.mse("after") < rest.mse("before")
+
+
+def test_the_middle_of_a_recording_is_twenty_seconds(data_dir: Path) -> None:
+    rest = next(r for r in read_still(data_dir) if r.model == "LG-Nexus4")
+    assert len(middle(rest)) / 198.5 == pytest.approx(20.0, rel=0.02)
+
+
+def test_without_recordings_nothing_is_judged(tmp_path: Path) -> None:
+    for module in (homogeneity_study, smoothing_study, newphone_study, bias_study):
+        study = module.study(None, tmp_path, 0, lambda share: None)
+        assert {c.verdict for c in study.claims} == {Verdict.UNTESTED}
