@@ -185,7 +185,7 @@ def _stable() -> Claim:
 
 
 def _draw(lives: dict[str, Days], broken: Days, folder: Path) -> str:
-    figure, axes = panels(len(lives) + 1, 2)
+    figure, axes = panels(2, 2)
     for axis, (name, days) in zip(axes, lives.items(), strict=False):
         for column, colour, label in ((1, RED, "first calibration kept"), (2, BLUE, "checked hourly")):
             axis.plot(
