@@ -1,1 +1,1 @@
-"""Given simulations, judged and counted: is each told what it lacks, has wrong, or has for nothing?"""
+"""Given simulations, judged and counted: each is told what it lacks, has wrong, or has for nothing."""

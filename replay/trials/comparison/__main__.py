@@ -86,7 +86,7 @@ EFFECTS: dict[str, tuple[str, str, float, Change]] = {
         "gyro_bias_temperature", "gyro", 2e-4, partial(_effect, "gyro_bias_temperature", "slope"),
     ),
 }  # fmt: skip
-"""By name: the effect as it is stated, its sensor, a usual size (m/s^2, rad/s; per sqrt(Hz) or K), its place."""
+"""By name: the effect as it is stated, its sensor, a usual size (SI), and its place."""
 
 
 def _phone(case: Case, share: float, rate: float) -> Phone:
