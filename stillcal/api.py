@@ -101,8 +101,14 @@ def load(
         return source
     if source is not None and column_names(source) is not None:
         return of_table(source, name or "table", events, claims)
+    if source is not None and not isinstance(source, str | os.PathLike):
+        raise TypeError(
+            "load() takes a path, a table with named columns, or load(t=..., accelerometer=...) for arrays;"
+            f" {type(source).__name__} is none of them"
+        )
     if source is not None:
-        return read_all(source, _text(format), None if gyroscope_file is None else Path(gyroscope_file))
+        gyroscope_path = None if gyroscope_file is None else Path(gyroscope_file)
+        return read_all(os.fspath(source), _text(format), gyroscope_path)
     if t is None or accelerometer is None:
         raise TypeError("load() needs a path, a table, or both t and accelerometer")
     return of_arrays(

@@ -249,6 +249,9 @@ def test_other_faults_are_refused_too(sample: stillcal.Recording, tmp_path: Path
         stillcal.load(tmp_path / "none.csv")
     with pytest.raises(TypeError, match="needs a path"):
         stillcal.load(t=[0.0])
+    for source in (np.zeros((3, 3)), 5):
+        with pytest.raises(TypeError, match=r"takes a path, .* is none of them"):
+            stillcal.load(source)
     with pytest.raises(stillcal.UserError, match=r"shape \(2, 2\)"):
         stillcal.load(t=[0.0, 0.1], accelerometer=[[0.0, 9.8], [0.0, 9.8]])
     with pytest.raises(stillcal.UserError, match="not an event"):

@@ -224,7 +224,8 @@ def _require_support(task: Task) -> None:
     if task.supported_by(task.norms, task.least):
         return
     up, limit = task.norms.directions(), task.settings.max_amplification
-    reason = f"{len(up)} distinct attitudes do not support {task.parameters} parameters"
+    attitudes = "1 distinct attitude does" if len(up) == 1 else f"{len(up)} distinct attitudes do"
+    reason = f"{attitudes} not support {task.parameters} parameters"
     if len(up) >= task.least:
         worst = observability.amplification(up, task.parameters)
         reason += (

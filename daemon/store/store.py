@@ -4,9 +4,9 @@ This module changes the store; files.py reads and locks its files, document.py d
 
 Every change writes two whole files, `NAME.last-good` first and then `NAME`, each by an atomic rename:
 a crash at any moment leaves both whole, and a `NAME` that something else damaged later is replaced by
-its twin without losing the newest calibration. An older generation would lose it, and earlier
-calibrations are in the history anyway. A missing `NAME` means a fresh start, even beside a twin: to
-remove the store is how one begins anew.
+`NAME.last-good` without losing the newest calibration. A copy of an older generation would lose it, and
+earlier calibrations are in the history anyway. A missing `NAME` means a fresh start, even where a
+`NAME.last-good` exists: a user begins anew by removing the store.
 """
 
 from __future__ import annotations
@@ -139,24 +139,25 @@ class Store:
     def load(self) -> StoreDocument | None:
         """Return the document, from the last good copy where the store is damaged; None where there is none.
 
-        Changes nothing. Raises StoreError where the store is damaged and so is its twin.
+        Changes nothing. Raises StoreError where both the store and its last good copy are damaged.
         """
         verification = self.verify()
         if verification.store.problem is None:
             return verification.store.document
         if verification.last_good.document is None:
             raise StoreError(
-                f"{self.path} is {verification.store.problem}, and there is no good copy beside it"
+                f"{self.path} cannot be used ({verification.store.problem}), and {self.last_good_path.name}"
+                " holds no good copy: give the path of a store that stillcal wrote"
             )
         return verification.last_good.document
 
     def load_if_any(self) -> StoreDocument | None:
-        """Return what `load` does, and None also where neither the store nor its twin is good."""
+        """Return what `load` does, and None also where neither the store nor its last copy is good."""
         found = self.verify()
         return found.store.document or found.last_good.document
 
     def put_back(self, document: StoreDocument) -> Path | None:
-        """Make `document`, which a person vouches for, the store; return where what lay there is kept.
+        """Make `document`, which a person has approved, the store; return where the file it replaced is now.
 
         Raises StoreError.
         """
@@ -183,9 +184,9 @@ class Store:
     def recover(self) -> Outcome:
         """Make the store usable: to be called before the first use, and called again before every change.
 
-        What is damaged is set aside under a new name, never overwritten; the twin takes its place. A store of
-        an earlier schema is migrated and its original kept. Raises StoreError, also where the path leads to
-        somebody else's file and no twin says that a store was there.
+        A damaged file is set aside under a new name, never overwritten; the last good copy takes its place.
+        A store of an earlier schema is migrated and its original kept. Raises StoreError, also where the file
+        is of another program and no last good copy shows that a store was there.
         """
         with self._locked(), self._explaining():
             verification = self.verify()

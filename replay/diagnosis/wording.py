@@ -112,11 +112,12 @@ def headline(verdict: str, checked: int, of: int, *, against_phone: bool = False
     text = SAME_AS_PHONE if verdict == "adequate" and against_phone else VERDICTS[verdict]
     if checked >= of:
         return f"{text}."
-    return f"{text}. {of - checked} of {of} checks were not possible."
+    were = "was" if of - checked == 1 else "were"
+    return f"{text}. {of - checked} of {of} checks {were} not possible."
 
 
 def number(value: float) -> str:
-    """Return a number with four digits."""
+    """Return a number with four significant digits."""
     return f"{value:.4g}"
 
 

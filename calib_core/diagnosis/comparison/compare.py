@@ -253,7 +253,7 @@ def _why_absent(key: Key, exam: Examination) -> str:
         (effect in turning, "it has too few turns from rest to rest"),
         (effect.endswith("slow_noise"), f"it has too few rests of {noise.LAG:.0f} s"),
     )
-    otherwise = "its rests do not let it be told (too few attitudes, or what drives it hardly changes)"
+    otherwise = "its rests cannot show it (too few attitudes, or what it depends on hardly changes)"
     return next((text for applies, text in reasons if applies), otherwise)
 
 

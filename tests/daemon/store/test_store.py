@@ -144,7 +144,7 @@ def test_a_bad_store_is_set_aside_and_its_last_good_copy_used(store, path, make_
 def test_a_bad_store_with_no_good_copy_is_set_aside_and_one_starts_anew(store, path, make_record, bad):
     path.write_bytes(bad)
     store.last_good_path.write_bytes(b"no better")
-    with pytest.raises(StoreError, match="no good copy"):
+    with pytest.raises(StoreError, match="holds no good copy: give"):
         store.load()
     outcome = store.publish(make_record(1))
     assert len(outcome.notes) == 2

@@ -22,6 +22,7 @@ from stillcal.replay.diagnosis.wording import certainty, headline
         ),
         ("explained", 10, "Differences found, all identified."),
         ("explained", 4, "Differences found, all identified. 6 of 10 checks were not possible."),
+        ("explained", 9, "Differences found, all identified. 1 of 10 checks was not possible."),
         ("partly_explained", 10, "Differences found, some identified, some of unknown cause."),
         ("unexplained", 2, "Differences found, of unknown cause. 8 of 10 checks were not possible."),
     ],
