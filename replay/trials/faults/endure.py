@@ -31,9 +31,6 @@ from stillcal.replay.trials.faults.wire import Figures
 STOP_S = 2.0
 """Within which a daemon must end after SIGTERM, s."""
 
-P99_S = 0.05
-"""Within which 99 of 100 answers must come to a client that means well, s, on an idle machine."""
-
 ASK_EVERY_S = 0.02
 FLOODING = 8
 """Clients that ask for tables without end."""

@@ -1,4 +1,4 @@
-"""The page of the house: which package stands on which, read from the imports.
+"""The page of the architecture: which package stands on which, read from the imports.
 
 `python -m stillcal.replay.trials.pages.architecture > docs/architecture.md` writes it.
 """
@@ -16,7 +16,7 @@ LAYERS = ("replay", "daemon", "calib_core")
 """From the top to the bottom; a layer imports only those below it."""
 
 HEAD = """\
-# How the house is laid out
+# How the code is laid out
 
 Made from the code by `python -m stillcal.replay.trials.pages.architecture > docs/architecture.md`; a test
 holds it against the code, and `make check` holds the code against the layers in `pyproject.toml`.
