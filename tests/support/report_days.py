@@ -37,7 +37,7 @@ def phone_with(*effects: Mapping[str, Any]) -> Phone:
 
 
 def recorded(phone: Phone, seed: int, claims: Phone | None = None) -> Recording:
-    """What a phone records; claims: the phone whose maker's word stands beside it."""
+    """Return what a phone records. claims: the phone whose data sheet goes with it, else a default one."""
     made = simulate(course(), phone, seed).whole()
     told = msgspec.convert((claims or phone_with()).claimed(), Claims)
     return Recording(made.accelerometer, made.gyroscope, list(made.events), told, [])

@@ -25,7 +25,7 @@ CATALOGUE = (
     "bias_temperature", "warmup", "thermal_latent", "bias_step", "bias_drift", "charging_bias",
     "scale_temperature", "nonlinearity", "g_sensitivity",
 )  # fmt: skip
-STRANGERS = (
+OFF_CATALOGUE = (
     "hysteresis", "cycle", "sawtooth", "telegraph", "zeroing", "strain", "pulses", "lagged_temperature",
     "flipped", "slow_sine",
 )  # fmt: skip

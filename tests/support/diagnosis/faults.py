@@ -180,15 +180,6 @@ def spiked(sensor: str, axis: int, size: float, per_hour: float) -> Fault:
     return fault
 
 
-def louder_for_a_while(sensor: str, span: tuple[float, float], ratio: float) -> Fault:
-    """The noise is wider for a while."""
-
-    def fault(p: Played) -> None:
-        p.white[sensor][(p.t >= span[0]) & (p.t < span[1])] *= ratio
-
-    return fault
-
-
 def swaying(size: float, frequency: float, harmonics: int = 1, spread: float = 0.05) -> Fault:
     """A chest under the phone: it heaves (m/s^2) and tilts, not quite evenly; heartbeats have harmonics."""
 

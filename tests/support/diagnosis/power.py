@@ -1,7 +1,7 @@
 """What the slow search finds, names and covers: effects of known d' and nulls, in every noise family.
 
     python -m tests.support.diagnosis.power --trials 400 [--seed 1]
-        [--what effects|strangers|left_out|pairs|nulls]
+        [--what effects|off_catalogue|left_out|pairs|nulls]
 
 d' is that of the effect after the baseline is projected out, under the covariance the noise was drawn from.
 """
@@ -148,7 +148,7 @@ def main() -> None:
     parser.add_argument("--kinds", default="")
     parser.add_argument("--json", default="")
     options = parser.parse_args()
-    kinds = {"strangers": effects.STRANGERS, "nulls": ()}.get(options.what, effects.CATALOGUE)
+    kinds = {"off_catalogue": effects.OFF_CATALOGUE, "nulls": ()}.get(options.what, effects.CATALOGUE)
     kinds = tuple(options.kinds.split(",")) if options.kinds else kinds
     count = {"nulls": 0, "pairs": 2}.get(options.what, 1)
     made = (
