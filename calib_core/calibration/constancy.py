@@ -78,7 +78,7 @@ class Change:
         return added
 
     def words(self) -> str:
-        """Say it in a sentence."""
+        """Return a sentence that describes the change."""
         largest_mg = self.largest / 9.80665e-3
         if self.shape is Shape.STEP:
             return f"the bias changed by {largest_mg:.2g} mg at {self.at:.0f} s"

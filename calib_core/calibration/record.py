@@ -104,7 +104,7 @@ class SensorRecord:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Distinct attitudes beyond parameters; 0 or less where the rests alone say how sure they are."""
+        """Distinct attitudes less parameters; at 0 or less, uncertainties come only from the rests' noise."""
         return self.n_states - self.parameters
 
     def _sd(self, names: Sequence[str]) -> Array:

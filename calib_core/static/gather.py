@@ -27,6 +27,7 @@ from stillcal.calib_core.static.settings import DetectorSettings, Label, Ledger,
 from stillcal.calib_core.static.windows import K_END, K
 
 _MASK = (1 << 64) - 1
+"""The random numbers wrap at 64 bits, as SplitMix64 has them."""
 
 
 @dataclass(frozen=True, slots=True)

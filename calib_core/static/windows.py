@@ -62,7 +62,7 @@ class Stream:
     rows: Array = field(default_factory=no_rows)
 
     def reshaped(self) -> Stream:
-        """Return the stream with the shapes that empty arrays lose on their way through a file."""
+        """Return the stream with the shapes of empty arrays restored; a saved file does not keep them."""
         return Stream(self.t, self.xyz.reshape(-1, 3), self.temperature, self.rows.reshape(-1, COLUMNS))
 
 

@@ -22,6 +22,8 @@ from stillcal.daemon.system.files import NotRegularError, TooLargeError, read_re
 
 HEAD = b"stillcal state 1\n"
 MAX_BYTES = 64 * 2**20
+"""Longest state file that is read, so that a wrong file at its path cannot fill the memory."""
+
 ASIDE = 10
 """How many unreadable state files are kept; a further one replaces the last."""
 

@@ -30,6 +30,7 @@ KINDS = {Sensor.ACCELEROMETER: 0x01, Sensor.GYROSCOPE: 0x02}
 SENSORS = {kind: sensor for sensor, kind in KINDS.items()}
 HAS_TEMPERATURE, HAS_ARRIVAL = 0x10, 0x20
 MAX_STEP = 0xFFFF
+"""Longest time step between samples of a compact block, in ticks: it is sent in 16 bits."""
 
 
 class Coding(IntEnum):

@@ -38,6 +38,8 @@ MAX_LINE = 4096
 LETTERS = {Sensor.ACCELEROMETER: "A", Sensor.GYROSCOPE: "G"}
 SENSORS = {letter.encode(): sensor for sensor, letter in LETTERS.items()}
 COUNTER = 1 << 32
+"""us: where a time stamp starts again from 0, as Arduino's micros() of 32 bits does."""
+
 MOST_MICROS = int(limits.STAMP_S * 1e6)
 LATE = 10_000_000
 """Lines up to this much older than a wrap of the counter belong before the wrap, us."""

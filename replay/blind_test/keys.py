@@ -55,7 +55,7 @@ class Key:
     """The key of a recording.
 
     kind: one of `KINDS`. family: of the noise. maker: who made motion and noise, examiner or simulator.
-    variant: the decoy, or the effect outside the catalogue. entailed: names that are true besides.
+    variant: the decoy, or the effect outside the catalogue. entailed: further names that are right answers.
     """
 
     kind: str

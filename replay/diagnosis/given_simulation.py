@@ -25,6 +25,7 @@ from stillcal.replay.formats.trace import Recording
 
 SCHEMA = 2
 NORMAL_95 = 1.96
+"""Half the width of a 95 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

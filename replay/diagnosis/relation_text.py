@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from stillcal.calib_core import gravity
+
 AXES = "xyz"
-STANDARD_GRAVITY = 9.80665
 
 NOUNS = {
     "accel_bias": "accelerometer bias",
@@ -54,7 +55,7 @@ NOUNS = {
 SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 SHOWN_AS = (
-    ("m/s^2", "mg", 1000.0 / STANDARD_GRAVITY),
+    ("m/s^2", "mg", 1000.0 / gravity.STANDARD),
     ("rad/s", "deg/s", float(np.rad2deg(1.0))),
 )
 """Units as they are computed, as people read them, and the factor between."""

@@ -40,7 +40,7 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Devices alike in bias and sampling: its exemplar, how many, and of which models."""
+    """Devices with similar bias and sampling. exemplar: the most typical. models: how many of each model."""
 
     exemplar: str
     devices: int

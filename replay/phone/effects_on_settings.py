@@ -185,7 +185,7 @@ class DoubledSamples(Effect, frozen=True, kw_only=True, tag="doubled_samples"):
 
 
 class ArrivalBursts(Effect, frozen=True, kw_only=True, tag="arrival_bursts"):
-    """A `fraction` of the time delivery stalls for burst_s and then comes at once."""
+    """For a `fraction` of the time, delivery stalls for burst_s; the samples then arrive at once."""
 
     fraction: float
     burst_s: float = 0.2

@@ -105,10 +105,10 @@ class Rest(Activity, frozen=True, kw_only=True, tag="rest"):
 
 
 class Table(Activity, frozen=True, kw_only=True, tag="table"):
-    """Lying about, taken up now and then and put down otherwise.
+    """The phone lies on supports; now and then it is picked up and put down in another attitude.
 
     rest_s: length of a rest; look: chance that it is looked at before it is put down again, for look_s.
-    supports: how often it is put down on which.
+    supports: the weight of each support in the draw.
     """
 
     rest_s: Span = (15.0, 900.0)

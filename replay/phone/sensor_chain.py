@@ -91,7 +91,7 @@ class SensorChain:
         return self._with_held_samples(self._digitised(raw if self._filter is None else self._filter(raw)))
 
     def _input_terms(self, felt: Sensor, pairs: Sequence[tuple[Effect, Circumstances]]) -> list[Term]:
-        """Return what disturbs force or rate here: what is this sensor's own, and what shakes the phone."""
+        """Return the terms added to force or rate: effects on this sensor, and on the whole phone."""
         mine = felt is self._sensor
         terms = (e.input_term(a) for e, a in pairs if e.concerns(felt) and (mine or e.of_whole_phone))
         return [term for term in terms if term is not None]

@@ -49,7 +49,7 @@ class Windows:
 
 
 def read_windows(data: Path) -> Windows:
-    """Read the windows of both official parts, as one set, by person and as they came."""
+    """Read the windows of both official parts as one set, sorted by person, then in recorded order."""
     with np.load(data / "ucihar" / "ucihar_subset.npz") as found:
         parts = [
             [found[f"{part}_{column}"] for part in ("train", "test")]

@@ -88,13 +88,13 @@ class Carried:
     seed: int
 
     def rows(self, way: str, rate: float = COMMON_HZ) -> Rows:
-        """Return the windows' features, handled in a way of WAYS."""
+        """Return the features of the windows after the treatment `way`, one of WAYS."""
         samples = [self.handled(way, rate, k) for k in range(len(self.devices))]
         made = gathered(self.windows, self.devices, self.clusters, samples)
         return replace(made, features={name: made.features[name] for name in FAMILIES})
 
     def handled(self, way: str, rate: float, k: int) -> Array:
-        """Return the k-th device's windows, (n, length, 3) m/s^2, in a way of WAYS."""
+        """Return the k-th device's windows, (n, length, 3) m/s^2, after the treatment `way`, one of WAYS."""
         recorded = self.recorded[k]
         if way.startswith("calibrated"):
             model = self.devices[k].calibrated(self.seed + k)

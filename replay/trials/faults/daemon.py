@@ -38,7 +38,7 @@ class Notes:
         return self._rows[: self._filled]
 
     async def take(self) -> None:
-        """Wake every STEP_S and note, until there is no more room."""
+        """Wake every STEP_S and note the time, the delay and the memory, until the table is full."""
         while self._filled < KEPT:
             due = time.monotonic() + STEP_S
             await asyncio.sleep(STEP_S)

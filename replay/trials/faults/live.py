@@ -55,7 +55,7 @@ level = "error"
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What a life has left: when its newest calibration was fitted (s), and the rests in the saved state."""
+    """What is stored after a kill: time of the newest calibration, s, and number of rests in the state."""
 
     fitted_at: float = -1.0
     rests: int = 0

@@ -120,7 +120,7 @@ async def ask(
 
 
 def lateness(noted: Array, began: float, ended: float, what: str) -> Figures:
-    """Return how late the loop was while `what` went on and before; rows (n, 3) as Notes takes them.
+    """Return how late the event loop woke during `what` and before; noted: rows (n, 3) as Notes takes them.
 
     Holds where it was never later than LATE_S.
     """

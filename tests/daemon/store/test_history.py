@@ -1,4 +1,4 @@
-"""The store's history: what it keeps, what it lets go, and the way back through it."""
+"""The store's history: which entries it keeps, which it drops, and rollback."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ STEP = TrueEffect(
 
 
 def finding(effect: TrueEffect, name: str | None = None, **changes: Any) -> dict[str, Any]:
-    """Return a finding that tells an effect exactly, but for changes."""
+    """Return a finding that states an effect exactly, except for `changes`."""
     parameters = {
         key: {
             "value": value,
