@@ -30,6 +30,10 @@ STREAMS = ("Monitor",)
 """Methods that answer until they are interrupted."""
 
 
+WIDTH = 22
+"""Characters of the column of names; the longest, most_helpful_attitude, has 21."""
+
+
 class NoDaemonError(OSError):
     """No daemon answers at the socket."""
 
@@ -119,12 +123,15 @@ def _question(method: str, parameters: str) -> dict[str, Any]:
 def _exit_with_error(error: str, parameters: dict[str, Any]) -> None:
     """Print in one line why the daemon refused, and exit with the code for it."""
     name = error.rpartition(".")[2]
+    if name == "MethodNotFound":
+        method = parameters.get("method", "")
+        raise click.UsageError(printable(f"no method {method}: `stillcal query --help` lists the methods"))
     missing = ", ".join(parameters.get("missing") or [])
     facts = [str(parameters.get("reason") or ""), f"needed: {missing}" if missing else ""]
     other = [f"{key} {value}" for key, value in parameters.items() if key not in ("reason", "missing")]
     detail = "; ".join(fact for fact in (*facts, *other) if fact)
     click.echo(printable(f"stillcal: {name}{f': {detail}' if detail else ''}"), err=True)
-    codes = {"NotCalibrated": TOO_LITTLE, "InvalidParameter": BAD_INPUT, "MethodNotFound": BAD_INPUT}
+    codes = {"NotCalibrated": TOO_LITTLE, "InvalidParameter": BAD_INPUT}
     sys.exit(codes.get(name, REFUSED))
 
 
@@ -144,7 +151,7 @@ def _lines(value: Any, indent: str = "") -> Iterator[str]:
                 yield f"{indent}{key}"
                 yield from _lines(item, indent + "  ")
             else:
-                yield f"{indent}{key:<20}{_text(item)}"
+                yield f"{indent}{key:<{WIDTH}} {_text(item)}"
     elif isinstance(value, list):
         for item in value:
             yield indent + _row(item)
