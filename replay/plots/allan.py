@@ -31,7 +31,7 @@ def draw(part: FigureBase, material: Material) -> None:
     """Draw the curves into a figure or a part of one. Raises NotSupported where no rest is long enough."""
     if not material.stretches:
         raise NotSupported(
-            f"no even run of samples at rest lasts {LEAST_S:g} s and {LEAST_SAMPLES} samples",
+            f"no evenly sampled rest lasts {LEAST_S:g} s and {LEAST_SAMPLES} samples",
             ["a recording with a longer rest"],
         )
     for axis, stretch in zip(within(part, len(material.stretches)), material.stretches, strict=True):

@@ -52,7 +52,7 @@ def _possible(material: Material) -> tuple[list[str], list[str]]:
         try:
             draw(style.figure(columns, rows), material)
         except NotSupported as refusal:
-            omitted.append(f"no {name}: {refusal}")
+            omitted.append(f"figure {name} left out: {refusal}")
         else:
             names.append(name)
     return names, omitted
