@@ -10,16 +10,16 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
-from stillcal.replay.blind_test import detectability as power
-from stillcal.replay.blind_test import phones
 from stillcal.replay.blind_test import simulator_cases as simulated
-from stillcal.replay.blind_test.days import Day, play
 from stillcal.replay.blind_test.keys import Exam, Key, TrueEffect
-from stillcal.replay.blind_test.noise import FAMILIES, log_uniform
 from stillcal.replay.blind_test.off_catalogue import OFF_CATALOGUE, drawn_span
-from stillcal.replay.blind_test.phones import Additions, MadeRecording, Phone
-from stillcal.replay.blind_test.sizing import NAMES, Stage, as_recorded, drawn_effect, put_in
-from stillcal.replay.blind_test.world import World, binned, over_bins
+from stillcal.replay.blind_test.power import detectability as power
+from stillcal.replay.blind_test.power.sizing import NAMES, Stage, as_recorded, drawn_effect, put_in
+from stillcal.replay.blind_test.world import phones
+from stillcal.replay.blind_test.world.day import World, binned, over_bins
+from stillcal.replay.blind_test.world.days import Day, play
+from stillcal.replay.blind_test.world.noise import FAMILIES, log_uniform
+from stillcal.replay.blind_test.world.phones import Additions, MadeRecording, Phone
 
 SHARES = {"null": 0.32, "decoy": 0.14, "single": 0.36, "pair": 0.06, "off_catalogue": 0.12}
 """Share of each kind among the trials."""

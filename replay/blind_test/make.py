@@ -14,7 +14,7 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.blind_test.cases import Design, make_case, planned
 from stillcal.replay.blind_test.keys import key_of, seal_of, sealed
-from stillcal.replay.blind_test.phones import MadeRecording
+from stillcal.replay.blind_test.world.phones import MadeRecording
 from stillcal.replay.formats.writer import TraceWriter
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.replay.blind_test import detectability as power
-from stillcal.replay.blind_test.forward_model import FORWARD, played
 from stillcal.replay.blind_test.keys import Exam, Key, TrueEffect
-from stillcal.replay.blind_test.noise import Colour
-from stillcal.replay.blind_test.world import Bins
+from stillcal.replay.blind_test.power import detectability as power
+from stillcal.replay.blind_test.world.day import Bins
+from stillcal.replay.blind_test.world.forward_model import FORWARD, played
+from stillcal.replay.blind_test.world.noise import Colour
 
 ENTAILED = {
     "noise_unequal_axes": {"noise_level"},

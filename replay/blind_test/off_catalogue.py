@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.blind_test.world import World
+from stillcal.replay.blind_test.world.day import World
 
 Course = Callable[[World, np.random.Generator], Array]
 Corruption = Callable[[Array, "Span", np.random.Generator], None]

@@ -12,7 +12,7 @@ import numpy as np
 from stillcal.replay.blind_test.cases import DECOYS
 from stillcal.replay.blind_test.confidence_bounds import Mean, Power, Rate, mean, power, rate
 from stillcal.replay.blind_test.marking import EffectMark, Mark
-from stillcal.replay.blind_test.noise import FAMILIES
+from stillcal.replay.blind_test.world.noise import FAMILIES
 
 FALSE_ALARMS, DETECTION_D, NAMING_D = 0.02, 6.0, 8.0
 NAMED, UNKNOWN, MISNAMED, GAIN, PAIRS = 0.90, 0.80, 0.05, 0.80, 0.70

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.streams.events import Charging
-from stillcal.replay.blind_test.forward_model import FORWARD
 from stillcal.replay.blind_test.keys import TrueEffect
-from stillcal.replay.blind_test.phones import MadeRecording, Part, Phone
-from stillcal.replay.blind_test.sizing import EITHER
-from stillcal.replay.blind_test.world import World
+from stillcal.replay.blind_test.power.sizing import EITHER
+from stillcal.replay.blind_test.world.day import World
+from stillcal.replay.blind_test.world.forward_model import FORWARD
+from stillcal.replay.blind_test.world.phones import MadeRecording, Part, Phone
 from stillcal.replay.phone import Simulation, simulate
 from stillcal.replay.phone import phone as simulator
 from stillcal.replay.phone.scenario import Scenario

@@ -18,12 +18,12 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, verdict_of
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.streams.resample import interpolate, median_rate_hz, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.diagnose import bins_of, claims_of, diagnosis_of
 from stillcal.replay.diagnosis.twin import Conditions, conditions_of, effects_output, observable
-from stillcal.replay.formats.resample import interpolate, median_rate_hz, temperature_at
 from stillcal.replay.formats.trace import Recording
-from stillcal.replay.phone.effect_base import Effect, Moment
+from stillcal.replay.phone.effects.base import Effect, Moment
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.settings import SensorSettings, per_axis
 

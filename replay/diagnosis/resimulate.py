@@ -11,12 +11,12 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.streams.resample import interpolate, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.twin import AffinePhone, Conditions
-from stillcal.replay.formats.resample import interpolate, temperature_at
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
-from stillcal.replay.phone.effect_base import Moment
+from stillcal.replay.phone.effects.base import Moment
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.sensor_chain import SensorChain
 

@@ -16,8 +16,8 @@ from stillcal.calib_core.diagnosis.model.residuals import Baseline, fit_baseline
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.phone.effect_base import Circumstances, Effect, Moment
-from stillcal.replay.phone.effect_registry import EFFECTS
+from stillcal.replay.phone.effects.base import Circumstances, Effect, Moment
+from stillcal.replay.phone.effects.registry import EFFECTS
 from stillcal.replay.phone.heat import Surroundings
 from stillcal.replay.phone.noise import seeded
 from stillcal.replay.phone.timeline import Steps

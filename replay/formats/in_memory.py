@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.stream import filled_forward
 from stillcal.replay.formats.text import EMPTY
 from stillcal.replay.formats.trace import Chunk, Recording
-from stillcal.replay.formats.unit_check import UnitCheck
 
 AXES = {Sensor.ACCELEROMETER: ("ax", "ay", "az"), Sensor.GYROSCOPE: ("gx", "gy", "gz")}
 

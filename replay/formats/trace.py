@@ -10,16 +10,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import cut, merged
-from stillcal.replay.formats.resample import median_rate_hz
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.stream import SampleFile
-from stillcal.replay.formats.unit_check import UnitCheck
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.notebook import html_table
 

@@ -10,8 +10,8 @@ import msgspec
 
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats import claims as formats
-from stillcal.replay.phone.effect_registry import AnyEffect
-from stillcal.replay.phone.effects_on_settings import TiltCreep
+from stillcal.replay.phone.effects.on_settings import TiltCreep
+from stillcal.replay.phone.effects.registry import AnyEffect
 from stillcal.replay.phone.scenario import read_settings
 from stillcal.replay.phone.settings import ClockSettings, HeatSettings, SensorSettings, Settings, per_axis
 

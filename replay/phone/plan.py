@@ -10,17 +10,17 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.events import Charging, Location
-from stillcal.replay.phone.attitudes import SUPPORTS, lying
+from stillcal.replay.phone.activities.planner import Planner
+from stillcal.replay.phone.activities.resting import Activity, Place
 from stillcal.replay.phone.clock import Interval
-from stillcal.replay.phone.effects_on_settings import TiltCreep
-from stillcal.replay.phone.gravity import earth_rotation_at, gravity_at
+from stillcal.replay.phone.effects.on_settings import TiltCreep
 from stillcal.replay.phone.heat import Surroundings
+from stillcal.replay.phone.motion.attitudes import SUPPORTS, lying
+from stillcal.replay.phone.motion.gravity import earth_rotation_at, gravity_at
+from stillcal.replay.phone.motion.trajectory import Creep, Motion, Piece, motion_of
 from stillcal.replay.phone.noise import seeded
-from stillcal.replay.phone.planner import Planner
-from stillcal.replay.phone.resting_activities import Activity, Place
 from stillcal.replay.phone.scenario import Scenario
 from stillcal.replay.phone.timeline import Steps
-from stillcal.replay.phone.trajectory import Creep, Motion, Piece, motion_of
 
 Event = Charging | Location
 

@@ -16,13 +16,13 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.phone.attitudes import SUPPORTS, lying, poses
-from stillcal.replay.phone.effect_base import Circumstances, Effect, Moment, Term
+from stillcal.replay.phone.activities.planner import Span, drawn, log_drawn
+from stillcal.replay.phone.activities.resting import TABLE_WEIGHTS, drawn_support
+from stillcal.replay.phone.effects.base import Circumstances, Effect, Moment, Term
 from stillcal.replay.phone.heat import Surroundings
+from stillcal.replay.phone.motion.attitudes import SUPPORTS, lying, poses
 from stillcal.replay.phone.noise import GaussMarkov, seeded
 from stillcal.replay.phone.phone import Phone
-from stillcal.replay.phone.planner import Span, drawn, log_drawn
-from stillcal.replay.phone.resting_activities import TABLE_WEIGHTS, drawn_support
 from stillcal.replay.phone.sensor_chain import slow_processes
 from stillcal.replay.phone.settings import SensorSettings, per_axis
 from stillcal.replay.phone.timeline import Steps

@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from stillcal.replay.phone.carried_activities import Drive, Hand, Pocket, Stairs, Walk
-from stillcal.replay.phone.resting_activities import Desk, Mattress, Place, Poses, Rest, Table, Washer
+from stillcal.replay.phone.activities.carried import Drive, Hand, Pocket, Stairs, Walk
+from stillcal.replay.phone.activities.resting import Desk, Mattress, Place, Poses, Rest, Table, Washer
 from stillcal.replay.phone.settings import Settings, require
 
 T = TypeVar("T")

@@ -18,7 +18,7 @@ from scipy.signal import butter, lfilter, lfilter_zi
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.phone.effect_base import Circumstances, Effect, Moment, Term
+from stillcal.replay.phone.effects.base import Circumstances, Effect, Moment, Term
 from stillcal.replay.phone.heat import Surroundings
 from stillcal.replay.phone.noise import GaussMarkov, Wander, White, flicker_bank, seeded
 from stillcal.replay.phone.settings import Noise, SensorSettings, per_axis

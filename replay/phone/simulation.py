@@ -16,7 +16,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
-from stillcal.replay.phone.effect_base import Moment
+from stillcal.replay.phone.effects.base import Moment
 from stillcal.replay.phone.heat import Heat
 from stillcal.replay.phone.noise import seeded
 from stillcal.replay.phone.phone import Phone

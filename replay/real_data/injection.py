@@ -1,7 +1,7 @@
 """Effects injected into real recordings: what the readings, or stamps, would have been with them.
 
-Slow effects are the examiner's own forward equations (stillcal.replay.blind_test.forward_model), played on
-the recording's readings in place of the unknown truth, which is wrong by the readings' own errors, a few per
+Slow effects are the examiner's own forward equations (stillcal.replay.blind_test.world.forward_model), played
+on the recording's readings in place of the unknown truth, which is wrong by the readings' own errors, a few per
 cent of the effect. Where an effect needs a plug, the switching is invented along with it.
 """
 
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.blind_test.forward_model import FORWARD, played, sensor_of
-from stillcal.replay.blind_test.phones import low_passed
-from stillcal.replay.blind_test.world import World
-from stillcal.replay.formats.resample import interpolate
+from stillcal.replay.blind_test.world.day import World
+from stillcal.replay.blind_test.world.forward_model import FORWARD, played, sensor_of
+from stillcal.replay.blind_test.world.phones import low_passed
 from stillcal.replay.formats.trace import Recording
 
 STRENGTHS = (1.0 / 3.0, 1.0, 3.0)

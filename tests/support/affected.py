@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from stillcal.replay.phone import Phone, Scenario, simulate
-from stillcal.replay.phone.effect_base import Effect
-from stillcal.replay.phone.effect_registry import EFFECTS
+from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.registry import EFFECTS
 from stillcal.replay.phone.settings import ClockSettings, HeatSettings, Noise, SensorSettings
 
 SILENT = Noise()

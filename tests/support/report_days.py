@@ -10,8 +10,8 @@ import msgspec
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone import load_phone, simulate
+from stillcal.replay.phone.activities.resting import Table
 from stillcal.replay.phone.phone import Phone
-from stillcal.replay.phone.resting_activities import Table
 from stillcal.replay.phone.scenario import Scenario
 
 THERMAL = {"name": "accel_bias_temperature", "slope": [0.006, 0.0, -0.005]}

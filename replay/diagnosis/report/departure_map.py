@@ -18,10 +18,10 @@ from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.segments.windows import windows
+from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.curves import residuals, unexplained_residual
 from stillcal.replay.diagnosis.twin import AffinePhone
-from stillcal.replay.formats.resample import median_rate_hz
 from stillcal.replay.formats.trace import Recording
 
 CELLS = 96

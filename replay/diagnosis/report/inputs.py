@@ -16,7 +16,7 @@ from stillcal.replay.diagnosis.report.phone_file import phone_of, plain_phone
 from stillcal.replay.diagnosis.resimulate import resimulate
 from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, conditions_of, fit_affine
 from stillcal.replay.formats.trace import Recording
-from stillcal.replay.phone.effect_base import Effect
+from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.phone import Phone
 
 SEEDS = (1, 2)

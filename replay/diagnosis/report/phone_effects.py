@@ -13,8 +13,8 @@ import numpy as np
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.replay.diagnosis.twin import Conditions
-from stillcal.replay.phone.effect_base import Effect
-from stillcal.replay.phone.effect_registry import EFFECTS
+from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.registry import EFFECTS
 
 WHITE_NOISE_FINDINGS = ("noise_level", "noise_unequal_axes")
 """Findings that a phone's own white noise takes up: its density is measured on the recording."""

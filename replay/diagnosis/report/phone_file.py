@@ -16,13 +16,13 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.calib_core.noise.covariance import NoiseModel, fit_noise
+from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.comparison import stamps_measured
 from stillcal.replay.diagnosis.report.phone_effects import WHITE_NOISE_FINDINGS, MappedFinding
 from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, fit_affine
-from stillcal.replay.formats.resample import median_rate_hz
 from stillcal.replay.formats.trace import Recording
-from stillcal.replay.phone.effect_base import Effect
+from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.phone import Claims, Phone, dump_phone
 from stillcal.replay.phone.settings import (
     ClockSettings,

@@ -13,8 +13,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.phone import Scenario, load_phone, simulate
-from stillcal.replay.phone.carried_activities import Drive, Walk
-from stillcal.replay.phone.resting_activities import Rest
+from stillcal.replay.phone.activities.carried import Drive, Walk
+from stillcal.replay.phone.activities.resting import Rest
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.studies.methods.coning import coning_errors

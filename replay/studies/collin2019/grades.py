@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.noise.allan import allan_curve, fit_allan
 from stillcal.replay.phone import Phone, Scenario, load_phone, simulate
-from stillcal.replay.phone.resting_activities import Rest
+from stillcal.replay.phone.activities.resting import Rest
 from stillcal.replay.phone.settings import SensorSettings, per_axis
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, table
 from stillcal.replay.studies.har.devices import read_devices

@@ -15,7 +15,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.model import SensorModel
 from stillcal.replay.phone import Scenario, load_phone, simulate
-from stillcal.replay.phone.resting_activities import Rest
+from stillcal.replay.phone.activities.resting import Rest
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, agreement, holds, picture, table
 from stillcal.replay.studies.methods.navigation import direction_cosines, strapdown

@@ -16,8 +16,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.phone import Scenario, Truth, load_phone, simulate
-from stillcal.replay.phone.carried_activities import Carry, Drive, Stairs, Walk
-from stillcal.replay.phone.resting_activities import Table
+from stillcal.replay.phone.activities.carried import Carry, Drive, Stairs, Walk
+from stillcal.replay.phone.activities.resting import Table
 from stillcal.replay.studies.methods.coning import coning_errors
 
 MODES = ("walking", "driving", "stationary")

@@ -18,10 +18,10 @@ from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.phone import Charging, Phone, Scenario, load_phone, simulate
-from stillcal.replay.phone.carried_activities import Walk
-from stillcal.replay.phone.effects_on_bias import GyroBiasTemperature
-from stillcal.replay.phone.effects_on_input import GyroGSensitivity
-from stillcal.replay.phone.resting_activities import Rest, Table
+from stillcal.replay.phone.activities.carried import Walk
+from stillcal.replay.phone.activities.resting import Rest, Table
+from stillcal.replay.phone.effects.on_bias import GyroBiasTemperature
+from stillcal.replay.phone.effects.on_input import GyroGSensitivity
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, holds, picture, table
 from stillcal.replay.studies.methods.navigation import dead_reckoning, headings, step_headings, up_in_body

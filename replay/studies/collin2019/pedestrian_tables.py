@@ -15,7 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.phone import Scenario, load_phone, simulate
-from stillcal.replay.phone.carried_activities import Walk
+from stillcal.replay.phone.activities.carried import Walk
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, agreement, picture, table
 from stillcal.replay.studies.methods.navigation import dead_reckoning, headings, step_headings

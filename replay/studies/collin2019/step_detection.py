@@ -13,9 +13,9 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.phone import Scenario, load_phone, simulate
-from stillcal.replay.phone.carried_activities import Carry, Drive, Walk
-from stillcal.replay.phone.resting_activities import Table
-from stillcal.replay.phone.trajectory import Waves
+from stillcal.replay.phone.activities.carried import Carry, Drive, Walk
+from stillcal.replay.phone.activities.resting import Table
+from stillcal.replay.phone.motion.trajectory import Waves
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.studies.collin2019.motion_features import peak_frequency

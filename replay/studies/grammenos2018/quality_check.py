@@ -13,7 +13,7 @@ from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.phone import Chunk, Phone, Truth, load_phone, load_scenario, simulate
-from stillcal.replay.phone.effects_on_bias import AccelBiasStep, GyroBiasDrift
+from stillcal.replay.phone.effects.on_bias import AccelBiasStep, GyroBiasDrift
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.studies.drawing import BLUE, GREY, RED, panels, save
 from stillcal.replay.studies.grammenos2018.people import HOUR_S, slowed

@@ -23,8 +23,8 @@ from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone import load_phone, simulate
+from stillcal.replay.phone.activities.resting import Table
 from stillcal.replay.phone.phone import Phone
-from stillcal.replay.phone.resting_activities import Table
 from stillcal.replay.phone.scenario import Scenario
 
 SHARES = (0.0, 0.5, 1.0, 1.5, 2.0)

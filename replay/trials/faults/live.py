@@ -24,7 +24,7 @@ from stillcal.daemon.service import saved_state
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.varlink.address import NAME
 from stillcal.replay.phone import simulate
-from stillcal.replay.phone.resting_activities import Poses
+from stillcal.replay.phone.activities.resting import Poses
 from stillcal.replay.phone.scenario import Scenario
 from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
 from stillcal.replay.trials.demo.tour import phone_at

@@ -24,7 +24,7 @@ from stillcal.calib_core.static.settings import DetectorSettings, Sense
 from stillcal.calib_core.streams.events import Charging, End, Event, Location, Tick
 from stillcal.calib_core.streams.samples import SampleError, Samples, Sensor
 from stillcal.replay.phone import Phone, draw_rests, load_phone, load_scenario, simulate
-from stillcal.replay.phone.resting_activities import Activity, Place, Poses, Rest, Table
+from stillcal.replay.phone.activities.resting import Activity, Place, Poses, Rest, Table
 from stillcal.replay.phone.scenario import Scenario
 
 QUICK = EngineSettings(

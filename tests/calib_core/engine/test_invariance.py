@@ -22,8 +22,8 @@ from stillcal.calib_core.static.settings import DetectorSettings, Sleep
 from stillcal.calib_core.streams.events import End, Event, Tick
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.phone import load_phone, simulate
-from stillcal.replay.phone.carried_activities import Walk
-from stillcal.replay.phone.resting_activities import Place, Poses, Rest, Table
+from stillcal.replay.phone.activities.carried import Walk
+from stillcal.replay.phone.activities.resting import Place, Poses, Rest, Table
 from stillcal.replay.phone.scenario import Scenario
 
 LIVELY = EngineSettings(

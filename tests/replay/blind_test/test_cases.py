@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillcal.replay.blind_test import detectability as power
-from stillcal.replay.blind_test import direct_detectability as sizes
-from stillcal.replay.blind_test import phones
 from stillcal.replay.blind_test import simulator_cases as simulated
 from stillcal.replay.blind_test.cases import DECOYS, Design, make_case, planned
-from stillcal.replay.blind_test.days import Day, play
-from stillcal.replay.blind_test.forward_model import FORWARD
 from stillcal.replay.blind_test.keys import SealError, TrueEffect, opened, seal_of, sealed
 from stillcal.replay.blind_test.make import ChallengeError, make, read_manifest
 from stillcal.replay.blind_test.off_catalogue import OFF_CATALOGUE
-from stillcal.replay.blind_test.phones import Additions
-from stillcal.replay.blind_test.sizing import NAMES, Stage, drawn_effect, put_in
-from stillcal.replay.blind_test.world import binned, over_bins
+from stillcal.replay.blind_test.power import detectability as power
+from stillcal.replay.blind_test.power import direct as sizes
+from stillcal.replay.blind_test.power.sizing import NAMES, Stage, drawn_effect, put_in
+from stillcal.replay.blind_test.world import phones
+from stillcal.replay.blind_test.world.day import binned, over_bins
+from stillcal.replay.blind_test.world.days import Day, play
+from stillcal.replay.blind_test.world.forward_model import FORWARD
+from stillcal.replay.blind_test.world.phones import Additions
 
 DOCUMENTED = """
 accel_bias_temperature gyro_bias_temperature accel_scale_temperature gyro_scale_temperature

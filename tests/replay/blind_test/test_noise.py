@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillcal.replay.blind_test import detectability as power
-from stillcal.replay.blind_test.days import Day, minimum_jerk, play, rotated
-from stillcal.replay.blind_test.forward_model import played
-from stillcal.replay.blind_test.noise import FAMILIES, Colour, drawn_colour
-from stillcal.replay.blind_test.rotation_power import turn_d_prime
-from stillcal.replay.blind_test.world import Bins, binned, lagged
+from stillcal.replay.blind_test.power import detectability as power
+from stillcal.replay.blind_test.power.rotation import turn_d_prime
+from stillcal.replay.blind_test.world.day import Bins, binned, lagged
+from stillcal.replay.blind_test.world.days import Day, minimum_jerk, play, rotated
+from stillcal.replay.blind_test.world.forward_model import played
+from stillcal.replay.blind_test.world.noise import FAMILIES, Colour, drawn_colour
 
 
 @pytest.fixture(scope="module")

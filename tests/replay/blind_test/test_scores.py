@@ -11,8 +11,8 @@ from stillcal.replay.blind_test import confidence_bounds as bounds
 from stillcal.replay.blind_test.cases import DECOYS, Design, make_case
 from stillcal.replay.blind_test.keys import Key, TrueEffect
 from stillcal.replay.blind_test.marking import marked
-from stillcal.replay.blind_test.noise import FAMILIES
 from stillcal.replay.blind_test.scores import Score, compared, scored
+from stillcal.replay.blind_test.world.noise import FAMILIES
 
 SLOPE = TrueEffect(
     "accel_bias_temperature", "accel", ["x", "z"], {"slope": [0.01, 0.0, -0.02]}, 9.0, 0.0, 1000.0

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.trace import Recording, TraceError, read_all
-from stillcal.replay.formats.unit_check import UnitCheck
 
 FORMATS = files("stillcal.config") / "formats"
 SUNSIDED = (FORMATS / "mpu6050.toml").read_text()

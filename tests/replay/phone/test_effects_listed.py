@@ -11,8 +11,8 @@ import pytest
 
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.phone import Phone, draw_rests, dump_phone
-from stillcal.replay.phone.effect_base import Effect
-from stillcal.replay.phone.effect_registry import EFFECTS
+from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.registry import EFFECTS
 from tests.support.affected import G3, V, effect, phone
 
 CONTRACT = {

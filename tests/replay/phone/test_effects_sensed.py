@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stillcal.replay.phone import Scenario, simulate
-from stillcal.replay.phone.effect_base import Effect
+from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.settings import Noise
 from tests.support.affected import M, both, effect, phone, scenario
 

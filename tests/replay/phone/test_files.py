@@ -13,7 +13,7 @@ import pytest
 
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.phone import dump_phone, load_phone, load_scenario, population, simulate
-from stillcal.replay.phone.effect_registry import EFFECTS
+from stillcal.replay.phone.effects.registry import EFFECTS
 from stillcal.replay.phone.population import FACE_RANGE, MODELS, face_deviations
 from stillcal.replay.phone.scenario import Segment
 

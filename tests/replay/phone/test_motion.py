@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from stillcal.replay.phone import Phone, Scenario, load_phone, load_scenario, simulate
-from stillcal.replay.phone.attitudes import SUPPORTS, attitude_with, lying, poses
-from stillcal.replay.phone.gravity import EARTH_RATE, gravity_at
-from stillcal.replay.phone.settings import SensorSettings
-from stillcal.replay.phone.trajectory import (
+from stillcal.replay.phone.motion.attitudes import SUPPORTS, attitude_with, lying, poses
+from stillcal.replay.phone.motion.gravity import EARTH_RATE, gravity_at
+from stillcal.replay.phone.motion.trajectory import (
     Creep,
     Glide,
     Piece,
@@ -27,6 +26,7 @@ from stillcal.replay.phone.trajectory import (
     rotation,
     turn_between,
 )
+from stillcal.replay.phone.settings import SensorSettings
 
 LIVELY = """
 {"segment": [

@@ -22,8 +22,8 @@ from stillcal.replay.phone import (
     load_scenario,
     simulate,
 )
-from stillcal.replay.phone.gravity import gravity_at
 from stillcal.replay.phone.heat import Heat, Surroundings
+from stillcal.replay.phone.motion.gravity import gravity_at
 from stillcal.replay.phone.settings import HeatSettings
 from stillcal.replay.phone.timeline import Steps
 

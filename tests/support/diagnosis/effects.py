@@ -14,8 +14,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
-from stillcal.replay.blind_test.forward_model import played
-from stillcal.replay.blind_test.world import World
+from stillcal.replay.blind_test.world.day import World
+from stillcal.replay.blind_test.world.forward_model import played
 from tests.support.diagnosis import nulls
 
 Array = np.ndarray

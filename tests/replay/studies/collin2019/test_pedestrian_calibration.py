@@ -8,7 +8,7 @@ import pytest
 
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.phone import Scenario, load_phone, simulate
-from stillcal.replay.phone.carried_activities import Walk
+from stillcal.replay.phone.activities.carried import Walk
 from stillcal.replay.studies.collin2019.pedestrian_calibration import Life, reckon
 from stillcal.replay.studies.collin2019.step_detection import real_cadences, walked
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from stillcal.replay.blind_test.phones import (
+from stillcal.replay.blind_test.world.phones import (
     AXIS_SPREAD,
     JITTER_SPAN,
     LATE_SPREAD_S,

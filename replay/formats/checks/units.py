@@ -15,7 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.formats.axis_check import Turning, turnings
+from stillcal.replay.formats.checks.axes import Turning, turnings
 from stillcal.replay.formats.errors import TraceError
 
 OPENING, ENOUGH = 200, 2000

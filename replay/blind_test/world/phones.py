@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.blind_test.noise import Colour, at, drawn_colour, log_uniform
-from stillcal.replay.blind_test.world import World
+from stillcal.replay.blind_test.world.day import World
+from stillcal.replay.blind_test.world.noise import Colour, at, drawn_colour, log_uniform
 from stillcal.replay.formats.claims import Claims
 
 Rows = NDArray[np.intp]

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.blind_test.days import rotated
-from stillcal.replay.blind_test.detectability import GYRO_BIAS
-from stillcal.replay.blind_test.noise import Colour
-from stillcal.replay.blind_test.world import World
+from stillcal.replay.blind_test.power.detectability import GYRO_BIAS
+from stillcal.replay.blind_test.world.day import World
+from stillcal.replay.blind_test.world.days import rotated
+from stillcal.replay.blind_test.world.noise import Colour
 
 SCALE = 0.1
 """Prior standard deviation of the gyroscope's scale and misalignment."""

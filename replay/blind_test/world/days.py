@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.blind_test.noise import log_uniform
-from stillcal.replay.blind_test.world import EARTH, World, lagged
+from stillcal.replay.blind_test.world.day import EARTH, World, lagged
+from stillcal.replay.blind_test.world.noise import log_uniform
 
 LEAST_REST_S = 14.0
 """Shortest rest, s: one bin of 10 s and the margins at both ends, with some to spare."""

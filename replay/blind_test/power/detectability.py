@@ -15,8 +15,8 @@ import math
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.blind_test.noise import Colour
-from stillcal.replay.blind_test.world import EARTH, Bins
+from stillcal.replay.blind_test.world.day import EARTH, Bins
+from stillcal.replay.blind_test.world.noise import Colour
 
 BIAS, SCALE, POSE, CREEP = 1.0, 0.5, 1.0, 0.01
 """Prior standard deviations in m/s^2: bias, scale and misalignment (5 % of g), attitude, creep in a rest."""

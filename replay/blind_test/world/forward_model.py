@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.blind_test.world import Felt, World, lagged
+from stillcal.replay.blind_test.world.day import Felt, World, lagged
 
 Parameters = Mapping[str, Any]
 Forward = Callable[[Felt, Parameters], Array]

@@ -9,7 +9,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.phone.effect_base import (
+from stillcal.replay.phone.effects.base import (
     Circumstances,
     Effect,
     Moment,

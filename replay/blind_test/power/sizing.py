@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.blind_test import detectability as power
-from stillcal.replay.blind_test import direct_detectability as sizes
-from stillcal.replay.blind_test import rotation_power as motion
-from stillcal.replay.blind_test.forward_model import FORWARD, played, sensor_of
 from stillcal.replay.blind_test.keys import TrueEffect
-from stillcal.replay.blind_test.noise import log_uniform
-from stillcal.replay.blind_test.phones import Additions, Phone
-from stillcal.replay.blind_test.world import Bins, World, over_bins
+from stillcal.replay.blind_test.power import detectability as power
+from stillcal.replay.blind_test.power import direct as sizes
+from stillcal.replay.blind_test.power import rotation as motion
+from stillcal.replay.blind_test.world.day import Bins, World, over_bins
+from stillcal.replay.blind_test.world.forward_model import FORWARD, played, sensor_of
+from stillcal.replay.blind_test.world.noise import log_uniform
+from stillcal.replay.blind_test.world.phones import Additions, Phone
 
 Drawn = tuple[dict[str, Any], float | None]
 """Parameters with their d' (None where the effect has none)."""

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.phone.effect_base import (
+from stillcal.replay.phone.effects.base import (
     Effect,
     OnAccel,
     OnEither,

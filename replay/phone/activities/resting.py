@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from stillcal.replay.phone.attitudes import SUPPORTS, Support, attitude_with, lying, poses
-from stillcal.replay.phone.planner import Planner, Span, any_direction, drawn, log_drawn, tilted
+from stillcal.replay.phone.activities.planner import Planner, Span, any_direction, drawn, log_drawn, tilted
+from stillcal.replay.phone.motion.attitudes import SUPPORTS, Support, attitude_with, lying, poses
+from stillcal.replay.phone.motion.trajectory import Sway, Turn, Waves
 from stillcal.replay.phone.settings import Settings, Vector, require
-from stillcal.replay.phone.trajectory import Sway, Turn, Waves
 
 TABLE_WEIGHTS: Mapping[str, float] = {
     "screen_up": 0.50,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import get_args
 
-from stillcal.replay.phone.effect_base import Effect
-from stillcal.replay.phone.effects_on_bias import (
+from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.on_bias import (
     AccelBiasDrift,
     AccelBiasStep,
     AccelBiasTemperature,
@@ -22,7 +22,7 @@ from stillcal.replay.phone.effects_on_bias import (
     GyroWarmup,
     ThermalLatent,
 )
-from stillcal.replay.phone.effects_on_input import (
+from stillcal.replay.phone.effects.on_input import (
     AccelNonlinearity,
     AccelVibrationRectification,
     GyroGSensitivity,
@@ -32,7 +32,7 @@ from stillcal.replay.phone.effects_on_input import (
     Spikes,
     VibrationTone,
 )
-from stillcal.replay.phone.effects_on_settings import (
+from stillcal.replay.phone.effects.on_settings import (
     AccelBiasRandomWalk,
     AccelGyroTimeOffset,
     AccelQuantisation,

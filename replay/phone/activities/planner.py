@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.phone.trajectory import (
+from stillcal.replay.phone.motion.trajectory import (
     Creep,
     Glide,
     Piece,

@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from stillcal.replay.phone.attitudes import SUPPORTS, Support, lying
-from stillcal.replay.phone.planner import Planner, Span, drawn, log_drawn, tilted
-from stillcal.replay.phone.resting_activities import Activity, look_at, support_named
-from stillcal.replay.phone.trajectory import Glide, Sway, Turn, Waves
+from stillcal.replay.phone.activities.planner import Planner, Span, drawn, log_drawn, tilted
+from stillcal.replay.phone.activities.resting import Activity, look_at, support_named
+from stillcal.replay.phone.motion.attitudes import SUPPORTS, Support, lying
+from stillcal.replay.phone.motion.trajectory import Glide, Sway, Turn, Waves
 
 Carry = Literal["pocket", "hand", "bag"]
 

@@ -1,0 +1,1 @@
+"""Attitudes, trajectories and gravity of the simulated phone."""
