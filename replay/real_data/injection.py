@@ -1,8 +1,8 @@
 """Effects injected into real recordings: what the readings, or stamps, would have been with them.
 
-Slow effects are the examiner's own forward equations (stillcal.replay.blind_test.world.forward_model), played
-on the recording's readings in place of the unknown truth, which is wrong by the readings' own errors, a few per
-cent of the effect. Where an effect needs a plug, the switching is invented along with it.
+Slow effects are the examiner's own forward equations (stillcal.replay.blind_test.world.forward_model),
+played on the recording's readings in place of the unknown truth, which is wrong by the readings' own
+errors, a few per cent of the effect. Where an effect needs a plug, the switching is invented along with it.
 """
 
 from __future__ import annotations
