@@ -316,6 +316,6 @@ def _text(path: PathLike) -> str:
 
 
 def _text_table(title: str, rows: Iterable[tuple[str, str]]) -> str:
-    told = list(rows)
-    width = max((len(name) for name, _ in told), default=0)
-    return "\n".join([title, *(f"  {name:{width}}  {value}" for name, value in told)])
+    pairs = list(rows)
+    width = max((len(name) for name, _ in pairs), default=0)
+    return "\n".join([title, *(f"  {name:{width}}  {value}" for name, value in pairs)])

@@ -76,14 +76,14 @@ class PhoneClock:
     def _settle(self, first: float, item: Timed, host: float) -> None:
         """Choose a new offset where the phone's time does not continue."""
         t = first + self.offset
-        gone = LEAST_GAP_S if self.host is None else max(host - self.host, LEAST_GAP_S)
+        elapsed = LEAST_GAP_S if self.host is None else max(host - self.host, LEAST_GAP_S)
         known = math.isfinite(self.newest)
         back = isinstance(item, Samples) and t < self.latest.get(item.sensor, -math.inf) - BACK_S
-        ahead = known and t > self.newest + LEAP_S + gone
+        ahead = known and t > self.newest + LEAP_S + elapsed
         if (self._anew and known) or back or ahead:
             self.restarts += not ahead
             self.leaps += ahead
-            self.offset = self.newest + gone - first
+            self.offset = self.newest + elapsed - first
         self._anew = False
 
     def _samples(self, item: Samples, host: float) -> Samples | None:

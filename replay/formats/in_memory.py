@@ -102,11 +102,13 @@ def checked(
         what = f"the recording holds {len(accelerometer)} samples of the accelerometer"
         raise TraceError(name, what, "give a recording of some minutes")
     try:
-        told = sorted((msgspec.convert(e, Event, from_attributes=True) for e in events), key=lambda e: e.t)
+        ordered_events = sorted(
+            (msgspec.convert(e, Event, from_attributes=True) for e in events), key=lambda e: e.t
+        )
         maker = Claims() if claims is None else msgspec.convert(claims, Claims, from_attributes=True)
     except msgspec.ValidationError as error:
         raise TraceError(name, f"not an event, or not a claim: {error}", "see docs/formats.md") from None
-    recording = Recording(accelerometer, gyroscope, told, maker, [], name)
+    recording = Recording(accelerometer, gyroscope, ordered_events, maker, [], name)
     units = UnitCheck(Path(name))
     chunk: Chunk
     for chunk in recording.chunks():

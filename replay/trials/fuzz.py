@@ -66,14 +66,14 @@ class Target:
 
 def _messages() -> list[Any]:
     block = Samples(Sensor.ACCELEROMETER, np.arange(3) / 100, np.full((3, 3), 5.6), np.full(3, 21.0))
-    told = [
+    messages = [
         block,
         Charging(1.0, True),
         Location(2.0, 48.0, 11.0, 500.0),
         Tick(3.0),
         Status(4.0, 1.0, True, 2),
     ]
-    return [*told, Hello(session=7, claims={"device": "phone", "nominal_rate_hz": 100.0})]
+    return [*messages, Hello(session=7, claims={"device": "phone", "nominal_rate_hz": 100.0})]
 
 
 def _wire_seeds(form: Form) -> list[bytes]:
@@ -333,9 +333,9 @@ def main(seconds: float, chosen: tuple[str, ...], start: int, corpus: Path) -> N
     failures = 0
     for name in chosen or TARGETS:
         tried, failed = fuzzed(TARGETS[name], seconds, start)
-        said = "no failure" if failed is None else f"FAILED: {keep(name, failed, corpus)}"
+        outcome = "no failure" if failed is None else f"FAILED: {keep(name, failed, corpus)}"
         failures += failed is not None
-        click.echo(f"{name:16}{tried:>9} inputs in {seconds:g} s: {said}")
+        click.echo(f"{name:16}{tried:>9} inputs in {seconds:g} s: {outcome}")
     sys.exit(failures > 0)
 
 

@@ -112,7 +112,7 @@ def _recorded(phone: Phone, span: float, seed: int, name: str) -> Recording:
     )
 
 
-def told(case: Case) -> tuple[Case, str]:
+def judged_case(case: Case) -> tuple[Case, str]:
     """Return the relation that the answer states of the case's effect, "agreed", or "undecided"."""
     rng = np.random.default_rng([case.seed, 2])
     rates, spans = rng.permutation(RATES), rng.permutation(SPANS)
@@ -145,7 +145,7 @@ def main(trials: int, seed: int, jobs: int) -> None:
     """Judge simulations and print, by effect, how many answers were right, undecided and wrong."""
     counts: dict[str, Counter[str]] = {name: Counter() for name in EFFECTS}
     with ProcessPoolExecutor(jobs) as pool:
-        for done, (case, relation) in enumerate(pool.map(told, cases(trials, seed)), start=1):
+        for done, (case, relation) in enumerate(pool.map(judged_case, cases(trials, seed)), start=1):
             kind = relation if relation in (case.expected, "undecided") else "wrong"
             counts[case.effect]["right" if kind == case.expected else kind] += 1
             if kind == "wrong":

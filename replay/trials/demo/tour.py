@@ -87,13 +87,13 @@ def phone_at(rate_hz: float) -> Phone:
 
 
 def _live(simulation: Simulation, files: Files, console: Console) -> Lived:
-    def told(event: str) -> None:
+    def show_event(event: str) -> None:
         if event.partition(":")[0] in TOLD:
             console.print(_told(event), markup=False, highlight=False, no_wrap=True, overflow="ellipsis")
 
     with _progress(simulation.duration, console) as progressed:
         try:
-            return live(simulation, files, told, progressed)
+            return live(simulation, files, show_event, progressed)
         except DaemonDiedError as error:
             raise click.ClickException(str(error)) from error
 
@@ -134,8 +134,10 @@ def _found(lived: Lived, simulation: Simulation, console: Console) -> None:
     else:
         console.print(_beside_truth(lived.calibration, truth_of(simulation)))
         console.print(CONSTANT_PART, soft_wrap=True)
-    told = ("rests", "turns", "calibrations", "rejected", "checks", "zeroings")
-    console.print("\nCounted: " + ", ".join(f"{name} {counts[name]}" for name in told) + ".", soft_wrap=True)
+    counted = ("rests", "turns", "calibrations", "rejected", "checks", "zeroings")
+    console.print(
+        "\nCounted: " + ", ".join(f"{name} {counts[name]}" for name in counted) + ".", soft_wrap=True
+    )
     console.print(_energy(lived.energy), soft_wrap=True)
     console.print(f"SIGTERM: stopped in {lived.stopping_s:.1f} s, its state saved.\n", soft_wrap=True)
 

@@ -47,22 +47,22 @@ class Notes:
             self._filled += 1
 
 
-async def _serve(given: LaunchOptions, told: Path) -> None:
+async def _serve(given: LaunchOptions, report: Path) -> None:
     service = Service(given.settings(), given, Notifier({}))
     service.open()
     notes = Notes()
     noting = asyncio.create_task(notes.take())
     await service.run()
     noting.cancel()
-    np.save(told, notes.rows)
+    np.save(report, notes.rows)
 
 
 def main() -> None:
     """Serve until SIGTERM; arguments: settings, port, store, socket, and where the notes go (.npy)."""
-    config, port, store, socket, told = sys.argv[1:]
+    config, port, store, socket, report = sys.argv[1:]
     log.set_up("warning")
     limit_arenas()
-    asyncio.run(_serve(LaunchOptions(Path(config), port, store, socket), Path(told)))
+    asyncio.run(_serve(LaunchOptions(Path(config), port, store, socket), Path(report)))
 
 
 if __name__ == "__main__":

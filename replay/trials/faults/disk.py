@@ -48,13 +48,13 @@ def failing_fsync(folder: Path, record: CalibrationRecord) -> Figures:
     for number in range(2, 100):
         before = path.read_bytes()
         with fsync_failing_at(number - 1):
-            said = _refusal(partial(Store(path).publish, _numbered(record, number)))
-        if not said:
+            refusal = _refusal(partial(Store(path).publish, _numbered(record, number)))
+        if not refusal:
             break
         after = path.read_bytes()
         counts["saves that failed"] += 1
         counts["old store intact"] += before == after
-        counts["new store in place"] += before != after and "make durable" in said
+        counts["new store in place"] += before != after and "make durable" in refusal
         counts["torn stores"] += not Store(path).verify().whole
     kept = counts["old store intact"] + counts["new store in place"]
     holds = counts["saves that failed"] == kept > 0 and not counts["torn stores"]
@@ -74,9 +74,9 @@ def limited(folder: Path, record: CalibrationRecord) -> Figures:
     prepared(path, record)
     child, heard = in_child(save)
     with os.fdopen(heard, encoding="utf-8") as lines:
-        said = lines.read().splitlines()
+        results = lines.read().splitlines()
     os.waitpid(child, 0)
-    return _figures("a file that may not grow", said)
+    return _figures("a file that may not grow", results)
 
 
 def mounted(folder: Path, fault: str) -> Figures:
@@ -132,8 +132,8 @@ def _endured(path: Path, record: CalibrationRecord) -> Iterator[str]:
     """Try to save store and state where it cannot be; yield a word for everything that holds."""
     state = saved_state.state_path(path)
     before = path.read_bytes(), state.read_bytes()
-    if said := _refusal(lambda: Store(path).publish(_numbered(record, 2))):
-        yield f"store-refused {said}"
+    if refusal := _refusal(lambda: Store(path).publish(_numbered(record, 2))):
+        yield f"store-refused {refusal}"
     if _refusal(lambda: saved_state.save(state, STATE[::-1])):
         yield "state-refused"
     if path.read_bytes() == before[0] and Store(path).verify().whole:
@@ -144,8 +144,8 @@ def _endured(path: Path, record: CalibrationRecord) -> Iterator[str]:
         yield "no-temporary-left"
 
 
-def _figures(name: str, said: list[str]) -> Figures:
-    words = {line.split()[0] for line in said}
+def _figures(name: str, results: list[str]) -> Figures:
+    words = {line.split()[0] for line in results}
     expected = ("store-refused", "state-refused", "store-intact", "state-intact", "no-temporary-left")
     counts = {word.replace("-", " "): int(word in words) for word in expected}
     return Figures(name, all(counts.values()), counts)

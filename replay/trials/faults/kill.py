@@ -69,11 +69,11 @@ def killed(kills: int, seed: int, folder: Path, life_s: float = LIFE_S) -> Figur
         found, known = _examined(path, known)
         counts.update(found)
     judged = ("torn stores", "torn states", "lost calibrations", "lost rests", "state ahead", "strange files")
-    told = {name: counts[name] for name in judged}
-    holds = not any(told.values())
+    judged_counts = {name: counts[name] for name in judged}
+    holds = not any(judged_counts.values())
     more = ("killed inside a write", "half-written temporaries")
     saved = {"calibrations acknowledged": known.published, "rests acknowledged": known.rests}
-    return Figures(f"{kills} times kill -9", holds, told | {n: counts[n] for n in more} | saved)
+    return Figures(f"{kills} times kill -9", holds, judged_counts | {n: counts[n] for n in more} | saved)
 
 
 def in_child(action: Callable[[Tell], object]) -> tuple[int, int]:
@@ -104,13 +104,13 @@ def _life(
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     with os.fdopen(heard, encoding="ascii") as lines:
-        told = [line.split() for line in lines]
-    for what, *number in told:
+        reports = [line.split() for line in lines]
+    for what, *number in reports:
         if what == "published":
             known = replace(known, published=int(number[0]))
         elif what == "saved":
             known = replace(known, rests=int(number[0]))
-    return known, bool(told) and told[-1][0] == "writing"
+    return known, bool(reports) and reports[-1][0] == "writing"
 
 
 async def _saving(path: Path, record: CalibrationRecord, rests: list[RestState], tell: Tell) -> None:

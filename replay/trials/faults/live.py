@@ -78,10 +78,12 @@ async def _killed(kills: int, seed: int, folder: Path, life_s: float) -> Figures
             found, left = _examined(folder / "store.json", known)
             counts.update(found)
     judged = ("torn stores", "torn states", "lost calibrations", "lost rests", "state ahead", "strange files")
-    told = {name: counts[name] for name in judged}
+    judged_counts = {name: counts[name] for name in judged}
     more = {n: counts[n] for n in ("half-written temporaries", "calibrations heard to be stored")}
-    holds = not any(told.values()) and left.rests > 0
-    return Figures(f"{kills} times kill -9 of the daemon", holds, told | more | {"rests kept": left.rests})
+    holds = not any(judged_counts.values()) and left.rests > 0
+    return Figures(
+        f"{kills} times kill -9 of the daemon", holds, judged_counts | more | {"rests kept": left.rests}
+    )
 
 
 @contextlib.asynccontextmanager

@@ -130,16 +130,16 @@ async def crowd(target: Target, clients: int, own: int) -> Figures:
     while not came.done():
         await asyncio.sleep(0.05)
         most = max(most, target.sockets() - own)
-    gone = await _hung_up_on(stalling, target.settings.stall_s + SETTLED_S)
+    hung_up = await _hung_up_on(stalling, target.settings.stall_s + SETTLED_S)
     counts = {
         "questions": QUESTIONS * len(asking),
         "answered": sum(answered for answered, _ in await came),
         "connections more": sum(more for _, more in await came),
         "stalling": len(stalling),
-        "hung up on": gone,
+        "hung up on": hung_up,
         "most open at a moment": most,
     }
-    holds = counts["answered"] == counts["questions"] and gone == len(stalling)
+    holds = counts["answered"] == counts["questions"] and hung_up == len(stalling)
     return Figures(f"{clients} clients at once, half stall", holds, counts)
 
 
@@ -158,18 +158,18 @@ async def idle(target: Target, clients: int, own: int) -> Figures:
 
 async def oversized(target: Target) -> Figures:
     """Send questions larger than allowed; each is hung up on before it ends."""
-    gone = 0
+    hung_up = 0
     for _ in range(OVERSIZED):
         reader, writer = await asyncio.open_unix_connection(target.socket)
         with contextlib.suppress(ConnectionError):
             writer.write(b"x" * (target.settings.message_bytes + 1))
             await writer.drain()
-            gone += await reader.read() == b""
+            hung_up += await reader.read() == b""
             writer.close()
             continue
-        gone += 1
-    counts = {"hung up on": gone}
-    return Figures(f"{OVERSIZED} messages over the limit", gone == OVERSIZED, counts)
+        hung_up += 1
+    counts = {"hung up on": hung_up}
+    return Figures(f"{OVERSIZED} messages over the limit", hung_up == OVERSIZED, counts)
 
 
 async def flood(target: Target) -> Figures:
@@ -232,15 +232,15 @@ async def _asking(target: Target) -> tuple[int, int]:
 
 async def _hung_up_on(lines: list[socket.socket], within_s: float) -> int:
     """Wait until the daemon has hung up on all, but not for long; return on how many it has."""
-    poll, gone = select.poll(), set[int]()
+    poll, closed = select.poll(), set[int]()
     for line in lines:
         poll.register(line, 0)
     until = time.monotonic() + within_s
-    while len(gone) < len(lines) and time.monotonic() < until:
+    while len(closed) < len(lines) and time.monotonic() < until:
         for number, _ in poll.poll(0):
-            gone.add(number)
+            closed.add(number)
             poll.unregister(number)
         await asyncio.sleep(0.02)
     for line in lines:
         line.close()
-    return len(gone)
+    return len(closed)

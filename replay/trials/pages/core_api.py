@@ -162,9 +162,11 @@ class _Word:
 
 def _call(name: str, function: Any) -> str:
     """Return a call as one would write it, without what a method is given by itself, and what it does."""
-    told = inspect.signature(function)
-    own = [_readable(p) for p in told.parameters.values() if p.name not in {"self", "cls"}]
-    call = name + str(told.replace(parameters=own, return_annotation=_Word(str(told.return_annotation))))
+    signature = inspect.signature(function)
+    own = [_readable(p) for p in signature.parameters.values() if p.name not in {"self", "cls"}]
+    call = name + str(
+        signature.replace(parameters=own, return_annotation=_Word(str(signature.return_annotation)))
+    )
     kept = call.replace(": ", ":\0").replace(" = ", "\0=\0")  # a parameter stands on one line
     lines = [line.replace("\0", " ") for line in textwrap.wrap(kept, WIDTH, subsequent_indent="    ")]
     return "```python\n{}\n```\n\n{}".format("\n".join(lines), _prose(function))
