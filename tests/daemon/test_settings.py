@@ -59,7 +59,7 @@ def test_the_default_file_names_every_setting_once_with_the_default_of_the_code(
 
 def test_settings_of_the_file_can_be_given():
     for text in (UNSET.sub("", parts()[0]), parts()[1]):
-        parse_settings(text)
+        assert parse_settings(text) is not None
 
 
 def test_a_user_meets_few_settings_first():

@@ -24,7 +24,7 @@ holds it against the code, and `make check` holds the code against the layers in
 There are three layers. `calib_core` computes and touches nothing: arrays go in, values come out. `daemon` is
 the only layer that keeps running and talks to the world: serial lines, sockets, systemd, the store. `replay`
 reads recordings, simulates a phone, diagnoses, and proves. A layer imports only those below it, and inside a
-layer a package imports only those on lower lines:
+layer a package, or a single file of the layer such as `settings`, imports only those on lower lines:
 """
 
 MIDDLE = """\

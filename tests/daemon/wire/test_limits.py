@@ -88,7 +88,8 @@ def test_whatever_comes_in_the_engine_goes_on_and_its_state_can_be_saved(
                     saved.energy.samples(float(item.t[-1]), len(item))
             elif isinstance(message, Status):
                 saved.energy.status(message.t + saved.clock.offset, message)
-        decode(encode(replace(saved, engine=engine.state)))
+        again = decode(encode(replace(saved, engine=engine.state)))
+        assert encode(again) == encode(replace(saved, engine=engine.state))
 
 
 @pytest.mark.parametrize(
