@@ -14,6 +14,7 @@ STUDIES: dict[str, str] = {
     "new-phone": "stillcal.replay.studies.grammenos2018.newphone:study",
     "gravity": "stillcal.replay.studies.grammenos2018.gravity:study",
     "power": "stillcal.replay.studies.grammenos2018.power:study",
+    "minimisation": "stillcal.replay.studies.grammenos2018.minimisation:study",
     "stationary-states": "stillcal.replay.studies.grammenos2018.stationary_states:study",
     "gyroscope-bias": "stillcal.replay.studies.grammenos2018.gyroscope_bias:study",
     "quality-check": "stillcal.replay.studies.grammenos2018.quality_check:study",
