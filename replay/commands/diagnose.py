@@ -107,7 +107,9 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
         with _stages(quiet) as show_stage:
             answer = answer_for_table(trace) if format_ == "rest" else _diagnosed(asked, show_stage)
     except NotSupported as refusal:
-        click.echo(f"stillcal: {trace}: too little data: {refusal}", err=True)
+        # Of two recordings the refusal itself names the one that is too short.
+        subject = f"{trace}: " if simulated is None else ""
+        click.echo(f"stillcal: {subject}too little data: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
     _write(answer, asked)
     if not quiet and json_path != STANDARD_OUTPUT:

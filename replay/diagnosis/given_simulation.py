@@ -65,7 +65,8 @@ def judge_simulation(
             for d in before.agreed
         ],
         "not_compared": [
-            {"effect": n.effect, "sensor": n.sensor, "reason": n.reason} for n in before.not_compared
+            {"effect": n.effect, "sensor": n.sensor, "reason": n.reason}
+            for n in (*before.not_compared, *before.undecided)
         ],
         "sensitivity": [row for d in before.compared for row in _sensitivity(d, before.comparisons)],
         "fit": {

@@ -47,7 +47,7 @@ NOUNS = {
     "dropped_samples": "share of samples lost",
     "arrival_bursts": "share of samples that arrive in bursts",
     "accel_gyro_time_offset": "delay between the sensors",
-    "bandwidth": "bandwidth",
+    "bandwidth": "limit of the bandwidth",
     "lever_arm": "distance of the accelerometer from the pivot",
     "unknown": "something that no named effect explains",
 }
@@ -88,24 +88,37 @@ def readable(value: float, unit: str) -> tuple[float, str]:
     return value, "" if unit == "1" else unit
 
 
-def with_interval(parameter: Mapping[str, Any], axes: Sequence[str]) -> str:
-    """Return a parameter on the named axes, each with half of its 95 % interval."""
-    values = np.atleast_1d(np.asarray(parameter["value"], dtype=np.float64))
+def labels_of(name: str, count: int) -> list[str]:
+    """Return what the numbers of a parameter belong to: axes, pairs of axes, or their place in the list."""
+    if count == len(AXES):
+        return ["xy", "xz", "yz"] if name == "misalignment" else list(AXES)
+    if count == len(AXES) ** 2:
+        return [f"{a} by {b}" for a in AXES for b in AXES]
+    return [""] if count == 1 else [str(i + 1) for i in range(count)]
+
+
+def with_interval(parameter: Mapping[str, Any], labels: Sequence[str], shown: Sequence[int]) -> str:
+    """Return the numbers `shown` of a parameter, each with its label and half of its 95 % interval."""
+    values = np.asarray(parameter["value"], dtype=np.float64).ravel()
     has = "ci95" in parameter
     ends = np.asarray(parameter["ci95"] if has else np.zeros((values.size, 2)), dtype=np.float64)
-    ends = ends.reshape(*values.shape, 2)
-    if values.ndim == 2:
-        row, column = np.unravel_index(int(np.abs(values).argmax()), values.shape)
-        text = _plus_minus(values[row, column], ends[row, column], parameter["unit"], has)
-        return f"{text} (largest: {AXES[int(row)]} by {AXES[int(column)]})"
-    if values.size != 3:
-        return _plus_minus(float(values[0]), ends[0], parameter["unit"], has)
-    shown = [a for a in AXES if a in axes] or list(AXES)
-    rows = [AXES.index(a) for a in shown]
+    ends = ends.reshape(values.size, 2)
     return ", ".join(
-        f"{a} {_plus_minus(float(values[r]), ends[r], parameter['unit'], has)}"
-        for a, r in zip(shown, rows, strict=True)
+        f"{labels[i]} {_plus_minus(float(values[i]), ends[i], parameter['unit'], has)}".strip() for i in shown
     )
+
+
+def shown_of(finding: Mapping[str, Any], name: str, axes: Sequence[str]) -> list[int]:
+    """Return which numbers of a parameter to show: the same ones for the recording and the simulation.
+
+    Of a matrix it is the one that differs most, of three axes the named ones, else all.
+    """
+    sides = [finding.get(side, {}) for side in ("difference", "parameters", "simulated")]
+    values = np.asarray(next(s[name] for s in sides if name in s)["value"], dtype=np.float64).ravel()
+    labels = labels_of(name, values.size)
+    if values.size == len(AXES) ** 2:
+        return [int(np.abs(values).argmax())]
+    return [i for i, label in enumerate(labels) if label in axes] or list(range(values.size))
 
 
 def _plus_minus(value: float, ends: Any, unit: str, has: bool) -> str:
@@ -117,12 +130,23 @@ def _plus_minus(value: float, ends: Any, unit: str, has: bool) -> str:
     return f"{text} {name}".strip()
 
 
+OF_CORRECTION = (
+    " The numbers are those of the correction: a sensor that reads 1 % too much has a scale of -0.01."
+)
+"""Said of scale and misalignment, whose sign a simulator's own settings may have the other way round."""
+
+
 def statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
-    """Return what differs and what to do about it in the simulation, in one or two sentences."""
+    """Return what differs and what to do about it in the simulation, in one to three sentences."""
+    text = _statement(finding, names)
+    return text + OF_CORRECTION if finding["effect"] in ("accel_scale", "gyro_scale") else text
+
+
+def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     recording, simulation = names
     what = noun(finding["effect"], finding["sensor"])
-    recorded = _first(finding["parameters"], finding["axes"])
-    simulated = _first(finding["simulated"], finding["axes"])
+    name = _clearest(finding)
+    recorded, simulated = (_side(finding, side, name) for side in ("parameters", "simulated"))
     relation = finding["relation"]
     if finding["effect"] == "unknown":
         owner, other = (recording, simulation) if relation == "lacking" else (simulation, recording)
@@ -131,18 +155,58 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
         return f"{simulation} lacks the {what} that {recording} shows: {recorded}. Add it."
     if relation == "superfluous":
         return f"{simulation} has a {what} of {simulated} that {recording} does not show. Take it out."
-    word = "small" if relation == "too_small" else "large"
-    return f"The {what} is too {word} in {simulation}: {simulated}, recorded {recorded}."
+    word = _word(finding, name)
+    return f"The {what} {word} in {simulation}: {simulated}, recorded {recorded}."
 
 
-def _first(parameters: Mapping[str, Any], axes: Sequence[str]) -> str:
-    return with_interval(next(iter(parameters.values())), axes) if parameters else "no value"
+def _clearest(finding: Mapping[str, Any]) -> str | None:
+    """Return the parameter whose difference is largest beside its interval; None without any parameter."""
+    strength: dict[str, float] = {
+        str(name): float(np.max(np.abs(p["value"]) / np.maximum(np.ptp(p["ci95"], axis=-1), 1e-300)))
+        for name, p in finding["difference"].items()
+        if name in finding["parameters"]
+    }
+    if strength:
+        return max(strength, key=lambda name: strength[name])
+    names = [str(name) for name in finding["parameters"] or finding["simulated"]]
+    return names[0] if names else None
+
+
+def _side(finding: Mapping[str, Any], side: str, name: str | None) -> str:
+    if name is None or name not in finding[side]:
+        return "no value"
+    parameter = finding[side][name]
+    labels = labels_of(name, np.size(parameter["value"]))
+    text = with_interval(parameter, labels, shown_of(finding, name, finding["axes"]))
+    # A number without a unit, or one that belongs to a pair of axes, says too little without its name.
+    named = name == "misalignment" or parameter["unit"] == "1"
+    return f"{name.replace('_', ' ')} {text}" if named else text
+
+
+def _word(finding: Mapping[str, Any], name: str | None) -> str:
+    """Return how the simulated numbers that are shown stand to the recorded ones, where all stand alike."""
+    assert name is not None, "what both have, has parameters"
+    shown = shown_of(finding, name, finding["axes"])
+    recorded, simulated = (
+        np.asarray(finding[side][name]["value"], dtype=np.float64).ravel()[shown]
+        for side in ("parameters", "simulated")
+    )
+    if (recorded * simulated < 0.0).all():
+        return "has the opposite sign"
+    if (recorded * simulated >= 0.0).all():
+        if (np.abs(simulated) < np.abs(recorded)).all():
+            return "is too small"
+        if (np.abs(simulated) > np.abs(recorded)).all():
+            return "is too large"
+    return "has other values"
 
 
 def comparison_summary(answer: Mapping[str, Any], lines: int = 12) -> list[str]:
     """Return the answer in some lines for a terminal, the verdict first."""
-    checks = len(answer["sensitivity"]) and len({(s["effect"], s["sensor"]) for s in answer["sensitivity"]})
-    missed = len(answer["not_compared"])
+    compared = {(s["effect"], s["sensor"]) for s in answer["sensitivity"]}
+    checks = len(compared)
+    # What was measured in both and stays undecided is listed with what could not be measured.
+    missed = sum((n["effect"], n["sensor"]) not in compared for n in answer["not_compared"])
     head = f"{answer['recording']} against {answer['simulation']}: {VERDICTS[answer['verdict']]}"
     out = [f"{head} ({checks} quantities compared, {missed} could not be)"]
     out += [f"  {f['statement']} (probability {f['probability']:.3f})" for f in answer["findings"]]

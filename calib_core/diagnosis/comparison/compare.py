@@ -80,12 +80,16 @@ class NotCompared:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """The whole answer. comparisons: how many quantities were compared; p: of both being alike."""
+    """The whole answer. comparisons: how many quantities were compared; p: of both being alike.
+
+    undecided: compared, with a probability that is neither a difference nor agreement.
+    """
 
     discrepancies: list[Discrepancy] = field(default_factory=list)
     agreed: list[Difference] = field(default_factory=list)
     compared: list[Difference] = field(default_factory=list)
     not_compared: list[NotCompared] = field(default_factory=list)
+    undecided: list[NotCompared] = field(default_factory=list)
     comparisons: int = 0
     p: float = 1.0
 
@@ -134,12 +138,10 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     had = {(w.hypothesis.entry.effect, w.hypothesis.entry.sensor) for w in wanted}
     agreed = [d for d in pairs if d.probability <= 1.0 - CERTAIN and _worth_telling(d, had)]
     missing += unseen
-    missing += [
-        _undecided(d, names) for d in pairs if 1.0 - CERTAIN < d.probability < CERTAIN and _key(d) in had
-    ]
+    undecided = [_undecided(d, names) for d in pairs if 1.0 - CERTAIN < d.probability < CERTAIN]
     factors = [d.log_bayes_factor for d in pairs] + [gain for _, gain, _ in more]
     found.sort(key=lambda d: -d.log_bayes_factor)
-    return Comparison(found, agreed, pairs, missing, count, p_of(factors))
+    return Comparison(found, agreed, pairs, missing, undecided, count, p_of(factors))
 
 
 def p_of(log_bayes_factors: Sequence[float]) -> float:

@@ -77,8 +77,12 @@ def density(stream: Stream) -> Quantity | None:
 
 def why_no_density(stream: Stream) -> str:
     """Say why a stream's white noise is not shown."""
+    if stream.levels is not None and not stream.levels.white:
+        return "its noise at rest is not white over most of the band"
     if stream.levels is not None:
-        return "its noise at rest is not the sensor's own: something shakes the phone"
+        return (
+            "its noise differs between rests by more than chance: heavy tails, or something shakes the phone"
+        )
     if stream.steps.hides_noise():
         return "its values come in steps that hide the noise"
     return "too little of it is at rest"

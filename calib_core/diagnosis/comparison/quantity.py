@@ -101,7 +101,7 @@ class Difference:
         return np.asarray(np.sqrt(np.maximum(self.covariance.diagonal(), 0.0)))
 
     def relation(self) -> Relation:
-        """Return how the simulation stands to the recording."""
+        """Return how the simulation stands to the recording: in size, whatever the signs."""
         if self.recorded.logarithmic:
             return _of_logarithms(self.value)
         if not self.simulated.shows():
@@ -109,8 +109,8 @@ class Difference:
         if not self.recorded.shows():
             return "superfluous"
         weight = np.linalg.inv(self.covariance + np.diag((1e-9 * self.recorded.size) ** 2))
-        along = float(self.simulated.value @ weight @ self.value)
-        return "too_small" if along > 0.0 else "too_large"
+        sizes = [float(q.value @ weight @ q.value) for q in (self.recorded, self.simulated)]
+        return "too_small" if sizes[1] < sizes[0] else "too_large"
 
     def visible_from(self, comparisons: int) -> Array:
         """Return the differences (k,), each by itself, that would be stated nine times in ten.

@@ -33,14 +33,20 @@ TWO_SIDED = float(np.sqrt(2.0))
 class Levels:
     """White noise by axis. density: three numbers, unit/sqrt(Hz); pieces: (P, 3) the same by piece.
 
-    own: whether it is the sensor's own: white, and alike in all rests. least: the lowest density (3,) in the
-    band.
+    white: whether most of the band is flat. steady: whether rests differ no more than chance would have it.
+    least: the lowest density (3,) in the band.
     """
 
     density: tuple[Measured, Measured, Measured]
     pieces: Array
-    own: bool
+    white: bool
+    steady: bool
     least: Array
+
+    @property
+    def own(self) -> bool:
+        """Whether the noise is the sensor's own: white, and alike in all rests."""
+        return self.white and self.steady
 
     def values(self) -> Array:
         """Return the densities (3,)."""
@@ -70,7 +76,7 @@ def levels(spectrum: Spectra, floor: float = 0.0) -> Levels:
     measured = [_of_axis(power[:, a], expected) for a in range(3)]
     x, y, z = (m for m, _ in measured)
     least = np.sqrt(np.maximum(np.median(spectrum.power, axis=0)[spectrum.band].min(axis=0) - floor, 0.0))
-    return Levels((x, y, z), np.sqrt(power), white and all(steady for _, steady in measured), least)
+    return Levels((x, y, z), np.sqrt(power), white, all(steady for _, steady in measured), least)
 
 
 def _of_axis(power: Array, expected: Array) -> tuple[Measured, bool]:

@@ -12,7 +12,14 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.given_simulation import Judged
-from stillcal.replay.diagnosis.relation_text import VERDICTS, noun, readable, with_interval
+from stillcal.replay.diagnosis.relation_text import (
+    VERDICTS,
+    labels_of,
+    noun,
+    readable,
+    shown_of,
+    with_interval,
+)
 from stillcal.replay.diagnosis.report import figures, tables
 from stillcal.replay.diagnosis.report.page import document, figure_html
 from stillcal.replay.diagnosis.report.pictures import Picture
@@ -22,8 +29,8 @@ ROW_INCHES = 0.55
 
 RELATIONS = {
     "lacking": "the simulation lacks it",
-    "too_small": "too small in the simulation",
-    "too_large": "too large in the simulation",
+    "too_small": "smaller in the simulation, all numbers together",
+    "too_large": "larger in the simulation, all numbers together",
     "superfluous": "only the simulation has it",
 }
 
@@ -109,7 +116,7 @@ def _table(finding: Mapping[str, Any]) -> str:
     rows = [
         (
             escape(name.replace("_", " ")),
-            *(_cell(finding[side].get(name)) for side in ("parameters", "simulated", "difference")),
+            *(_cell(finding, side, name) for side in ("parameters", "simulated", "difference")),
         )
         for name in names
     ]
@@ -117,24 +124,26 @@ def _table(finding: Mapping[str, Any]) -> str:
     return tables.table(heads, rows)
 
 
-def _cell(parameter: Mapping[str, Any] | None) -> str:
-    return "" if parameter is None else escape(with_interval(parameter, "xyz"))
+def _cell(finding: Mapping[str, Any], side: str, name: str) -> str:
+    if name not in finding[side]:
+        return ""
+    parameter = finding[side][name]
+    labels = labels_of(name, np.size(parameter["value"]))
+    return escape(with_interval(parameter, labels, shown_of(finding, name, "xyz")))
 
 
 def _picture(finding: Mapping[str, Any], name: str) -> str:
     sides = [finding["parameters"].get(name), finding["simulated"].get(name)]
     what = f"{name.replace('_', ' ')} of {noun(finding['effect'], finding['sensor'])}"
     caption = f"Recorded and simulated {what}, with 95 % intervals."
-    return figure_html(Picture(_two_values(sides), caption, caption))
+    return figure_html(Picture(_two_values(name, sides), caption, caption))
 
 
-def _two_values(sides: Sequence[Mapping[str, Any] | None]) -> str:
+def _two_values(name: str, sides: Sequence[Mapping[str, Any] | None]) -> str:
     """Draw one parameter's numbers row by row, the recorded above the simulated."""
     known = [s for s in sides if s is not None]
     count = np.asarray(known[0]["value"], dtype=np.float64).size
-    labels = {1: [""], 3: list("xyz"), 9: [f"{a} by {b}" for a in "xyz" for b in "xyz"]}.get(
-        count, [str(i + 1) for i in range(count)]
-    )
+    labels = labels_of(name, count)
     with figures.drawing(0.8 + ROW_INCHES * count) as (_, axes, out):
         unit = ""
         for side, label, colour, shift in (
@@ -170,7 +179,7 @@ def _agreed(answer: Mapping[str, Any]) -> Iterator[str]:
     rows = [
         (
             escape(noun(a["effect"], a["sensor"])),
-            "; ".join(f"{escape(k.replace('_', ' '))}: {_cell(p)}" for k, p in a["parameters"].items()),
+            "; ".join(f"{escape(k.replace('_', ' '))}: {_cell(a, 'parameters', k)}" for k in a["parameters"]),
         )
         for a in answer["agreed"]
     ]

@@ -176,12 +176,36 @@ def test_too_short_a_simulation_is_refused_by_name() -> None:
         judge_simulation(real(0.0), cut)
 
 
+def test_the_command_blames_the_recording_that_is_too_short(tmp_path: Path) -> None:
+    long, short = tmp_path / "real.csv", tmp_path / "sim.csv"
+    for path, count in ((long, 4000), (short, 60)):
+        rows = [f"{0.02 * i:.2f},0.0,0.0,{9.8 + 0.001 * (i % 7)}" for i in range(count)]
+        path.write_text("\n".join(["t,ax,ay,az", *rows]) + "\n")
+    done = run(long, "--simulated", short)
+    assert done.exit_code == 3
+    assert "too little data: sim.csv" in done.output and "real.csv" not in done.output
+
+
+@pytest.mark.slow
+def test_what_is_compared_is_stated_agreed_or_undecided() -> None:
+    phone = phone_with()
+    for x in (0.004, 0.008, 0.012):  # m/s^2: one of them lies between agreement and a difference
+        bias = (np.asarray(phone.accel.bias) + np.array([x, 0.0, 0.0])).tolist()
+        said = answer(real(0.0), named(recorded(changed(phone, "accel", bias=bias), 8), "sim.csv"))
+        told = {(r["effect"], r["sensor"]) for k in ("findings", "agreed", "not_compared") for r in said[k]}
+        assert {("accel_bias", "accel"), ("accel_scale", "accel"), ("gyro_bias", "gyro")} <= told
+
+
 @pytest.mark.slow
 def test_the_page_shows_both_files_and_every_finding() -> None:
     pytest.importorskip("matplotlib")
     page = comparison_page(judge_simulation(real(), simulated(0.5)))
     assert "real.csv against sim.csv" in page and "Differences found, all identified" in page
-    assert "too small in the simulation" in page.lower() and page.count("<svg") + page.count("svg+xml") >= 1
+    assert (
+        "is too small in sim.csv" in page
+        and "Smaller in the simulation" in page
+        and page.count("<svg") + page.count("svg+xml") >= 1
+    )
     assert "25 Hz" in page and "http" not in page.replace("http://www.w3.org", "")
 
 

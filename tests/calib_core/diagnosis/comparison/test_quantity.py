@@ -68,13 +68,20 @@ def test_a_difference_on_one_axis_is_seen_though_the_others_agree() -> None:
         (10.0, 20.0, "too_large"),
         (0.0, 10.0, "superfluous"),
         (-10.0, -5.0, "too_small"),
-        (10.0, -10.0, "too_large"),
+        (10.0, -20.0, "too_large"),
+        (10.0, -5.0, "too_small"),
     ],
 )
 def test_the_relation_says_how_the_simulation_stands(
     recorded: float, simulated: float, relation: str
 ) -> None:
     assert subtract(quantity([recorded], 0.5), quantity([simulated], 0.5)).relation() == relation
+
+
+def test_a_simulation_with_smaller_numbers_of_mixed_signs_is_too_small() -> None:
+    recorded, simulated = quantity([88.0, 126.0, -100.0], 0.3), quantity([5.0, -3.0, 8.0], 0.3)
+    assert subtract(recorded, simulated).relation() == "too_small"
+    assert subtract(simulated, recorded).relation() == "too_large"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,70 @@
+"""The sentence about a difference is true of the numbers that it shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stillcal.replay.diagnosis.relation_text import statement
+
+
+def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], list[Any], str]) -> str:
+    """Return the statement of parts given as recorded, simulated, unit, each with an interval of 0.1."""
+
+    def parameter(value: Any, unit: str) -> dict[str, Any]:
+        value = np.asarray(value, dtype=np.float64)
+        ci = np.stack([value - 0.05, value + 0.05], axis=-1)
+        return {"value": value.tolist(), "ci95": ci.tolist(), "unit": unit}
+
+    finding = {
+        "effect": effect,
+        "sensor": effect.partition("_")[0],
+        "axes": axes,
+        "relation": relation,
+        "parameters": {k: parameter(r, u) for k, (r, s, u) in parts.items()},
+        "simulated": {k: parameter(s, u) for k, (r, s, u) in parts.items()},
+        "difference": {k: parameter(np.subtract(r, s), u) for k, (r, s, u) in parts.items()},
+    }
+    return statement(finding, ("real.csv", "sim.csv"))
+
+
+@pytest.mark.parametrize(
+    ("recorded", "simulated", "says"),
+    [
+        ([2.0, 0.0, -4.0], [1.0, 0.0, -2.0], "is too small in sim.csv"),
+        ([2.0, 0.0, -4.0], [4.0, 0.0, -8.0], "is too large in sim.csv"),
+        ([2.0, 0.0, -4.0], [-2.0, 0.0, 4.0], "has the opposite sign in sim.csv"),
+        ([88.0, 0.0, -100.0], [5.0, 0.0, 8.0], "has other values in sim.csv"),
+        ([2.0, 0.0, -4.0], [1.0, 0.0, -8.0], "has other values in sim.csv"),
+    ],
+)
+def test_the_word_holds_for_every_number_shown(
+    recorded: list[float], simulated: list[float], says: str
+) -> None:
+    assert says in told("gyro_bias", "too_small", ["x", "z"], bias=(recorded, simulated, "deg/s"))
+
+
+def test_of_a_matrix_the_same_element_is_shown_of_both() -> None:
+    recorded, simulated = np.diag([-0.2, 0.0, 3.0]), np.diag([-1.0, 0.0, 0.5])
+    text = told("gyro_scale", "too_small", ["z"], scale=(recorded.tolist(), simulated.tolist(), "1"))
+    assert "z by z 0.5" in text and "z by z 3" in text and "x by x" not in text
+
+
+def test_the_part_that_differs_is_shown_with_its_pairs_of_axes() -> None:
+    scale, misalignment = [0.1, 0.1, 0.1], [0.0, 2.0, 0.0]
+    text = told(
+        "accel_scale",
+        "too_small",
+        ["y"],
+        scale=(scale, scale, "1"),
+        misalignment=(misalignment, [0.0] * 3, "rad"),
+    )
+    assert "misalignment" in text and "xz 2" in text
+    assert "correction" in text
+
+
+def test_a_number_without_a_unit_has_its_name() -> None:
+    text = told("accel_heavy", "lacking", [], ratio=([3.6], [0.0], "1"))
+    assert "ratio 3.6" in text
