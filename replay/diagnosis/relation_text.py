@@ -63,6 +63,9 @@ SHOWN_AS = (
 INVERSE = ("1/(", "/(m/s^2)")
 """Units with a sensor's unit below the line are left as they are."""
 
+NEARLY_CERTAIN = 0.9995
+"""Probability that three digits would round to one."""
+
 VERDICTS = {
     "match": "no difference found",
     "identified": "differences found, all identified",
@@ -86,6 +89,11 @@ def readable(value: float, unit: str) -> tuple[float, str]:
             if unit.startswith(si):
                 return value * factor, shown + unit.removeprefix(si)
     return value, "" if unit == "1" else unit
+
+
+def probability_text(probability: float) -> str:
+    """Return a probability in three digits; what rounds to certainty is said to be above 0.999."""
+    return "above 0.999" if probability > NEARLY_CERTAIN else f"{probability:.3f}"
 
 
 def labels_of(name: str, count: int) -> list[str]:
@@ -209,7 +217,9 @@ def comparison_summary(answer: Mapping[str, Any], lines: int = 12) -> list[str]:
     missed = sum((n["effect"], n["sensor"]) not in compared for n in answer["not_compared"])
     head = f"{answer['recording']} against {answer['simulation']}: {VERDICTS[answer['verdict']]}"
     out = [f"{head} ({checks} quantities compared, {missed} could not be)"]
-    out += [f"  {f['statement']} (probability {f['probability']:.3f})" for f in answer["findings"]]
+    out += [
+        f"  {f['statement']} (probability {probability_text(f['probability'])})" for f in answer["findings"]
+    ]
     agreed = ", ".join(noun(a["effect"], a["sensor"]) for a in answer["agreed"])
     if agreed:
         out.append(f"  agreed: {agreed}")

@@ -16,6 +16,7 @@ from stillcal.replay.diagnosis.relation_text import (
     VERDICTS,
     labels_of,
     noun,
+    probability_text,
     readable,
     shown_of,
     with_interval,
@@ -62,7 +63,9 @@ def _headline(answer: Mapping[str, Any]) -> str:
     passes = "passes" if after >= 0.01 else "still fails"
     put_in = "With the differences put into its samples the simulation"
     left = answer["fit"]["not_put_in"]
-    but = f" (not put in: {', '.join(left)})" if left else ""
+    # One effect on both sensors is named once.
+    what = ", ".join(dict.fromkeys(noun(effect, "") for effect in left))
+    but = f"; these could not be put in and are left out of it: {what}" if left else ""
     return f"{text} {put_in} {passes} the same comparison, p = {after:.2g}{but}."
 
 
@@ -103,8 +106,8 @@ def _findings(answer: Mapping[str, Any]) -> Iterator[str]:
         what = noun(finding["effect"], finding["sensor"])
         yield f"<h3>{escape(what[0].upper() + what[1:])}{' on ' + axes if axes else ''}</h3>"
         yield f"<p>{escape(finding['statement'])}</p>"
-        share = f"{finding['probability']:.3f}"
-        yield f"<p>{RELATIONS[finding['relation']].capitalize()}, with probability {share}.</p>"
+        share = probability_text(finding["probability"])
+        yield f"<p>{RELATIONS[finding['relation']].capitalize()}. Probability of a difference: {share}.</p>"
         yield _table(finding)
         drawn = [_picture(finding, name) for name in finding["difference"] if name != "ratio"]
         if drawn:
@@ -134,8 +137,9 @@ def _cell(finding: Mapping[str, Any], side: str, name: str) -> str:
 
 def _picture(finding: Mapping[str, Any], name: str) -> str:
     sides = [finding["parameters"].get(name), finding["simulated"].get(name)]
-    what = f"{name.replace('_', ' ')} of {noun(finding['effect'], finding['sensor'])}"
-    caption = f"Recorded and simulated {what}, with 95 % intervals."
+    what = noun(finding["effect"], finding["sensor"])
+    what = f"{what[0].upper() + what[1:]}: {name.replace('_', ' ')}"
+    caption = f"{what}, recorded and simulated, with 95 % intervals."
     return figure_html(Picture(_two_values(name, sides), caption, caption))
 
 

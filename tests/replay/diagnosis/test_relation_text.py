@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stillcal.replay.diagnosis.relation_text import statement
+from stillcal.replay.diagnosis.relation_text import probability_text, statement
 
 
 def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], list[Any], str]) -> str:
@@ -68,3 +68,8 @@ def test_the_part_that_differs_is_shown_with_its_pairs_of_axes() -> None:
 def test_a_number_without_a_unit_has_its_name() -> None:
     text = told("accel_heavy", "lacking", [], ratio=([3.6], [0.0], "1"))
     assert "ratio 3.6" in text
+
+
+@pytest.mark.parametrize(("probability", "text"), [(1.0, "above 0.999"), (0.9994, "0.999"), (0.952, "0.952")])
+def test_no_probability_is_printed_as_certainty(probability: float, text: str) -> None:
+    assert probability_text(probability) == text
