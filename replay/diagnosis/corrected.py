@@ -6,7 +6,7 @@ What cannot be put into samples (another rate, less noise) is left out and named
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,8 @@ from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.formats.trace import Recording
+
+MATRIX_NUMBERS = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,10 +40,16 @@ class _Stream:
     charging: Array | None
 
 
-def correct(simulation: Recording, discrepancies: Sequence[Discrepancy], seed: int = 0) -> Corrected:
+def correct(
+    simulation: Recording,
+    discrepancies: Sequence[Discrepancy],
+    biases: Mapping[str, Array],
+    seed: int = 0,
+) -> Corrected:
     """Return the simulation's recording with every difference added that samples can take.
 
-    seed: of the noise that is added where the simulation has too little.
+    biases: by sensor, (3,) m/s^2 or rad/s, the simulation's own, which a scale does not act on; a sensor that
+    is not in it is taken to have none. seed: of the noise that is added where the simulation has too little.
     """
     rng = np.random.default_rng(seed)
     left_out: list[str] = []
@@ -49,9 +57,10 @@ def correct(simulation: Recording, discrepancies: Sequence[Discrepancy], seed: i
         "accel": simulation.accelerometer,
         "gyro": simulation.gyroscope,
     }
-    for one in discrepancies:
+    # A scale acts on what the simulation's sensor read, hence before anything is added to that.
+    for one in sorted(discrepancies, key=lambda d: not d.effect.endswith("_scale")):
         samples = streams.get(one.sensor)
-        added = None if samples is None else _added(simulation, samples, one, rng)
+        added = None if samples is None else _added(simulation, samples, one, biases, rng)
         if samples is None or added is None:
             left_out.append(one.effect)
         else:
@@ -62,7 +71,11 @@ def correct(simulation: Recording, discrepancies: Sequence[Discrepancy], seed: i
 
 
 def _added(
-    simulation: Recording, samples: Samples, one: Discrepancy, rng: np.random.Generator
+    simulation: Recording,
+    samples: Samples,
+    one: Discrepancy,
+    biases: Mapping[str, Array],
+    rng: np.random.Generator,
 ) -> Array | None:
     """Return what a difference adds to the samples, (n, 3); None where it cannot be added."""
     if one.difference is None:
@@ -70,6 +83,8 @@ def _added(
     if one.effect == "noise_level":
         return _noise(samples, one, rng)
     kind = one.effect.partition("_")[2]
+    if kind == "scale":
+        return _scale(samples.xyz - biases.get(one.sensor, np.zeros(3)), one)
     if one.effect.startswith(("accel_", "gyro_")) and kind in TERMS:
         return TERMS[kind](_stream(simulation, samples), one)
     return None
@@ -103,15 +118,26 @@ def _bias(stream: _Stream, one: Discrepancy) -> Array:
     return np.broadcast_to(_part(one, "bias"), stream.samples.xyz.shape)
 
 
-def _scale(stream: _Stream, one: Discrepancy) -> Array:
-    """Return the change of the readings when the correction's matrix changes: to first order, minus it."""
-    if one.sensor == "gyro":
-        change = _part(one, "scale").reshape(3, 3)
-    else:
-        change = np.diag(_part(one, "scale"))
-        for value, (a, b) in zip(_part(one, "misalignment"), ((0, 1), (0, 2), (1, 2)), strict=True):
-            change[a, b] = change[b, a] = value
-    return np.asarray(-stream.true @ change.T)
+def _scale(unbiased: Array, one: Discrepancy) -> Array:
+    """Return the change of the readings (n, 3) when the correction's matrix becomes the recording's.
+
+    A reading without its bias is inv(C) x, with the true x and the correction's matrix C: the simulation's
+    becomes inv(C_recorded) C_simulated times what it was.
+    """
+    assert one.difference is not None, "only differences are added"
+    recorded, simulated = (_matrix(q.value) for q in (one.difference.recorded, one.difference.simulated))
+    change = np.linalg.solve(recorded, simulated) - np.eye(3)
+    return np.asarray(unbiased @ change.T)
+
+
+def _matrix(value: Array) -> Array:
+    """Return a correction's matrix from nine numbers less unity, or three scales and xy, xz, yz."""
+    if value.size == MATRIX_NUMBERS:
+        return np.asarray(np.eye(3) + value.reshape(3, 3))
+    out = np.diag(1.0 + value[:3])
+    for x, (a, b) in zip(value[3:], ((0, 1), (0, 2), (1, 2)), strict=True):
+        out[a, b] = out[b, a] = x
+    return np.asarray(out)
 
 
 def _bias_temperature(stream: _Stream, one: Discrepancy) -> Array | None:
@@ -156,7 +182,6 @@ def _nonlinearity(stream: _Stream, one: Discrepancy) -> Array:
 
 TERMS: dict[str, Callable[[_Stream, Discrepancy], Array | None]] = {
     "bias": _bias,
-    "scale": _scale,
     "bias_temperature": _bias_temperature,
     "scale_temperature": _scale_temperature,
     "warmup": _warmup,

@@ -50,7 +50,12 @@ def judge_simulation(
     before = compare(exams[0], exams[1], names)
     after, corrected = None, None
     if before.discrepancies:
-        corrected = correct(simulation, before.discrepancies)
+        biases = {
+            d.simulated.sensor: d.simulated.value
+            for d in before.compared
+            if d.simulated.effect in ("accel_bias", "gyro_bias")
+        }
+        corrected = correct(simulation, before.discrepancies, biases)
         again = _examined(corrected.recording, show_stage, f"{simulation.name} with the differences put in")
         after = compare(exams[0], again, names)
     p_after = before.p if after is None or corrected is None else _without(after, corrected.left_out)
