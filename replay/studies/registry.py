@@ -29,6 +29,7 @@ STUDIES: dict[str, str] = {
     "grades": "stillcal.replay.studies.collin2019.grades:study",
     "inertial-navigation": "stillcal.replay.studies.collin2019.inertial_navigation:study",
     "steps": "stillcal.replay.studies.collin2019.step_detection:study",
+    "step-template": "stillcal.replay.studies.collin2019.step_template:study",
     "pedestrian-tables": "stillcal.replay.studies.collin2019.pedestrian_tables:study",
     "heading-tilt": "stillcal.replay.studies.collin2019.heading_tilt:study",
     "pedestrian-calibration": "stillcal.replay.studies.collin2019.pedestrian_calibration:study",
