@@ -256,19 +256,35 @@ def score(
 
     most: rows that a recogniser is trained on and tested on at most.
     """
+    return judged(rows, parts, seed, learners, most=most)[0]
+
+
+def judged(
+    rows: Rows,
+    parts: list[Split],
+    seed: int,
+    learners: Mapping[str, Learner] = LEARNERS,
+    *,
+    most: int = MOST,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return F1 as `score` does, and whether each tested row was judged rightly, (families, learners, n).
+
+    The rows tested depend on `parts` and `seed` alone, so two treatments can be paired row by row.
+    """
     values = np.zeros((len(rows.features), len(learners), len(parts)))
+    right: list[list[NDArray[np.bool_]]] = []
     for f, features in enumerate(rows.features.values()):
+        right.append([])
         for k, learner in enumerate(learners.values()):
-            values[f, k] = [
-                _one(learner, features, rows.label, part, seed + s, most=most) for s, part in enumerate(parts)
-            ]
-    return values
-
-
-def _one(learner: Learner, features: Array, label: Labels, part: Split, seed: int, *, most: int) -> float:
-    train, test = (_at_most(mask, most, seed) for mask in part)
-    model = fitted(learner, features[train], label[train], seed)
-    return weighted_f1(label[test], model.predict(features[test]))
+            hits = []
+            for s, part in enumerate(parts):
+                train, test = (_at_most(mask, most, seed + s) for mask in part)
+                model = fitted(learner, features[train], rows.label[train], seed + s)
+                predicted = model.predict(features[test])
+                values[f, k, s] = weighted_f1(rows.label[test], predicted)
+                hits.append(predicted == rows.label[test])
+            right[f].append(np.concatenate(hits))
+    return values, np.array(right)
 
 
 def _at_most(mask: NDArray[np.bool_], most: int, seed: int) -> Labels:

@@ -208,3 +208,34 @@ def test_without_recordings_nothing_is_judged(tmp_path: Path) -> None:
     for module in (families_study, modes_study, remedies_study, classes_study, gyroscope_study):
         study = module.study(None, tmp_path, 0, lambda share: None)
         assert {c.verdict for c in study.claims} == {Verdict.UNTESTED}
+
+
+def test_significance_has_the_sign_of_the_change() -> None:
+    raw = np.zeros((3, 4, 100), dtype=bool)
+    raw[..., :50] = True
+    better, worse = raw.copy(), raw.copy()
+    better[0, 0, :80] = True
+    worse[1, 2, 10:50] = False
+    right = {("model out", "raw"): raw, ("model out", "linear"): better, ("model out", "cubic"): worse}
+    found = remedies_study.Found({}, {}, right)
+    up, down = (found.significance("model out", way) for way in ("linear", "cubic"))
+    assert 0.0 < up[0, 0] < 1e-6
+    assert -1e-6 < down[1, 2] < 0.0
+    assert np.delete(up.ravel(), 0) == pytest.approx(1.0)
+    assert np.delete(down.ravel(), 6) == pytest.approx(1.0)
+
+
+def test_judged_windows_are_paired_whatever_the_features() -> None:
+    n = 60
+    label = np.arange(n) % 2
+    sharp, blurred = label[:, None] + 0.0 * np.ones((n, 2)), RNG.normal(size=(n, 2))
+    zeros = np.zeros(n, dtype=int)
+    rows = [
+        modes_study.Rows({"a": f}, label, np.arange(n) // 10, zeros, zeros, zeros) for f in (sharp, blurred)
+    ]
+    parts = list(modes_study.splits(rows[0], "user out", 0))
+    (f1, right), (_, other) = (modes_study.judged(r, parts, 0) for r in rows)
+    assert right.shape == other.shape == (1, 4, n)
+    assert right.all()
+    assert f1 == pytest.approx(1.0)
+    assert 0.2 < other.mean() < 0.8
