@@ -132,9 +132,9 @@ def test_true_noise_of_the_trials_has_the_covariance_they_reckon_with() -> None:
     assert drawn.var(axis=0) == pytest.approx(expected, rel=4 * np.sqrt(2 / len(drawn)))
 
 
-def test_every_stranger_can_be_drawn() -> None:
+def test_every_effect_outside_the_catalogue_can_be_drawn() -> None:
     rng, day = day_of(6)
-    for kind in effects.STRANGERS:
+    for kind in effects.OFF_CATALOGUE:
         put = effects.drawn(rng, day, kind, "gyro")
         assert put.name is None
         assert np.ptp(put.error) > 0.0
