@@ -173,6 +173,7 @@ def test_what_the_service_cannot_see_is_warned_of(tmp_path: Path, folder: str, s
 def test_an_interruption_while_the_command_line_is_imported_is_130() -> None:
     script = (
         "import sys, signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background ignores it
         "class Interrupting:\n"
         "    def find_spec(self, name, *more):\n"
         "        if name == 'stillcal.daemon.cli.main': signal.raise_signal(signal.SIGINT)\n"

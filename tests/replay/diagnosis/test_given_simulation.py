@@ -193,7 +193,7 @@ def test_what_is_compared_is_stated_agreed_or_undecided() -> None:
         bias = (np.asarray(phone.accel.bias) + np.array([x, 0.0, 0.0])).tolist()
         said = answer(real(0.0), named(recorded(changed(phone, "accel", bias=bias), 8), "sim.csv"))
         told = {(r["effect"], r["sensor"]) for k in ("findings", "agreed", "not_compared") for r in said[k]}
-        assert {("accel_bias", "accel"), ("accel_scale", "accel"), ("gyro_bias", "gyro")} <= told
+        assert {("accel_bias", "accel"), ("accel_scale", "accel"), ("noise_level", "accel")} <= told
 
 
 @pytest.mark.slow
