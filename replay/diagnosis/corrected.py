@@ -13,8 +13,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
-from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.resample import interpolate, temperature_at
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.diagnose import charging_events
 from stillcal.replay.formats.trace import Recording
 
 MATRIX_NUMBERS = 9
@@ -30,10 +31,9 @@ class Corrected:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stream:
-    """One sensor's samples with what its errors follow. true: (n, 3), its input; force: (n, 3) m/s^2."""
+    """One sensor's samples, which stand for its input, with what its errors follow. force: (n, 3) m/s^2."""
 
     samples: Samples
-    true: Array
     force: Array
     age: Array
     temperature: Array | None
@@ -92,15 +92,11 @@ def _added(
 
 def _stream(simulation: Recording, samples: Samples) -> _Stream:
     accel = simulation.accelerometer
-    warm = accel.temperature
-    if warm is not None and np.isfinite(warm).any():
-        known = np.isfinite(warm)
-        warm = np.interp(samples.t, accel.t[known], warm[known])
-    plugs = [e for e in simulation.events if isinstance(e, Charging)]
+    plugs = charging_events(simulation)
     states = np.array([0.0, *(float(e.on) for e in plugs)])
     charging = states[np.searchsorted([e.t for e in plugs], samples.t, side="right")] if plugs else None
-    force = np.stack([np.interp(samples.t, accel.t, accel.xyz[:, a]) for a in range(3)], axis=1)
-    return _Stream(samples, samples.xyz, force, samples.t - samples.t[0], warm, charging)
+    force = interpolate(samples.t, accel.t, accel.xyz)
+    return _Stream(samples, force, samples.t - samples.t[0], temperature_at(accel, samples.t), charging)
 
 
 def _part(one: Discrepancy, name: str) -> Array:
@@ -150,7 +146,7 @@ def _scale_temperature(stream: _Stream, one: Discrepancy) -> Array | None:
     if stream.temperature is None:
         return None
     warmer = (stream.temperature - _reference(stream, one))[:, None]
-    return np.asarray(stream.true * warmer * _part(one, "slope"))
+    return np.asarray(stream.samples.xyz * warmer * _part(one, "slope"))
 
 
 def _reference(stream: _Stream, one: Discrepancy) -> float:
@@ -177,7 +173,9 @@ def _g_sensitivity(stream: _Stream, one: Discrepancy) -> Array:
 
 
 def _nonlinearity(stream: _Stream, one: Discrepancy) -> Array:
-    return np.asarray(stream.true**2 * _part(one, "quadratic") + stream.true**3 * _part(one, "cubic"))
+    return np.asarray(
+        stream.samples.xyz**2 * _part(one, "quadratic") + stream.samples.xyz**3 * _part(one, "cubic")
+    )
 
 
 TERMS: dict[str, Callable[[_Stream, Discrepancy], Array | None]] = {

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.linear import transferable
 from stillcal.calib_core.diagnosis.comparison.noise import TIMES
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
@@ -25,7 +26,7 @@ def direct_statements(exam: Examination) -> list[Finding]:
     return [
         s.finding
         for s in exam.statements
-        if (s.hypothesis is None or s.hypothesis.entry.effect == "unknown" or s.hypothesis.entry.recurs)
+        if (s.hypothesis is None or not transferable(s.hypothesis))
         and not s.finding.effect.endswith(MEASURED_ELSEWHERE)
     ]
 

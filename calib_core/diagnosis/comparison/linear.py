@@ -30,9 +30,9 @@ from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
 from stillcal.calib_core.diagnosis.model.residuals import (
     BIAS_SIZE,
     MISALIGNMENT_SIZE,
+    PRIOR,
     SCALE_SIZE,
     View,
-    fit_baseline,
 )
 from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
 from stillcal.calib_core.diagnosis.slow.effects import slow_entries
@@ -185,16 +185,22 @@ def _constants(kind: str, scene: Scene) -> Hypothesis:
     """Return the constant parameters as a hypothesis: what they do to the residuals of a faultless phone."""
     entry = Entry("constants", scene.sensor, "nothing", no_hypotheses, CONSTANTS[kind], "")
     if kind == "accel":
-        bins = scene.bins
-        slope = -fit_baseline(bins.force, bins.force_variance, bins.rest, scene.gravity).jacobian
-        columns = tuple(
-            slope[None] if v.name == "norm" else np.zeros((*v.y.shape, slope.shape[1])) for v in scene.views
-        )
+        columns = tuple(_of_constants(v) for v in scene.views)
     elif kind == "turn":
         columns = tuple(v.baseline for v in scene.views)
     else:
         columns = bias_columns(scene, np.ones(len(scene.bins)))
     return Hypothesis(entry, {}, columns)
+
+
+def _of_constants(view: View) -> Array:
+    """Return what the accelerometer's nine constants do to a view, (b, n, 9).
+
+    The norm view holds it per standard deviation of the prior (`absorbed`); within a rest they do nothing.
+    """
+    if view.absorbed is None:
+        return np.zeros((*view.y.shape, len(PRIOR)))
+    return np.asarray(-(view.absorbed @ PRIOR)[None])
 
 
 SHIFTED = {"accel_bias_temperature": (0, 1.0), "gyro_bias_temperature": (0, 1.0)} | {
