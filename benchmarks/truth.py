@@ -1,0 +1,259 @@
+"""Item 7: the error at a random moment of simulated weeks, hot or cold, and whether stated intervals hold.
+
+`python benchmarks/truth.py --phones 40 --days 7 --jobs 2` prints the tables; `--phones 1 --days 3` takes
+about a minute. Every ten minutes after the first calibration, what each contender would tell is compared with
+the truth.
+"""
+
+# ruff: noqa: E402 - the number of threads is read when numpy is first imported
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import click
+import numpy as np
+from timing import Row
+from truth_phones import MG, RATE_HZ, live
+from truth_rivals import OffsetTable, Vqf
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.calib_core.calibration.terms import bias_terms
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.settings import EngineSettings
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.phone import Chunk
+
+EVERY_S = 600.0
+ENGINES = {"stillcal": EngineSettings()}
+RIVALS = ("raw", "offset table", "vqf")
+ACCEL, GYRO = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
+GOALS = {ACCEL: (0.15, 0.6, "mg"), GYRO: (0.004, 0.02, "deg/s")}
+
+MOMENT = np.dtype(
+    [
+        *((name, float) for name in ("phone", "t", "celsius", "outside_k", "age_s")),
+        *(("who", "U24"), ("sensor", "U16"), ("error", float), ("apart", float, 3), ("stated", float, 3)),
+    ]
+)
+"""One contender's sensor at one moment.
+
+outside_k: how far the temperature lies beyond those met in the rests so far. age_s: since the bias was last
+measured. error: mg, mean over all directions, common rotation out; or deg/s. apart: true bias less the one
+told, and stated: its standard uncertainty, by axis, SI; NaN where none is told.
+"""
+
+_UP = np.random.default_rng(0).standard_normal((60, 3))
+_FORCE = 1000 * MG * _UP / np.linalg.norm(_UP, axis=1, keepdims=True)
+_ONE, _ZERO, _UNKNOWN = np.eye(3), np.zeros(3), np.full(3, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A contender's answer: scale, bias by axis and its standard uncertainty, and the bias' age, s."""
+
+    who: str
+    sensor: Sensor
+    bias: Array
+    scale: Array = field(default_factory=lambda: _ONE)
+    stated: Array = field(default_factory=lambda: _UNKNOWN)
+    age_s: float = float("nan")
+
+
+class Contest:
+    """All contenders, living one life. met: degC, temperatures of the rests so far."""
+
+    def __init__(self) -> None:
+        self.engines = {name: Engine(settings) for name, settings in ENGINES.items()}
+        self.met: list[float] = []
+        self._table, self._vqf, self._last_rest = OffsetTable(), Vqf(RATE_HZ), -np.inf
+
+    def feed(self, chunk: Chunk) -> None:
+        """Give everybody the same samples; the table takes the rests that stillcal finds."""
+        assert chunk.gyroscope is not None
+        for engine in self.engines.values():
+            engine.feed(chunk.gyroscope, chunk.accelerometer, *chunk.events)
+        pool = self.engines["stillcal"].present.pool
+        for held in pool.since(np.nextafter(self._last_rest, np.inf)).held:
+            self._table.take(held.rest)
+            self._last_rest = max(self._last_rest, held.rest.t_start)
+            self.met += [] if held.rest.temperature is None else [held.rest.temperature]
+        self._vqf.take(chunk.gyroscope.xyz, chunk.accelerometer.xyz)
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether every engine has a calibration of the accelerometer."""
+        records = [e.present.record for e in self.engines.values()]
+        return all(r is not None and r.accelerometer is not None for r in records)
+
+    def answers(self, t: float, celsius: float) -> Iterator[Answer]:
+        """Yield every contender's answer at t (s) and a temperature, degC, as the phone reports it."""
+        for sensor in Sensor:
+            yield Answer("raw", sensor, _ZERO)
+            for name, engine in self.engines.items():
+                record = engine.present.record
+                if record is not None:
+                    yield from told_by(name, record, sensor, t, celsius)
+        for name, bias in (("offset table", self._table.bias(celsius)), ("vqf", self._vqf.bias())):
+            if bias is not None:
+                yield Answer(name, GYRO, bias)
+
+
+def told_by(
+    name: str, record: CalibrationRecord, sensor: Sensor, t: float, celsius: float
+) -> Iterator[Answer]:
+    """Yield what a calibration tells of a sensor at t (s) and a temperature, degC; nothing without a part."""
+    part = record.accelerometer if sensor is ACCEL else record.gyroscope
+    if part is None:
+        return
+    bias = part.bias + np.atleast_2d(bias_terms(record, sensor, np.array([celsius])))[0]
+    sd = part.bias_uncertainty
+    measured = getattr(part, "zeroed_at", record.fitted_at)
+    age = np.nan if measured is None else t - measured
+    yield Answer(name, sensor, bias, part.scale, _UNKNOWN if sd is None else sd, age)
+
+
+def force_error(scale: Array, bias: Array, forward: Array, true_bias: Array) -> float:
+    """Return the mean length of the error vector over all directions, mg, the common rotation taken out."""
+    told = (_FORCE @ forward.T + true_bias - bias) @ scale.T
+    u, _, v = np.linalg.svd(told.T @ _FORCE)
+    rotation = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+    return float(np.linalg.norm(told - _FORCE @ rotation.T, axis=1).mean() / MG)
+
+
+def moments(number: int, seed: int, days: float) -> tuple[np.ndarray, str]:
+    """Live one life with all contenders; return its moments, of dtype MOMENT, and a line on each engine."""
+    life, contest, rows = live(number, seed, days), Contest(), []
+    for chunk in life.simulation.chunks(EVERY_S):
+        contest.feed(chunk)
+        assert chunk.accelerometer.temperature is not None
+        t, celsius, met = chunk.t_end, float(chunk.accelerometer.temperature[-1]), contest.met
+        outside = max(min(met) - celsius, celsius - max(met), 0.0) if met else np.nan
+        for a in contest.answers(t, celsius) if contest.calibrated else ():
+            truth = life.bias_at(a.sensor, t)
+            if a.sensor is ACCEL:
+                error = force_error(a.scale, a.bias, life.forward(a.sensor), truth)
+            else:
+                error = float(np.degrees(np.linalg.norm(a.scale @ (truth - a.bias))))
+            at = (number, t, celsius, outside, a.age_s)
+            rows.append((*at, a.who, str(a.sensor), error, truth - a.bias, a.stated))
+    lines = [f"phone {number} ({', '.join(life.kinds)}): {_line(n, e)}" for n, e in contest.engines.items()]
+    return np.array(rows, MOMENT), "\n".join(lines)
+
+
+def _line(name: str, engine: Engine) -> str:
+    counters, ledger = engine.state.counters, engine.ledger
+    terms = [] if engine.state.record is None else [t.effect for t in engine.state.record.terms]
+    return f"{name}: {counters}, asked {ledger.asked_s:.0f} s; {terms}"
+
+
+COLUMNS = "moments | median | 95th percentile | 95 % intervals that hold |"
+
+
+def table(rows: np.ndarray) -> Iterator[str]:
+    """Yield the tables in Markdown: everybody, and the engines by age and temperature."""
+    yield f"| sensor | who | {COLUMNS}\n|{'---|' * 6}"
+    for sensor in Sensor:
+        for who in (*RIVALS, *ENGINES):
+            if (own := _of(rows, sensor, who)).size:
+                yield f"| {sensor} | {who} | {_figures(own, sensor)} |"
+    yield f"\n| sensor | who | where | {COLUMNS}\n|{'---|' * 7}"
+    for sensor in Sensor:
+        for who in ENGINES:
+            for where, part in _parts(_of(rows, sensor, who)):
+                if part.size:
+                    yield f"| {sensor} | {who} | {where} | {_figures(part, sensor)} |"
+
+
+def _of(rows: np.ndarray, sensor: Sensor, who: str) -> np.ndarray:
+    return rows[(rows["sensor"] == str(sensor)) & (rows["who"] == who)]
+
+
+def _figures(rows: np.ndarray, sensor: Sensor) -> str:
+    median, high = np.quantile(rows["error"], (0.5, 0.95))
+    unit = GOALS[sensor][2]
+    return f"{rows.size} | {median:.3g} {unit} | {high:.3g} {unit} | {_holds(rows)}"
+
+
+def _parts(rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    age = rows["age_s"] / 3600.0
+    for low, high in ((0, 1), (1, 6), (6, 24), (24, 1e9)):
+        yield (
+            f"{low} to {high:g} h old" if high < 1e9 else "older than a day",
+            rows[(age >= low) & (age < high)],
+        )
+    for low, high in ((-1, 0), (0, 2), (2, 1e9)):
+        words = {0: "at temperatures met", 2: "up to 2 K beyond them", 1e9: "further beyond"}[high]
+        yield words, rows[(rows["outside_k"] > low) & (rows["outside_k"] <= high)]
+
+
+def _holds(rows: np.ndarray) -> str:
+    known = np.isfinite(rows["stated"]).all(axis=1)
+    if not known.any():
+        return "-"
+    inside = np.abs(rows["apart"][known]) <= 1.96 * rows["stated"][known]
+    return f"{inside.mean():.1%}"
+
+
+def measured(phones: int, days: float, seed: int, jobs: int, first: int = 0) -> tuple[np.ndarray, list[str]]:
+    """Live all lives, `jobs` at once; return the moments and a line for each phone."""
+    numbers = range(first, first + phones)
+    if jobs == 1:
+        answers = [moments(number, seed, days) for number in numbers]
+    else:
+        with ProcessPoolExecutor(jobs) as pool:
+            answers = list(pool.map(moments, numbers, [seed] * phones, [days] * phones))
+    return np.concatenate([rows for rows, _ in answers]), [line for _, line in answers]
+
+
+def run(quick: bool) -> Iterator[Row]:
+    """Yield the rows of item 7."""
+    rows, _ = measured(1 if quick else 40, 2.0 if quick else 7.0, 0, os.cpu_count() or 1)
+    for sensor, (median_goal, high_goal, unit) in GOALS.items():
+        for who in (*RIVALS, *ENGINES):
+            own = _of(rows, sensor, who)
+            if not own.size:
+                continue
+            median, high = (float(q) for q in np.quantile(own["error"], (0.5, 0.95)))
+            accuracy = f"95 % intervals that hold: {_holds(own)}"
+            for what, value, goal in (("median", median, median_goal), ("95th percentile", high, high_goal)):
+                ours = who == "stillcal"
+                yield Row(
+                    "7",
+                    f"{sensor}, {who}: {what}",
+                    value,
+                    unit,
+                    goal=f"{goal:g} {unit}" if ours else "",
+                    met=value <= goal if ours else None,
+                    accuracy=accuracy,
+                    margin=goal / value if ours else None,
+                )
+
+
+@click.command()
+@click.option("--phones", default=1, show_default=True)
+@click.option("--first", default=0, show_default=True, help="Number of the first phone.")
+@click.option("--days", default=3.0, show_default=True)
+@click.option("--seed", default=0, show_default=True)
+@click.option("--jobs", default=1, show_default=True)
+@click.option("--npz", help="Keep every moment in this file.")
+def main(**how: Any) -> None:
+    """Print the tables."""
+    npz = how.pop("npz")
+    rows, lines = measured(**how)
+    for text in (*lines, "", *table(rows)):
+        click.echo(text)
+    if npz:
+        np.savez_compressed(npz, rows=rows)
+
+
+if __name__ == "__main__":
+    main()
