@@ -23,13 +23,13 @@ from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.records import NAME, Claims, Diagnosis, Finding, Where, verdict_of
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Turn, aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
-from stillcal.calib_core.diagnosis.slow.rotation_effects import turn_scene
+from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
@@ -63,7 +63,7 @@ class Examination:
     streams: list[Stream]
     scenes: list[Scene]
     aligned: Aligned | None
-    turns: tuple[Scene, list[Turn]] | None
+    turns: Scene | None
     statements: list[Stated]
     limits: list[str]
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.regressors import LEAST_SPAN
 from stillcal.calib_core.static.rest import attitude_labels
 from stillcal.replay.diagnosis.wording import counted
 

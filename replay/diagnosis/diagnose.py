@@ -11,10 +11,10 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.diagnosis import diagnose as diagnosis
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, verdict_of
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.effects import slow_entries
 from stillcal.calib_core.diagnosis.slow.findings import findings_of
 from stillcal.calib_core.diagnosis.slow.search import forward
 from stillcal.calib_core.errors import NotSupported
@@ -143,8 +143,8 @@ def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None 
 def _findings_of_rests(bins: Bins, claims: Claims, *, timed: bool) -> list[Finding]:
     findings = []
     for scene in scenes(bins, claims.gravity):
-        entries = [e for e in slow_entries(scene.sensor) if timed or _without_time(e.follows)]
-        findings += findings_of(scene, forward(scene, entries))
+        effects = [e for e in effects_of(scene.sensor) if timed or _without_time(e.follows)]
+        findings += findings_of(scene, forward(scene, effects))
     return findings
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.slow.effects import slow_entries
 
 VERDICTS = {
     "adequate": (
@@ -78,10 +78,9 @@ def ending(effect: str, table: dict[str, str]) -> str:
 
 def to_record(finding: Finding) -> str:
     """Return which recording would tell more about a finding; "" where nothing is known."""
-    if finding.sensor in ("accel", "gyro"):
-        for entry in slow_entries(finding.sensor):
-            if entry.effect == finding.effect and entry.decides:
-                return entry.decides
+    for effect in named_effects():
+        if (effect.name, effect.sensor) == (finding.effect, finding.sensor) and effect.decides:
+            return effect.decides
     return ending(finding.effect, NEXT)
 
 

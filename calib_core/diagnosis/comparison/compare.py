@@ -135,7 +135,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     found = [_discrepancy(d) for d in pairs if d.probability >= CERTAIN]
     sole = [_sole(finding, gain, of_recording, count) for finding, gain, of_recording in more]
     found += [d for d in sole if d.probability >= CERTAIN]
-    had = {(w.hypothesis.entry.effect, w.hypothesis.entry.sensor) for w in wanted}
+    had = {(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted}
     agreed = [d for d in pairs if d.probability <= 1.0 - CERTAIN and _worth_telling(d, had)]
     missing += unseen
     undecided = [_undecided(d, names) for d in pairs if 1.0 - CERTAIN < d.probability < CERTAIN]
@@ -215,7 +215,7 @@ def _expected(recorded: Examination, simulated: Examination, wanted: Sequence[Wa
     keys.append(("accel_slow_noise", "accel"))
     if recorded.gyroscope is not None or simulated.gyroscope is not None:
         keys += [(effect, "gyro") for effect in (*GYROSCOPE_ONLY, "noise_level")]
-    return [*keys, *((w.hypothesis.entry.effect, w.hypothesis.entry.sensor) for w in wanted)]
+    return [*keys, *((w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted)]
 
 
 def _why_not(

@@ -16,15 +16,10 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import (
-    Entry,
-    Hypothesis,
-    Linear,
-    Scene,
-    bias_columns,
-    no_hypotheses,
-)
+from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
 from stillcal.calib_core.diagnosis.model.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
 from stillcal.calib_core.diagnosis.model.residuals import (
@@ -35,8 +30,6 @@ from stillcal.calib_core.diagnosis.model.residuals import (
     View,
 )
 from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
-from stillcal.calib_core.diagnosis.slow.effects import slow_entries
-from stillcal.calib_core.diagnosis.slow.rotation_effects import turn_entries
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 
 RATE_BIAS_SIZE = 0.05
@@ -79,8 +72,8 @@ class Wanted:
     @property
     def key(self) -> tuple[str, str, str, int]:
         """Return what makes two of them the same effect: kind, name, driver, number of parameters."""
-        entry = self.hypothesis.entry
-        return self.kind, entry.effect, entry.follows, len(entry.parameters)
+        effect = self.hypothesis.effect
+        return self.kind, effect.name, effect.follows, len(effect.parameters)
 
 
 def wanted_of(exam: Examination) -> list[Wanted]:
@@ -94,11 +87,11 @@ def wanted_of(exam: Examination) -> list[Wanted]:
 
 def transferable(hypothesis: Hypothesis) -> bool:
     """Whether another recording can have the same effect; a step at one moment cannot be had again."""
-    return hypothesis.entry.effect != "unknown" and not hypothesis.entry.recurs
+    return hypothesis.effect.name != "unknown" and not hypothesis.effect.recurs
 
 
 def _kind(scene: Scene) -> str:
-    return "turn" if scene.views[0].name == "turn" else scene.sensor
+    return "turn" if scene.turns else scene.sensor
 
 
 def linear_quantities(
@@ -110,7 +103,7 @@ def linear_quantities(
     is missing where the recording lacks what drives it, all of them where it has too few static bins.
     """
     out: dict[tuple[str, str], Quantity] = {}
-    scenes = [*exam.scenes, *([exam.turns[0]] if exam.turns else [])]
+    scenes = [*exam.scenes, *([exam.turns] if exam.turns else [])]
     for scene in scenes:
         if len(scene.bins) >= thresholds.LEAST_BINS:
             own = [w for w in wanted if w.kind == _kind(scene)]
@@ -124,15 +117,9 @@ def _fitted(
 ) -> list[Quantity]:
     kind = _kind(scene)
     free = replace(scene, views=tuple(_freed(v, scene.gravity) for v in scene.views))
-    effects = [h for w in wanted if (h := proposed(exam, scene, w)) is not None]
+    effects = [h for w in wanted if (h := proposed(scene, w)) is not None]
     hypotheses = [_constants(kind, scene), *effects]
-    whole = Hypothesis(
-        Entry("all", scene.sensor, "", no_hypotheses, sum((h.entry.parameters for h in hypotheses), ()), ""),
-        {},
-        tuple(
-            np.concatenate(columns, axis=2) for columns in zip(*(h.columns for h in hypotheses), strict=True)
-        ),
-    )
+    whole = together(scene, hypotheses)
     fit = fit_hypothesis(reduce_scene(free, [whole]), 0)
     sizes = whole.sizes
     value, covariance = fit.beta * sizes, fit.covariance * np.outer(sizes, sizes)
@@ -143,21 +130,18 @@ def _fitted(
     out = _constant_quantities(exam, kind, stated, covariance, reference_c)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
         effect = _effect_quantity(scene, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
-        if reference_c is not None and hypothesis.entry.effect in SHIFTED:
+        if reference_c is not None and hypothesis.effect.name in SHIFTED:
             effect = replace(effect, reference=dict(effect.reference) | {"temperature_c": reference_c})
         out.append(effect)
     return out
 
 
-def proposed(exam: Examination, scene: Scene, wanted: Wanted) -> Hypothesis | None:
+def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
     """Return the effect as this recording would have it, at the nearest grid point; None if it cannot."""
-    if wanted.kind == "turn":
-        entries = [] if exam.turns is None else turn_entries(exam.turns[1], exam.turns[0])
-    else:
-        entries = slow_entries(wanted.kind)
-    for entry in entries:
-        found = [h for h in entry.propose(entry, scene) if Wanted(wanted.kind, h).key == wanted.key]
-        if found:
+    for effect in effects_of(scene.sensor, in_turns=wanted.kind == "turn"):
+        if (wanted.kind, effect.name, effect.follows, len(effect.parameters)) != wanted.key:
+            continue
+        if found := scene.hypotheses(effect):
             return min(found, key=lambda h: _apart(h.grid, wanted.hypothesis.grid))
     return None
 
@@ -183,14 +167,14 @@ def _freed(view: View, gravity: float) -> View:
 
 def _constants(kind: str, scene: Scene) -> Hypothesis:
     """Return the constant parameters as a hypothesis: what they do to the residuals of a faultless phone."""
-    entry = Entry("constants", scene.sensor, "nothing", no_hypotheses, CONSTANTS[kind], "")
+    constants = Parameters("constants", scene.sensor, CONSTANTS[kind])
     if kind == "accel":
         columns = tuple(_of_constants(v) for v in scene.views)
     elif kind == "turn":
         columns = tuple(v.baseline for v in scene.views)
     else:
-        columns = bias_columns(scene, np.ones(len(scene.bins)))
-    return Hypothesis(entry, {}, columns)
+        columns = scene.columns_of(on_axes(np.ones(len(scene.bins))))
+    return Hypothesis(constants, {}, columns)
 
 
 def _of_constants(view: View) -> Array:
@@ -219,8 +203,8 @@ def _at_reference(
         return matrix
     warmer = reference_c - float(scene.bins.temperature.mean())
     for hypothesis, rows in zip(hypotheses, parts, strict=True):
-        if hypothesis.entry.effect in SHIFTED:
-            first, sign = SHIFTED[hypothesis.entry.effect]
+        if hypothesis.effect.name in SHIFTED:
+            first, sign = SHIFTED[hypothesis.effect.name]
             matrix[np.arange(first, first + 3), rows] += sign * warmer
     return matrix
 
@@ -268,25 +252,25 @@ def _by_effect(constants: Sequence[Linear]) -> dict[str, list[Linear]]:
 
 def _rows(hypothesis: Hypothesis) -> list[slice]:
     """Return which of a hypothesis' numbers belong to each of its parameters."""
-    ends = np.cumsum([0, *(p.count for p in hypothesis.entry.parameters)]).tolist()
+    ends = np.cumsum([0, *(p.count for p in hypothesis.effect.parameters)]).tolist()
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
 def _effect_quantity(scene: Scene, hypothesis: Hypothesis, value: Array, covariance: Array) -> Quantity:
-    entry = hypothesis.entry
+    effect = hypothesis.effect
     largest = [float(np.abs(value[rows]).max()) for rows in _rows(hypothesis)]
     rough = np.concatenate(
-        [np.full(p.count, MODEL_ERROR * x) for p, x in zip(entry.parameters, largest, strict=True)]
+        [np.full(p.count, MODEL_ERROR * x) for p, x in zip(effect.parameters, largest, strict=True)]
     )
     return Quantity(
-        entry.effect,
+        effect.name,
         scene.sensor,
-        tuple(Part(p.name, p.unit, p.count) for p in entry.parameters),
+        tuple(Part(p.name, p.unit, p.count) for p in effect.parameters),
         value,
         covariance + np.diag(rough**2),
         hypothesis.sizes,
         1e-9 * hypothesis.sizes,
         np.asarray(hypothesis.axis_of),
         reference=dict(hypothesis.grid),
-        where=Where(*scene.bins.span, SLOW_BAND, entry.follows),
+        where=Where(*scene.bins.span, SLOW_BAND, effect.follows),
     )

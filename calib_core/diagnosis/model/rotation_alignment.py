@@ -62,7 +62,7 @@ class Cut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """One turn. rate: (n, 3) rad/s, corrected; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,).
+    """One turn. t: (n,) s; rate: (n, 3) rad/s, corrected; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,).
 
     end, duration: s; angle: rad turned through; unsure: (3, 9) what the accelerometer's parameters do to
     `miss`.
@@ -70,6 +70,7 @@ class Turn:
 
     end: float
     duration: float
+    t: Array
     rate: Array
     carried: Array
     up: Array
@@ -78,9 +79,9 @@ class Turn:
     angle: float
     temperature: float
 
-    def column(self, term: Array) -> Array:
-        """Return what an error of the rate `term` (n, 3) does to gravity's direction at the end, (3,) rad."""
-        return np.cross(np.einsum("nij,nj->i", self.carried, term), self.up)
+    def columns(self, response: Array) -> Array:
+        """Return what errors of the rate (n, 3, k) do to gravity's direction at the end, (3, k) rad."""
+        return np.cross(np.einsum("nij,njk->ki", self.carried, response), self.up).T
 
     def scale_columns(self) -> Array:
         """Return what the nine numbers of scale and misalignment, row by row, do to it, (3, 9)."""
@@ -200,6 +201,7 @@ def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[
             Turn(
                 float(cut.t[-1]),
                 float(cut.t[-1] - cut.t[0]),
+                cut.t,
                 rate,
                 carried,
                 up[i + 1],

@@ -1,1 +1,1 @@
-"""Effects on bias and scale that vary slowly: regressors, effects, search, naming and findings."""
+"""The slow diagnosis of one sensor: search among effects, joint estimate, held-out evidence, findings."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.effects.bias import UNIT
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
@@ -25,7 +26,6 @@ from stillcal.calib_core.diagnosis.model.records import (
     Where,
 )
 from stillcal.calib_core.diagnosis.model.residuals import View
-from stillcal.calib_core.diagnosis.slow.effects_bias import UNIT
 from stillcal.calib_core.diagnosis.slow.search import Scored
 
 DRIVER = "the rest it lies in"
@@ -76,7 +76,7 @@ def _scatter(view: View, explained: list[Array]) -> tuple[float, float]:
 def stands(scene: Scene, one: Scored, found: Jumps) -> bool:
     """Whether a hypothesis has no name, or explains so much more than the jumps left that its name stands."""
     own = one.hypothesis
-    if own.entry.effect == "unknown":
+    if own.effect.name == "unknown":
         return True
     beta = own.sizes * one.fit.beta
     seen = [v for v in zip(scene.views, own.columns, strict=True) if v[0].name != "tangent"]

@@ -48,8 +48,7 @@ class Estimate:
 
 def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> Estimate:
     """Fit one finding with the others' columns free beside it."""
-    refine = hypothesis.entry.refine
-    candidates = [hypothesis] if refine is None else refine(hypothesis.entry, scene, hypothesis.grid)
+    candidates = scene.finer(hypothesis)
     reduced = reduce_scene(scene, candidates, others)
     fits = [fit_hypothesis(reduced, h) for h in range(len(candidates))]
     gains = np.array([f.log_likelihood for f in fits])
@@ -60,7 +59,7 @@ def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis])
     grid = {
         name: _quantiles(candidates, name, weight)
         for name in hypothesis.grid
-        if name in hypothesis.entry.grid_units
+        if name in hypothesis.effect.grid_units
     }
     return Estimate(top, mean, covariance, grid, float(gains.max() - null_log_likelihood(reduced)))
 
@@ -94,18 +93,18 @@ def _quantiles(candidates: list[Hypothesis], name: str, weight: Array) -> tuple[
 
 def parameters(found: Estimate) -> dict[str, Parameter]:
     """Return the parameters as the answer wants them."""
-    out, first, entry = {}, 0, found.hypothesis.entry
-    sigma = np.hypot(found.sigma, entry.rough * found.value)
-    for p in entry.parameters:
+    out, first, effect = {}, 0, found.hypothesis.effect
+    sigma = np.hypot(found.sigma, effect.rough * found.value)
+    for p in effect.parameters:
         rows = slice(first, first + p.count)
         out[p.name] = _linear(found.value[rows], sigma[rows], p.unit)
         first += p.count
     for name, (value, low, high) in found.grid.items():
         if name in GRID_PARAMETERS:
             # Half-widths of the logarithm, and of what the model is off by, add up as squares.
-            down, up = (np.hypot(np.log(x / value), 1.96 * entry.rough) for x in (low, high))
+            down, up = (np.hypot(np.log(x / value), 1.96 * effect.rough) for x in (low, high))
             interval = [float(value * np.exp(-down)), float(value * np.exp(up))]
-            out[name] = Parameter(value, interval, entry.grid_units[name])
+            out[name] = Parameter(value, interval, effect.grid_units[name])
     return out
 
 

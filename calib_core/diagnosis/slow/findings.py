@@ -8,19 +8,19 @@ from itertools import takewhile
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, HeldOut, best_covariance, held_out
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.model.likelihood import Reduced, fit_hypothesis
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Turn
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
-from stillcal.calib_core.diagnosis.slow.effects import nameless, slow_entries
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
 from stillcal.calib_core.diagnosis.slow.random_walk import random_walk
-from stillcal.calib_core.diagnosis.slow.rotation_effects import turn_entries, turn_scene
 from stillcal.calib_core.diagnosis.slow.search import Scored, Step, adequate, forward, reduce_scene
+from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 
 ENTRIES = 20
 """How many entries compete, to make one p value of the best one's."""
@@ -31,18 +31,6 @@ LEAST_GAIN = 3.0
 
 CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
-
-ACT = {
-    "temperature": "; to correct it: stillcal store adopt-terms",
-    "temperature x own force": "; calibrate at the temperature of use",
-    "temperature x rate of turn": "; calibrate at the temperature of use",
-    "time since start": "; let the phone warm up, or leave out the first minutes",
-    "charging and use": "; record the temperature, or calibrate at the temperature of use",
-    "charging": "; calibrate with and without the charger",
-    "time": "; calibrate more often",
-    "attitude": "; to correct it: stillcal store adopt-terms",
-}
-"""What a person can do about an effect, by what it follows."""
 
 ALTERNATIVES = 3
 """How many other effects are reported beside a finding."""
@@ -70,8 +58,7 @@ def slow_statements(scene: Scene, without: Collection[str] = ()) -> list[Stated]
     """
     if len(scene.bins) < thresholds.LEAST_BINS:
         return []
-    entries = slow_entries(scene.sensor, without)
-    steps = forward(scene, entries)
+    steps = forward(scene, effects_of(scene.sensor, without))
     found, left = _jumps(scene, steps)
     if found:
         steps = [step for step in adequate(steps) if jumps.stands(scene, step.winner, found)]
@@ -95,17 +82,15 @@ def turn_findings(made: Aligned, bins: Bins, gravity: float, without: Collection
     return [s.finding for s in turn_statements(turn_scene(made, bins, gravity), without)]
 
 
-def turn_statements(seen: tuple[Scene, list[Turn]] | None, without: Collection[str] = ()) -> list[Stated]:
+def turn_statements(scene: Scene | None, without: Collection[str] = ()) -> list[Stated]:
     """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out.
 
-    seen: the turns as a scene, and one by one (`turn_scene`). Where rests are too few to judge the
-    accelerometer, its errors would be taken for the gyroscope's.
+    scene: the turns (`turn_scene`). Where rests are too few to judge the accelerometer, its errors would be
+    taken for the gyroscope's.
     """
-    if seen is None or len(seen[0].bins) < thresholds.LEAST_BINS:
+    if scene is None or len(scene.bins) < thresholds.LEAST_BINS:
         return []
-    scene, found = seen
-    entries = [nameless(e) if e.effect in without else e for e in turn_entries(found, scene)]
-    return statements_of(scene, forward(scene, entries))
+    return statements_of(scene, forward(scene, effects_of("gyro", without, in_turns=True)))
 
 
 def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
@@ -147,7 +132,7 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
 
 def _stands_alone(found: Scored) -> bool:
     """Whether a finding scores at least what a name that is preferred to nameless structure may."""
-    allowed = thresholds.UNKNOWN_MARGIN + found.hypothesis.entry.handicap
+    allowed = thresholds.UNKNOWN_MARGIN + found.hypothesis.effect.prior_penalty
     return found.score >= thresholds.SCORE - allowed
 
 
@@ -167,7 +152,7 @@ def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]
     alternatives = [_alternative(scene, s, step.winner, others, before) for s in _shown(step)]
     axes = named_axes(found)
     return Finding(
-        effect=found.hypothesis.entry.effect,
+        effect=found.hypothesis.effect.name,
         sensor=scene.sensor,
         axes=axes,
         where=_where(scene, found.hypothesis),
@@ -188,8 +173,8 @@ def _shown(step: Step) -> list[Scored]:
     """Return the best other effects that have a name, each once."""
     shown: dict[str, Scored] = {}
     for s in step.others:
-        effect = s.hypothesis.entry.effect
-        if effect not in ("unknown", step.winner.hypothesis.entry.effect):
+        effect = s.hypothesis.effect.name
+        if effect not in ("unknown", step.winner.hypothesis.effect.name):
             shown.setdefault(effect, s)
     return list(shown.values())[:ALTERNATIVES]
 
@@ -213,7 +198,7 @@ def _alternative(
 ) -> Alternative:
     after = _evidence(scene, other.hypothesis, found)
     return Alternative(
-        other.hypothesis.entry.effect,
+        other.hypothesis.effect.name,
         after.log_score - before.log_score,
         bool(winner.score - other.score < thresholds.MARGIN),
     )
@@ -234,7 +219,7 @@ def named_axes(found: Estimate) -> list[str]:
 
 def _size(found: Estimate, axes: list[str]) -> str:
     """Return the first parameter in words: its value on each named axis, or the largest of a matrix."""
-    first = found.hypothesis.entry.parameters[0]
+    first = found.hypothesis.effect.parameters[0]
     unit = "" if first.unit == "1" else f" {first.unit}"
     value = found.value[: first.count]
     rows = [AXES.index(a) for a in axes]
@@ -250,15 +235,16 @@ def _size(found: Estimate, axes: list[str]) -> str:
 def _where(scene: Scene, hypothesis: Hypothesis) -> Where:
     start, end = scene.bins.span
     t_start = hypothesis.grid.get("t_start", start)
-    return Where(t_start, hypothesis.grid.get("t_end", end), SLOW_BAND, hypothesis.entry.follows)
+    return Where(t_start, hypothesis.grid.get("t_end", end), SLOW_BAND, hypothesis.effect.follows)
 
 
 def _statement(found: Estimate, axes: list[str], alternatives: list[Alternative]) -> str:
-    entry = found.hypothesis.entry
-    said = entry.sentence.format(axes=", ".join(axes))[:-1]
-    text = f"{said} ({_size(found, axes)}){ACT.get(entry.follows, '')}."
+    effect = found.hypothesis.effect
+    said = effect.sentence.format(axes=", ".join(axes))[:-1]
+    remedy = f"; {effect.remedy}" if effect.remedy else ""
+    text = f"{said} ({_size(found, axes)}){remedy}."
     alike = [a.effect for a in alternatives if a.indistinguishable]
     if not alike:
         return text
-    decides = f" To decide: {entry.decides}." if entry.decides else ""
+    decides = f" To decide: {effect.decides}." if effect.decides else ""
     return f"{text} This recording cannot distinguish it from {' or '.join(alike)}.{decides}"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.effects.bias import UNIT
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
@@ -21,7 +22,6 @@ from stillcal.calib_core.diagnosis.model.records import (
     Parameter,
     Where,
 )
-from stillcal.calib_core.diagnosis.slow.effects_bias import UNIT
 
 BOUNDED = 2.0
 """How far beyond what a walk may have a slow Gauss-Markov process must begin to be called a walk."""

@@ -1,6 +1,7 @@
-"""Screening of banks: thousands of curves judged under a few covariances; the best of each are then fitted.
+"""Screening of dictionaries: many curves judged under a few covariances; the best of each are then fitted.
 
-A rank among curves of one bank needs no refitted noise; the score of those that go on does, and pays for all.
+A rank among curves of one dictionary needs no refitted noise. The score of those that go on does, and pays
+for all.
 """
 
 from __future__ import annotations
@@ -11,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.hypothesis import TILTED, Bank, Entry, Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS, Dictionary, Effect
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms, projected, stacked
 from stillcal.calib_core.diagnosis.model.noise_models import families
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.slow.two_level import Course, grown
 
 KEPT = 5
-"""Curves of a bank that go on, under each covariance."""
+"""Curves of a dictionary that go on, under each covariance."""
 
 SPREAD = 7
 """Courses between two levels are grown from one in so many of the best stretches: neighbours are alike."""
@@ -29,55 +31,57 @@ MODERATE = "flicker"
 
 
 def screened(
-    scene: Scene, entries: Sequence[Entry], reduced: Sequence[Reduced], found: Sequence[Hypothesis]
+    scene: Scene, effects: Sequence[Effect], reduced: Sequence[Reduced], found: Sequence[Hypothesis]
 ) -> list[Hypothesis]:
-    """Return the hypotheses of entries with a bank that go on. reduced: the scene with `found` taken out."""
+    """Return the hypotheses of dictionaries that go on. reduced: the scene with `found` taken out."""
     choices = _choices(scene, reduced)
     whitened = [_Whitened(v, choice, _extra(found, i)) for i, (v, choice) in enumerate(choices)]
     kept = []
-    for entry in entries:
-        bank = None if entry.bank is None else entry.bank(scene)
-        if bank is None:
+    for effect in effects:
+        many = effect.dictionary(scene.moments)
+        if many is None:
             continue
-        if bank.switching:
-            kept += _switching(entry, scene, whitened, bank)
+        if many.switching:
+            kept += _switching(effect, scene, whitened, many)
             continue
         best: set[int] = set()
         for c in range(len(whitened[0].diagonals)):
-            gains = _gains(whitened, bank, c, entry.parameters[0].size)
+            gains = _gains(whitened, many, c, effect.parameters[0].size)
             best |= set(np.argsort(-gains)[:KEPT].tolist())
-        kept += [hypothesis(entry, scene, bank, k) for k in sorted(best)]
+        kept += [hypothesis(effect, scene, many, k) for k in sorted(best)]
     return kept
 
 
-def hypothesis(entry: Entry, scene: Scene, bank: Bank, k: int) -> Hypothesis:
-    """Return curve number `k` of a bank as a hypothesis, its curves on each axis one after another."""
-    columns = tuple(_columns(v, bank.curve(k)[None]) for v in scene.views)
-    return Hypothesis(entry, bank.grids[k], columns, bank.trials)
+def hypothesis(effect: Effect, scene: Scene, many: Dictionary, k: int) -> Hypothesis:
+    """Return curve number `k` of a dictionary as a hypothesis, its curves on each axis one after another."""
+    columns = tuple(_columns(v, many.curve(k)[None]) for v in scene.views)
+    return Hypothesis(effect, many.grids[k], columns, many.multiplicity)
 
 
-def _switching(entry: Entry, scene: Scene, whitened: Sequence[_Whitened], bank: Bank) -> list[Hypothesis]:
+def _switching(
+    effect: Effect, scene: Scene, whitened: Sequence[_Whitened], many: Dictionary
+) -> list[Hypothesis]:
     """Return the likeliest courses between two levels, grown from the best stretches of each covariance."""
-    assert bank.pairs is not None
+    assert many.pairs is not None
     courses: dict[bytes, Course] = {}
     for c in range(len(whitened[0].diagonals)):
-        gram, target, power = _inner(whitened, bank, c, entry.parameters[0].size)
-        starts = np.argsort(-_gains_of_pairs(gram, target, bank.pairs))[: KEPT * SPREAD : SPREAD]
-        for first, last in bank.pairs[starts]:
+        gram, target, power = _inner(whitened, many, c, effect.parameters[0].size)
+        starts = np.argsort(-_gains_of_pairs(gram, target, many.pairs))[: KEPT * SPREAD : SPREAD]
+        for first, last in many.pairs[starts]:
             course = grown(gram, target, power, int(first), int(last))
             if course is not None:
                 courses[course.changes.tobytes()] = course
     made = []
     for course in courses.values():
-        curve = np.tensordot(course.changes.astype(float), bank.curves, 1)
+        curve = np.tensordot(course.changes.astype(float), many.curves, 1)
         columns = tuple(_columns(v, curve[None]) for v in scene.views)
-        made.append(Hypothesis(entry, {}, columns, float(np.exp(course.log_trials))))
+        made.append(Hypothesis(effect, {}, columns, float(np.exp(course.log_trials))))
     return made
 
 
 def _columns(view: View, curves: Array) -> Array:
     """Columns (b, n, K q 3) of a bias that follows curves (K, q, N) on each axis; none where phones tilt."""
-    if view.name in TILTED:
+    if view.name in BLOCKS_ACROSS:
         return np.zeros((*view.y.shape, 3 * curves.shape[0] * curves.shape[1]))
     at = curves[:, :, view.bins].reshape(-1, view.bins.size).T
     made = at[None, :, :, None] * view.project[:, :, None, :]
@@ -124,14 +128,14 @@ class _Whitened:
         return y @ x, x, left if left > 0.0 else 1.0  # values that never change leave nothing
 
 
-def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array:
-    """Return about the gain of every hypothesis of a bank in log likelihood under shape number `c`."""
-    if bank.pairs is not None:
-        return _gains_of_pairs(*_inner(views, bank, c, size)[:2], bank.pairs)
+def _gains(views: Sequence[_Whitened], many: Dictionary, c: int, size: float) -> Array:
+    """Return about the gain of every hypothesis of a dictionary in log likelihood under shape number `c`."""
+    if many.pairs is not None:
+        return _gains_of_pairs(*_inner(views, many, c, size)[:2], many.pairs)
     out = []
-    width = 3 * bank.curves.shape[1]
-    for first in range(0, len(bank.curves), CHUNK):
-        curves = bank.curves[first : first + CHUNK]
+    width = 3 * many.curves.shape[1]
+    for first in range(0, len(many.curves), CHUNK):
+        curves = many.curves[first : first + CHUNK]
         gram, target = np.zeros((len(curves), width, width)), np.zeros((len(curves), width))
         for view in views:
             xy, x, scale = view.sums(_columns(view.view, curves) * size, c)
@@ -142,12 +146,12 @@ def _gains(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> Array
     return np.concatenate(out)
 
 
-def _inner(views: Sequence[_Whitened], bank: Bank, c: int, size: float) -> tuple[Array, Array, float]:
-    """Return inner products of a bank's single curves (K, 3, K, 3), those with the data (K, 3), its power."""
-    count = len(bank.curves)
+def _inner(views: Sequence[_Whitened], many: Dictionary, c: int, size: float) -> tuple[Array, Array, float]:
+    """Return inner products of single curves (K, 3, K, 3), those with the data (K, 3), its power."""
+    count = len(many.curves)
     gram, target, power = np.zeros((count, 3, count, 3)), np.zeros((count, 3)), 0.0
     for view in views:
-        xy, x, scale = view.sums(_columns(view.view, bank.curves) * size, c)
+        xy, x, scale = view.sums(_columns(view.view, many.curves) * size, c)
         power += len(x)
         gram += (x.T @ x).reshape(count, 3, count, 3) / scale
         target += xy.reshape(count, 3) / scale

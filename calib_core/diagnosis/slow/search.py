@@ -14,8 +14,10 @@ from itertools import pairwise
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.effects.catalogue import nameless
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Entry, Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.effect import Effect
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.model.likelihood import (
     Fit,
     Reduced,
@@ -25,7 +27,6 @@ from stillcal.calib_core.diagnosis.model.likelihood import (
     null_log_likelihood,
     reduce_view,
 )
-from stillcal.calib_core.diagnosis.slow.effects import nameless
 from stillcal.calib_core.diagnosis.slow.screen import screened
 
 LN10 = float(np.log(10.0))
@@ -35,7 +36,7 @@ ACROSS = 13.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
-    """A hypothesis with its fit, score S and gain; profile: (grid point, gain) over its entry's grid."""
+    """A hypothesis with its fit, score S and gain; profile: (grid point, gain) over its effect's grid."""
 
     hypothesis: Hypothesis
     fit: Fit
@@ -46,20 +47,20 @@ class Scored:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One forward step: the winner and the best of every other entry, best first.
+    """One forward step: the winner and the best of every other effect, best first.
 
-    shadows: the winner's neighbours on its fine grid, and its kin. They are projected out
+    neighbours: the winner's neighbours on its fine grid, and its companions. They are projected out
     with it later, so that what a time constant slightly off leaves is not taken for another effect.
     """
 
     winner: Scored
     others: tuple[Scored, ...]
-    shadows: tuple[Hypothesis, ...] = ()
+    neighbours: tuple[Hypothesis, ...] = ()
 
     @property
     def explained(self) -> tuple[Hypothesis, ...]:
         """What later steps project out."""
-        return (self.winner.hypothesis, *self.shadows)
+        return (self.winner.hypothesis, *self.neighbours)
 
 
 def score(gain: float, parameters: int, dof: float, trials: float) -> float:
@@ -83,23 +84,23 @@ def log_tail(fall: float, parameters: int, dof: float) -> float:
     return float(-a * fall + (b - 1.0) * np.log1p(-np.exp(-fall)) - np.log(a) - betaln(a, b))
 
 
-def proposals(scene: Scene, entries: Sequence[Entry]) -> list[Hypothesis]:
-    """Return all hypotheses that the entries propose in a scene."""
-    return [h for entry in entries for h in entry.propose(entry, scene)]
+def proposals(scene: Scene, effects: Sequence[Effect]) -> list[Hypothesis]:
+    """Return all hypotheses that the effects propose in a scene."""
+    return [h for effect in effects for h in scene.hypotheses(effect)]
 
 
 def compete(
     scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()
 ) -> tuple[list[Scored], list[Reduced]]:
-    """Score every hypothesis with baseline and `found` projected out; best of each entry, best first."""
+    """Score every hypothesis with baseline and `found` projected out; best of each effect, best first."""
     reduced = reduce_scene(scene, hypotheses, found, parts=True)
     null = null_log_likelihood(reduced)
-    grids = Counter(id(h.entry) for h in hypotheses)
+    grids = Counter(id(h.effect) for h in hypotheses)
     scored: dict[int, list[Scored]] = {}
     for index, h in enumerate(hypotheses):
-        one = _judged(reduced, index, h, null, h.trials or grids[id(h.entry)])
+        one = _judged(reduced, index, h, null, h.multiplicity or grids[id(h.effect)])
         if one is not None:
-            scored.setdefault(id(h.entry), []).append(one)
+            scored.setdefault(id(h.effect), []).append(one)
     return sorted((_best(group) for group in scored.values()), key=lambda s: -s.score), reduced
 
 
@@ -124,7 +125,7 @@ def _judged(
     if not np.isfinite(best):
         return None
     fit = fit_hypothesis(reduced, whole)
-    return Scored(h, fit, best - h.entry.handicap, fit.log_likelihood - null)
+    return Scored(h, fit, best - h.effect.prior_penalty, fit.log_likelihood - null)
 
 
 def degrees(reduced: Sequence[Reduced], h: int) -> float:
@@ -170,18 +171,18 @@ def visible(reduced: Sequence[Reduced], h: int) -> int:
     return int((np.linalg.eigvalsh(np.asarray(information)) > 1.0).sum())
 
 
-def forward(scene: Scene, entries: Sequence[Entry], threshold: float = thresholds.SCORE) -> list[Step]:
+def forward(scene: Scene, effects: Sequence[Effect], threshold: float = thresholds.SCORE) -> list[Step]:
     """Return the forward steps above the threshold, at most `thresholds.MAX_FINDINGS`; names unweighed."""
     steps: list[Step] = []
     while len(steps) < thresholds.MAX_FINDINGS:
         before = [h for s in steps for h in s.explained]
-        ranked = ranking(scene, entries, before)
+        ranked = ranking(scene, effects, before)
         if not ranked or ranked[0].score < threshold:
             break
         step = prefer_pair(scene, prefer_named(Step(ranked[0], tuple(ranked[1:]))), before)
         step = refined(scene, step, before)
         steps.append(step)
-        entries = [e for e in entries if not _spent(e, step.winner.hypothesis.entry)]
+        effects = [e for e in effects if not _spent(e, step.winner.hypothesis.effect)]
     return steps
 
 
@@ -213,8 +214,8 @@ def _one_heat(steps: Sequence[Step]) -> list[Step]:
 
 def _along(one: Scored, direction: Array) -> bool:
     """Whether every curve of a bias moves the axes as `direction` (3,) does, within its errors."""
-    entry, owner = one.hypothesis.entry, one.hypothesis.axis_of
-    if entry.by_row or entry.parameters[0].name != "amplitude":
+    effect, owner = one.hypothesis.effect, one.hypothesis.axis_of
+    if effect.by_row or effect.parameters[0].name != "amplitude":
         return False
     unit = direction / np.linalg.norm(direction)
     across = np.linalg.svd(unit[None])[2][1:]
@@ -227,7 +228,7 @@ def _along(one: Scored, direction: Array) -> bool:
 
 
 def _effect(step: Step) -> str:
-    return step.winner.hypothesis.entry.effect
+    return step.winner.hypothesis.effect.name
 
 
 def _one_of_many(step: Step, steps: Sequence[Step]) -> Step:
@@ -236,20 +237,20 @@ def _one_of_many(step: Step, steps: Sequence[Step]) -> Step:
         return step
     hypothesis = step.winner.hypothesis
     return replace(
-        step, winner=replace(step.winner, hypothesis=replace(hypothesis, entry=nameless(hypothesis.entry)))
+        step, winner=replace(step.winner, hypothesis=replace(hypothesis, effect=nameless(hypothesis.effect)))
     )
 
 
-def ranking(scene: Scene, entries: Sequence[Entry], found: Sequence[Hypothesis] = ()) -> list[Scored]:
-    """Return the best hypothesis of every entry with `found` projected out, best first."""
+def ranking(scene: Scene, effects: Sequence[Effect], found: Sequence[Hypothesis] = ()) -> list[Scored]:
+    """Return the best hypothesis of every effect with `found` projected out, best first."""
     empty = reduce_scene(scene, [nothing(scene)], found)
-    hypotheses = [*proposals(scene, entries), *screened(scene, entries, empty, found)]
+    hypotheses = [*proposals(scene, effects), *screened(scene, effects, empty, found)]
     return compete(scene, hypotheses, found)[0] if hypotheses else []
 
 
-def _spent(entry: Entry, winner: Entry) -> bool:
-    """Whether a winner rules an entry out of later steps: all that name one effect, unless it can recur."""
-    return not winner.recurs and entry.effect == winner.effect != "unknown"
+def _spent(effect: Effect, winner: Effect) -> bool:
+    """Whether a winner rules an effect out of later steps: all that name one effect, unless it can recur."""
+    return not winner.recurs and effect.name == winner.name != "unknown"
 
 
 def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
@@ -257,14 +258,14 @@ def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
 
     Two effects together may look like neither; each of the best few names is tried with the best second.
     """
-    if step.winner.hypothesis.entry.effect != "unknown":
+    if step.winner.hypothesis.effect.name != "unknown":
         return step
-    named = [s for s in step.others if s.hypothesis.entry.effect != "unknown"][: thresholds.PAIRS]
+    named = [s for s in step.others if s.hypothesis.effect.name != "unknown"][: thresholds.PAIRS]
     best, chosen = step.winner.score - thresholds.UNKNOWN_MARGIN, step
     for first in named:
-        others = [s.hypothesis.entry for s in named if s is not first]
-        entries = [e for e in others if not _spent(e, first.hypothesis.entry)]
-        ranked = ranking(scene, entries, [*before, first.hypothesis])
+        others = [s.hypothesis.effect for s in named if s is not first]
+        effects = [e for e in others if not _spent(e, first.hypothesis.effect)]
+        ranked = ranking(scene, effects, [*before, first.hypothesis])
         if ranked and first.score + ranked[0].score > best:
             best = first.score + ranked[0].score
             chosen = Step(first, (step.winner, *(s for s in step.others if s is not first)))
@@ -273,13 +274,13 @@ def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
 
 def prefer_named(step: Step) -> Step:
     """Let a catalogue effect win over a generic one that is better by less than the margin."""
-    if step.winner.hypothesis.entry.effect != "unknown":
+    if step.winner.hypothesis.effect.name != "unknown":
         return step
     near = [
         s
         for s in step.others
-        if s.hypothesis.entry.effect != "unknown"
-        and step.winner.score - s.score - s.hypothesis.entry.handicap < thresholds.UNKNOWN_MARGIN
+        if s.hypothesis.effect.name != "unknown"
+        and step.winner.score - s.score - s.hypothesis.effect.prior_penalty < thresholds.UNKNOWN_MARGIN
     ]
     if not near:
         return step
@@ -287,14 +288,16 @@ def prefer_named(step: Step) -> Step:
 
 
 def refined(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
-    """Move the winner to the best point of its entry's fine grid."""
+    """Move the winner to the best point of its effect's fine grid."""
     winner = step.winner.hypothesis
-    kin = () if winner.entry.kin is None else tuple(winner.entry.kin(winner.entry, scene))
-    if winner.entry.refine is None:
-        return replace(step, shadows=kin)
-    candidates = winner.entry.refine(winner.entry, scene, winner.grid)
+    companions = tuple(scene.companions(winner.effect))
+    candidates = scene.finer(winner)
+    if candidates == [winner]:
+        return replace(step, neighbours=companions)
     reduced = reduce_scene(scene, candidates, before)
     gains = [highest(reduced, i) for i in range(len(candidates))]
     best = int(np.argmax(gains))
     near = [candidates[i] for i in (best - 1, best + 1) if 0 <= i < len(candidates)]
-    return replace(step, winner=replace(step.winner, hypothesis=candidates[best]), shadows=(*near, *kin))
+    return replace(
+        step, winner=replace(step.winner, hypothesis=candidates[best]), neighbours=(*near, *companions)
+    )

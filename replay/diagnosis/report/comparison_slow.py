@@ -12,14 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Entry, Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.effect import Effect
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model.residuals import View, fit_baseline, rest_means
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.diagnosis.slow.effects import slow_entries
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 
 Row = tuple[str, str, float, float, str, float]
@@ -100,8 +101,8 @@ def slow_differences(recorded: SlowSide, simulated: SlowSide) -> list[Row]:
 
 def _fitted_coefficients(scene: Scene) -> Iterator[tuple[tuple[str, str, float], Coefficients]]:
     """Yield the coefficients of every effect compared; thermal ones first, then the others with them."""
-    curves = [h for entry in slow_entries(scene.sensor) for h in _proposed(entry, scene)]
-    heat = [h for h in curves if h.entry.effect.endswith(THERMAL_EFFECTS)][:1]
+    curves = [h for effect in effects_of(scene.sensor) for h in _proposed(effect, scene)]
+    heat = [h for h in curves if h.effect.name.endswith(THERMAL_EFFECTS)][:1]
     others = [h for h in curves if h not in heat]
     for group, also_fitted in ((heat, []), (others, heat)):
         if not group:
@@ -112,19 +113,19 @@ def _fitted_coefficients(scene: Scene) -> Iterator[tuple[tuple[str, str, float],
             covariance = fit.covariance * np.outer(h.sizes, h.sizes) + np.diag(
                 (PARAMETER_TOLERANCE * h.sizes) ** 2
             )
-            unit = h.entry.parameters[0].unit
-            key = (h.entry.effect, scene.sensor, h.grid.get("tau_s", 0.0) + h.sizes.size)
+            unit = h.effect.parameters[0].unit
+            key = (h.effect.name, scene.sensor, h.grid.get("tau_s", 0.0) + h.sizes.size)
             name = " and ".join(
-                [h.entry.effect, *(p.name for p in h.entry.parameters[1:] if p.name != "tau_s")]
+                [h.effect.name, *(p.name for p in h.effect.parameters[1:] if p.name != "tau_s")]
             )
             yield key, Coefficients(name, scene.sensor, fit.beta * h.sizes, covariance, unit)
 
 
-def _proposed(entry: Entry, scene: Scene) -> list[Hypothesis]:
-    """Return an entry's hypothesis, of a grid the one of the middle time constant."""
-    if not entry.effect.endswith(COMPARED_EFFECTS):
+def _proposed(effect: Effect, scene: Scene) -> list[Hypothesis]:
+    """Return an effect's hypothesis, of a grid the one of the middle time constant."""
+    if not effect.name.endswith(COMPARED_EFFECTS):
         return []
-    hypotheses = entry.propose(entry, scene)
+    hypotheses = scene.hypotheses(effect)
     return sorted(hypotheses, key=lambda h: abs(h.grid.get("tau_s", TAU) - TAU))[:1]
 
 

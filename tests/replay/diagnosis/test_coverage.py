@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.slow.regressors import LEAST_SPAN
 from stillcal.replay.diagnosis.coverage import (
     FORCE_ATTITUDES,
     LEAST_PIECES,

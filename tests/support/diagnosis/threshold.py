@@ -13,8 +13,8 @@ import time
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.scenes import scenes
-from stillcal.calib_core.diagnosis.slow.effects import slow_entries
 from stillcal.calib_core.diagnosis.slow.search import ranking
 from tests.support.diagnosis import nulls
 
@@ -26,10 +26,10 @@ def largest(rng: np.random.Generator, family: str) -> dict[str, tuple[float, str
     bins = nulls.bins_of(rng, day, family, thermometer=thermometer, charger=charger)
     best = {}
     for scene in scenes(bins, nulls.G):
-        ranked = ranking(scene, slow_entries(scene.sensor))
+        ranked = ranking(scene, effects_of(scene.sensor))
         if ranked:
             top = ranked[0]
-            note = f"{top.hypothesis.entry.effect}/{top.hypothesis.entry.follows} rests={day.rest.max() + 1}"
+            note = f"{top.hypothesis.effect.name}/{top.hypothesis.effect.follows} rests={day.rest.max() + 1}"
             best[scene.sensor] = (top.score, note)
     return best
 

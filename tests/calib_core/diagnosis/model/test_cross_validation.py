@@ -9,20 +9,12 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, Covariance, held_out
-from stillcal.calib_core.diagnosis.model.hypothesis import (
-    Entry,
-    Hypothesis,
-    Linear,
-    Scene,
-    bias_columns,
-    no_hypotheses,
-)
+from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from tests.support.diagnosis import nulls
 
-RAMP = Entry(
-    "accel_bias_drift", "accel", "time", no_hypotheses, (Linear("rate", "m/s^3", 3, 0.01),), "It drifts."
-)
+RAMP = Parameters("accel_bias_drift", "accel", (Linear("rate", "m/s^3", 3, 0.01),))
 SCALE = 0.6
 
 
@@ -32,7 +24,7 @@ def hour() -> tuple[Scene, Hypothesis]:
     day = nulls.schedule(rng)
     drift = np.outer(np.linspace(0.0, 0.01, day.t.size), [1.0, -1.0, 0.5])
     scene = scenes(nulls.bins_of(rng, day, "white", drift), nulls.G)[0]
-    return scene, Hypothesis(RAMP, {}, bias_columns(scene, scene.bins.t / scene.bins.span[1]))
+    return scene, Hypothesis(RAMP, {}, scene.columns_of(on_axes(scene.bins.t / scene.bins.span[1])))
 
 
 def covariances(scene: Scene) -> list[Covariance]:

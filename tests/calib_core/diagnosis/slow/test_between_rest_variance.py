@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.slow.between_rest_variance import DRIVER, jumps
-from stillcal.calib_core.diagnosis.slow.effects import slow_entries
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_scene
 from tests.support.diagnosis import nulls
@@ -71,7 +71,7 @@ def test_a_heading_that_is_a_matter_of_attitude_is_no_g_sensitivity(monkeypatch:
         return np.asarray(nulls.EARTH * aside / np.maximum(length, 1e-12))
 
     monkeypatch.setattr(nulls, "earth", turned_about_one_line)
-    entries = [e for e in slow_entries("gyro") if e.effect == "gyro_g_sensitivity"]
+    entries = [e for e in effects_of("gyro") if e.name == "gyro_g_sensitivity"]
     for seed in range(6):
         rng, day = short_rests(20 + seed)
         ranked = ranking(scenes(nulls.bins_of(rng, day, "white"), nulls.G)[1], entries)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.codec import plain
+from stillcal.calib_core.diagnosis.effects.by_force import distinct
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.likelihood import null_log_likelihood, posterior_weights
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.scenes import scenes
-from stillcal.calib_core.diagnosis.slow.effects import slow_entries
-from stillcal.calib_core.diagnosis.slow.effects_force import distinct
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_scene, score
@@ -53,7 +53,7 @@ def test_silent_where_nothing_is_wrong(family: str) -> None:
         rng = np.random.default_rng([11, seed])
         bins = nulls.bins_of(rng, nulls.schedule(rng), family)
         for scene in scenes(bins, nulls.G):
-            ranked = ranking(scene, slow_entries(scene.sensor))
+            ranked = ranking(scene, effects_of(scene.sensor))
             assert not ranked or ranked[0].score < thresholds.SCORE
 
 
@@ -133,13 +133,13 @@ def test_shapes_find_the_wander_that_was_put_in() -> None:
 
 def test_a_drift_beside_a_walk_is_as_uncertain_as_the_walk_makes_it() -> None:
     """36 rates of which 95 % are to be within their intervals; 29 and fewer are by chance once in 1,000."""
-    drift = next(e for e in slow_entries("gyro") if e.effect == "gyro_bias_drift")
+    drift = next(e for e in effects_of("gyro") if e.name == "gyro_bias_drift")
     true, inside = np.array([3e-7, -2e-7, 0.0]), 0
     for trial in range(12):
         rng = np.random.default_rng([5, trial])
         day = nulls.schedule(rng, 1800)
         ramp = (day.t - 900.0)[:, None] * true
         scene = scenes(nulls.bins_of(rng, day, "walk_strong", gyro_error=ramp), nulls.G)[1]
-        found = estimate(scene, drift.propose(drift, scene)[0], [])
+        found = estimate(scene, scene.hypotheses(drift)[0], [])
         inside += int((np.abs(found.value - true) < 1.96 * found.sigma).sum())
     assert inside >= 30

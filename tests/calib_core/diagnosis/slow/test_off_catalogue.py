@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.effects import curves
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Bank, Scene, nothing
+from stillcal.calib_core.diagnosis.model.effect import Dictionary
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene, nothing
 from stillcal.calib_core.diagnosis.model.likelihood import fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.scenes import scenes
-from stillcal.calib_core.diagnosis.slow import dictionaries as banks
-from stillcal.calib_core.diagnosis.slow.effects import slow_entries
 from stillcal.calib_core.diagnosis.slow.findings import findings_of, slow_findings
 from stillcal.calib_core.diagnosis.slow.screen import hypothesis, screened
 from stillcal.calib_core.diagnosis.slow.search import Scored, Step, proposals, ranking, reduce_scene
@@ -96,9 +97,9 @@ def test_wander_does_not_bend_the_baseline() -> None:
 def test_screening_keeps_the_curve_that_was_put_in() -> None:
     _, day = day_of(6)
     scene, _ = gyro_of(6, np.outer((day.t > 900) & (day.t < 1500), [4e-4, 0.0, 0.0]))
-    entry = next(e for e in slow_entries("gyro") if e.bank is banks.pulses)
+    effect = next(e for e in effects_of("gyro") if getattr(e, "many", None) is curves.pulses)
     empty = reduce_scene(scene, [nothing(scene)])
-    kept = screened(scene, [entry], empty, [])
+    kept = screened(scene, [effect], empty, [])
     reduced = reduce_scene(scene, kept)
     gains = [
         fit_hypothesis(reduced, i).log_likelihood - null_log_likelihood(reduced) for i in range(len(kept))
@@ -110,13 +111,13 @@ def test_screening_keeps_the_curve_that_was_put_in() -> None:
 
 def test_a_pair_is_the_difference_of_its_curves() -> None:
     scene, _ = gyro_of(6, None)
-    entry = next(e for e in slow_entries("gyro") if e.bank is banks.pulses)
-    bank = banks.pulses(scene)
-    assert bank is not None and bank.pairs is not None
-    a, b = bank.pairs[7]
-    plain = Bank(bank.grids[:1], (bank.curves[a] - bank.curves[b])[None], 1)
+    effect = next(e for e in effects_of("gyro") if getattr(e, "many", None) is curves.pulses)
+    many = curves.pulses(scene.moments)
+    assert many is not None and many.pairs is not None
+    a, b = many.pairs[7]
+    plain = Dictionary(many.grids[:1], (many.curves[a] - many.curves[b])[None], 1)
     for one, other in zip(
-        hypothesis(entry, scene, bank, 7).columns, hypothesis(entry, scene, plain, 0).columns, strict=True
+        hypothesis(effect, scene, many, 7).columns, hypothesis(effect, scene, plain, 0).columns, strict=True
     ):
         assert np.array_equal(one, other)
 
@@ -143,8 +144,8 @@ def test_every_effect_outside_the_catalogue_can_be_drawn() -> None:
 def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_without_one() -> None:
     _, day = day_of(6)
     scene, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
-    period = ranking(scene, slow_entries("gyro"))[0]
-    drift = proposals(scene, [e for e in slow_entries("gyro") if e.effect == "gyro_bias_drift"])[0]
+    period = ranking(scene, effects_of("gyro"))[0]
+    drift = proposals(scene, [e for e in effects_of("gyro") if e.name == "gyro_bias_drift"])[0]
     name = Scored(drift, fit_hypothesis(reduce_scene(scene, [drift]), 0), 5.0, 10.0)
     assert [f.effect for f in findings_of(scene, [Step(name, (period,))])] == ["unknown"]
     assert findings_of(scene, [Step(name, ())]) == []

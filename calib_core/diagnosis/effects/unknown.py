@@ -1,0 +1,235 @@
+"""Structure outside the catalogue: generic changes that compete under the name `unknown`.
+
+They name no physics; where one of them wins, the answer says what is followed and stops there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.effects import curves
+from stillcal.calib_core.diagnosis.effects.bias import SIZE, UNIT
+from stillcal.calib_core.diagnosis.effects.by_force import seen_in
+from stillcal.calib_core.diagnosis.effects.by_rate import TURN_PENALTY
+from stillcal.calib_core.diagnosis.effects.temperature import known
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.effect import (
+    BLOCKS_ACROSS,
+    Dictionary,
+    Effect,
+    Grid,
+    Linear,
+    centred,
+    on_axes,
+)
+from stillcal.calib_core.diagnosis.model.moments import Moments, moves
+
+STRETCH_CUTS = 14
+GAIN = Linear("gain", "1", 3, 0.02)
+SLOPE = Linear("slope", "1/K", 3, 1e-3)
+SAY = "Unknown effect on the {what} of {{axes}}; it follows {follows}."
+
+
+def unknown_sentence(follows: str, what: str = "bias") -> str:
+    """Return what is said of an effect without a name. what: "bias" or "gain"; follows: its driver."""
+    return SAY.format(what=what, follows=follows)
+
+
+class Unknown(Effect):
+    """A change without a name. follows: its driver; penalty: score that it must give away."""
+
+    name = "unknown"
+    grid_units = {"t_start": "s", "t_end": "s", "period_s": "s"}  # noqa: RUF012 - a constant of the class
+    what = "bias"
+
+    def __init__(self, sensor: str, follows: str, parameter: Linear, penalty: float = 0.0) -> None:
+        self.sensor, self.follows, self.parameters = sensor, follows, (parameter,)
+        self.sentence = unknown_sentence(follows, self.what)
+        self.prior_penalty = penalty + thresholds.UNKNOWN_HANDICAP
+
+
+class UnknownCurve(Unknown):
+    """A bias that follows one of many curves."""
+
+    blind = BLOCKS_ACROSS
+
+    def __init__(
+        self, sensor: str, follows: str, many: Callable[[Moments], Dictionary | None], width: int = 1
+    ) -> None:
+        super().__init__(sensor, follows, Linear("amplitude", UNIT[sensor], 3 * width, SIZE[sensor]))
+        self.many = many
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return none: the curves are a dictionary."""
+        return []
+
+    def dictionary(self, moments: Moments) -> Dictionary | None:
+        """Return the curves."""
+        return self.many(moments)
+
+
+class VibrationBias(Unknown):
+    """A bias that follows the power of vibration."""
+
+    def __init__(self, sensor: str) -> None:
+        super().__init__(sensor, "vibration power", Linear("amplitude", UNIT[sensor], 3, SIZE[sensor]))
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return one point where vibration changed by more than it commonly is."""
+        power = moments.vibration
+        if power is None or not power.size:
+            return []
+        return [{}] if moves(power / max(float(np.median(power)), 1e-12), 1.0) else []
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the power of vibration on each axis, in its own range."""
+        assert moments.vibration is not None, "no grid points without it"
+        return on_axes(centred(moments.vibration))
+
+
+class GainInStretch(Unknown):
+    """Another gain of each axis in a stretch of time."""
+
+    what = "gain"
+    blind = BLOCKS_ACROSS
+
+    def __init__(self) -> None:
+        super().__init__("accel", "own force in a stretch of time", GAIN)
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return stretches that hold some bins and leave some out."""
+        if not seen_in(moments, 4):
+            return []
+        cuts = np.linspace(*moments.history.span, STRETCH_CUTS)
+        t, found = moments.t, []
+        for i, a in enumerate(cuts):
+            for b in cuts[i + 1 :]:
+                if 2 < ((t >= a) & (t < b)).sum() < t.size - 2:
+                    found.append({"t_start": float(a), "t_end": float(b)})
+        return found
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the force on each axis within the stretch."""
+        assert moments.force is not None, "no grid points without it"
+        inside = (moments.t >= grid["t_start"]) & (moments.t < grid["t_end"])
+        return on_axes(moments.force * inside[:, None])
+
+
+class GainInTime(Unknown):
+    """A gain of each axis that grows with time, by so much in the whole recording."""
+
+    what = "gain"
+    blind = BLOCKS_ACROSS
+
+    def __init__(self) -> None:
+        super().__init__("accel", "own force, with time", GAIN)
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return one point where attitudes suffice."""
+        return [{}] if seen_in(moments, 4) else []
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the force on each axis times the age, in the age's range."""
+        assert moments.force is not None, "no grid points without it"
+        return on_axes(moments.force * centred(moments.age)[:, None])
+
+
+class CrossedForce(Unknown):
+    """What each axis and the next take up of each other's force, by temperature.
+
+    The norm of gravity sees no more of misalignment than what the two axes have in common.
+    """
+
+    what = "gain"
+
+    def __init__(self) -> None:
+        super().__init__("accel", "temperature x another axis' force", SLOPE)
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return one point where attitudes suffice and temperature changed."""
+        return known(moments) if seen_in(moments, 4) else []
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return half the other axis' force on each of two axes, by temperature, (n, 3, 3)."""
+        assert moments.force is not None and moments.temperature is not None, "no grid points without them"
+        errors = np.zeros((len(moments), 3, 3))
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            errors[:, a, a], errors[:, b, a] = 0.5 * moments.force[:, b], 0.5 * moments.force[:, a]
+        return np.asarray(errors * moments.temperature[:, None, None])
+
+
+class AttitudeSquared(Unknown):
+    """Rate by squares and products of gravity's components, the same five on each axis."""
+
+    by_row = True
+
+    def __init__(self) -> None:
+        super().__init__("gyro", "attitude, nonlinearly", Linear("amplitude", UNIT["gyro"], 15, SIZE["gyro"]))
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return one point where attitudes suffice."""
+        return [{}] if seen_in(moments, 8) else []
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the five terms on each axis, (n, 3, 15), row by row."""
+        u = moments.up
+        assert u is not None, "no grid points without attitudes"
+        x, y, z = u.T
+        terms = np.stack([x**2, y**2, x * y, x * z, y * z], axis=1)
+        rows = np.eye(3)[None, :, :, None] * terms[:, None, None, :]
+        return np.asarray(rows.reshape(len(moments), 3, 15))
+
+
+class GainInTurns(Unknown):
+    """A gyroscope's gain that grows with time, by so much in the whole recording."""
+
+    what = "gain"
+    in_turns = True
+
+    def __init__(self) -> None:
+        super().__init__("gyro", "time x rate of turn", GAIN)
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the rate on each axis times the age, in the recording's length."""
+        assert moments.rate is not None, "a turn has a rate"
+        start, end = moments.history.span
+        return on_axes(moments.rate * (moments.age / (end - start) - 0.5)[:, None])
+
+
+class GainByDirection(Unknown):
+    """A gyroscope's gain that differs between the two directions of rotation."""
+
+    what = "gain"
+    in_turns = True
+
+    def __init__(self) -> None:
+        super().__init__("gyro", "size of the rate of turn", GAIN, TURN_PENALTY)
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the size of the rate on each axis."""
+        assert moments.rate is not None, "a turn has a rate"
+        return on_axes(np.abs(moments.rate))
+
+
+def unknown_effects(sensor: str) -> list[Effect]:
+    """Return the nameless effects of one sensor, in rests and in turns."""
+    own: list[Effect] = [VibrationBias(sensor)]
+    if sensor == "accel":
+        own += [GainInStretch(), GainInTime(), CrossedForce()]
+    else:
+        own += [AttitudeSquared(), GainByDirection(), GainInTurns()]
+    many = (
+        ("temperature's past or bend", curves.thermal_past, 1),
+        ("the past of charging or use", curves.other_pasts, 1),
+        ("a stretch of time", curves.pulses, 1),
+        ("two levels in time", curves.switches, 1),
+        ("time from a moment on", curves.onsets, 1),
+        ("a period in time", curves.periods, 2),
+        ("a sawtooth in time", curves.sawteeth, 1),
+        ("time since the phone was moved", curves.since_moves, 1),
+        ("time since the last change of attitude", curves.strains, 3),
+    )
+    return [*own, *(UnknownCurve(sensor, follows, make, width) for follows, make, width in many)]

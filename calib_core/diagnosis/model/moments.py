@@ -1,0 +1,126 @@
+"""What drives an effect: time, temperature, charging, force and rate, at any moments of a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins, Index
+from stillcal.calib_core.diagnosis.segments.windows import WINDOW
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """The recording as a whole. span: (start, end) s; activity: (w, 2) s and 1 where the phone moved.
+
+    switches: (m, 2) s and 1 on or 0 off the charger, None without charging events; reference_c: degC about
+    which temperatures are counted, None without a thermometer.
+    """
+
+    span: tuple[float, float]
+    activity: Array
+    switches: Array | None = None
+    reference_c: float | None = None
+
+    @property
+    def charger_moved(self) -> bool:
+        """Whether the phone was plugged in or out during the recording."""
+        return self.switches is not None and moves(self.switches[:, 1])
+
+    def heat(self, t: Array, tau: float, plug: float, use: float, start: float) -> Array:
+        """Solution (n,) of tau z' = plug on(t) + use active(t) - z, z(0) = start, at times t (n,) s."""
+        times, active = self.activity[:, 0], self.activity[:, 1]
+        on = np.zeros_like(times)
+        if self.switches is not None:
+            changed, states = self.switches.T
+            on = states[np.maximum(np.searchsorted(changed, times, side="right") - 1, 0)]
+        z = filtered(plug * on + use * active, np.exp(-WINDOW / tau))
+        return np.asarray(np.interp(t, times, z + start * np.exp(-(times - times[0]) / tau)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moments:
+    """The drivers at n moments.
+
+    t, duration: (n,) s, the middle of what a moment is the mean over and how long that is (0: an instant).
+    force: (n, 3) m/s^2 and rate: (n, 3) rad/s, what true sensors would read, body axes; None where unknown.
+    temperature: (n,) K about `history.reference_c`; charging: (n,) part of the moment on the charger;
+    vibration: (n,) (m/s^2)^2; rest: (n,) index of the rest; None where not recorded.
+    """
+
+    t: Array
+    duration: Array
+    history: History
+    force: Array | None = None
+    rate: Array | None = None
+    temperature: Array | None = None
+    charging: Array | None = None
+    vibration: Array | None = None
+    rest: Index | None = None
+
+    def __len__(self) -> int:
+        return int(self.t.size)
+
+    @property
+    def age(self) -> Array:
+        """Time (n,) since the recording began, s."""
+        return np.asarray(self.t - self.history.span[0])
+
+    @property
+    def up(self) -> Array | None:
+        """Direction (n, 3) of the force."""
+        if self.force is None:
+            return None
+        return np.asarray(self.force / np.linalg.norm(self.force, axis=1, keepdims=True))
+
+    def border(self, i: int) -> float:
+        """Time between moments i - 1 and i, s."""
+        return float((self.t[i - 1] + self.duration[i - 1] / 2 + self.t[i] - self.duration[i] / 2) / 2)
+
+
+def moments_of(bins: Bins, force: Array | None) -> Moments:
+    """Return the drivers in static bins. force: (n, 3) m/s^2, gravity in body axes; None where unknown."""
+    warm = bins.temperature
+    reference = None if warm is None or not warm.size else float(warm.mean())
+    return Moments(
+        bins.t,
+        bins.duration,
+        History(bins.span, bins.activity, bins.charging_switches, reference),
+        force,
+        np.zeros((len(bins), 3)),
+        None if warm is None else np.asarray(warm - (reference or 0.0)),
+        bins.charging,
+        bins.vibration,
+        bins.rest,
+    )
+
+
+def moves(curve: Array, least: float = 1e-9) -> bool:
+    """Whether a driver changes at all."""
+    return curve.size > 0 and float(np.ptp(curve)) > least
+
+
+def filtered(source: Array, decay: float) -> Array:
+    """First-order response to a source at each of its samples, from nothing."""
+    from scipy.signal import lfilter  # noqa: PLC0415 - the daemon stays light
+
+    return np.asarray(lfilter([1.0 - decay], [1.0, -decay], source))
+
+
+def turning(moments: Moments, t: Array, rate: Array, temperature: float) -> Moments:
+    """Return the drivers during a turn. t: (n,) s; rate: (n, 3) rad/s; temperature: degC, constant."""
+    reference = moments.history.reference_c
+    warm = None if reference is None else np.full(t.size, temperature - reference)
+    return replace(
+        moments,
+        t=t,
+        duration=np.zeros(t.size),
+        force=None,
+        rate=rate,
+        temperature=warm,
+        charging=None,
+        vibration=None,
+        rest=None,
+    )

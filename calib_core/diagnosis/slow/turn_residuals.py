@@ -1,0 +1,67 @@
+"""The view of turns: what gravity carried from rest to rest tells of the gyroscope's scale and linearity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS, Aligned
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+
+OUTLIER = 8.0
+KNOWN = 2.0
+"""Degrees of freedom with which the errors of turns are known beforehand."""
+
+
+def turn_scene(made: Aligned, bins: Bins, gravity: float) -> Scene | None:
+    """Return the turns as a scene of one view, outliers dropped; None with fewer than `LEAST_TURNS` turns."""
+    for _ in range(2):
+        if len(made.turns) < LEAST_TURNS:
+            return None
+        size = np.abs(turn_view(made, bins.rate_rounding).left()).reshape(-1, 2).max(axis=1)
+        kept = [t for t, s in zip(made.turns, size, strict=True) if s < OUTLIER * np.median(size)]
+        made = replace(made, turns=kept)
+    if len(made.turns) < LEAST_TURNS:
+        return None
+    view = turn_view(made, bins.rate_rounding)
+    return Scene("gyro", bins, (view,), gravity, None, tuple(made.turns))
+
+
+def turn_view(made: Aligned, rounding: Array | None) -> View:
+    """Two residuals a turn across gravity; the baseline is the nine numbers of scale and misalignment.
+
+    The accelerometer's parameters may be off by as much as the norm of gravity leaves them unknown, and the
+    rate's bias by what coarse steps do to it at rest, `rounding` (3,) rad/s, where the turn dithers them.
+    `duration` holds the angle turned through, with which errors may grow.
+    """
+    found = made.turns
+    across = np.array([t.across() for t in found])
+    y = np.einsum("kbi,ki->kb", across, np.array([t.miss for t in found])).ravel()
+    n = y.size
+    scale = np.einsum("kbi,kip->kbp", across, np.array([t.scale_columns() for t in found])).reshape(n, 9)
+    absorbed = (
+        np.einsum("kbi,kip->kbp", across, np.array([t.unsure for t in found])).reshape(n, 9) @ made.unsure
+    )
+    if rounding is not None:
+        still = np.array([t.columns(np.tile(np.eye(3) * rounding, (t.t.size, 1, 1))) for t in found])
+        absorbed = np.hstack([absorbed, np.einsum("kbi,kip->kbp", across, still).reshape(n, 3)])
+    rough = View(
+        "turn",
+        y[None],
+        scale[None],
+        np.ones(n),
+        np.eye(n),
+        across.reshape(1, n, 3),
+        np.arange(n),
+        np.repeat([t.end for t in found], 2),
+        np.repeat([t.angle for t in found], 2),
+        np.arange(n),
+        absorbed=absorbed,
+        known=KNOWN,
+    )
+    spread = max(1.4826 * float(np.median(np.abs(rough.left()))), 1e-6)
+    return replace(rough, variance=np.full(n, spread**2))
