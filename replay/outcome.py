@@ -35,6 +35,15 @@ def keep_in_store(
     return notes
 
 
+def full(actions: Iterable[Publish | Reject]) -> list[Publish | Reject]:
+    """Return the actions on calibrations that have an accelerometer part.
+
+    A gyroscope's bias from before the first full calibration is of use while the phone lives on. A recording
+    is over: it must not replace a store's full calibration by less.
+    """
+    return [action for action in actions if action.record.accelerometer is not None]
+
+
 def current_in_store(path: Path | str) -> CalibrationRecord:
     """Return a store's current calibration. Raises StoreError where there is none."""
     document = Store(path).load()

@@ -36,7 +36,7 @@ from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.in_memory import column_names, of_arrays, of_table, warmed
 from stillcal.replay.formats.trace import Recording, read_all
 from stillcal.replay.notebook import html_table
-from stillcal.replay.outcome import current_in_store, keep_in_store, outcome_rows, record_rows, why_not
+from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, record_rows, why_not
 from stillcal.replay.phone import load_phone, load_scenario
 from stillcal.replay.phone import simulate as play
 from stillcal.replay.runner import Outcome, replay, with_choices
@@ -223,7 +223,7 @@ def calibrate(
         needed = () if outcome.refusal is None else outcome.refusal.missing
         reason = why_not(outcome) if outcome.refusal is None else outcome.refusal.reason
         raise NotSupported(f"{opened.name}: no calibration: {reason}", needed)
-    return Calibration(record, outcome, tuple(actions), opened.name)
+    return Calibration(record, outcome, tuple(full(actions)), opened.name)
 
 
 def apply(recording: Source, calibration: Calibration | PathLike) -> Recording:

@@ -95,7 +95,7 @@ def fit_candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSet
         gyroscope=None if gyro is None else gyroscope_record(gyro, t),
         gravity=gravity,
         fitted_at=t,
-        validity=_validity(pool.rests),
+        validity=validity_of(pool.rests),
         provenance=Provenance(t_start=pool.rests[0].t_start, t_end=pool.rests[-1].t_end),
         states=tuple(
             StateRecord.of(rest, float(residual), int(label))
@@ -215,7 +215,8 @@ def _normal_matrix(fit: AccelerometerFit, raw: Array) -> Array:
     return np.asarray(design.T @ design)
 
 
-def _validity(rests: Sequence[RestState]) -> Validity:
+def validity_of(rests: Sequence[RestState]) -> Validity:
+    """Return the range of temperatures of rests."""
     temperatures = [r.temperature for r in rests if r.temperature is not None]
     if not temperatures:
         return Validity()

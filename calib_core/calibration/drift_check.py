@@ -162,6 +162,11 @@ def check_rests(
     )
 
 
+def check_gyroscope(bias: Array, held: Sequence[HeldRest], settings: QualitySettings) -> Drift:
+    """Check a gyroscope's bias, (3,) rad/s, on rests: the largest axis of their mean rate less bias."""
+    return _drift(_rate_residual(bias, held), settings.significance, settings.gyro_limit)
+
+
 def norm_residuals(model: SensorModel, held: Sequence[HeldRest]) -> tuple[Array, Array]:
     """Return each rest's calibrated norm less local gravity and its standard uncertainty, (n,) m/s^2 each.
 

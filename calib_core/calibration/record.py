@@ -294,6 +294,11 @@ class CalibrationRecord:
             _require_within("gravity.uncertainty", self.gravity.uncertainty, 0.0, 0.1)
 
     @property
+    def provisional(self) -> bool:
+        """Whether this is a gyroscope part alone that no later rest has confirmed since the start."""
+        return self.accelerometer is None and bool(self.acceptance.evidence.get("provisional"))
+
+    @property
     def id(self) -> str:
         """The calibration's identifier: twelve hex digits of the digest of its values.
 

@@ -21,6 +21,7 @@ from stillcal.calib_core.calibration.candidate import (
 )
 from stillcal.calib_core.calibration.constancy import Shape
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
+from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed_up
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.terms import inherit_terms
@@ -186,51 +187,99 @@ class CalibrationPolicy:
         self._settings, self._state, self._detector, self._actions = settings, state, detector, actions
 
     def check(self, t: float) -> None:
-        """Check the calibration on the rests since the last check, if there are any (4.7). t: s."""
+        """Check the calibration on the rests since the last check, if there are any (4.7). t: s.
+
+        Whatever the accelerometer's check says, the gyroscope's bias is measured anew.
+        """
         state = self._state
-        if state.record is None or state.record.accelerometer is None:
+        if state.record is None:
             state.check_due = False
             return
         since = state.checked
-        recent = state.pool.since(since).where(self._detector.still_valid)
+        recent = self._rests_since(since)
+        if state.record.accelerometer is None:
+            self._check_gyroscope_alone(t, recent)
+            return
         check = check_calibration(state.record, recent, self._settings.quality)
         if check.verdict is Verdict.WAIT:
+            self._update_bias_when_due(t)
             return
         state.check_due, state.checked = False, t
         state.counters.checks += 1
         self._actions.append(Log(t, Level.INFO, "check", f"{check.verdict}", check.figures()))
+        self.update_bias(t, since)
         if check.verdict is Verdict.RECALIBRATE:
             self._degrade(t, since if check.off_since is None else check.off_since)
         else:
             state.trouble = None
-            self.update_bias(t, since)
 
     def notice_change(self, t: float) -> None:
         """Check at t (s) before a check is due where the rests since the last one already show a change."""
         state = self._state
         if state.record is None or state.record.accelerometer is None or state.degraded:
             return
-        recent = state.pool.since(state.checked).where(self._detector.still_valid)
+        recent = self._rests_since(state.checked)
         if check_calibration(state.record, recent, self._settings.quality).verdict is Verdict.RECALIBRATE:
             self.check(t)
 
     def update_bias(self, t: float, since: float | None) -> None:
         """Measure the gyroscope's bias anew on the rests since a time, s, if they have rates (4.7)."""
+        record = self._state.record
+        if record is None or record.provisional:
+            self.measure_gyroscope_alone(t)
+        else:
+            self._publish_bias(with_updated_bias(record, self._rests_since(since), t), t)
+
+    def measure_gyroscope_alone(self, t: float) -> None:
+        """Before the first full calibration, publish the gyroscope's bias, or confirm the one published.
+
+        The first one is provisional: a gyroscope's bias moves while the phone warms up after its start.
+        gyroscope_alone.py has the rules. Does nothing where there is a full calibration.
+        """
         state = self._state
         if state.record is None:
+            rests = self._rests_since(None)
+            alone = first_bias(rests, state.gravity, t, self._settings.quality)
+        elif state.record.provisional:
+            alone = followed_up(state.record, self._rests_since(None), t, self._settings.quality)
+        else:
             return
-        recent = state.pool.since(since).where(self._detector.still_valid)
-        updated = with_updated_bias(state.record, recent, t)
+        self._publish_bias(alone, t)
+
+    def _check_gyroscope_alone(self, t: float, recent: Pool) -> None:
+        """Carry out a check of a calibration that has no accelerometer part yet."""
+        state = self._state
+        if not any(rest.rate is not None for rest in recent.rests):
+            return
+        since, state.checked, state.check_due = state.checked, t, False
+        state.counters.checks += 1
+        self.update_bias(t, since)
+
+    def _update_bias_when_due(self, t: float) -> None:
+        """Measure the bias once per check interval while the accelerometer's check waits for more rests."""
+        state = self._state
+        part = None if state.record is None else state.record.gyroscope
+        measured = None if part is None else part.zeroed_at
+        if measured is None:
+            self.update_bias(t, state.checked)
+        elif t - measured >= self._settings.schedule.check_interval_s:
+            self.update_bias(t, measured)
+
+    def _publish_bias(self, updated: CalibrationRecord | None, t: float) -> None:
         if updated is not None:
-            state.record = updated
-            state.counters.zeroings += 1
+            self._state.record = updated
+            self._state.counters.zeroings += 1
             self._actions.append(Publish(t, updated, updated.acceptance.reason))
+
+    def _rests_since(self, t: float | None) -> Pool:
+        """Return the rests from t (s) on, None for all, that the noise floor known now confirms."""
+        return self._state.pool.since(t).where(self._detector.still_valid)
 
     def calibrate(self, t: float, occasion: Occasion) -> None:
         """Try a full calibration at t (s) if one is due on this occasion."""
         state = self._state
         since_try = math.inf if state.tried is None else t - state.tried
-        status = CalibrationStatus(state.record is not None, state.degraded, state.fresh, since_try)
+        status = CalibrationStatus(state.calibrated, state.degraded, state.fresh, since_try)
         if not calibration_due(status, occasion, self._settings.schedule):
             return
         state.fresh, state.tried = 0, t

@@ -265,6 +265,7 @@ class Engine:
             self._intake.gather(self._detector.finish())
             self._policy.notice_change(t)
             self._policy.calibrate(t, Occasion.END)
+            self._policy.measure_gyroscope_alone(t)
             self._state.next_review = self._state.next_check = None
             return
         if self._state.began is not None and t >= self._state.began:
@@ -286,6 +287,7 @@ class Engine:
             self._policy.calibrate(t, Occasion.CHARGING)
         elif self._state.charging is None and self._has_enough_attitudes():
             self._policy.calibrate(t, Occasion.UNPLUGGED)
+        self._policy.measure_gyroscope_alone(t)
         self._plan(t)
 
     # How to sense

@@ -65,8 +65,8 @@ class Occasion(StrEnum):
 class CalibrationStatus:
     """What decides whether a full calibration is due.
 
-    has_record: whether there is a calibration. degraded: whether that failed its check. fresh: rests gathered
-    since the last attempt to fit. since_try: s since that attempt, inf where there was none.
+    has_record: whether there is a full calibration. degraded: whether that failed its check. fresh: rests
+    gathered since the last attempt to fit. since_try: s since that attempt, inf where there was none.
     """
 
     has_record: bool
@@ -115,7 +115,7 @@ def first_of_use(state: EngineState, t: float, step: float, settings: ScheduleSe
     For times when a review cannot change how the sensors are used. The reviews before the next full
     calibration or check have nothing to do and are left out; a check or an event plans the next review anew.
     """
-    if state.record is None or state.check_due or state.tried is None or state.next_check is None:
+    if not state.calibrated or state.check_due or state.tried is None or state.next_check is None:
         return t
     until = state.next_check
     if state.charging is not False:

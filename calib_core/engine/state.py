@@ -114,6 +114,11 @@ class EngineState:
     trouble: Trouble | None = None
     counters: Counters = field(default_factory=Counters)
 
+    @property
+    def calibrated(self) -> bool:
+        """Whether there is a full calibration; before the first one there may be a gyroscope part alone."""
+        return self.record is not None and self.record.accelerometer is not None
+
 
 def first_state(settings: EngineSettings) -> EngineState:
     """Return the state before the first sample."""

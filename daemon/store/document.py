@@ -87,11 +87,11 @@ class StoreDocument:
         reason, at: why and when (s) the change was made, else what the calibration says. Publishing the
         same calibration again changes no history, so that a restart may repeat itself. A zeroing that
         another zeroing replaces is forgotten: rolling back to a stale gyroscope bias helps nobody, and
-        hourly zeroings would push out every full calibration.
+        hourly zeroings would push out every full calibration. So is a zeroing without an accelerometer
+        part, from before the first full calibration.
         """
         old = self.current
-        zeroings = old is not None and {old.acceptance.how, calibration.acceptance.how} == {"zeroing"}
-        if old is None or old.id == calibration.id or zeroings:
+        if old is None or old.id == calibration.id or _is_forgotten(old, calibration):
             return dataclasses.replace(self, current=calibration)
         why = f"replaced by {calibration.id}: {reason or calibration.acceptance.reason}".rstrip(": ")
         when = calibration.fitted_at if at is None else at
@@ -252,6 +252,11 @@ def pretty(value: Any, indent: int = 0, lead: int = 0) -> str:
         return line
     pad = "\n" + " " * (indent + 2)
     return f"{opened}{pad}{(',' + pad).join(parts)}{pad[:-2]}{closed}"
+
+
+def _is_forgotten(old: CalibrationRecord, new: CalibrationRecord) -> bool:
+    """Tell whether the history leaves out a calibration that another one replaces."""
+    return old.acceptance.how == "zeroing" and (new.acceptance.how == "zeroing" or old.accelerometer is None)
 
 
 def _entry(what: What, reason: str, at: float | None, calibration: CalibrationRecord) -> HistoryEntry:

@@ -16,7 +16,8 @@ class SensorCalibration:
     """One sensor: calibrated = scale @ (raw - bias). unit: of bias and its uncertainty (1 sd).
 
     rms_residual: m/s^2 of rests' norms, or rad of turns. zeroed_age_s: since the bias was measured alone.
-    most_helpful_attitude: how to lay the phone so that the accelerometer's would gain most.
+    most_helpful_attitude: how to lay the phone so that the accelerometer's would gain most. provisional: the
+    bias was measured right after the start, and no later rest has confirmed it.
     """
 
     scale: list[list[float]]
@@ -29,6 +30,7 @@ class SensorCalibration:
     rms_residual: float | None = None
     zeroed_age_s: float | None = None
     most_helpful_attitude: str | None = None
+    provisional: bool = False
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,9 @@ def calibration(record: CalibrationRecord, daemon: Daemon) -> api.Calibration:
     """Return a calibration with its age and what is known of its soundness."""
     view, now, gravity, validity = daemon.view, daemon.now, record.gravity, record.validity
     current = daemon.document.current
+    gyroscope = _sensor(record.gyroscope, _age(getattr(record.gyroscope, "zeroed_at", None), now))
+    if gyroscope is not None and record.provisional:
+        gyroscope = dataclasses.replace(gyroscope, provisional=True)
     return api.Calibration(
         id=identity(record),
         how=record.acceptance.how,
@@ -96,7 +99,7 @@ def calibration(record: CalibrationRecord, daemon: Daemon) -> api.Calibration:
         temperature_min_c=validity.temperature_min,
         temperature_max_c=validity.temperature_max,
         accelerometer=_sensor(record.accelerometer, None),
-        gyroscope=_sensor(record.gyroscope, _age(getattr(record.gyroscope, "zeroed_at", None), now)),
+        gyroscope=gyroscope,
     )
 
 
@@ -207,6 +210,8 @@ def _rest(held: HeldRest, record: CalibrationRecord | None, now: float | None) -
 def _confidence(record: CalibrationRecord, view: View) -> api.Confidence:
     if view.degraded:
         return "failing"
+    if record.accelerometer is None:
+        return "unchecked" if record.provisional else "confirmed"
     since_fit = view.checked is not None and view.checked > (record.fitted_at or -math.inf)
     return "confirmed" if since_fit else "unchecked"
 

@@ -35,7 +35,7 @@ from stillcal.replay.commands.outputs import (
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.trace import Chunk, Trace, open_trace
 from stillcal.replay.formats.writer import TraceWriter
-from stillcal.replay.outcome import current_in_store, keep_in_store, outcome_rows, why_not
+from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
 from stillcal.replay.runner import Outcome, replay, replay_rests, with_choices
 from stillcal.replay.suitability import Suitability
 
@@ -91,6 +91,7 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
         opened = open_trace(trace, format_, gyro)
         engine = Engine(with_choices(settings.engine, gravity, watch, opened.claimed_gravity))
         outcome = _replayed(opened, engine, calibrations.append, quiet)
+    calibrations = full(calibrations)
     if store_path is not None and calibrations:
         for note in keep_in_store(store_path, calibrations, trace.name, settings.store):
             click.echo(f"stillcal: {note}", err=True)

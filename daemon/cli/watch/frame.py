@@ -32,7 +32,7 @@ def frame(now: Snapshot, before: Snapshot | None, glyphs: Glyphs) -> RenderableT
     if now.calibration is None:
         calibration_text: RenderableType = Text(f"no calibration yet: {_reason(now)}", style="yellow")
     else:
-        calibration_text = Group(*_calibration(now.calibration))
+        calibration_text = Group(*_calibration(now.calibration, _reason(now)))
     sphere = Panel(_map(now, glyphs), title="orientations recorded", width=MAP_WIDTH)
     panels = Group(
         Panel(_state(now, before), title="phone", width=TEXT_WIDTH),
@@ -88,13 +88,15 @@ def _reason(now: Snapshot) -> str:
     return now.status.get("refusal") or "too few rests so far"
 
 
-def _calibration(calibration: Answer) -> Iterable[RenderableType]:
+def _calibration(calibration: Answer, reason: str) -> Iterable[RenderableType]:
     age, checked = (sentences.duration(calibration.get(name)) for name in ("age_s", "checked_age_s"))
     verified = {
         "unchecked": "not verified yet",
         "confirmed": f"verified {checked} ago",
         "failing": f"no longer fits (checked {checked} ago)",
     }
+    if (calibration.get("gyroscope") or {}).get("provisional"):
+        verified["unchecked"] = "provisional: a later rest must confirm it"
     confidence = calibration["confidence"]
     yield Text.assemble(f"{calibration['id']}, {age} old, ", (verified[confidence], CONFIDENCE[confidence]))
     table = Table(box=None, padding=(0, 1), show_edge=False)
@@ -107,6 +109,8 @@ def _calibration(calibration: Answer) -> Iterable[RenderableType]:
         if calibration.get(sensor):
             _sensor(table, calibration[sensor], name, (gain, unit, digits))
     yield table
+    if not calibration.get("accelerometer"):
+        yield Text(f"accelerometer: no calibration yet: {reason}", style="yellow")
     yield Text(_fit(calibration), style="dim")
 
 

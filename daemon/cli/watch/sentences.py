@@ -85,10 +85,10 @@ def next_step(now: Snapshot) -> str:
         return f"the disk refuses writes: {status['trouble']}"
     if not status.get("connected"):
         return "waiting for the phone to connect"
-    if now.calibration is None:
-        return _missing_for_calibration(now)
     if status.get("degraded"):
         return "needs new rests: the calibration no longer fits"
+    if now.calibration is None or not now.calibration.get("accelerometer"):
+        return _missing_for_calibration(now)
     due = status.get("decides_in_s")
     return "no decision is planned" if due is None else f"next measurement in {duration(due)}"
 

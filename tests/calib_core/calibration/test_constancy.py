@@ -174,7 +174,7 @@ def test_a_change_between_two_checks_is_noticed_at_the_next_review() -> None:
         xyz = accel.xyz + np.array([20.0, 0.0, 0.0]) * MG * late[:, None]
         events = [] if calibrated is not None or accel.t[-1] < 350.0 else [Charging(float(accel.t[0]), True)]
         engine.feed(chunk.gyroscope, replace(accel, xyz=frozen(xyz)), *events)
-        if engine.state.record is not None and calibrated is None:
+        if engine.state.calibrated and calibrated is None:
             calibrated = float(accel.t[-1])
             engine.feed(Charging(float(accel.t[-1]), False))
         if noticed is None and engine.state.degraded:

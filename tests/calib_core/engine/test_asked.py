@@ -41,7 +41,7 @@ def fed(lab: object, settings: EngineSettings | None = None) -> Engine:
 
 def test_who_asks_gets_a_calibration_now(lab: Samples) -> None:
     engine = fed(lab)
-    assert engine.state.record is None
+    assert not engine.state.calibrated
     (stored,) = (a for a in engine.calibrate() if isinstance(a, Publish))
     assert stored.record.acceptance.evidence["occasion"] == "asked for"
     assert engine.state.record is stored.record

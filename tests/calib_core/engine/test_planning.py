@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
+from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.engine.schedule import first_of_use, resumed, review_soon
 from stillcal.calib_core.engine.settings import ScheduleSettings
 from stillcal.calib_core.engine.state import EngineState
@@ -14,17 +14,22 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 
 SETTINGS = ScheduleSettings(check_interval_s=3600.0, recalibrate_interval_s=1000.0)
 DAY = 86400.0
+GYROSCOPE_ALONE = CalibrationRecord(
+    gyroscope=GyroscopeRecord(scale=np.eye(3), bias=np.zeros(3), parameters=3)
+)
 
 
 def settled(**fields: object) -> EngineState:
-    gyroscope = GyroscopeRecord(scale=np.eye(3), bias=np.zeros(3), parameters=3)
-    state = EngineState(record=CalibrationRecord(gyroscope=gyroscope), tried=100.0, next_check=2500.0)
+    accelerometer = AccelerometerRecord(scale=np.eye(3), bias=np.zeros(3), parameters=6, gravity=9.8)
+    state = EngineState(record=CalibrationRecord(accelerometer=accelerometer), tried=100.0, next_check=2500.0)
     for name, value in fields.items():
         setattr(state, name, value)
     return state
 
 
-@pytest.mark.parametrize("fields", [{"record": None}, {"check_due": True}, {"tried": None}])
+@pytest.mark.parametrize(
+    "fields", [{"record": None}, {"record": GYROSCOPE_ALONE}, {"check_due": True}, {"tried": None}]
+)
 def test_every_review_is_held_while_one_may_find_something_to_do(fields: dict[str, object]) -> None:
     assert first_of_use(settled(**fields), 200.0, 60.0, SETTINGS) == 200.0
 
