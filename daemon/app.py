@@ -16,6 +16,7 @@ from pathlib import Path
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Publish, Reject
+from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.daemon.app_launch import LaunchOptions, needs_restart, serial_settings
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
@@ -57,6 +58,11 @@ STUCK_SHARE = 0.5
 """An engine job that takes longer than this share of the watchdog's time counts as stuck."""
 
 
+def _drawn_seed() -> int:
+    """Return a random seed above 0."""
+    return 1 + int.from_bytes(os.urandom(4), "little")
+
+
 class Service:
     """The daemon. `open` first, then `run`."""
 
@@ -86,8 +92,10 @@ class Service:
             self.saved = loaded.state
             self.saved.clock.host = None
             self.saved.energy.restarted()
+        self.saved.seed = self.saved.seed or _drawn_seed()
         engine = loaded.state.engine if loaded.state else None
-        self.engine_thread = EngineThread(self.settings.engine, engine, self.storage.document.current)
+        settings = self._engine_settings(self.settings)
+        self.engine_thread = EngineThread(settings, engine, self.storage.document.current)
         rests = self.engine_thread.view.rests_held
         say("info", "opened", store=self.storage.path, rests=rests, calibration=self.current_id)
 
@@ -137,6 +145,11 @@ class Service:
     def now(self) -> float | None:
         """The engine's time, s; None before the first sample since the start."""
         return self.session.now
+
+    @property
+    def seed(self) -> int:
+        """The seed of the random pauses between probes."""
+        return self.settings.engine.detector.seed or self.saved.seed
 
     @property
     def current_id(self) -> str | None:
@@ -326,10 +339,15 @@ class Service:
         log.set_level(settings.log.level)
         self.storage.configure(settings.store)
         if settings.engine != old.engine:
-            await self.engine_thread.change(settings.engine)
+            await self.engine_thread.change(self._engine_settings(settings))
         if settings.source != old.source:
             self.session, last = self._new_session(), self.session
             last.source.close()
+
+    def _engine_settings(self, settings: Settings) -> EngineSettings:
+        """Return the engine's settings, with this phone's own seed where they fix none."""
+        detector = settings.engine.detector
+        return replace(settings.engine, detector=replace(detector, seed=detector.seed or self.saved.seed))
 
     def _new_session(self) -> PhoneSession:
         source = source_of(self.settings.source.kind, serial_settings(self.settings))

@@ -36,7 +36,6 @@ _SOLVER = "it decides how fast the fit converges, not where"
 
 FIXED: dict[tuple[str, ...], str] = {
     (*_DETECTOR, "mode"): "the engine switches between scanning and probing by itself",
-    (*_DETECTOR, "seed"): "a replayed recording repeats a live run for equal draws only",
     (*_DETECTOR, "half_life_s"): "the noise floor is only tested with this memory",
     (*_DETECTOR, "cluster_windows"): "the noise floor is only tested with clusters of this size",
     (*_DETECTOR, "cluster_share"): "the noise floor is only tested with clusters of this size",

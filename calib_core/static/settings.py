@@ -102,7 +102,8 @@ class DetectorSettings:
     rather than by motion. max_rest_s: longest rest in scan mode.
 
     Probing. probe_min_s, probe_max_s: the pause between probes is drawn uniformly between these. startup_s:
-    how long the sensors may take to deliver the first whole window. seed: of all random draws.
+    how long the sensors may take to deliver the first whole window. seed: of all random draws; for 0 the
+    daemon draws one at its first start, so that phones do not all probe at the same times.
 
     Noise floor. half_life_s: after this much time looked at, a window counts half. cluster_windows,
     cluster_share: how many windows, and which share of all remembered ones, make a level of noise the floor.

@@ -34,12 +34,17 @@ class StateError(ValueError):
 
 @dataclass(slots=True)
 class SavedState:
-    """What the daemon remembers besides the store. device: the name that the phone gives itself."""
+    """What the daemon remembers besides the store.
+
+    device: the name that the phone gives itself. seed: of the random pauses between probes, drawn at the
+    first start; 0 in a state from before there was one.
+    """
 
     engine: EngineState
     clock: PhoneClock = field(default_factory=PhoneClock)
     energy: EnergyLedger = field(default_factory=EnergyLedger)
     device: str = ""
+    seed: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,7 +107,8 @@ class Status:
     sensing: whether they are wanted on now; decides_in_s: until the engine decides anew. trouble: why the
     last write to the disk failed, empty where it did not. missing: what a refused calibration still needs.
     failed_checks: in a row, after a calibration was tried anew. diagnosis: why somebody should look for
-    what the model leaves out, empty where there is no cause.
+    what the model leaves out, empty where there is no cause. seed: of the random pauses between probes; a
+    replay with it in its settings has the same pauses.
     """
 
     version: str
@@ -135,6 +136,7 @@ class Status:
     time_s: float | None = None
     decides_in_s: float | None = None
     gravity: float | None = None
+    seed: int = 0
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,10 @@ class Daemon(Protocol):
         """The store's path."""
 
     @property
+    def seed(self) -> int:
+        """The seed of the random pauses between probes."""
+
+    @property
     def uptime_s(self) -> float:
         """Time since the daemon started, s."""
 
@@ -150,6 +154,7 @@ def status(daemon: Daemon) -> api.Status:
         time_s=now,
         decides_in_s=None if now is None or math.isinf(view.decides) else max(view.decides - now, 0.0),
         gravity=view.gravity.value,
+        seed=daemon.seed,
     )
 
 

@@ -74,7 +74,7 @@ def test_what_is_fixed_may_be_repeated_but_not_changed():
     """A file made from an older default.toml, which named all of them, is still read."""
     defaults = knobs(plain(Settings()))
     fixed = {key: value for key, value in defaults.items() if is_fixed(key)}
-    assert len(fixed) == 18
+    assert len(fixed) == 17
     for key, value in fixed.items():
         text = repr(value) if not isinstance(value, str) else f'"{value}"'
         assert parse_settings(text_of(key, text)) == Settings()

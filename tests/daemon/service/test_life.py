@@ -11,7 +11,9 @@ import pytest
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.static.settings import DetectorSettings
 from stillcal.daemon.app import Service
+from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.store.document import StoreDocument
 from stillcal.daemon.store.store import Store
@@ -39,8 +41,10 @@ def test_lived_over_the_wire_and_replayed_give_the_same_store(
 ) -> None:
     schedule = ScheduleSettings(watch=watch, attitudes_wanted=12)
     kept: list[Any] = []
-    replayed = replay(lab, Engine(EngineSettings(schedule)), kept.append)
-    given = given_in(tmp_path, f'[engine.schedule]\nwatch = "{watch}"\nattitudes_wanted = 12\n')
+    settings = EngineSettings(schedule, detector=DetectorSettings(seed=7))
+    replayed = replay(lab, Engine(settings), kept.append)
+    text = f'[engine.schedule]\nwatch = "{watch}"\nattitudes_wanted = 12\n[engine.detector]\nseed = 7\n'
+    given = given_in(tmp_path, text)
 
     async def test() -> None:
         async with running(given) as service:
@@ -80,6 +84,25 @@ def test_rests_gathered_before_a_restart_still_count(tmp_path: Path, lab: list[A
                 await until(lambda: fully_calibrated(service))
             await phone
         assert service.document.current.accelerometer.n_rests >= 23
+
+    within_reason(test())
+
+
+def test_each_daemon_draws_the_pauses_of_its_own_phone_and_keeps_them(tmp_path: Path) -> None:
+    async def seed_of(given: LaunchOptions) -> int:
+        async with running(given) as service:
+            used = service.engine_thread._engine.settings.detector.seed
+            assert used == service.seed
+            return used
+
+    async def test() -> None:
+        folders = [tmp_path / name for name in "ab"]
+        for folder in folders:
+            folder.mkdir()
+        seeds = [await seed_of(given_in(folder)) for folder in folders]
+        assert 0 not in seeds and len(set(seeds)) == 2
+        assert await seed_of(given_in(folders[0])) == seeds[0]
+        assert await seed_of(given_in(folders[0], "[engine.detector]\nseed = 5\n")) == 5
 
     within_reason(test())
 
