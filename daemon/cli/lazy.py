@@ -64,6 +64,24 @@ class LazyGroup(click.Group):
             yield heading, self._own if group is None else _registered(group)
 
 
+class OpenGroup(click.Group):
+    """A group of its own commands, then those that packages register in the entry point group `more`."""
+
+    def __init__(self, *args: Any, more: str, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._more = more
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the group's own names, then the registered ones."""
+        return [*super().list_commands(ctx), *_registered(self._more)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command, imported where it is registered; None where there is none of this name."""
+        own = super().get_command(ctx, cmd_name)
+        place = None if own is not None else _registered(self._more).get(cmd_name)
+        return own if place is None else _imported(place)
+
+
 def _registered(group: str) -> dict[str, str]:
     from importlib.metadata import entry_points  # noqa: PLC0415 - the daemon holds no parser of mail headers
 

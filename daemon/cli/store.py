@@ -21,7 +21,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
 from stillcal.calib_core.calibration.terms import with_terms
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
-from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.cli.lazy import OpenGroup, examples
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument, calibration_json, differences, parse
 from stillcal.daemon.store.files import MAX_BYTES
 from stillcal.daemon.store.store import Reading, Store
@@ -35,7 +35,12 @@ path_argument = click.argument("path", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 
 
-@click.group("store", short_help="Show, check or roll back a calibration store.")
+@click.group(
+    "store",
+    cls=OpenGroup,
+    more="stillcal.store",
+    short_help="Show, check, roll back, export or import a calibration store.",
+)
 def store_group() -> None:
     """Show a calibration store, check it, or go back to an earlier calibration.
 

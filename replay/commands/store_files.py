@@ -1,0 +1,107 @@
+"""`stillcal store export` and `stillcal store import`: a calibration in another tool's own file, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from stillcal.calib_core.errors import UserError
+from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.store.store import Store
+from stillcal.daemon.system.files import read_regular
+from stillcal.replay.commands.outputs import refuse_collisions, store_files
+from stillcal.replay.export.imu import of_record
+from stillcal.replay.export.stored import not_in_file, record_of
+from stillcal.replay.export.target import MAX_BYTES, exported
+from stillcal.replay.export.targets import INVERTIBLE, TARGETS, target_named
+from stillcal.replay.outcome import current_in_store
+from stillcal.replay.phone.phone import Phone, load_phone
+
+_path = click.Path(path_type=Path)
+
+
+@click.command(
+    "export",
+    short_help="Write the calibration as another tool's own file.",
+    epilog=examples(
+        "stillcal store export store.json --to px4 --out imu.params",
+        "stillcal store export store.json --to kalibr --phone phone.toml --out imu.yaml",
+        "stillcal store export store.json --to numpy --out correct.py",
+    ),
+)
+@click.argument("path", type=_path)
+@click.option("--to", "tool", type=click.Choice(list(TARGETS)), required=True, help="The tool.")
+@click.option("--out", type=_path, required=True, help="The file to write.")
+@click.option("--phone", help="Where noise comes from: a phone file that diagnose --phone-out wrote.")
+def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
+    """Write the current calibration of the store PATH as another tool's own file.
+
+    What the tool cannot hold is named on standard error and in the file's comments, with its numbers.
+    docs/export.md says what each tool holds and in which units, signs and axes.
+    """
+    reads = [*store_files(path), *([Path(phone)] if phone and phone.endswith(".toml") else [])]
+    refuse_collisions([out], reads)
+    target = target_named(tool)
+    known = None if phone is None else _phone(phone)
+    made = exported(target, of_record(current_in_store(_existing(path)), known), path.name)
+    write_atomically(out, made.data)
+    if made.left_out:
+        names = ", ".join(made.left_out)
+        click.echo(f"stillcal: {out}: {target.title} cannot hold: {names} (see its comments)", err=True)
+    for line in made.notes:
+        click.echo(f"stillcal: {out}: {line}", err=True)
+    click.echo(f"{out}: written for {target.title}")
+
+
+@click.command(
+    "import",
+    short_help="Take a calibration from another tool's own file.",
+    epilog=examples("stillcal store import store.json --from px4 --in imu.params"),
+)
+@click.argument("path", type=_path)
+@click.option("--from", "tool", type=click.Choice(INVERTIBLE), required=True, help="The tool.")
+@click.option("--in", "source", type=_path, required=True, help="The tool's file.")
+def import_command(path: Path, tool: str, source: Path) -> None:
+    """Make the calibration in another tool's file the current one of the store PATH, new or existing.
+
+    What the file does not hold stays as the store has it; the calibration before stays in the history.
+    """
+    refuse_collisions(store_files(path), [source])
+    target = target_named(tool)
+    with _naming(source):
+        parameters = target.read(read_regular(source, MAX_BYTES))
+    with Store(path) as store:
+        document = store.load()
+        before = None if document is None else document.current
+        with _naming(source):
+            record = record_of(parameters, before, f"{source.name} ({target.title})")
+        store.publish(record, record.acceptance.reason)
+    for line in not_in_file(parameters, before):
+        click.echo(f"stillcal: {source}: holds no {line}", err=True)
+    click.echo(f"{path}: calibration {record.id} is current, from {source.name}")
+
+
+@contextmanager
+def _naming(source: Path) -> Iterator[None]:
+    """Name the file in what is refused of its contents."""
+    try:
+        yield
+    except ValueError as error:
+        raise UserError(f"{source}: {error}") from error
+
+
+def _existing(path: Path) -> Path:
+    if not path.exists():
+        raise UserError(f"{path}: no such store: give the path of an existing one")
+    return path
+
+
+def _phone(name: str) -> Phone:
+    try:
+        return load_phone(name)
+    except ValueError as error:
+        raise UserError(str(error)) from error

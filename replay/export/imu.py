@@ -1,0 +1,237 @@
+"""What is known of an inertial sensor, independent of any file format: the input and output of every target.
+
+The model is the store's: calibrated = scale @ (raw - bias - slope (T - T_ref) - matrix @ force), in SI units
+and the axes of the recording (Android's: x right, y up, z out of the screen). A field that is None is not
+known; a target that does not hold it leaves it so when it is read back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
+from stillcal.calib_core.noise.allan import FLOOR
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.phone.phone import Phone
+from stillcal.replay.phone.settings import SensorSettings, per_axis
+
+SENSORS = ("accelerometer", "gyroscope")
+
+LAG_S = 100.0
+"""s: slow noise of any kind becomes the random walk of the same Allan deviation at this averaging time.
+
+Rests last some minutes, so this is where a recording shows slow noise best."""
+
+ALIKE = 1e-3
+"""Relative spread of three densities below which one number stands for all axes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SensorNoise:
+    """Noise of one sensor, by axis.
+
+    white: (3,) one-sided density, unit/sqrt(Hz); samples at f Hz then have a standard deviation of
+    white sqrt(f / 2). random_walk: (3,) unit/sqrt(s). flicker: (3,) bias instability of IEEE Std 952, unit.
+    gauss_markov: pairs of a standard deviation (3,), unit, and a correlation time, s. rate_hz: of samples.
+    """
+
+    white: Array
+    rate_hz: float
+    random_walk: Array = field(default_factory=lambda: np.zeros(3))
+    flicker: Array = field(default_factory=lambda: np.zeros(3))
+    gauss_markov: tuple[tuple[Array, float], ...] = ()
+
+    @property
+    def two_sided(self) -> Array:
+        """The density (3,) by which samples at f Hz have a standard deviation of density sqrt(f)."""
+        return np.asarray(self.white / np.sqrt(2.0))
+
+    @property
+    def sample_sd(self) -> Array:
+        """Standard deviation (3,) of white noise in one sample."""
+        return np.asarray(self.white * np.sqrt(self.rate_hz / 2.0))
+
+    @property
+    def slow(self) -> bool:
+        """Whether there is any noise that averaging does not remove."""
+        return bool(
+            self.random_walk.any() or self.flicker.any() or any(s.any() for s, _ in self.gauss_markov)
+        )
+
+    def walk_alike(self, lag: float = LAG_S) -> Array:
+        """Return the random walk (3,), unit/sqrt(s), with the Allan deviation of all slow noise at `lag`.
+
+        Allan variances by IEEE Std 952-1997, Annex C: K^2 tau / 3 of a random walk, B^2 2 ln 2 / pi of
+        flicker noise (C.16), and that of a first-order Gauss-Markov process.
+        """
+        variance = self.random_walk**2 * lag / 3.0 + (FLOOR * self.flicker) ** 2
+        for sigma, tau in self.gauss_markov:
+            x = lag / tau
+            decays = 3.0 - 4.0 * np.exp(-x) + np.exp(-2.0 * x)
+            variance = variance + sigma**2 * (2.0 / x) * (1.0 - decays / (2.0 * x))
+        return np.asarray(np.sqrt(np.maximum(3.0 * variance / lag, 0.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SensorPart:
+    """One sensor. scale: (3, 3). bias: (3,) in m/s^2 or rad/s, at reference_c where that is known.
+
+    slope: (3,) bias per K. matrix: (3, 3) (rad/s)/(m/s^2), the gyroscope's only: its reading per true force.
+    """
+
+    scale: Array | None = None
+    bias: Array | None = None
+    slope: Array | None = None
+    reference_c: float | None = None
+    matrix: Array | None = None
+    noise: SensorNoise | None = None
+
+    @property
+    def gain(self) -> Array:
+        """The forward matrix (3, 3): raw = gain @ true + bias."""
+        return np.eye(3) if self.scale is None else np.asarray(np.linalg.inv(self.scale))
+
+    @property
+    def offset(self) -> Array:
+        """The bias (3,), zeros where it is not known."""
+        return np.zeros(3) if self.bias is None else self.bias
+
+    def bias_at(self, temperature: float) -> Array:
+        """Return the bias (3,) at a temperature, degC."""
+        if self.slope is None or self.reference_c is None:
+            return self.offset
+        return np.asarray(self.offset + self.slope * (temperature - self.reference_c))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ImuParameters:
+    """Both sensors. temperatures: degC, the range the calibration was measured in, None where unknown.
+
+    delay_s: s, by which the gyroscope is late; None where unknown. other: what else the store holds, by name.
+    """
+
+    accelerometer: SensorPart | None = None
+    gyroscope: SensorPart | None = None
+    temperatures: tuple[float, float] | None = None
+    delay_s: float | None = None
+    device: str = ""
+    identity: str = ""
+    other: tuple[tuple[str, str], ...] = ()
+
+    def parts(self) -> Iterator[tuple[str, SensorPart]]:
+        """Yield the name and the part of each sensor that is there."""
+        for name, part in zip(SENSORS, (self.accelerometer, self.gyroscope), strict=True):
+            if part is not None:
+                yield name, part
+
+    @property
+    def rate_hz(self) -> float | None:
+        """The sample rate, Hz, where noise is known."""
+        return next((part.noise.rate_hz for _, part in self.parts() if part.noise is not None), None)
+
+
+def of_record(record: CalibrationRecord, phone: Phone | None = None) -> ImuParameters:
+    """Return a stored calibration, with the noise of a phone file where one is given."""
+    low, high = record.validity.temperature_min, record.validity.temperature_max
+    parts = {}
+    for sensor, name in zip((Sensor.ACCELEROMETER, Sensor.GYROSCOPE), SENSORS, strict=True):
+        stored = record.accelerometer if sensor is Sensor.ACCELEROMETER else record.gyroscope
+        settings = None if phone is None else phone.sensor(sensor)
+        if stored is not None or settings is not None:
+            part = SensorPart() if stored is None else _of_sensor(record, stored, sensor)
+            parts[name] = part if settings is None else replace(part, noise=noise_of(settings))
+    uncertain = [name for name, stored in _stored(record) if stored.covariance is not None]
+    other = [(f"{name} uncertainties", "the covariance of its parameters") for name in uncertain]
+    delay = None if phone is None else phone.effective_clock().gyro_delay_s
+    return ImuParameters(
+        accelerometer=parts.get("accelerometer"),
+        gyroscope=parts.get("gyroscope"),
+        temperatures=None if low is None or high is None else (low, high),
+        delay_s=delay or None,
+        device=record.provenance.device,
+        identity=record.id,
+        other=tuple(other),
+    )
+
+
+def _stored(record: CalibrationRecord) -> Iterator[tuple[str, SensorRecord]]:
+    for name, stored in zip(SENSORS, (record.accelerometer, record.gyroscope), strict=True):
+        if stored is not None:
+            yield name, stored
+
+
+def _of_sensor(record: CalibrationRecord, stored: SensorRecord, sensor: Sensor) -> SensorPart:
+    part = SensorPart(scale=np.asarray(stored.scale), bias=np.asarray(stored.bias))
+    for term in record.terms:
+        if term.sensor == sensor and "slope" in term.parameters:
+            slope = np.asarray(term.parameters["slope"].value)
+            part = replace(part, slope=slope, reference_c=term.reference["temperature"])
+        elif term.sensor == sensor and "matrix" in term.parameters:
+            part = replace(part, matrix=np.asarray(term.parameters["matrix"].value))
+    return part
+
+
+def noise_of(settings: SensorSettings) -> SensorNoise:
+    """Return the noise of a phone file's sensor; samples that lie in heavy tails count by their power."""
+    noise = settings.noise
+    tails = 1.0 + noise.tail_fraction * (noise.tail_ratio**2 - 1.0)
+    return SensorNoise(
+        white=per_axis(noise.white) * np.sqrt(tails),
+        rate_hz=settings.rate_hz,
+        random_walk=per_axis(noise.random_walk),
+        flicker=per_axis(noise.flicker),
+        gauss_markov=tuple((per_axis(g.sigma), g.tau_s) for g in noise.gauss_markov),
+    )
+
+
+def facts(imu: ImuParameters) -> dict[str, str]:
+    """Return everything that is known, by name, each with its numbers: what a target may or may not hold."""
+    out: dict[str, str] = {}
+    for name, part in imu.parts():
+        unit = "m/s^2" if name == "accelerometer" else "rad/s"
+        if part.scale is not None:
+            out[f"{name} scale"] = numbers(np.diag(part.scale))
+            crossed = part.scale - np.diag(np.diag(part.scale))
+            if crossed.any():
+                out[f"{name} misalignment"] = f"off the diagonal of its scale, {numbers(crossed)}"
+        if part.bias is not None:
+            out[f"{name} bias"] = f"{numbers(part.bias)} {unit}"
+        if part.slope is not None:
+            out[f"{name} bias slope"] = f"{numbers(part.slope)} {unit}/K from {part.reference_c!r} degC"
+        if part.matrix is not None:
+            out[f"{name} g-sensitivity"] = f"{numbers(part.matrix)} (rad/s)/(m/s^2)"
+        out |= _noise_facts(name, part.noise, unit)
+    if imu.delay_s is not None:
+        out["gyroscope delay"] = f"{imu.delay_s!r} s"
+    return out | dict(imu.other)
+
+
+def _noise_facts(name: str, noise: SensorNoise | None, unit: str) -> dict[str, str]:
+    if noise is None:
+        return {}
+    out = {f"{name} white noise": f"{numbers(noise.white)} {unit}/sqrt(Hz), one-sided density"}
+    if noise.slow:
+        out[f"{name} slow noise"] = (
+            f"as a random walk of {numbers(noise.walk_alike())} {unit}/sqrt(s), which has the same Allan"
+            f" deviation at {LAG_S:g} s"
+        )
+    return out
+
+
+def numbers(values: Array) -> str:
+    """Return numbers as a list whose members read back to the last bit."""
+    return repr(np.asarray(values, dtype=np.float64).tolist())
+
+
+def root_mean_square(values: Array) -> float:
+    """Return the one number of the same power as three axes."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def spread(values: Array) -> bool:
+    """Whether three densities are too different for one number to stand for them."""
+    return bool(np.ptp(values) > ALIKE * np.max(np.abs(values), initial=0.0))

@@ -1,0 +1,144 @@
+"""Plain NumPy: a .npz of named arrays, or a .py with a function to import or paste.
+
+The arrays are the store's own: scale (3, 3), bias (3,), bias_slope (3,), reference_temperature_c (), each
+with accelerometer_ or gyroscope_ before it, and gyroscope_g_sensitivity (3, 3). The function is
+correct(t, temperature, force, rate) with raw force (n, 3) m/s^2 and rate (n, 3) rad/s, or None; it returns
+both corrected. temperature: (n,) degC or None.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.errors import UserError
+from stillcal.replay.export.imu import ImuParameters, SensorPart
+from stillcal.replay.export.target import Target, commented, finite
+
+FIELDS = {
+    "scale": ("scale", (3, 3)),
+    "bias": ("bias", (3,)),
+    "bias_slope": ("slope", (3,)),
+    "reference_temperature_c": ("reference_c", ()),
+    "g_sensitivity": ("matrix", (3, 3)),
+    "white_noise_density": ("", (3,)),
+}
+"""Name in the file, name in the record, shape."""
+
+KINDS = ("scale", "misalignment", "bias", "bias slope", "g-sensitivity")
+
+
+def arrays(imu: ImuParameters) -> dict[str, Array]:
+    """Return all that is known as named arrays."""
+    out: dict[str, Array] = {}
+    for name, part in imu.parts():
+        for key, (attribute, _) in FIELDS.items():
+            value = getattr(part, attribute) if attribute else None
+            if value is not None:
+                out[f"{name}_{key}"] = np.asarray(value, dtype=np.float64)
+        if part.noise is not None:
+            out[f"{name}_white_noise_density"] = part.noise.white
+    return out
+
+
+class Npz(Target):
+    """np.load(FILE)["accelerometer_scale"], and so on."""
+
+    name = "npz"
+    title = "a NumPy archive"
+    source = "numpy.savez"
+
+    def holds(self, imu: ImuParameters) -> set[str]:
+        """Return everything but slow noise and delay."""
+        return {f"{name} {kind}" for name, _ in imu.parts() for kind in (*KINDS, "white noise")}
+
+    def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
+        """Return the archive; its array `remarks` holds the comments."""
+        file = io.BytesIO()
+        np.savez(file, remarks=np.array(list(remarks)), **arrays(imu))  # type: ignore[arg-type]
+        return file.getvalue()
+
+    def read(self, data: bytes) -> ImuParameters:
+        """Return what the archive holds; arrays of other names are left alone."""
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+                values = {name: np.asarray(archive[name]) for name in archive.files if name != "remarks"}
+        except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
+            raise UserError("not a NumPy archive (.npz)") from error
+        return of_arrays(values)
+
+
+def of_arrays(values: dict[str, Array]) -> ImuParameters:
+    """Return parameters from named arrays. Raises UserError where none is there or a shape is wrong."""
+    parts = {}
+    for name in ("accelerometer", "gyroscope"):
+        found = {
+            attribute: finite(values[f"{name}_{key}"], shape, f"{name}_{key}")
+            for key, (attribute, shape) in FIELDS.items()
+            if attribute and f"{name}_{key}" in values
+        }
+        if found:
+            reference = found.pop("reference_c", None)
+            part = SensorPart(reference_c=None if reference is None else float(reference))
+            parts[name] = replace(part, **found)  # type: ignore[arg-type]  # FIELDS says which
+    if not parts:
+        raise UserError(
+            "holds none of accelerometer_scale, accelerometer_bias, gyroscope_scale, gyroscope_bias"
+        )
+    return ImuParameters(accelerometer=parts.get("accelerometer"), gyroscope=parts.get("gyroscope"))
+
+
+class Python(Target):
+    """A Python module with the numbers and the function `correct`."""
+
+    name = "numpy"
+    title = "a Python module"
+    source = "the store's own model, docs/api.md"
+    invertible = False
+
+    def holds(self, imu: ImuParameters) -> set[str]:
+        """Return all that a correction uses."""
+        return {f"{name} {kind}" for name, _ in imu.parts() for kind in KINDS}
+
+    def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
+        """Return the module."""
+        text = commented(remarks) + "import numpy as np\n\n"
+        for name, value in arrays(imu).items():
+            if not name.endswith("density"):
+                text += (
+                    f"{name} = np.array({value.tolist()!r})\n"
+                    if value.ndim
+                    else f"{name} = {float(value)!r}\n"
+                )
+        return (text + "\n\n" + _function(imu)).encode()
+
+
+def _function(imu: ImuParameters) -> str:
+    lines = [
+        "def correct(t, temperature, force, rate):",
+        '    """Return force (n, 3) m/s^2 and rate (n, 3) rad/s, or None, corrected."""',
+    ]
+    for argument, (name, part) in (
+        ("force", ("accelerometer", imu.accelerometer)),
+        ("rate", ("gyroscope", imu.gyroscope)),
+    ):
+        if part is None:
+            continue
+        body = [f"offset = {name}_bias" if part.bias is not None else "offset = np.zeros(3)"]
+        if part.slope is not None:
+            body += [
+                "if temperature is not None:",
+                f"    warmer = np.nan_to_num(temperature - {name}_reference_temperature_c)",
+                f"    offset = offset + warmer[:, None] * {name}_bias_slope",
+            ]
+        if part.matrix is not None:
+            body += ["if force is not None:", f"    offset = offset + force @ {name}_g_sensitivity.T"]
+        scaled = f" @ {name}_scale.T" if part.scale is not None else ""
+        body.append(f"{argument} = ({argument} - offset){scaled}")
+        lines += [f"    if {argument} is not None:", *(f"        {line}" for line in body)]
+    return "\n".join([*lines, "    return force, rate"]) + "\n"

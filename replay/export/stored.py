@@ -1,0 +1,127 @@
+"""From a file that was read back to a calibration for the store."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.record import (
+    AccelerometerRecord,
+    Acceptance,
+    CalibrationRecord,
+    GyroscopeRecord,
+    Provenance,
+    Term,
+    TermParameter,
+    Validity,
+)
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.export.imu import ImuParameters, SensorPart, of_record
+
+AFFINE, SYMMETRIC, DIAGONAL = 12, 9, 6
+"""Numbers of a calibration whose scale is any matrix, symmetric or triangular, or diagonal."""
+
+
+def record_of(imu: ImuParameters, before: CalibrationRecord | None, source: str) -> CalibrationRecord:
+    """Return what a file holds as a calibration; what it does not hold stays as it was `before`.
+
+    Where nothing was before, a scale that is not known is unity and a bias that is not known is zero: both
+    are what a sensor without calibration has. Raises ValueError where the numbers are no calibration.
+    """
+    old = ImuParameters() if before is None else of_record(before)
+    accel = _merged(imu.accelerometer, old.accelerometer)
+    gyro = _merged(imu.gyroscope, old.gyroscope)
+    terms = [*_terms(accel, Sensor.ACCELEROMETER), *_terms(gyro, Sensor.GYROSCOPE)]
+    low, high = imu.temperatures or old.temperatures or (None, None)
+    gravity = STANDARD
+    if before is not None and before.accelerometer is not None:
+        gravity = before.accelerometer.gravity
+    return CalibrationRecord(
+        accelerometer=_accelerometer(accel, gravity),
+        gyroscope=_gyroscope(gyro),
+        gravity=None if before is None else before.gravity,
+        validity=Validity(temperature_min=low, temperature_max=high),
+        acceptance=Acceptance(how="migration", reason=f"imported from {source}"),
+        provenance=Provenance(source=source, device="" if before is None else before.provenance.device),
+        terms=tuple(terms),
+    )
+
+
+def not_in_file(imu: ImuParameters, before: CalibrationRecord | None) -> list[str]:
+    """Return what a file does not hold, a line each, with what is taken instead."""
+    old = ImuParameters() if before is None else of_record(before)
+    out = []
+    for name, default in (("accelerometer", old.accelerometer), ("gyroscope", old.gyroscope)):
+        part: SensorPart | None = getattr(imu, name)
+        for field in ("scale", "bias") if part is not None else ():
+            if getattr(part, field) is None:
+                kept = default is not None and getattr(default, field) is not None
+                other = "unity is taken" if field == "scale" else "zero is taken"
+                out.append(f"{name} {field}: {'the store keeps its own' if kept else other}")
+        if part is None and default is not None:
+            out.append(f"{name}: the store keeps its own")
+    return out
+
+
+def _merged(fresh: SensorPart | None, old: SensorPart | None) -> SensorPart | None:
+    if fresh is None or old is None:
+        return fresh or old
+    known = {
+        name: value for name in ("scale", "bias", "matrix") if (value := getattr(fresh, name)) is not None
+    }
+    if fresh.slope is not None:
+        known |= {"slope": fresh.slope, "reference_c": fresh.reference_c}
+    elif fresh.bias is not None:
+        # A bias that was measured anew holds at a temperature that nobody knows: the old slope has no start.
+        known |= {"slope": None, "reference_c": None}
+    return replace(old, **known)
+
+
+def _accelerometer(part: SensorPart | None, gravity: float) -> AccelerometerRecord | None:
+    if part is None:
+        return None
+    scale = np.eye(3) if part.scale is None else part.scale
+    return AccelerometerRecord(scale=scale, bias=part.offset, parameters=_parameters(scale), gravity=gravity)
+
+
+def _gyroscope(part: SensorPart | None) -> GyroscopeRecord | None:
+    if part is None:
+        return None
+    scale = np.eye(3) if part.scale is None else part.scale
+    count = 3 if np.array_equal(scale, np.eye(3)) else _parameters(scale)
+    return GyroscopeRecord(scale=scale, bias=part.offset, parameters=count)
+
+
+def _parameters(scale: Array) -> int:
+    upper, lower = np.triu(scale, 1), np.tril(scale, -1)
+    if not upper.any() and not lower.any():
+        return DIAGONAL
+    return (
+        SYMMETRIC if not upper.any() or not lower.any() or np.allclose(upper, lower.T, atol=1e-12) else AFFINE
+    )
+
+
+def _terms(part: SensorPart | None, sensor: Sensor) -> list[Term]:
+    out: list[Term] = []
+    if part is None:
+        return out
+    accel = sensor == Sensor.ACCELEROMETER
+    if part.slope is not None and part.reference_c is not None:
+        unit = "m/s^2/K" if accel else "rad/s/K"
+        effect = "accel_bias_temperature" if accel else "gyro_bias_temperature"
+        slope = TermParameter(value=frozen(part.slope), unit=unit)
+        out.append(
+            Term(
+                effect=effect,
+                sensor=sensor,
+                parameters={"slope": slope},
+                reference={"temperature": part.reference_c},
+            )
+        )
+    if part.matrix is not None:
+        matrix = TermParameter(value=frozen(part.matrix), unit="(rad/s)/(m/s^2)")
+        out.append(Term(effect="gyro_g_sensitivity", sensor=sensor, parameters={"matrix": matrix}))
+    return out

@@ -1,0 +1,106 @@
+"""A calibration written for a tool and read back is the same, as far as the tool can hold it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stillcal.calib_core.errors import UserError
+from stillcal.replay.export.imu import ImuParameters, SensorPart, facts
+from stillcal.replay.export.target import Target, exported
+from stillcal.replay.export.targets import INVERTIBLE, TARGETS, target_named
+
+WITHIN = 1e-9
+
+
+def random_imu(seed: int) -> ImuParameters:
+    """Both sensors, with scales some per cent off, biases, slopes and g-sensitivity."""
+    rng = np.random.default_rng(seed)
+
+    def part(bias: float, slope: float) -> SensorPart:
+        return SensorPart(
+            scale=np.eye(3) + rng.uniform(-0.05, 0.05, (3, 3)),
+            bias=rng.normal(0.0, bias, 3),
+            slope=rng.normal(0.0, slope, 3),
+            reference_c=float(rng.uniform(10.0, 50.0)),
+        )
+
+    gyro = replace(part(0.02, 1e-4), matrix=rng.normal(0.0, 1e-4, (3, 3)))
+    return ImuParameters(accelerometer=part(0.3, 5e-3), gyroscope=gyro, temperatures=(5.0, 45.0))
+
+
+def within(imu: ImuParameters, target: Target) -> ImuParameters:
+    """What of a calibration a target says that it holds."""
+    held = target.holds(imu)
+
+    def part(name: str, one: SensorPart) -> SensorPart:
+        scale = one.scale if f"{name} scale" in held else None
+        if scale is not None and f"{name} misalignment" not in held:
+            scale = np.diag(np.diag(scale))
+        slope = f"{name} bias slope" in held
+        return SensorPart(
+            scale=scale,
+            bias=one.bias if f"{name} bias" in held else None,
+            slope=one.slope if slope else None,
+            reference_c=one.reference_c if slope else None,
+            matrix=one.matrix if f"{name} g-sensitivity" in held else None,
+        )
+
+    return replace(imu, **{name: part(name, one) for name, one in imu.parts()})
+
+
+def bias_at(part: SensorPart, temperature: float) -> np.ndarray | None:
+    return None if part.bias is None else part.bias_at(temperature)
+
+
+def assert_alike(one: np.ndarray | None, other: np.ndarray | None) -> None:
+    assert (one is None) == (other is None)
+    if one is not None and other is not None:
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=WITHIN)
+
+
+@pytest.mark.parametrize("name", INVERTIBLE)
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_what_is_written_is_read_back(name: str, seed: int) -> None:
+    target = target_named(name)
+    imu = random_imu(seed)
+    wanted, back = within(imu, target), target.read(exported(target, imu, "store.json").data)
+    for sensor, part in wanted.parts():
+        read = getattr(back, sensor)
+        if part.scale is None and part.bias is None:
+            assert read is None
+            continue
+        assert_alike(part.scale, read.scale)
+        assert_alike(part.matrix, read.matrix)
+        for temperature in (-10.0, 25.0, 60.0):  # a slope may count from another temperature in the file
+            assert_alike(bias_at(part, temperature), bias_at(read, temperature))
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_all_that_is_known_is_in_the_file_or_named_in_it(name: str) -> None:
+    target, imu = target_named(name), random_imu(1)
+    if target.needs_noise:
+        with pytest.raises(UserError, match="--phone"):
+            exported(target, imu, "store.json")
+        return
+    made = exported(target, imu, "store.json")
+    assert set(made.left_out) == facts(imu).keys() - target.holds(imu)
+    text = made.data.decode("utf-32-le", "ignore") if name == "npz" else made.data.decode()
+    for left_out in made.left_out:
+        assert left_out in text
+
+
+def test_the_list_of_invertible_targets_is_the_classes_own() -> None:
+    assert tuple(name for name in TARGETS if target_named(name).invertible) == INVERTIBLE
+
+
+@pytest.mark.parametrize("name", INVERTIBLE)
+@pytest.mark.parametrize("data", [b"", b"\xff\xfe\x00", b"1\t1\tCAL", b"imu0: [", b"{}", b"imu0: 3"])
+def test_what_is_no_such_file_is_refused(name: str, data: bytes) -> None:
+    with pytest.raises(UserError):
+        target_named(name).read(data)
