@@ -69,17 +69,21 @@ def load(
     gyroscope_t: ArrayLike | None = None,
     temperature: ArrayLike | None = None,
     t_arrival: ArrayLike | None = None,
-    format: PathLike = "csv",
+    format: PathLike | None = None,
     gyroscope_file: PathLike | None = None,
+    sensor: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
     events: Iterable[Mapping[str, Any]] = (),
     claims: Mapping[str, Any] | None = None,
     name: str = "",
 ) -> Recording:
     """Return a recording from a file, a table or arrays.
 
-    A file: `load("walk.csv")`. `format` is a format's name or the path of a column map (docs/formats.md),
-    `gyroscope_file` the gyroscope's own file where the format has two. `load("sample:lab")` is a recording
-    that comes with stillcal.
+    A file or folder: `load("walk.csv")`, `load("flight.ulg")`; the format is recognised by its content.
+    `format` overrides that with a format's name or the path of a column map (docs/formats.md),
+    `gyroscope_file` names the gyroscope's own file where there are two, `sensor` one of a log's sensors.
+    `start` and `stop` cut, in s after the first sample. `load("sample:lab")` comes with stillcal.
 
     A table: `load(frame)`, a pandas data frame or anything else with named columns (a mapping, a structured
     array): t, ax, ay, az; optionally gx, gy, gz, temperature, t_arrival. NaN stands for an empty cell; a row
@@ -108,7 +112,8 @@ def load(
         )
     if source is not None:
         gyroscope_path = None if gyroscope_file is None else Path(gyroscope_file)
-        return read_all(os.fspath(source), _text(format), gyroscope_path)
+        form = None if format is None else _text(format)
+        return read_all(os.fspath(source), form, gyroscope_path, sensor=sensor, start=start, stop=stop)
     if t is None or accelerometer is None:
         raise TypeError("load() needs a path, a table, or both t and accelerometer")
     return of_arrays(

@@ -21,11 +21,6 @@ def format_option(what: str = "TRACE", *, rests: bool) -> Option[Any]:
     return click.option("--format", "format_", default="csv", show_default=True, help=text)
 
 
-gyro_option: Option[Any] = click.option(
-    "--gyro",
-    type=click.Path(path_type=Path),
-    help="The gyroscope's file, where the format has a file for each sensor.",
-)
 config_option: Option[Any] = click.option(
     "--config", type=click.Path(path_type=Path), help="Settings file (TOML)."
 )

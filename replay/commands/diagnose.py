@@ -15,10 +15,11 @@ from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.errors import NotSupported
 from stillcal.daemon.cli.exits import TOO_LITTLE, VERDICT
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.cli.options import format_option, gyro_option, quiet_option
+from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
+from stillcal.replay.commands.reading import Reading, reading_options
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.diagnosis.relation_text import VERDICTS as JUDGEMENTS
 from stillcal.replay.diagnosis.report.answer import Answer, Request, answer_for_recording, answer_for_table
@@ -44,8 +45,7 @@ class _Asked(NamedTuple):
     json: Path | None
     report: Path | None
     phone_out: Path | None
-    format: str
-    gyro: Path | None
+    reading: Reading
 
 
 @click.command(
@@ -60,14 +60,14 @@ class _Asked(NamedTuple):
         "stillcal diagnose walk.csv --phone mpu6050        # compare with a simulated phone",
         "stillcal diagnose walk.csv --simulated sim.csv    # where does my simulator differ?",
         "stillcal diagnose walk.csv --simulated sim.csv --report difference.html",
-        "stillcal diagnose Phones_accelerometer.csv --format hhar --json -",
-        "stillcal diagnose esgi.csv --format rest",
+        "stillcal diagnose Phones_accelerometer.csv --json -",
+        "stillcal diagnose esgi.csv                        # a table of rests",
     ),
 )
 @click.argument("trace", type=_path)
 @click.option("--phone", help="The simulated phone to compare with: a ready one, or a phone.toml.")
 @click.option("--simulated", type=_path, help="The simulation to be judged: a recording that it made.")
-@click.option("--simulated-format", default=None, help="The format of --simulated, where it is not csv.")
+@click.option("--simulated-format", default=None, help="The format of --simulated [default: by its content].")
 @click.option(
     "--fail-on",
     type=click.Choice(VERDICTS),
@@ -79,8 +79,7 @@ class _Asked(NamedTuple):
 @click.option(
     "--phone-out", type=_path, help="Write a phone with the effects found (.toml), for simulate --phone."
 )
-@format_option(rests=True)
-@gyro_option
+@reading_options()
 @quiet_option
 def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path,
@@ -91,8 +90,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     json_path: Path | None,
     report: Path | None,
     phone_out: Path | None,
-    format_: str,
-    gyro: Path | None,
+    reading: Reading,
     quiet: bool,
 ) -> None:
     """Find where a recording differs from a simulation, by what physics, and by how much.
@@ -101,11 +99,13 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     simulator made (--simulated): other motion, another rate and another length do not matter then. What
     could not be checked is said. Exit code 3 where there is too little data.
     """
-    asked = _Asked(trace, phone, simulated, simulated_format, json_path, report, phone_out, format_, gyro)
+    asked = _Asked(trace, phone, simulated, simulated_format, json_path, report, phone_out, reading)
     _check(asked)
     try:
         with _stages(quiet) as show_stage:
-            answer = answer_for_table(trace) if format_ == "rest" else _diagnosed(asked, show_stage)
+            answer = (
+                answer_for_table(trace) if reading.is_rest_table(trace) else _diagnosed(asked, show_stage)
+            )
     except NotSupported as refusal:
         # Of two recordings the refusal itself names the one that is too short.
         subject = f"{trace}: " if simulated is None else ""
@@ -127,7 +127,7 @@ def _check(asked: _Asked) -> None:
         raise click.UsageError(f"{report}: a report is an HTML page; choose a name that ends in .html")
     if phone_out is not None and phone_out.suffix != ".toml":
         raise click.UsageError(f"{phone_out}: choose a name that ends in .toml for a phone file")
-    if asked.format == "rest" and any(
+    if asked.reading.is_rest_table(asked.trace) and any(
         x is not None for x in (asked.phone, asked.simulated, report, phone_out)
     ):
         raise click.UsageError(
@@ -137,7 +137,7 @@ def _check(asked: _Asked) -> None:
         raise click.UsageError("give --simulated, or --phone and --phone-out: each is another simulation")
     if asked.simulated_format is not None and asked.simulated is None:
         raise click.UsageError("--simulated-format goes with --simulated")
-    reads = [*recording_files(asked.trace), *files(asked.gyro)]
+    reads = [*recording_files(asked.trace), *files(asked.reading.gyro)]
     reads += [] if asked.simulated is None else recording_files(asked.simulated)
     reads += [Path(asked.phone)] if asked.phone and asked.phone.endswith(".toml") else []
     refuse_collisions(files(report, phone_out, asked.json), reads)
@@ -145,10 +145,10 @@ def _check(asked: _Asked) -> None:
 
 def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> Answer:
     show_stage(f"reading {asked.trace.name}")
-    recording = read_all(asked.trace, asked.format, asked.gyro)
+    recording = asked.reading.read(asked.trace)
     if asked.simulated is not None:
         show_stage(f"reading {asked.simulated.name}")
-        simulation = read_all(asked.simulated, asked.simulated_format or "csv")
+        simulation = read_all(asked.simulated, asked.simulated_format)
         judged = judge_simulation(recording, simulation, show_stage)
         return Answer(judged.answer, comparison_page(judged) if asked.report is not None else None)
     phone = None if asked.phone is None else _loaded(asked.phone)

@@ -15,13 +15,14 @@ from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.cli.options import config_option, format_option, gyro_option, quiet_option
+from stillcal.daemon.cli.options import config_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.document import FORMAT, StoreDocument
 from stillcal.daemon.store.store import Store, StoreError
 from stillcal.replay.commands.outputs import refuse_collisions
-from stillcal.replay.formats.trace import Trace, open_trace
+from stillcal.replay.commands.reading import Reading, reading_options
+from stillcal.replay.formats.trace import Trace
 from stillcal.replay.plots import style
 from stillcal.replay.plots.drawing import ALL, FIGURES, draw_figure
 from stillcal.replay.plots.inputs import Material, Moment, of_record, of_trace
@@ -39,7 +40,7 @@ NOISE = ("allan", ALL)
         "stillcal plot walk.csv --out walk.png",
         "stillcal plot store.json --out history.svg --what history",
         "stillcal plot still.csv --out noise.pdf --what allan",
-        "stillcal plot imu0.log --format mikoff --out imu0.png --what attitudes",
+        "stillcal plot imu0.log --out imu0.png --what attitudes",
     ),
 )
 @click.argument("source", metavar="TRACE|STORE", type=click.Path(path_type=Path))
@@ -53,12 +54,11 @@ NOISE = ("allan", ALL)
     show_default=True,
     help="Attitudes covered, residuals before and after, history of parameters, Allan curves, or all.",
 )
-@format_option("a recording", rests=False)
-@gyro_option
+@reading_options("a recording")
 @config_option
 @quiet_option
 def plot_command(  # noqa: PLR0917 - click hands every option over by name
-    source: Path, out: Path, what: str, format_: str, gyro: Path | None, config: Path | None, quiet: bool
+    source: Path, out: Path, what: str, reading: Reading, config: Path | None, quiet: bool
 ) -> None:
     """Draw figures of a recording, calibrated with the daemon's own engine, or of a store.
 
@@ -75,7 +75,7 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
             material = _stored(source)
         else:
             settings = load_settings(config).engine
-            material = _replayed(open_trace(source, format_, gyro), settings, what in NOISE, quiet)
+            material = _replayed(reading.open(source), settings, what in NOISE, quiet)
         figure, omitted = draw_figure(what, material)
     except NotSupported as refusal:
         click.echo(f"stillcal: {source}: {refusal}", err=True)

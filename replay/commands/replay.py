@@ -19,7 +19,7 @@ from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.cli.options import config_option, format_option, gyro_option, quiet_option
+from stillcal.daemon.cli.options import config_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.atomic import write_atomically
@@ -32,8 +32,8 @@ from stillcal.replay.commands.outputs import (
     refuse_collisions,
     store_files,
 )
-from stillcal.replay.formats.rest_table import read_rest_table
-from stillcal.replay.formats.trace import Chunk, Trace, open_trace
+from stillcal.replay.commands.reading import Reading, reading_options
+from stillcal.replay.formats.trace import Chunk, Trace
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
 from stillcal.replay.runner import Outcome, replay, replay_rests, with_choices
@@ -48,8 +48,10 @@ _existing = click.Path(path_type=Path)
     epilog=examples(
         "stillcal replay sample:lab --store store.json     # a recording that comes with stillcal",
         "stillcal replay walk.csv --store store.json",
-        "stillcal replay esgi.csv --format rest --gravity 9.81 --json -",
-        "stillcal replay Phones_accelerometer.csv --format hhar",
+        "stillcal replay esgi.csv --gravity 9.81 --json -  # a table of rests",
+        "stillcal replay export.zip                        # of phyphox or Sensor Logger",
+        "stillcal replay flight.ulg --sensor sensor_accel0 --from 60 --to 600",
+        "zcat walk.csv.gz | stillcal replay -",
     ),
 )
 @click.argument("trace", type=_existing)
@@ -57,8 +59,7 @@ _existing = click.Path(path_type=Path)
 @click.option(
     "--json", "json_path", type=_existing, help="Write the calibration as JSON ('-': standard output)."
 )
-@format_option(rests=True)
-@gyro_option
+@reading_options()
 @config_option
 @click.option("--gravity", type=float, help="Local gravity in m/s^2, if it is known.")
 @click.option(
@@ -69,8 +70,7 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path,
     store_path: Path | None,
     json_path: Path | None,
-    format_: str,
-    gyro: Path | None,
+    reading: Reading,
     config: Path | None,
     gravity: float | None,
     watch: str | None,
@@ -81,14 +81,14 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     The store is the same as after a live run. Exit code 3: the recording does not allow a calibration; the
     message says why and which attitude is missing.
     """
-    refuse_collisions(_output_files(store_path, json_path), _input_files(trace, gyro))
+    refuse_collisions(_output_files(store_path, json_path), _input_files(trace, reading.gyro))
     settings = load_settings(config)
     calibrations: list[Publish | Reject] = []
-    if format_ == "rest":
+    if reading.is_rest_table(trace):
         engine = Engine(with_choices(settings.engine, gravity, watch))
-        outcome = replay_rests(read_rest_table(trace), engine, calibrations.append)
+        outcome = replay_rests(reading.rests(trace), engine, calibrations.append)
     else:
-        opened = open_trace(trace, format_, gyro)
+        opened = reading.open(trace)
         engine = Engine(with_choices(settings.engine, gravity, watch, opened.claimed_gravity))
         outcome = _replayed(opened, engine, calibrations.append, quiet)
     calibrations = full(calibrations)
@@ -112,16 +112,15 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
 @click.argument("trace", type=_existing)
 @click.option("--store", "store_path", type=_existing, required=True, help="The store with the calibration.")
 @click.option("--out", type=_existing, required=True, help="The corrected recording (.csv, .csv.gz).")
-@format_option(rests=False)
-@gyro_option
+@reading_options()
 @quiet_option
-def apply_command(  # noqa: PLR0917 - click hands every option over by name
-    trace: Path, store_path: Path, out: Path, format_: str, gyro: Path | None, quiet: bool
-) -> None:
+def apply_command(trace: Path, store_path: Path, out: Path, reading: Reading, quiet: bool) -> None:
     """Write the recording with its sensor errors corrected: scale @ (raw - bias)."""
     record = current_in_store(store_path)
-    refuse_collisions(new_recording_files(out), [*_input_files(trace, gyro), *store_files(store_path)])
-    opened, suits = open_trace(trace, format_, gyro), Suitability(record)
+    refuse_collisions(
+        new_recording_files(out), [*_input_files(trace, reading.gyro), *store_files(store_path)]
+    )
+    opened, suits = reading.open(trace), Suitability(record)
     with progress(opened.path.name, opened.size_bytes, quiet) as step, _writer(opened, out, record) as write:
         for chunk in opened.chunks():
             suits.see(chunk.accelerometer)

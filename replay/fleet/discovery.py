@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stillcal.replay.formats.claims import beside
 from stillcal.replay.formats.columns import load_map
-from stillcal.replay.formats.trace import other_file
+from stillcal.replay.formats.recognition.opened import other_file
 
 PLAIN = (".csv", ".csv.gz")
 """How recordings end whose format does not say otherwise."""

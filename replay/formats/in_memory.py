@@ -21,7 +21,7 @@ from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.stream import filled_forward
-from stillcal.replay.formats.text import EMPTY
+from stillcal.replay.formats.tables.table import EMPTY
 from stillcal.replay.formats.trace import Chunk, Recording
 
 AXES = {Sensor.ACCELEROMETER: ("ax", "ay", "az"), Sensor.GYROSCOPE: ("gx", "gy", "gz")}

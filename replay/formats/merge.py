@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.formats.claims import Event
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.stream import Run, SampleFile
 
@@ -40,6 +43,50 @@ def cut(run: Run, max_rows: int) -> Iterator[Pair]:
 
 def _upto(samples: Samples, end: float) -> int:
     return int(np.searchsorted(samples.t, end, side="right"))
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """A part of a recording. start, stop: s after its first sample, None for its start and its end."""
+
+    start: float | None = None
+    stop: float | None = None
+
+    @property
+    def said(self) -> str:
+        """How to begin a sentence about what the part holds; empty where it is the whole."""
+        if self.start is None and self.stop is None:
+            return ""
+        end = "the end" if self.stop is None else f"{self.stop:g} s"
+        return f"from {self.start or 0:g} s to {end} there is"
+
+    def started(self, events: list[Event], accelerometer: Samples, gyroscope: Samples) -> list[Event]:
+        """Return the events with those before the part moved to its start: what they say still holds.
+
+        accelerometer, gyroscope: the first samples of the part.
+        """
+        if self.start is None:
+            return events
+        first = min(float(s.t[0]) for s in (accelerometer, gyroscope) if len(s))
+        return [msgspec.structs.replace(event, t=max(event.t, first)) for event in events]
+
+    def applied(self, pairs: Iterator[Pair]) -> Iterator[Pair]:
+        """Yield what of the runs lies in the part; nothing beyond its end is read."""
+        if not self.said:
+            yield from pairs
+            return
+        first = None
+        for pair in pairs:
+            if first is None:
+                first = min(float(s.t[0]) for s in pair if len(s))
+            low, high = first + (self.start or 0.0), first + (np.inf if self.stop is None else self.stop)
+            accelerometer, gyroscope = (
+                s[int(np.searchsorted(s.t, low, side="left")) : _upto(s, high)] for s in pair
+            )
+            if len(accelerometer) or len(gyroscope):
+                yield accelerometer, gyroscope
+            if any(len(s) and s.t[-1] > high for s in pair):
+                return
 
 
 class _Side:

@@ -11,7 +11,8 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap, find_columns
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.text import EMPTY, TextTable
+from stillcal.replay.formats.tables.table import EMPTY
+from stillcal.replay.formats.tables.text import TextTable
 
 _OPTIONAL = ("t", "duration", "n", "gx", "gy", "gz", "sax", "say", "saz", "temperature")
 _LAYOUT = ColumnMap(

@@ -20,8 +20,8 @@ from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import Clock, Rows, seconds_per_unit
 from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, SensorMap
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.layout import lay_out, selection
-from stillcal.replay.formats.text import EMPTY, TextTable
+from stillcal.replay.formats.tables.layout import lay_out, selection
+from stillcal.replay.formats.tables.table import EMPTY, Table
 
 CLOCKS_AGREE = 0.05
 """A relative difference of the sensor's and the host's clock above this is noted."""
@@ -31,25 +31,25 @@ Run = dict[Sensor, Samples]
 
 
 class SampleFile:
-    """Reads one file through a column map. Opening checks that the columns are there; raises TraceError.
+    """Reads one table through a column map. Opening checks that the columns are there; raises TraceError.
 
     selected: the cells by which rows are chosen, where the map chooses and another file's hold for this.
     """
 
     def __init__(
         self,
-        path: Path,
+        table: Table,
         column_map: ColumnMap,
         sensors: Sequence[Sensor],
         claims: Claims,
         selected: Sequence[str] | None = None,
     ) -> None:
-        self.path = path
+        self.path = table.path
         self._map = column_map
         self._claims = claims
         for sensor in sensors:
-            _refuse_by_name(path, column_map.sensor(sensor))
-        self._table = TextTable(path, column_map)
+            _refuse_by_name(table.path, column_map.sensor(sensor))
+        self._table = table
         self._layout = lay_out(self._table, column_map, sensors)
         self._key = selection(self._table, column_map, selected)
         self._begin()
@@ -82,6 +82,11 @@ class SampleFile:
     def has_arrival(self) -> bool:
         """Whether the file has a column of arrival times."""
         return self._layout.arrival is not None
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of the file as stored."""
+        return self._table.size_bytes
 
     @property
     def bytes_read(self) -> int:

@@ -14,12 +14,12 @@ from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
-from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.merge import cut, merged
+from stillcal.replay.formats.merge import Cut, cut, merged
+from stillcal.replay.formats.recognition.log import Log
+from stillcal.replay.formats.recognition.opened import open_log
 from stillcal.replay.formats.rest_table import read_rest_table
-from stillcal.replay.formats.shipped import located
-from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.sources import STANDARD_INPUT
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.notebook import html_table
 
@@ -129,16 +129,21 @@ class Recording:
 class Trace:
     """A recording opened for reading, any number of times over; holds no more than some blocks of it.
 
-    path: the (accelerometer's) file. claims: what the maker claims. events: all of them, in time order.
+    path: the (accelerometer's) file. kind: its format. sensor: which of the log's is read. claims: what the
+    maker claims. events: all of them, in time order.
     """
 
-    def __init__(self, path: Path, column_map: ColumnMap, files: list[SampleFile], notes: list[str]) -> None:
-        self.path = path
-        self.column_map = column_map
-        self.claims = read_claims(path)
-        self.events = read_events(path)
-        self._files = files
-        self._notes = notes
+    def __init__(self, log: Log, sensor: str | None = None, cut: Cut | None = None) -> None:
+        chosen, said = log.choose(sensor)
+        self.path = log.path
+        self.kind = log.kind
+        self.sensor = chosen.name
+        beside = None if log.beside is None else read_claims(log.beside)
+        self.claims = log.claims if beside is None or beside == Claims() else beside
+        self.events = [] if log.beside is None else read_events(log.beside)
+        self._files = chosen.files(self.claims)
+        self._notes = [*log.notes, *said, *chosen.notes]
+        self._cut = cut or Cut()
 
     @property
     def has_gyroscope(self) -> bool:
@@ -158,7 +163,7 @@ class Trace:
     @property
     def size_bytes(self) -> int:
         """Size of the recording's files as stored."""
-        return sum(file.path.stat().st_size for file in self._files)
+        return sum(file.size_bytes for file in self._files)
 
     @property
     def bytes_read(self) -> int:
@@ -187,71 +192,64 @@ class Trace:
         total = 0
         last: Chunk | None = None
         units = UnitCheck(self.path)
-        for accelerometer, gyroscope in merged(self._files, max_rows):
+        for accelerometer, gyroscope in self._cut.applied(merged(self._files, max_rows)):
             units.see(accelerometer, gyroscope)
             if last is not None:
                 yield last
+            if last is None:
+                events = self._cut.started(events, accelerometer, gyroscope)
             total += len(accelerometer)
             end = max(float(s.t[-1]) for s in (accelerometer, gyroscope) if len(s))
             due = sum(event.t <= end for event in events)
             last = Chunk(accelerometer, gyroscope, tuple(events[:due]))
             events = events[due:]
         if last is None or total < 2:
-            what = f"the recording holds {'one' if total else 'no'} accelerometer sample"
+            where = self._cut.said or "the recording holds"
+            what = f"{where} {'one' if total else 'no'} accelerometer sample"
             raise TraceError(self.path, what, "give a recording of some minutes")
         units.finish()
-        yield Chunk(last.accelerometer, last.gyroscope, last.events + tuple(events))
+        late = () if self._cut.stop is not None else tuple(events)
+        yield Chunk(last.accelerometer, last.gyroscope, last.events + late)
 
 
-def open_trace(path: Path | str, format: str | Path = "csv", gyro: Path | str | None = None) -> Trace:
-    """Open a recording. path: a file, or "sample:NAME" for one that comes with the package.
+def open_trace(
+    path: Path | str,
+    format: str | Path | None = None,
+    gyro: Path | str | None = None,
+    *,
+    sensor: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+) -> Trace:
+    """Open a recording. path: a file or folder, "sample:NAME" for one that comes with the package, or "-".
 
-    format: a known name or a column map's path; gyro: the gyroscope's own file.
+    format: a known name or a column map's path; None: recognised by content. gyro: the gyroscope's own file.
+    sensor: which one of a log with several; None: the first. start, stop: only what lies between, s after the
+    first sample.
 
-    Raises TraceError where a file, a column or the format is missing.
+    Raises TraceError where a file, a column, the format or the sensor is missing.
     """
-    if str(format) == "rest":
-        raise TraceError(path, "a rest table holds no samples", "give a recording of samples")
-    path, column_map = located(path), load_map(format)
-    claims = read_claims(path)
-    own = Path(gyro) if gyro is not None else None
-    files, notes = _files(path, column_map, own, claims)
-    return Trace(path, column_map, files, notes)
+    log = open_log(path, format, Path(gyro) if gyro is not None else None)
+    return Trace(log, sensor, Cut(start, stop))
 
 
-def read_all(path: Path | str, format: str | Path = "csv", gyro: Path | str | None = None) -> Recording:
+def read_all(
+    path: Path | str,
+    format: str | Path | None = None,
+    gyro: Path | str | None = None,
+    *,
+    sensor: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+) -> Recording:
     """Read a whole recording into memory; arguments and errors as open_trace and Trace.chunks.
 
     It is called as its file, or as the sample that was asked for.
     """
-    trace = open_trace(path, format, gyro)
+    trace = open_trace(path, format, gyro, sensor=sensor, start=start, stop=stop)
     chunks = list(trace.chunks())
     gyroscope = Samples.joined(c.gyroscope for c in chunks) if trace.has_gyroscope else None
     accelerometer = Samples.joined(c.accelerometer for c in chunks)
-    return Recording(accelerometer, gyroscope, trace.events, trace.claims, trace.notes, Path(path).name)
-
-
-def _files(
-    path: Path, column_map: ColumnMap, gyro: Path | None, claims: Claims
-) -> tuple[list[SampleFile], list[str]]:
-    """Return the recording's one or two files, and what was chosen."""
-    both = [Sensor.ACCELEROMETER] + ([Sensor.GYROSCOPE] if column_map.gyroscope else [])
-    rules = column_map.gyroscope.other_file if column_map.gyroscope else ()
-    if gyro is not None and column_map.gyroscope is None:
-        raise TraceError(gyro, "the format has no gyroscope", "say its columns in a column map")
-    if gyro is None and not rules:
-        return [SampleFile(path, column_map, both, claims)], []
-    first = SampleFile(path, column_map, [Sensor.ACCELEROMETER], claims)
-    gyro = gyro or other_file(path, rules)
-    if gyro is None:
-        return [first], [f"{path.name}: no gyroscope file beside it (name it with --gyro)"]
-    return [first, SampleFile(gyro, column_map, [Sensor.GYROSCOPE], claims, first.selected)], []
-
-
-def other_file(path: Path, rules: tuple[tuple[str, str], ...]) -> Path | None:
-    """Return the file beside `path` whose name the first fitting rule gives, None where there is none."""
-    for part, replacement in rules:
-        candidate = path.with_name(path.name.replace(part, replacement))
-        if part in path.name and candidate.is_file():
-            return candidate
-    return None
+    events = [event for chunk in chunks for event in chunk.events]
+    name = trace.path.name if str(path) == STANDARD_INPUT else Path(path).name
+    return Recording(accelerometer, gyroscope, events, trace.claims, trace.notes, name)

@@ -100,7 +100,7 @@ def test_another_delimiter_is_named(tmp_path: Path) -> None:
 
 def test_missing_file_folder_and_missing_gyroscope_file(tmp_path: Path) -> None:
     assert refused(tmp_path / "none.csv").what == "no such file"
-    assert refused(tmp_path).what == "is a folder"
+    assert "holds no recording" in refused(tmp_path).what
     path = tmp_path / "r.csv"
     path.write_text("\n".join(lines()))
     with pytest.raises(TraceError, match=r"g\.csv: no such file"):
@@ -188,11 +188,11 @@ def test_any_damage_gives_samples_or_a_trace_error(
         assert (np.diff(recording.accelerometer.t) > 0).all()
 
 
-def test_a_pipe_is_refused_with_what_to_do() -> None:
+def test_a_pipe_is_read_to_its_end() -> None:
     reading, writing = os.pipe()
+    os.write(writing, "\n".join(lines(200)).encode())
+    os.close(writing)
     try:
-        with pytest.raises(TraceError, match="cannot read from a pipe; save the recording as a file first"):
-            read_all(f"/dev/fd/{reading}")
+        assert len(read_all(f"/dev/fd/{reading}").accelerometer) == 200
     finally:
         os.close(reading)
-        os.close(writing)

@@ -144,11 +144,11 @@ def test_phyphox_of_one_sensor_alone(tmp_path: Path) -> None:
     assert recording.gyroscope is None
 
 
-def test_an_export_still_zipped_is_named(tmp_path: Path) -> None:
+def test_a_zip_without_a_recording_says_what_it_holds(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "export.zip", "w") as archive:
         archive.writestr("Accelerometer.csv", "Time (s)\n")
-    with pytest.raises(TraceError, match="is a zip archive; unzip it"):
-        open_trace(tmp_path / "export.zip", "phyphox")
+    with pytest.raises(TraceError, match=r"holds no recording that is known \(Accelerometer.csv\)"):
+        open_trace(tmp_path / "export.zip")
 
 
 def test_sensor_logger_on_ios_is_in_g_with_the_other_sign(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_chunks_of_any_size_join_to_the_same_recording(
     if not path.exists():
         put(path, rows)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stillcal.replay.formats.text.BLOCK_BYTES", size)
+        patch.setattr("stillcal.replay.formats.tables.text.BLOCK_BYTES", size)
         chunks = list(open_trace(path).chunks(max_rows=max_rows))
     assert max(len(c.accelerometer) for c in chunks) <= max_rows
     np.testing.assert_array_equal(Samples.joined(c.accelerometer for c in chunks).xyz, rows[:, 1:4])

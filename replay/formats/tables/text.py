@@ -9,11 +9,7 @@ known here.
 from __future__ import annotations
 
 import csv
-import gzip
-import io
-import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,7 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.formats.cells import (
+from stillcal.replay.formats.columns import ColumnMap
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.sources import UNREADABLE, Source, damaged, source_of, unpacked
+from stillcal.replay.formats.tables.cells import (
     blanks_to_commas,
     cell_ends,
     cut_out,
@@ -29,11 +28,7 @@ from stillcal.replay.formats.cells import (
     is_number,
     read_numbers,
 )
-from stillcal.replay.formats.columns import ColumnMap
-from stillcal.replay.formats.errors import TraceError
-
-EMPTY = -9.87654321e22
-"""Stands for an empty cell in a block of numbers: no sensor's value, and quick to read (few digits)."""
+from stillcal.replay.formats.tables.table import EMPTY, Block
 
 BLOCK_BYTES = 1 << 20
 """Bytes read at a time, so that memory stays flat however long the file is."""
@@ -47,27 +42,20 @@ _ROW_REMEDY = "correct or delete that row"
 _CUT_REMEDY = "the recording was cut short: delete its last line, or copy it again"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
-    """Rows of numbers: values (n, k), the wanted columns as asked for; lines (n,), line numbers from 1."""
-
-    values: Array
-    lines: NDArray[np.int64]
-
-
 class TextTable:
     """A table in a text file. Opening reads its head only; `blocks` reads it through.
 
-    names: the header's, None without one. width: cells in a row. bytes_read: of the file as stored, by
-    the latest reading. left_out: rows left out by it. Raises TraceError.
+    Its attributes are those of a Table. Raises TraceError.
     """
 
-    def __init__(self, path: Path, column_map: ColumnMap) -> None:
-        self.path = path
+    def __init__(self, source: Source | Path, column_map: ColumnMap) -> None:
+        self._source = source if isinstance(source, Source) else source_of(source)
+        self.path = path = self._source.path
+        self.size_bytes = self._source.size
         self.skipped_rows = 0
         self.bytes_read = 0
         self._map = column_map
-        head = _read_head(path)
+        head = text_head(self._source)
         lines = head.split("\n")
         self._skip = column_map.skip_lines + column_map.header
         self.delimiter = _delimiter(lines[min(column_map.skip_lines, len(lines) - 1)], column_map.delimiter)
@@ -78,19 +66,17 @@ class TextTable:
             raise TraceError(path, what, "give a recording with samples", self._skip or None)
         self.first_row = self._cells(rows[0])
         self.decimal = _decimal(self.first_row, column_map.decimal)
-        self.header_line = column_map.skip_lines + 1
+        self.header_line: int | None = column_map.skip_lines + 1
         self.width = len(self.names) if self.names is not None else len(self.first_row)
 
-    def blocks(
-        self, places: Sequence[int], key: Sequence[tuple[int, str]] = (), size: int = BLOCK_BYTES
-    ) -> Iterator[Block]:
+    def blocks(self, places: Sequence[int], key: Sequence[tuple[int, str]] = ()) -> Iterator[Block]:
         """Yield the columns at `places`, a block of lines at a time, in the file's order.
 
         key: (place, text) pairs; rows that differ are left out and counted in `left_out`. Raises
         TraceError naming file and line for a row that is not numbers or not whole.
         """
         self.skipped_rows = 0
-        for data, first_line, unfinished in self._line_blocks(size):
+        for data, first_line, unfinished in self._line_blocks(BLOCK_BYTES):
             text = self._normal(data)
             ends = cell_ends(text, self.width)
             lines = np.arange(first_line, first_line + (0 if ends is None else len(ends)))
@@ -119,8 +105,8 @@ class TextTable:
     def _line_blocks(self, size: int) -> Iterator[tuple[bytes, int, bool]]:
         """Yield (whole lines, number of the first, whether the last one lacks its line end)."""
         line, tail = 1, b""
-        with self.path.open("rb") as file:
-            stream = _unpacked(file)
+        with self._source.open() as file:
+            stream = unpacked(file)
             for _ in range(self._skip):
                 stream.readline()
                 line += 1
@@ -138,11 +124,11 @@ class TextTable:
             if tail:
                 yield tail + b"\n", line, True
 
-    def _read(self, stream: io.BufferedIOBase | BinaryIO, size: int) -> bytes:
+    def _read(self, stream: BinaryIO, size: int) -> bytes:
         try:
             return stream.read(size)
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise _bad_gzip(self.path, error) from None
+        except UNREADABLE as error:
+            raise damaged(self.path, error) from None
         except OSError as error:
             raise TraceError(self.path, f"cannot be read ({error.strerror})", "copy it again") from None
 
@@ -211,42 +197,15 @@ class TextTable:
         return f"column {self.names[place]!r}" if self.names is not None else f"column {place}"
 
 
-def _unpacked(file: BinaryIO) -> io.BufferedIOBase | BinaryIO:
-    """Return a reader of what `file` holds, unzipped where it is gzip."""
-    zipped = file.read(2) == b"\x1f\x8b"
-    file.seek(0)
-    return gzip.GzipFile(fileobj=file) if zipped else file
-
-
-def _read_head(path: Path, size: int = 1 << 16) -> str:
-    """Return the first characters of a text file. Raises TraceError where it is none."""
-    if path.is_dir():
-        raise TraceError(path, "is a folder", "name a file in it")
-    try:
-        with path.open("rb") as file:
-            if not file.seekable():
-                raise TraceError(path, "cannot read from a pipe", "save the recording as a file first")
-            head = _unpacked(file).read(size)
-    except FileNotFoundError:
-        raise TraceError(path, "no such file", "check the path") from None
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise _bad_gzip(path, error) from None
-    except OSError as error:
-        raise TraceError(
-            path, f"cannot be opened ({error.strerror or error})", "check its permissions"
-        ) from None
+def text_head(source: Source) -> str:
+    """Return the first characters of a text file. Raises TraceError where it is empty or no text."""
+    head = source.head()
     if not head.strip():
-        raise TraceError(path, "the file is empty", "give a recording with samples")
-    return _decoded(path, head)
-
-
-def _bad_gzip(path: Path, error: Exception) -> TraceError:
-    return TraceError(path, f"gzip data cut short or damaged ({error})", "copy the recording again")
+        raise TraceError(source.path, "the file is empty", "give a recording with samples")
+    return _decoded(source.path, head)
 
 
 def _decoded(path: Path, head: bytes) -> str:
-    if head.startswith(b"PK\x03\x04"):
-        raise TraceError(path, "is a zip archive", "unzip it and give the accelerometer's file from it")
     if b"\0" in head:
         raise TraceError(path, "is not a text file", _TEXT_REMEDY)
     whole = head[: head.rfind(b"\n") + 1] or head

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.columns import Column, ColumnMap, find_columns
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.text import TextTable
+from stillcal.replay.formats.tables.table import Table
 
 MAP_REMEDY = "rename the columns, or describe them in a column map given as --format (docs/formats.md)"
 
@@ -24,7 +24,7 @@ class Layout:
     axes: dict[Sensor, slice]
 
 
-def lay_out(table: TextTable, column_map: ColumnMap, sensors: Sequence[Sensor]) -> Layout:
+def lay_out(table: Table, column_map: ColumnMap, sensors: Sequence[Sensor]) -> Layout:
     """Find the columns of `sensors`. Raises TraceError where one that must be there is missing."""
     places_to_read: list[int] = []
 
@@ -50,7 +50,7 @@ def lay_out(table: TextTable, column_map: ColumnMap, sensors: Sequence[Sensor]) 
     return Layout(places_to_read, time, arrival, temperature, axes)
 
 
-def _may_be_missing(table: TextTable, column_map: ColumnMap, sensor: Sensor) -> bool:
+def _may_be_missing(table: Table, column_map: ColumnMap, sensor: Sensor) -> bool:
     """Whether a sensor may be absent: it is optional and none of its three columns is there."""
     sensor_map = column_map.sensor(sensor)
     some = any(find_columns([column], table.names, table.width) for column in sensor_map.columns)
@@ -58,7 +58,7 @@ def _may_be_missing(table: TextTable, column_map: ColumnMap, sensor: Sensor) -> 
 
 
 def selection(
-    table: TextTable, column_map: ColumnMap, selected: Sequence[str] | None = None
+    table: Table, column_map: ColumnMap, selected: Sequence[str] | None = None
 ) -> list[tuple[int, str]]:
     """Return (place, text) of the cells that a row must have to be read; empty where all rows are read.
 
@@ -70,11 +70,13 @@ def selection(
     places = find_columns(select.columns, table.names, table.width)
     if places is None:
         raise missing(table, select.columns)
+    if not table.first_row:
+        raise TraceError(table.path, "rows cannot be selected in a file of numbers", "leave out [select]")
     values = select.values or selected or [table.first_row[place].strip() for place in places]
     return list(zip(places, values, strict=True))
 
 
-def missing(table: TextTable, columns: Sequence[Column]) -> TraceError:
+def missing(table: Table, columns: Sequence[Column]) -> TraceError:
     """Return the error that names the missing columns and the columns that the file has."""
     absent = [c for c in columns if find_columns([c], table.names, table.width) is None]
     what = f"no column {', '.join(repr(c) for c in absent)}"
@@ -96,7 +98,7 @@ def _is_float(cell: str) -> bool:
     return True
 
 
-def _other_delimiter(table: TextTable) -> str | None:
+def _other_delimiter(table: Table) -> str | None:
     """Return the remedy for a header that another character splits."""
     names = table.names or []
     for mark, name in ((";", ";"), ("\t", "\\t"), (",", ",")):

@@ -1,0 +1,91 @@
+"""The options by which every command reads a recording: format, sensor, gyroscope's file and part."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from stillcal.calib_core.static.rest import RestState
+from stillcal.replay.formats.recognition.opened import is_rest_table
+from stillcal.replay.formats.rest_table import read_rest_table
+from stillcal.replay.formats.trace import Recording, Trace, open_trace, read_all
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How a recording is read. format: None where its content decides; start, stop: s after its start."""
+
+    format: str | None = None
+    gyro: Path | None = None
+    sensor: str | None = None
+    start: float | None = None
+    stop: float | None = None
+
+    def open(self, trace: Path) -> Trace:
+        """Open a recording of samples. Raises TraceError."""
+        return open_trace(trace, self.format, self.gyro, sensor=self.sensor, start=self.start, stop=self.stop)
+
+    def read(self, trace: Path) -> Recording:
+        """Read a recording of samples whole. Raises TraceError."""
+        return read_all(trace, self.format, self.gyro, sensor=self.sensor, start=self.start, stop=self.stop)
+
+    def is_rest_table(self, trace: Path) -> bool:
+        """Whether the file is a rest table. Raises TraceError."""
+        return is_rest_table(trace, self.format)
+
+    def rests(self, trace: Path) -> list[RestState]:
+        """Read a rest table. Raises TraceError."""
+        if self.sensor is not None or self.start is not None or self.stop is not None:
+            raise click.UsageError("--sensor, --from and --to choose samples, which a rest table has not")
+        return read_rest_table(trace)
+
+
+def reading_options(what: str = "TRACE") -> Callable[[Command], Command]:
+    """Return a decorator that gives a command the options of reading `what`, as one argument `reading`."""
+    options = (
+        click.option(
+            "--format",
+            "format_",
+            help=f"Format of {what} (docs/formats.md), or a column map (.toml) [default: by its content].",
+        ),
+        click.option("--sensor", help="Which sensor of a log that has several; a wrong name lists them."),
+        click.option(
+            "--gyro",
+            type=click.Path(path_type=Path),
+            help="The gyroscope's file, where the format has a file for each sensor.",
+        ),
+        click.option(
+            "--from", "start", type=click.FloatRange(0), help="Leave out what is earlier, s after the start."
+        ),
+        click.option(
+            "--to", "stop", type=click.FloatRange(0), help="Leave out what is later, s after the start."
+        ),
+    )
+
+    def decorate(command: Command) -> Command:
+        @functools.wraps(command)
+        def called(
+            format_: str | None,
+            sensor: str | None,
+            gyro: Path | None,
+            start: float | None,
+            stop: float | None,
+            **others: Any,
+        ) -> Any:
+            if start is not None and stop is not None and stop <= start:
+                raise click.UsageError(f"--to {stop:g} is not after --from {start:g}")
+            return command(reading=Reading(format_, gyro, sensor, start, stop), **others)
+
+        decorated: Any = called
+        for option in reversed(options):
+            decorated = option(decorated)
+        return decorated  # type: ignore[no-any-return]
+
+    return decorate

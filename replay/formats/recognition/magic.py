@@ -1,0 +1,67 @@
+"""What a file is by its first bytes."""
+
+from __future__ import annotations
+
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.sources import Source
+
+ULOG, DATAFLASH, AXIVITY = "PX4 ULog", "ArduPilot DataFlash", "Axivity CWA"
+ROS1, ROS2, MCAP = "ROS 1 bag", "ROS 2 bag", "MCAP"
+PARQUET, HDF5, MATLAB, NPY, ZIP = "Parquet", "HDF5", "MATLAB", "NumPy", "zip"
+TEXT = "text"
+
+_STARTS = {
+    b"ULog\x01\x12\x35": ULOG,
+    b"\xa3\x95\x80": DATAFLASH,
+    b"MD": AXIVITY,
+    b"#ROSBAG V2.0": ROS1,
+    b"SQLite format 3\0": ROS2,
+    b"\x89MCAP0\r\n": MCAP,
+    b"PAR1": PARQUET,
+    b"\x89HDF\r\n\x1a\n": HDF5,
+    b"MATLAB 5.0": MATLAB,
+    b"MATLAB 7.3": HDF5,
+    b"\x93NUMPY": NPY,
+    b"PK\x03\x04": ZIP,
+    b"PK\x05\x06": ZIP,
+}
+
+_FOREIGN = {
+    b"%PDF": "a PDF document",
+    b"\x89PNG": "a picture",
+    b"\xff\xd8\xff": "a picture",
+    b"7z\xbc\xaf\x27\x1c": "a 7z archive",
+    b"Rar!": "a RAR archive",
+    b"\x1f\x9d": "a compressed file (.Z)",
+    b"BZh": "a bzip2 file",
+    b"\xfd7zXZ": "an xz file",
+    b"\x28\xb5\x2f\xfd": "a zstd file",
+    b"\xd0\xcf\x11\xe0": "an old Excel or Word document",
+    b"\x7fELF": "a program",
+    b"#ROSBAG": "a ROS bag older than version 2.0",
+    b"H Product:Blackbox": "a Betaflight blackbox log",
+}
+"""What people give by mistake, or what is not read yet, with the name to call it by."""
+
+_PACKED = ("archive", "bzip2", "xz file", "zstd", "compressed")
+
+
+def kind_of(source: Source) -> str:
+    """Return the kind of a file by its content, TEXT where nothing speaks against it. Raises TraceError."""
+    head = source.head()
+    for start, kind in _STARTS.items():
+        if head.startswith(start) and (kind != AXIVITY or b"\0" in head or b"\xff" in head):
+            return kind
+    for start, name in _FOREIGN.items():
+        if head.startswith(start):
+            remedy = (
+                "unpack it and give what is in it"
+                if any(word in name for word in _PACKED)
+                else "give a recording of samples"
+            )
+            raise TraceError(source.path, f"is {name}, not a recording that can be read", remedy)
+    if b"\0" in head:
+        what = "is not a text file, and no binary format that is known"
+        remedy = "give one of the formats in docs/formats.md, or text in UTF-8"
+        raise TraceError(source.path, what, remedy)
+    return TEXT

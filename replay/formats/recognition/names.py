@@ -1,0 +1,229 @@
+"""Which columns of a table are time, acceleration, rate and temperature, by how people name them.
+
+`acc_x [m/s^2]`, `gyroX`, `ax_g`, `a_RS_S_z [m s^-2]`, `accelerometer_m_s2[0]`, `linear_acceleration.x`: a
+name is cut into words, of which one is the axis, some are a unit, some say the quantity, and the rest tells
+the sensors of one log apart.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from stillcal.calib_core.streams.samples import Sensor
+
+_ACCELERATION = {
+    *("a", "acc", "accel", "accelerometer", "accelerometers", "acceleration", "accelerations", "accl"),
+    *("force", "gforce", "gf"),
+}
+_RATE = {
+    *(
+        "w",
+        "g",
+        "gyr",
+        "gyro",
+        "gyros",
+        "gyroscope",
+        "gyroscopes",
+        "omega",
+        "angular",
+        "rotation",
+        "rotationrate",
+    ),
+    *("rot", "angvel", "angrate", "turnrate"),
+}
+_NEITHER = {
+    *(
+        "mag",
+        "magnetometer",
+        "magnetic",
+        "gravity",
+        "grav",
+        "free",
+        "user",
+        "bias",
+        "drift",
+        "offset",
+        "sigma",
+    ),
+    *(
+        "std",
+        "var",
+        "variance",
+        "covariance",
+        "cov",
+        "quat",
+        "orientation",
+        "position",
+        "pos",
+        "unix",
+        "integral",
+    ),
+}
+_FILLERS = {"velocity", "vel", "rate", "speed", "linear", "specific", "raw", "uncal", "uncalibrated", "per"}
+"""Words that say nothing by which sensors of one log differ."""
+
+_TIME = {"t", "time", "timestamp", "timestamps", "stamp", "ts", "elapsed", "epoch", "clock"}
+_TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("ms", "millis", "milliseconds", "millisecond"), "ms"),
+    **dict.fromkeys(("us", "µs", "micros", "microseconds", "microsecond"), "us"),
+    **dict.fromkeys(("ns", "nanos", "nanoseconds", "nanosecond"), "ns"),
+}
+_ARRIVAL = {"arrival", "utc", "received", "host", "log"}
+_THERMOMETER = {"temp", "temperature", "temps", "celsius", "degc"}
+_RATES_HZ = {
+    "fs",
+    "hz",
+    "samplingrate",
+    "samplerate",
+    "ratehz",
+    "samplingfrequency",
+    "samplefrequency",
+    "freq",
+}
+
+_UNITS = {
+    **dict.fromkeys(
+        ("m/s^2", "m/s2", "m/s²", "m/s/s", "ms2", "mps2", "ms^2", "ms^-2", "meterspersecond2"), "m/s^2"
+    ),
+    **dict.fromkeys(("gs", "g's", "gn"), "g"),
+    "mg": "mg",
+    **dict.fromkeys(("rad/s", "rads", "radps", "rads^-1", "radpers", "radpersec", "rad", "1/s"), "rad/s"),
+    **dict.fromkeys(
+        ("deg/s", "°/s", "degs", "dps", "degpers", "degpersec", "deg", "degs^-1", "º/s"), "deg/s"
+    ),
+    **dict.fromkeys(("mdps", "mdeg/s"), "mdeg/s"),
+}
+_FORCE = {"m/s^2", "g", "mg"}
+_AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
+_BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
+_CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[^A-Za-z0-9°µ²^']+")
+_AXIS_AT_END = re.compile(r"^([a-z]+?)([xyz])$")
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """Three columns of one sensor. label: what else the names say; unit: None where they do not."""
+
+    sensor: Sensor
+    label: str
+    columns: tuple[str, str, str]
+    unit: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """A column that may be the time. unit: None where its name does not say."""
+
+    column: str
+    label: str
+    unit: Literal["s", "ms", "us", "ns"] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Word:
+    sensor: Sensor
+    axis: int
+    label: str
+    unit: str | None
+
+
+def find_axes(names: Sequence[str]) -> list[Axes]:
+    """Return the sensors whose three axes are all there, in the table's order."""
+    found: dict[tuple[Sensor, str, str | None], dict[int, str]] = {}
+    for name in names:
+        word = _axis_of(name)
+        if word is not None:
+            found.setdefault((word.sensor, word.label, word.unit), {}).setdefault(word.axis, name)
+    return [
+        Axes(sensor, label, (columns[0], columns[1], columns[2]), unit)
+        for (sensor, label, unit), columns in found.items()
+        if len(columns) == 3
+    ]
+
+
+def find_stamps(names: Sequence[str]) -> list[Stamps]:
+    """Return the columns that may be the time, the likeliest first."""
+    found = []
+    for place, name in enumerate(names):
+        bracket, words = _words(name)
+        units = [_TIME_UNITS[w] for w in (bracket, *words) if w in _TIME_UNITS]
+        rest = [w for w in words if w not in _TIME_UNITS and w not in _TIME]
+        is_time = any(w in _TIME for w in words) or (bool(units) and not rest and not bracket)
+        if is_time and not set(words) & (_NEITHER | _THERMOMETER):
+            late = bool(set(words) & _ARRIVAL)
+            found.append((late, place, Stamps(name, "_".join(rest), units[0] if units else None)))
+    return [stamps for _, _, stamps in sorted(found, key=lambda f: f[:2])]
+
+
+def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["degC", "K", "degF"]] | None:
+    """Return the column of temperatures of the sensor with that label, or the only one, and its unit."""
+    found = []
+    for name in names:
+        bracket, words = _words(name)
+        if set(words) & _THERMOMETER:
+            kelvin = bool({"k", "kelvin"} & {bracket, *words})
+            fahrenheit = bool({"degf", "f", "fahrenheit"} & {bracket, *words})
+            unit: Literal["degC", "K", "degF"] = "K" if kelvin else "degF" if fahrenheit else "degC"
+            found.append((label not in words and label != "", name, unit))
+    found.sort(key=lambda f: f[0])
+    return (found[0][1], found[0][2]) if found and (not found[0][0] or len(found) == 1) else None
+
+
+def is_rate_hz(name: str) -> bool:
+    """Whether a single number of this name is a sampling rate in Hz."""
+    words = _words(name)[1]
+    return bool({"".join(words), *words} & _RATES_HZ)
+
+
+def _axis_of(name: str) -> _Word | None:
+    """Return which axis of which sensor a column is, None where it is none."""
+    bracket, words = _words(name)
+    unit = _UNITS.get(bracket.replace(" ", "").replace("_", "")) or ("g" if bracket == "g" else None)
+    axis, words = _split_axis(bracket, words)
+    if axis is None:
+        return None
+    stated, words = _split_unit(words)
+    kinds = set(words)
+    acceleration, rate = bool(kinds & _ACCELERATION), bool(kinds & _RATE)
+    if kinds & _NEITHER or (acceleration and kinds & {"angular", "rotation"}) or not (acceleration or rate):
+        return None
+    sensor = Sensor.ACCELEROMETER if acceleration else Sensor.GYROSCOPE
+    unit = unit or stated or ("g" if kinds & {"gforce", "gf"} else None)
+    if unit is not None and (unit in _FORCE) != acceleration:
+        unit = None
+    label = "_".join(w for w in words if w not in (_ACCELERATION | _RATE | _FILLERS))
+    return _Word(sensor, axis, label, unit)
+
+
+def _words(name: str) -> tuple[str, list[str]]:
+    """Return what stands in brackets and the words before, in small letters."""
+    brackets = [b.strip().lower() for b in _BRACKETS.findall(name)]
+    plain = _BRACKETS.sub(" ", name.lstrip("#"))
+    plain = plain.replace("gF", "gf").replace("IMU", "imu")
+    return (brackets[-1] if brackets else ""), [w.lower() for w in _CAMEL.split(plain) if w]
+
+
+def _split_axis(bracket: str, words: list[str]) -> tuple[int | None, list[str]]:
+    """Return the axis and the words without it."""
+    for i in reversed(range(len(words))):
+        if words[i] in ("x", "y", "z"):
+            return _AXES[words[i]], words[:i] + words[i + 1 :]
+        ends = _AXIS_AT_END.match(words[i])
+        if ends and ends[1] in (_ACCELERATION | _RATE):
+            return _AXES[ends[2]], [*words[:i], ends[1], *words[i + 1 :]]
+    return (_AXES[bracket], words) if bracket in ("0", "1", "2") else (None, words)
+
+
+def _split_unit(words: list[str]) -> tuple[str | None, list[str]]:
+    """Return the unit that the last words are, and the words before."""
+    for count in (3, 2, 1):
+        tail = "".join(words[-count:]) if len(words) > count else ""
+        if tail in _UNITS:
+            return _UNITS[tail], words[:-count]
+    if len(words) > 1 and words[-1] == "g" and set(words[:-1]) & _ACCELERATION:
+        return "g", words[:-1]
+    return None, words

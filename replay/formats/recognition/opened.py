@@ -1,0 +1,135 @@
+"""Opens a recording of any known format: recognises it by its content and finds the sensors in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.columns import ColumnMap, load_map
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.recognition import magic
+from stillcal.replay.formats.recognition.log import Log, LoggedSensor
+from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
+from stillcal.replay.formats.recognition.settle import settled
+from stillcal.replay.formats.recognition.text_formats import REST, UNKNOWN, TextFormat, text_format
+from stillcal.replay.formats.shipped import located
+from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
+from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.tables.text import TextTable
+
+
+class RestTableGivenError(TraceError):
+    """A rest table was given where samples are needed."""
+
+
+def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | None = None) -> Log:
+    """Recognise a recording; format: as `open_trace` takes it. Raises TraceError."""
+    if str(format) == REST:
+        raise RestTableGivenError(path, "a rest table holds no samples", "give a recording of samples")
+    column_map = None if format is None else load_map(format)
+    found = located(path)
+    if str(path) != STANDARD_INPUT and found.is_dir():
+        return _archive(found, members_of_folder(found), column_map)
+    source = source_of(str(path)) if str(path) == STANDARD_INPUT else source_of(found)
+    return _log(source, column_map, gyro)
+
+
+def is_rest_table(path: Path | str, format: str | Path | None = None) -> bool:
+    """Whether a file is a rest table: so named, or recognised as one. Raises TraceError."""
+    if format is not None or str(path) == STANDARD_INPUT:
+        return str(format) == REST
+    found = located(path)
+    if not found.is_file():
+        return False
+    source = source_of(found)
+    return magic.kind_of(source) == magic.TEXT and text_format(source).name == REST
+
+
+def _log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -> Log:
+    kind = magic.kind_of(source)
+    if kind == magic.TEXT:
+        return _text_log(source, column_map, gyro)
+    if kind == magic.ZIP:
+        return _archive(source.path, members_of_zip(source), column_map)
+    raise TraceError(source.path, f"is {kind}, which is not read yet", "export it as CSV")
+
+
+def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | None) -> Log:
+    """Return what a folder or a zip archive holds. Raises TraceError where it is no recording, or several."""
+    if "[Content_Types].xml" in members:
+        raise TraceError(path, "is an Office document (Excel?)", "export the recording as CSV")
+    export = phone_export(path, members)
+    if export is not None:
+        return export
+    found: dict[str, Log] = {}
+    for name, source in members.items():
+        try:
+            found[name] = _log(source, column_map, None)
+        except TraceError:
+            continue
+    if len(found) == 1:
+        return next(iter(found.values()))
+    names = ", ".join(list(found or members)[:8]) + (", ..." if len(found or members) > 8 else "")
+    if not found:
+        what = f"holds no recording that is known ({names or 'it is empty'})"
+        raise TraceError(path, what, "give an export of phyphox or Sensor Logger, or name a file in it")
+    raise TraceError(path, f"holds {len(found)} recordings: {names}", "unpack it and give one of them")
+
+
+def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -> Log:
+    """Return the log of a text table, by the given map or the one that its first lines ask for."""
+    if column_map is not None:
+        return _mapped(source, TextFormat("", column_map), gyro, [])
+    form = text_format(source)
+    if form.name == REST:
+        raise RestTableGivenError(source.path, "a rest table holds no samples", "give a recording of samples")
+    said = f" ({form.said})" if form.said else ""
+    notes = [f"{source.path.name}: read as {form.name}{said}"] if form.name not in (UNKNOWN, "csv") else []
+    if form.name == UNKNOWN and gyro is None:
+        table = TextTable(source, form.column_map)
+        sensors = settled(table, form.column_map) if table.names is not None else []
+        if sensors:
+            return Log(source.path, "text table", sensors, beside=source.path)
+    return _mapped(source, form, gyro, notes)
+
+
+def _mapped(source: Source, form: TextFormat, gyro: Path | None, notes: list[str]) -> Log:
+    """Return the log of one text table, or two, read through a known map."""
+    path, column_map = source.path, form.column_map
+    both = [Sensor.ACCELEROMETER] + ([Sensor.GYROSCOPE] if column_map.gyroscope else [])
+    rules = column_map.gyroscope.other_file if column_map.gyroscope else ()
+    if gyro is not None and column_map.gyroscope is None:
+        raise TraceError(gyro, "the format has no gyroscope", "say its columns in a column map")
+    other = gyro or (other_file(path, rules) if source.local == path else None)
+    if gyro is None and other is None:
+        _refuse_gyroscope_file(source, rules)
+    if gyro is None and rules and other is None:
+        notes = [*notes, f"{path.name}: no gyroscope file beside it (name it with --gyro)"]
+
+    def files(claims: Claims) -> list[SampleFile]:
+        sensors = both if gyro is None and not rules else [Sensor.ACCELEROMETER]
+        first = SampleFile(TextTable(source, column_map), column_map, sensors, claims)
+        if other is None:
+            return [first]
+        second = TextTable(source_of(other), column_map)
+        return [first, SampleFile(second, column_map, [Sensor.GYROSCOPE], claims, first.selected)]
+
+    return Log(path, form.name or "text table", [LoggedSensor("imu", files)], notes, beside=source.local)
+
+
+def _refuse_gyroscope_file(source: Source, rules: tuple[tuple[str, str], ...]) -> None:
+    """Raise TraceError where the file is the gyroscope's one of a pair, and the other lies beside it."""
+    back = tuple((replacement, part) for part, replacement in rules)
+    first = other_file(source.path, back) if source.local == source.path else None
+    if first is not None:
+        raise TraceError(source.path, "is the gyroscope's file of a pair", f"give {first.name}")
+
+
+def other_file(path: Path, rules: tuple[tuple[str, str], ...]) -> Path | None:
+    """Return the file beside `path` whose name the first fitting rule gives, None where there is none."""
+    for part, replacement in rules:
+        candidate = path.with_name(path.name.replace(part, replacement))
+        if part in path.name and candidate.is_file():
+            return candidate
+    return None

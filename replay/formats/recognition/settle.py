@@ -1,0 +1,195 @@
+"""A column map for a table of unknown make: what names do not say, the first samples decide.
+
+The unit of acceleration follows from the size of gravity. The unit of rates follows from how fast gravity's
+direction turns in body axes (checks/axes.py); where nothing turns, rad/s is assumed beside m/s^2 and deg/s
+beside g, and a note says so.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.formats.checks.axes import turnings
+from stillcal.replay.formats.checks.units import shown_unit
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.clock import seconds_per_unit
+from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap, find_columns
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.recognition.log import LoggedSensor, Part
+from stillcal.replay.formats.recognition.names import Axes, Stamps, find_axes, find_stamps, find_thermometer
+from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.tables.table import EMPTY, Table
+
+_GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
+"""Sizes of the median acceleration for each unit: gravity, with room for bias, scale and motion."""
+
+_PROBED_ROWS = 20_000
+_FASTEST_RAD_S = 70.0
+"""rad/s: 4000 deg/s, the widest range of consumer gyroscopes (Bosch BMI270 and its like measure 2000)."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    accelerometer: Axes
+    gyroscope: Axes | None
+
+
+def settled(table: Table, column_map: ColumnMap, rate_hz: float | None = None) -> list[LoggedSensor]:
+    """Return the sensors that a table's column names and first samples show; none where they show none.
+
+    column_map: how the table is cut into columns; its sensors do not matter. rate_hz: as the file states it.
+    Raises TraceError where there are axes of an accelerometer that cannot be read.
+    """
+    names = table.names or []
+    axes = find_axes(names)
+    candidates = _paired(axes)
+    if not candidates:
+        return []
+    sensors: list[LoggedSensor] = []
+    faults: list[TraceError] = []
+    for candidate in candidates:
+        try:
+            sensors.append(_sensor(table, column_map, candidate, rate_hz))
+        except TraceError as fault:
+            faults.append(fault)
+    if not sensors:
+        raise faults[0]
+    return sensors
+
+
+def _paired(axes: Sequence[Axes]) -> list[_Candidate]:
+    """Return each accelerometer with the gyroscope of its label, or the only one there is."""
+    force = [a for a in axes if a.sensor is Sensor.ACCELEROMETER]
+    rates = [a for a in axes if a.sensor is Sensor.GYROSCOPE]
+    found = []
+    for i, accelerometer in enumerate(force):
+        same = [g for g in rates if g.label == accelerometer.label]
+        alike = len(rates) == len(force)
+        gyroscope = same[0] if same else rates[0] if len(rates) == 1 else rates[i] if alike else None
+        found.append(_Candidate(accelerometer, gyroscope))
+    return found
+
+
+def _sensor(table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float | None) -> LoggedSensor:
+    probe = _Probe(table)
+    accelerometer, gyroscope = candidate.accelerometer, candidate.gyroscope
+    time, time_said = _time(table, probe, candidate, rate_hz)
+    force_unit, force_said = _force_unit(table.path, probe, accelerometer)
+    chosen: dict[str, Any] = {
+        "time": time,
+        "accelerometer": SensorMap(columns=accelerometer.columns, unit=force_unit),
+        "repeats": "keep",
+        "gyroscope": None,
+        "temperature": None,
+    }
+    said = [time_said, f"accelerometer {_listed(accelerometer)} in {force_unit}{force_said}"]
+    if gyroscope is not None:
+        draft = msgspec.structs.replace(base, **chosen)
+        rate_unit, rate_said = _rate_unit(table, draft, gyroscope, force_unit)
+        chosen["gyroscope"] = SensorMap(columns=gyroscope.columns, unit=rate_unit)
+        said.append(f"gyroscope {_listed(gyroscope)} in {rate_unit}{rate_said}")
+    thermometer = find_thermometer(table.names or [], accelerometer.label)
+    if thermometer is not None and probe.plausible_temperature(thermometer):
+        chosen["temperature"] = TemperatureMap(column=thermometer[0], unit=thermometer[1])
+        said.append(f"temperature {thermometer[0]} in {thermometer[1]}")
+    column_map = msgspec.structs.replace(base, **chosen)
+    note = f"{table.path.name}: columns recognised by their names: {'; '.join(said)}"
+    sensors = [Sensor.ACCELEROMETER] + ([] if gyroscope is None else [Sensor.GYROSCOPE])
+    about = "accelerometer" + ("" if gyroscope is None else ", gyroscope")
+    return LoggedSensor.of(accelerometer.label or "imu", [Part(table, column_map, sensors)], about, [note])
+
+
+def _listed(axes: Axes) -> str:
+    return " ".join(axes.columns)
+
+
+class _Probe:
+    """The first rows of a table, column by column."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+
+    def column(self, name: str) -> Array:
+        """Return the first values of a column, (n,), NaN where a cell is empty."""
+        places = find_columns([name], self._table.names, self._table.width) or []
+        block = next(iter(self._table.blocks(places)), None)
+        values = np.empty(0) if block is None else block.values[:_PROBED_ROWS, 0]
+        return np.where(values == EMPTY, np.nan, values)
+
+    def norms(self, axes: Axes) -> Array:
+        """Return the sizes of the first vectors, (n,)."""
+        norms: Array = np.linalg.norm(np.column_stack([self.column(c) for c in axes.columns]), axis=1)
+        return norms[np.isfinite(norms)]
+
+    def plausible_temperature(self, thermometer: tuple[str, str]) -> bool:
+        """Whether a column holds temperatures that a sensor can have."""
+        values = self.column(thermometer[0])
+        low, high = {"degC": (-60.0, 150.0), "K": (210.0, 430.0), "degF": (-80.0, 300.0)}[thermometer[1]]
+        known = values[np.isfinite(values)]
+        return bool(known.size and low < np.median(known) < high)
+
+
+def _time(table: Table, probe: _Probe, candidate: _Candidate, rate_hz: float | None) -> tuple[TimeMap, str]:
+    """Return where the stamps come from, and how to say it. Raises TraceError where there are none."""
+    stamps = find_stamps(table.names or [])
+    stamps.sort(key=lambda s: s.label not in ("", candidate.accelerometer.label))
+    for choice in stamps:
+        unit = _time_unit(choice, probe.column(choice.column))
+        if unit is not None:
+            return TimeMap(column=choice.column, unit=unit), f"time {choice.column} in {unit}"
+    if rate_hz is not None:
+        return TimeMap(rate_hz=rate_hz), f"no time stamps, {rate_hz:.6g} Hz as the file states"
+    what = "no column of time stamps found"
+    raise TraceError(table.path, what, "name one t (s), or give rate_hz in a column map (docs/formats.md)")
+
+
+def _time_unit(choice: Stamps, values: Array) -> Any:
+    """Return the unit of a column of stamps, None where its values are none."""
+    known = values[np.isfinite(values)]
+    if known.size < 2 or np.mean(np.diff(known) >= 0) < 0.9 or known[-1] <= known[0]:
+        return None
+    seconds = seconds_per_unit("auto" if choice.unit is None else choice.unit, known, None)
+    return {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}.get(seconds or 0.0)
+
+
+def _force_unit(path: Path, probe: _Probe, axes: Axes) -> tuple[Any, str]:
+    """Return the unit of acceleration and where it comes from. Raises TraceError without gravity."""
+    if axes.unit is not None:
+        return axes.unit, ""
+    norms = probe.norms(axes)
+    typical = float(np.median(norms)) if norms.size else 0.0
+    for unit, (low, high) in _GRAVITY_IN.items():
+        if low < typical < high:
+            return unit, " (by the size of gravity)"
+    what = f"{_listed(axes)} are about {typical:.4g} in size, which is gravity in no unit"
+    remedy = "give the accelerometer with gravity; of raw counts say the value of one in a column map"
+    raise TraceError(path, what, remedy)
+
+
+def _rate_unit(table: Table, draft: ColumnMap, axes: Axes, force_unit: str) -> tuple[Any, str]:
+    """Return the unit of rates, and where it comes from."""
+    if axes.unit is not None:
+        return axes.unit, ""
+    column_map = msgspec.structs.replace(draft, gyroscope=SensorMap(columns=axes.columns, unit="rad/s"))
+    file = SampleFile(table, column_map, [Sensor.ACCELEROMETER, Sensor.GYROSCOPE], Claims())
+    run = next(iter(file.runs()), {})
+    accelerometer, gyroscope = (
+        run.get(s, Samples.empty(s))[:_PROBED_ROWS] for s in (Sensor.ACCELEROMETER, Sensor.GYROSCOPE)
+    )
+    votes = Counter(map(shown_unit, turnings(accelerometer, gyroscope)))
+    if votes["deg/s"] != votes["as stated"]:
+        unit = "deg/s" if votes["deg/s"] > votes["as stated"] else "rad/s"
+        return unit, " (as gravity's direction turns)"
+    if len(gyroscope) and float(np.abs(gyroscope.xyz).max()) > _FASTEST_RAD_S:
+        return "deg/s", " (too fast for rad/s)"
+    unit = "rad/s" if force_unit == "m/s^2" else "deg/s"
+    return unit, f" (assumed, as usual beside {force_unit}; a column map can say otherwise)"

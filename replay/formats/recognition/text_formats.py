@@ -1,0 +1,153 @@
+"""Which format a text table is, by its first lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from stillcal.replay.formats.columns import (
+    ColumnMap,
+    SensorMap,
+    TimeMap,
+    builtin_formats,
+    find_columns,
+    load_map,
+)
+from stillcal.replay.formats.sources import Source
+from stillcal.replay.formats.tables.text import text_head
+
+GNSS_LOGGER = "gnss_logger"
+REST, UNKNOWN = "rest", ""
+
+_HHAR_NAMES = ["Arrival_Time", "Creation_Time", "x", "y", "z"]
+_SENSOR_LOGGER_NAMES = {"time", "seconds_elapsed", "x", "y", "z"}
+_ONLY_RESTS_HAVE = {"duration", "n", "sax", "say", "saz"}
+_G_UNTIL = 2.5
+"""Median size of acceleration below which it is in g: Sensor Logger on iOS, its default."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextFormat:
+    """A recognised text table. name: of its format, "" where it has none; said: what was assumed."""
+
+    name: str
+    column_map: ColumnMap
+    said: str = ""
+
+
+def text_format(source: Source) -> TextFormat:
+    """Recognise a text table. Raises TraceError where the file is empty or no text."""
+    head = text_head(source)
+    lines = [line for line in head.splitlines() if line.strip()]
+    if _is_gnss_logger(lines):
+        return TextFormat(GNSS_LOGGER, load_map("csv"))
+    if _numbers_in(_split(lines[0], " ")) or _hhar_row(lines[0]):
+        return _headerless(lines)
+    return _with_header(lines, source.path, whole=len(head) < (1 << 15) and not source.zipped)
+
+
+def _with_header(lines: list[str], path: Path, *, whole: bool) -> TextFormat:
+    marks = [mark for mark in (",", ";", "\t") if mark in lines[0]]
+    delimiter = max(marks, key=lines[0].count) if marks else " "
+    names = [n.strip().strip('"').lstrip("#").strip() for n in _split(lines[0], delimiter)]
+    if set(_HHAR_NAMES) <= set(names):
+        hhar = load_map("hhar")
+        first = names.index("Index") if "Index" in names else None
+        return TextFormat("hhar", hhar if first is None else msgspec.structs.replace(hhar, skip_lines=1))
+    if names[:1] == ["time"] and set(names) >= _SENSOR_LOGGER_NAMES:
+        return _sensor_logger(names, lines[1:])
+    if {"ax", "ay", "az"} <= set(names) and (set(names) & _ONLY_RESTS_HAVE or (whole and "t" not in names)):
+        return TextFormat(REST, load_map("csv"))
+    for name in sorted(builtin_formats(), key=lambda n: n != "csv"):
+        column_map = load_map(name)
+        fits = column_map.header and find_columns(_needed(column_map), names, len(names)) is not None
+        if fits and not name.startswith("sensorlogger"):
+            return TextFormat(name, _cut_as(column_map, delimiter))
+    return TextFormat(UNKNOWN, _cut_as(load_map("csv"), delimiter))
+
+
+def _needed(column_map: ColumnMap) -> list[str | int]:
+    time = [] if column_map.time.column is None else [column_map.time.column]
+    gyroscope = column_map.gyroscope
+    rates = [] if gyroscope is None or gyroscope.optional or gyroscope.other_file else gyroscope.columns
+    return [*time, *column_map.accelerometer.columns, *rates]
+
+
+def _cut_as(column_map: ColumnMap, delimiter: str) -> ColumnMap:
+    """Return the map for a table whose cells are split by `delimiter`."""
+    if column_map.delimiter in (delimiter, "auto"):
+        return column_map
+    if delimiter == " ":
+        return msgspec.structs.replace(column_map, delimiter="space")
+    return msgspec.structs.replace(column_map, delimiter=delimiter, decimal="auto")
+
+
+def _sensor_logger(names: list[str], rows: list[str]) -> TextFormat:
+    """Tell Sensor Logger's two layouts apart by the size of gravity."""
+    places = [names.index(axis) for axis in ("x", "y", "z")]
+    norms = []
+    for row in rows[:200]:
+        cells = row.split(",")
+        if len(cells) == len(names) and _numbers_in([cells[p] for p in places]):
+            norms.append(float(np.linalg.norm([float(cells[p]) for p in places])))
+    in_g = bool(norms) and float(np.median(norms)) < _G_UNTIL
+    return TextFormat("sensorlogger_ios" if in_g else "sensorlogger", load_map("sensorlogger"))
+
+
+def _headerless(lines: list[str]) -> TextFormat:
+    """Recognise a table without a header by the count and the size of its cells."""
+    comma = "," in lines[0]
+    if _hhar_row(lines[0]):
+        return TextFormat("hhar", load_map("hhar"))
+    rows = [_split(line, "," if comma else " ") for line in lines[:200]]
+    width = len(rows[0])
+    usable = [[float(c) for c in row] for row in rows if len(row) == width and _numbers_in(row)]
+    values = np.array(usable)
+    if not comma and width == 4 and np.median(np.abs(values[:, 1:])) > 1000:
+        return TextFormat("imu_tk", load_map("imu_tk"))
+    if not comma and width == 6 and 4 < np.median(np.linalg.norm(values[:, :3], axis=1)) < 16:
+        return TextFormat(
+            "mikoff", load_map("mikoff"), "no time stamps: 100 Hz is taken, as mikoff's logs have"
+        )
+    names = {4: "t ax ay az", 7: "t ax ay az gx gy gz"}.get(width)
+    rising = len(values) > 1 and bool((np.diff(values[:, 0]) >= 0).all())
+    if names is not None and rising:
+        return TextFormat(UNKNOWN, _counted(width, comma=comma))
+    return TextFormat(UNKNOWN, load_map("csv"))
+
+
+def _counted(width: int, *, comma: bool) -> ColumnMap:
+    """Return the map of a table without header whose columns stand as in stillcal's own: t, force, rates."""
+    return ColumnMap(
+        time=TimeMap(column=0, unit="auto"),
+        accelerometer=SensorMap(columns=(1, 2, 3), unit="m/s^2"),
+        gyroscope=SensorMap(columns=(4, 5, 6), unit="rad/s") if width == 7 else None,
+        delimiter="," if comma else "space",
+        header=False,
+    )
+
+
+def _hhar_row(line: str) -> bool:
+    """Whether a line is of HHAR: an index, two times, three numbers, and four words."""
+    cells = line.split(",")
+    return len(cells) == 10 and _numbers_in(cells[:6]) and not any(_numbers_in([c]) for c in cells[6:])
+
+
+def _is_gnss_logger(lines: list[str]) -> bool:
+    return any(line.startswith(("# UncalAccel,", "UncalAccel,", "# Accel,utcTime")) for line in lines)
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    if delimiter == " " and "," not in line:
+        return line.split()
+    return line.split("," if delimiter == " " else delimiter)
+
+
+def _numbers_in(cells: list[str]) -> bool:
+    try:
+        return bool([float(cell) for cell in cells])
+    except ValueError:
+        return False

@@ -1,0 +1,218 @@
+"""Where the bytes of a recording come from: a file, a member of a zip archive, a pipe or standard input.
+
+A pipe is copied into a temporary file first, because a recording is read more than once. Devices, sockets and
+endless input are refused before anything is read from them that could fill memory or disk.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+import select
+import shutil
+import stat
+import sys
+import tempfile
+import time
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from stillcal.replay.formats.errors import TraceError
+
+STANDARD_INPUT = "-"
+HEAD_BYTES = 1 << 16
+"""Bytes by which a format is recognised."""
+
+MOST_SPOOLED = 8 << 30
+"""Bytes copied from a pipe or out of an archive at most: no endless input fills the disk."""
+
+FIRST_WRITER_S = 10.0
+"""s: how long a pipe that nobody has opened for writing is waited for."""
+
+GZIP = b"\x1f\x8b"
+_PIECE = 1 << 20
+UNREADABLE = (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile)
+"""What unpacking raises on data that are cut short or damaged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """Stored bytes. path: what messages call them; size: as stored, in bytes.
+
+    local: a file of the same bytes, for libraries that read files only; None for a member of an archive.
+    keep: what must live as long as the bytes do.
+    """
+
+    path: Path
+    size: int
+    opener: Callable[[], BinaryIO]
+    local: Path | None = None
+    keep: Any = None
+
+    def open(self) -> BinaryIO:
+        """Open the bytes for reading from their start. Raises TraceError where they cannot be had."""
+        try:
+            return self.opener()
+        except FileNotFoundError:
+            raise TraceError(self.path, "no such file", "check the path") from None
+        except (OSError, *UNREADABLE) as error:
+            raise cannot_open(self.path, error) from None
+        except (RuntimeError, NotImplementedError) as error:  # zipfile: a password, an unknown compression
+            what = f"cannot be unpacked ({error})"
+            raise TraceError(self.path, what, "unpack the archive and give the folder") from None
+
+    def head(self, size: int = HEAD_BYTES) -> bytes:
+        """Return the first bytes, unzipped where they are gzip. Raises TraceError."""
+        try:
+            with self.open() as file:
+                return unpacked(file).read(size)
+        except UNREADABLE as error:
+            raise damaged(self.path, error) from None
+        except OSError as error:
+            raise cannot_open(self.path, error) from None
+
+    @property
+    def zipped(self) -> bool:
+        """Whether the stored bytes are gzip. Raises TraceError where they cannot be read."""
+        with self.open() as file:
+            return file.read(2) == GZIP
+
+
+def source_of(path: Path | str) -> Source:
+    """Return the bytes at `path`; "-" and the name of a pipe are read to their end first.
+
+    Raises TraceError where there is no such file, or it is a folder, a device or a socket.
+    """
+    if str(path) == STANDARD_INPUT:
+        return _standard_input()
+    path = Path(path)
+    try:
+        info = path.stat()
+    except FileNotFoundError:
+        raise TraceError(path, "no such file", "check the path") from None
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
+        raise cannot_open(path, error) from None
+    if stat.S_ISDIR(info.st_mode):
+        raise TraceError(path, "is a folder", "name a file in it")
+    if stat.S_ISFIFO(info.st_mode):
+        try:
+            return _spooled(path, os.open(path, os.O_RDONLY | os.O_NONBLOCK))
+        except OSError as error:
+            raise cannot_open(path, error) from None
+    _refuse_special(path, info.st_mode)
+    return Source(path, info.st_size, lambda: path.open("rb"), path)
+
+
+def _standard_input() -> Source:
+    path = Path("standard input")
+    descriptor = sys.stdin.fileno()
+    if os.isatty(descriptor):
+        raise TraceError(path, "is a terminal", "pipe a CSV recording into it: stillcal ... - < walk.csv")
+    info = os.fstat(descriptor)
+    if not stat.S_ISFIFO(info.st_mode) and not stat.S_ISSOCK(info.st_mode):
+        _refuse_special(path, info.st_mode)
+    return _spooled(path, os.dup(descriptor))
+
+
+def _refuse_special(path: Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        what = "is a device" if stat.S_ISCHR(mode) or stat.S_ISBLK(mode) else "is a socket"
+        raise TraceError(path, f"{what}, not a recording", "give a file")
+
+
+def _spooled(path: Path, descriptor: int) -> Source:
+    """Copy what a pipe gives into a temporary file; closes the descriptor."""
+    copy = tempfile.NamedTemporaryFile(prefix="stillcal-")  # noqa: SIM115 - lives as long as the source
+    size, room = 0, _room()
+    try:
+        while piece := _next_piece(path, descriptor, wait=size == 0):
+            if size == 0 and b"\0" in piece and not piece.startswith(GZIP):
+                raise TraceError(path, "gives no text", "pipe CSV (or gzip of it), or save it as a file")
+            size += len(piece)
+            if size > room:
+                what = f"gives more than {room / (1 << 30):.2g} GiB"
+                raise TraceError(path, what, "save it as a file first")
+            copy.write(piece)
+        copy.flush()
+    except OSError as error:
+        what = f"cannot be copied to {tempfile.gettempdir()} ({error.strerror or error})"
+        raise TraceError(path, what, "make room there, or save the recording as a file first") from None
+    finally:
+        os.close(descriptor)
+    stored = Path(copy.name)
+    return Source(path, size, lambda: stored.open("rb"), stored, copy)
+
+
+def _room() -> int:
+    """Return how many bytes a temporary file may take: half of what is free, and MOST_SPOOLED at most."""
+    return min(MOST_SPOOLED, shutil.disk_usage(tempfile.gettempdir()).free // 2)
+
+
+def _next_piece(path: Path, descriptor: int, *, wait: bool) -> bytes:
+    """Return what comes next from a pipe, b"" at its end.
+
+    wait: nothing has come yet; a named pipe without a writer then gives an end at once that is none.
+    """
+    patience = time.monotonic() + FIRST_WRITER_S
+    while True:
+        try:
+            piece = os.read(descriptor, _PIECE)
+        except BlockingIOError:  # there is a writer, who has nothing to say yet
+            select.select([descriptor], [], [])
+            continue
+        if piece or not wait or os.get_blocking(descriptor):
+            return piece
+        if time.monotonic() > patience:
+            raise TraceError(path, "nobody writes to this pipe", "start its writer, or give a file")
+        time.sleep(0.05)
+
+
+def unpacked(file: BinaryIO) -> BinaryIO:
+    """Return a reader of what `file` holds, unzipped where it is gzip."""
+    zipped = file.read(2) == GZIP
+    file.seek(0)
+    return gzip.GzipFile(fileobj=file) if zipped else file  # type: ignore[return-value]
+
+
+def unpacked_copy(source: Source) -> Source:
+    """Return the source's bytes, unzipped, as a file of their own, for a library that needs one.
+
+    Raises TraceError where the data are damaged or more than MOST_SPOOLED.
+    """
+    if source.local is not None and not source.zipped:
+        return source
+    copy = tempfile.NamedTemporaryFile(prefix="stillcal-")  # noqa: SIM115 - lives as long as the source
+    size, room = 0, _room()
+    try:
+        with source.open() as file:
+            stream = unpacked(file)
+            while piece := stream.read(_PIECE):
+                size += len(piece)
+                if size > room:
+                    what = f"holds more than {room / (1 << 30):.2g} GiB once unpacked"
+                    raise TraceError(source.path, what, "unpack it and give the file")
+                copy.write(piece)
+        copy.flush()
+    except UNREADABLE as error:
+        raise damaged(source.path, error) from None
+    except OSError as error:
+        what = f"cannot be unpacked to {tempfile.gettempdir()} ({error.strerror or error})"
+        raise TraceError(source.path, what, "make room there, or unpack it yourself") from None
+    stored = Path(copy.name)
+    return Source(source.path, size, lambda: stored.open("rb"), stored, copy)
+
+
+def damaged(path: Path, error: Exception) -> TraceError:
+    """Return the error for packed data that cannot be unpacked."""
+    kind = "zip" if isinstance(error, zipfile.BadZipFile) else "gzip"
+    return TraceError(path, f"{kind} data cut short or damaged ({error})", "copy the recording again")
+
+
+def cannot_open(path: Path, error: Exception) -> TraceError:
+    """Return the error for a file that the system does not open."""
+    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return TraceError(path, f"cannot be opened ({reason})", "check its permissions")

@@ -1,0 +1,1 @@
+"""Tables of numbers, whatever stores them: text, arrays or the messages of a log."""

@@ -1,0 +1,63 @@
+"""Tables whose cells are numbers already: arrays in a file, or the messages of one topic of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.replay.formats.tables.table import EMPTY, Block
+
+BLOCK_ROWS = 16384
+"""Rows given at a time, so that memory stays flat."""
+
+Rows = Callable[[Sequence[int]], Iterator[tuple[Array, float]]]
+"""Given the places of columns, yields (values (n, k), share of the file read so far)."""
+
+
+class NumberTable:
+    """A table of numbers; NaN stands for an empty cell.
+
+    path: what messages call it. names: the columns. rows: reads it from its start. size_bytes: as stored.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str], rows: Rows, size_bytes: int) -> None:
+        self.path = path
+        self.names: list[str] | None = list(names)
+        self.width = len(names)
+        self.header_line: int | None = None
+        self.first_row: list[str] = []
+        self.size_bytes = size_bytes
+        self.bytes_read = 0
+        self.skipped_rows = 0
+        self._rows = rows
+
+    def blocks(self, places: Sequence[int], key: Sequence[tuple[int, str]] = ()) -> Iterator[Block]:
+        """Yield the columns at `places` block by block; rows are numbered from 1."""
+        del key  # rows are chosen by text, which these tables have not
+        line = 1
+        for values, share in self._rows(places):
+            self.bytes_read = int(share * self.size_bytes)
+            lines = np.arange(line, line + len(values))
+            line += len(values)
+            yield Block(np.where(np.isnan(values), EMPTY, values), lines)
+
+    def column_name(self, place: int) -> str:
+        """Return how to call the column at `place` in a message."""
+        return f"column {self.names[place]!r}" if self.names else f"column {place}"
+
+
+def in_arrays(path: Path, columns: dict[str, Array], size_bytes: int) -> NumberTable:
+    """Return the table of columns (n,) that are in memory, all of one length."""
+    names = list(columns)
+    length = min((len(column) for column in columns.values()), default=0)
+
+    def rows(places: Sequence[int]) -> Iterator[tuple[Array, float]]:
+        for first in range(0, length, BLOCK_ROWS):
+            last = min(first + BLOCK_ROWS, length)
+            block = [np.asarray(columns[names[place]][first:last], dtype=np.float64) for place in places]
+            yield np.column_stack(block), last / length
+
+    return NumberTable(path, names, rows, size_bytes)

@@ -1,0 +1,51 @@
+"""What a table is to the reader of samples: named columns of numbers, given block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+
+EMPTY = -9.87654321e22
+"""Stands for an empty cell in a block of numbers: no sensor's value, and quick to read (few digits)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """Rows of numbers: values (n, k), the wanted columns as asked for; lines (n,), their numbers from 1."""
+
+    values: Array
+    lines: NDArray[np.int64]
+
+
+class Table(Protocol):
+    """A table that is read from its start as often as wanted.
+
+    path: what messages call it. names: of the columns, None without a header. width: cells in a row.
+    header_line: the line of the names, None where no line holds them. first_row: its cells as text, empty
+    where the cells are no text. size_bytes, bytes_read: as stored, and read by the latest reading.
+    skipped_rows: left out by it.
+    """
+
+    path: Path
+    names: list[str] | None
+    width: int
+    header_line: int | None
+    first_row: list[str]
+    size_bytes: int
+    bytes_read: int
+    skipped_rows: int
+
+    def blocks(self, places: Sequence[int], key: Sequence[tuple[int, str]] = ()) -> Iterator[Block]:
+        """Yield the columns at `places` in the table's order, of the rows that have the key's texts."""
+        ...
+
+    def column_name(self, place: int) -> str:
+        """Return how to call the column at `place` in a message."""
+        ...

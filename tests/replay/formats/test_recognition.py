@@ -1,0 +1,275 @@
+"""Recordings are recognised by their content, wherever their bytes come from."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import struct
+import subprocess
+import sys
+import threading
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.replay.formats import sources
+from stillcal.replay.formats.trace import TraceError, open_trace, read_all
+
+DEGREES = 180 / np.pi
+RNG = np.random.default_rng(3)
+
+
+def rows(n: int = 400, rate: float = 100.0) -> np.ndarray:
+    """Return t, force and rate of a phone that is turned about its x axis, (n, 7) SI."""
+    t = np.arange(n) / rate
+    angle = 1.2 * np.sin(2 * np.pi * 0.3 * t)
+    omega = 1.2 * 2 * np.pi * 0.3 * np.cos(2 * np.pi * 0.3 * t)
+    force = 9.81 * np.column_stack([np.zeros(n), np.sin(angle), np.cos(angle)])
+    rate_xyz = np.column_stack([omega, np.zeros(n), np.zeros(n)])
+    return np.column_stack([t, force + RNG.normal(0, 0.02, (n, 3)), rate_xyz + RNG.normal(0, 1e-3, (n, 3))])
+
+
+def text(header: str, table: np.ndarray, mark: str = ",") -> str:
+    return "\n".join([header, *(mark.join(map(repr, row)) for row in table.tolist())]) + "\n"
+
+
+def sensor_logger_files(bias: tuple[float, float, float] = (0.01, -0.02, 0.03)) -> dict[str, str]:
+    data = rows()
+    ns = np.round(1.7e18 + data[:, :1] * 1e9)
+    files = {}
+    for name, xyz in (
+        ("TotalAcceleration", data[:, 1:4]),
+        ("AccelerometerUncalibrated", data[:, 1:4] + 0.1),
+        ("Gyroscope", data[:, 4:]),
+        ("GyroscopeUncalibrated", data[:, 4:] + bias),
+        ("Accelerometer", data[:, 1:4] * 0.01),
+    ):
+        table = np.column_stack([ns, data[:, 0], xyz[:, ::-1]])
+        files[f"{name}.csv"] = text("time,seconds_elapsed,z,y,x", table)
+    files["Metadata.csv"] = "version,device name\n3,phone\n"
+    return files
+
+
+def phyphox_files() -> dict[str, str]:
+    data = rows()
+    acceleration = ",".join(["Time (s)", *(f"Acceleration {a} (m/s^2)" for a in "xyz")])
+    gyroscope = ",".join(["Time (s)", *(f"Gyroscope {a} (rad/s)" for a in "xyz")])
+    device = '"property","value"\n"deviceModel","Pixel 9a"\n"accelerometer Range","78.4532"\n'
+    return {
+        "Accelerometer.csv": text(acceleration, data[:, :4]),
+        "Gyroscope.csv": text(gyroscope, data[:, [0, 4, 5, 6]]),
+        "meta/device.csv": device + '"accelerometer Resolution","0.0011901855"\n"gyroscope Range","null"\n',
+        "meta/time.csv": '"event","experiment time"\n"START",0.0\n',
+    }
+
+
+def as_folder(folder: Path, files: dict[str, str]) -> Path:
+    for name, content in files.items():
+        path = folder / "export" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+    return folder / "export"
+
+
+def as_zip(folder: Path, files: dict[str, str]) -> Path:
+    with zipfile.ZipFile(folder / "export.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(f"2026-03-01 walk/{name}", content)
+        archive.writestr("__MACOSX/._Accelerometer.csv", b"\0\0")
+    return folder / "export.zip"
+
+
+@pytest.mark.parametrize("pack", [as_folder, as_zip])
+def test_a_sensor_logger_export_is_read_uncalibrated_with_the_systems_bias(tmp_path: Path, pack) -> None:
+    path = pack(tmp_path, sensor_logger_files())
+    recording = read_all(path)
+    calibrated = read_all(path, sensor="calibrated")
+    assert recording.gyroscope is not None and calibrated.gyroscope is not None
+    np.testing.assert_allclose(
+        recording.gyroscope.xyz - calibrated.gyroscope.xyz, [[0.01, -0.02, 0.03]] * 400
+    )
+    np.testing.assert_allclose(recording.accelerometer.xyz - calibrated.accelerometer.xyz, 0.1)
+    assert any("gyroscope bias is 0.01 -0.02 0.03 rad/s" in note for note in recording.notes)
+    with pytest.raises(TraceError, match=r"no sensor 'watch'.*uncalibrated.*calibrated"):
+        open_trace(path, sensor="watch")
+
+
+@pytest.mark.parametrize("pack", [as_folder, as_zip])
+def test_a_phyphox_export_is_read_with_what_it_says_of_the_sensors(tmp_path: Path, pack) -> None:
+    trace = open_trace(pack(tmp_path, phyphox_files()))
+    assert trace.kind == "phyphox" and trace.has_gyroscope
+    assert sum(len(chunk.accelerometer) for chunk in trace) == 400
+    assert (trace.claims.device, trace.claims.accel_range) == ("Pixel 9a", 78.4532)
+    assert trace.claims.gyro_range is None
+
+
+def test_phyphox_without_gravity_is_refused_with_what_to_record(tmp_path: Path) -> None:
+    header = ",".join(["Time (s)", *(f"Linear Acceleration {a} (m/s^2)" for a in "xyz")])
+    path = as_zip(tmp_path, {"Raw Data.csv": text(header, rows()[:, :4])})
+    with pytest.raises(TraceError, match=r"took gravity out.*with g"):
+        open_trace(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "table", "notes"),
+    [
+        (
+            "timestamp_ms,accX,accY,accZ,gyroX,gyroY,gyroZ",
+            [1e3, 1, 1],
+            ["ms", "in m/s^2", "rad/s (as gravity"],
+        ),
+        (
+            "Time [us],ax_g,ay_g,az_g,gx_dps,gy_dps,gz_dps",
+            [1e6, 1 / 9.80665, 57.29577951308232],
+            ["in g;", "deg/s"],
+        ),
+        ("time,gFx,gFy,gFz,wx,wy,wz", [1, 1 / 9.80665, 1], ["in g;", "rad/s (as gravity"]),
+        (
+            "ts,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z",
+            [1e9, 1, 57.29577951308232],
+            ["in ns", "deg/s (as gravity"],
+        ),
+        (
+            "#timestamp [ns],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2],"
+            "w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]",
+            [1e9, 1, 1],
+            ["in ns", "in m/s^2;", "rad/s"],
+        ),
+    ],
+)
+def test_columns_of_any_usual_name_are_found_with_their_units(
+    tmp_path: Path, header: str, table: list[float], notes: list[str]
+) -> None:
+    data = rows(3000)
+    scaled = data * np.array([table[0], *[table[1]] * 3, *[table[2]] * 3])
+    path = tmp_path / "log.csv"
+    path.write_text(text(header, scaled))
+    recording = read_all(path)
+    np.testing.assert_allclose(recording.accelerometer.t, data[:, 0], atol=1e-9)
+    np.testing.assert_allclose(recording.accelerometer.xyz, data[:, 1:4], rtol=1e-9)
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.gyroscope.xyz, data[:, 4:], rtol=1e-9)
+    assert all(part in recording.notes[0] for part in notes), recording.notes
+
+
+def test_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(text("t;ax;ay;az;gx;gy;gz", rows(), ";").replace(".", ","))
+    assert len(read_all(path).accelerometer) == 400
+
+
+def test_acceleration_without_gravity_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(text("time,acc_x,acc_y,acc_z", rows()[:, :4] * [1, 0.01, 0.01, 0.01]))
+    with pytest.raises(TraceError, match="gravity in no unit"):
+        read_all(path)
+
+
+def test_standard_input_is_read_and_leaves_no_file(tmp_path: Path) -> None:
+    code = (
+        "import sys, tempfile, os; from stillcal.replay.formats.trace import read_all;"
+        "n = len(read_all('-').accelerometer); print(n, os.listdir(tempfile.gettempdir()))"
+    )
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    packed = gzip.compress(text("t,ax,ay,az,gx,gy,gz", rows()).encode())
+    result = subprocess.run(
+        [sys.executable, "-c", code], input=packed, capture_output=True, env=environment, check=True
+    )
+    assert result.stdout.split(b"\n")[0] == b"400 []"
+
+
+def test_a_named_pipe_is_read_though_its_writer_comes_late(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    writer = threading.Timer(0.2, lambda: pipe.write_text(text("t,ax,ay,az", rows()[:, :4])))
+    writer.start()
+    assert len(read_all(pipe).accelerometer) == 400
+    writer.join()
+
+
+def test_a_pipe_without_writer_ends_in_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setattr(sources, "FIRST_WRITER_S", 0.1)
+    with pytest.raises(TraceError, match="nobody writes to this pipe"):
+        read_all(tmp_path / "pipe")
+
+
+def test_an_endless_pipe_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "MOST_SPOOLED", 1 << 20)
+    endless = subprocess.Popen(["yes", "1,2,3,4"], stdout=subprocess.PIPE)
+    assert endless.stdout is not None
+    with pytest.raises(TraceError, match="gives more than"):
+        read_all(f"/dev/fd/{endless.stdout.fileno()}")
+    endless.kill()
+    endless.wait()
+    endless.stdout.close()
+
+
+@pytest.mark.parametrize("device", ["/dev/zero", "/dev/null", "/dev/urandom"])
+def test_devices_are_refused(device: str) -> None:
+    with pytest.raises(TraceError, match="is a device, not a recording"):
+        read_all(device)
+
+
+def test_a_truncated_zip_and_one_with_a_huge_index_are_refused(tmp_path: Path) -> None:
+    path = as_zip(tmp_path, phyphox_files())
+    path.write_bytes(path.read_bytes()[:-60])
+    with pytest.raises(TraceError, match="zip data cut short or damaged"):
+        read_all(path)
+    end = b"PK\x05\x06" + struct.pack("<HHHHIIH", 0, 0, 60_000, 60_000, 10, 0, 0)
+    path.write_bytes(b"PK\x03\x04" + end)
+    with pytest.raises(TraceError, match="an archive of 60000 files"):
+        read_all(path)
+
+
+def test_a_zip_that_unpacks_to_very_much_is_refused_in_little_memory(tmp_path: Path) -> None:
+    bomb = io.BytesIO()
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("Accelerometer.csv", phyphox_files()["Accelerometer.csv"] + "1" * (1 << 26))
+    (tmp_path / "bomb.zip").write_bytes(bomb.getvalue())
+    with pytest.raises(TraceError, match="a line does not end"):
+        read_all(tmp_path / "bomb.zip")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"%PDF-1.7\n", "a PDF document"),
+        (b"\x28\xb5\x2f\xfd\0\0", "a zstd file.*unpack it"),
+        (b"\0\1\2\3" * 100, "no binary format that is known.*docs/formats.md"),
+    ],
+)
+def test_other_files_are_named(tmp_path: Path, content: bytes, said: str) -> None:
+    (tmp_path / "r.csv").write_bytes(content)
+    with pytest.raises(TraceError, match=said):
+        read_all(tmp_path / "r.csv")
+
+
+def test_a_part_is_cut_out_by_seconds_after_the_start(tmp_path: Path) -> None:
+    data = rows()
+    data[:, 0] += 1000
+    path = tmp_path / "r.csv"
+    path.write_text(text("t,ax,ay,az,gx,gy,gz", data))
+    events = (
+        '{"t": 1000.5, "event": "charging", "on": true}\n{"t": 1003.5, "event": "charging", "on": false}\n'
+    )
+    (tmp_path / "r.events.jsonl").write_text(events)
+    part = read_all(path, start=1, stop=2)
+    assert (part.accelerometer.t[0], part.accelerometer.t[-1]) == (1001.0, 1002.0)
+    assert part.gyroscope is not None and len(part.gyroscope) == 101
+    assert [(event.t, event.on) for event in part.events] == [(1001.0, True)]
+    with pytest.raises(TraceError, match="from 10 s to the end there is no accelerometer sample"):
+        read_all(path, start=10)
+
+
+def test_the_gyroscopes_file_of_a_pair_names_the_other(tmp_path: Path) -> None:
+    row = "{i},{i},{ns},0.1,0.2,9.8,a,nexus4,nexus4_1,stand"
+    for name in ("accelerometer", "gyroscope"):
+        lines = [row.format(i=i, ns=i * 10_000_000) for i in range(100)]
+        (tmp_path / f"Phones_{name}.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(TraceError, match=r"gyroscope's file of a pair; give Phones_accelerometer.csv"):
+        read_all(tmp_path / "Phones_gyroscope.csv")
+    assert read_all(tmp_path / "Phones_accelerometer.csv").gyroscope is not None
