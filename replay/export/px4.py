@@ -114,9 +114,7 @@ def _read_part(values: dict[str, float], name: str) -> SensorPart | None:
         return SensorPart(scale=scale, bias=bias)
     powers = [_three(values, [f"TC_{thermal}0_X{p}_{a}" for a in range(3)]) for p in range(4)]
     if any(p is not None and p.any() for p in powers[2:]):
-        raise UserError(
-            f"TC_{thermal}0_X2 and X3: a bias that curves with temperature is not held by a store"
-        )
+        raise UserError(f"TC_{thermal}0_X2 and X3: a store holds no bias that curves with temperature")
     reference = values.get(f"TC_{thermal}0_TREF")
     if powers[1] is None or reference is None:
         raise UserError(

@@ -9,12 +9,20 @@ from stillcal.replay.export.target import Target
 TARGETS = {
     "kalibr": "kalibr:Kalibr",
     "px4": "px4:Px4",
+    "ardupilot": "ardupilot:ArduPilot",
+    "android": "android:Android",
+    "gazebo": "gazebo:Gazebo",
+    "airsim": "airsim:AirSim",
+    "imusensor": "imusensor:ImuSensor",
+    "ros2": "ros2:Ros2",
+    "iio": "iio:Iio",
     "numpy": "numpy_file:Python",
     "npz": "numpy_file:Npz",
+    "c": "c_header:CHeader",
 }
 """Name to module and class within this package."""
 
-INVERTIBLE = ("kalibr", "px4", "npz")
+INVERTIBLE = ("kalibr", "px4", "ardupilot", "android", "gazebo", "imusensor", "iio", "npz")
 """Targets whose files can be read back; a test holds this against the classes."""
 
 

@@ -1,0 +1,123 @@
+"""ArduPilot's parameters: INS_ACCOFFS_*, INS_ACCSCAL_*, INS_GYROFFS_*, and INS_TCAL1_*, thermal polynomials.
+
+ArduPilot/ardupilot, libraries/AP_InertialSensor/AP_InertialSensor_Backend.cpp, _rotate_and_correct_accel:
+corrected = (raw - OFFS) * SCAL by axis, in the sensor's axes; _rotate_and_correct_gyro: the same without a
+scale. AP_InertialSensor_tempcal.cpp, correct_sensor, before that: raw - p(T) + p(CALTEMP) with
+p(T) = (ACC1 dT + ACC2 dT^2 + ACC3 dT^3) / 10^6, dT = T - 35 degC, both temperatures held within TMIN .. TMAX.
+SI units and degC. The file has a name and a value a line, as Mission Planner and MAVProxy read and write it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.errors import UserError
+from stillcal.replay.export.imu import ImuParameters, SensorPart
+from stillcal.replay.export.target import Target, commented, text_of
+
+AXES = "XYZ"
+PER_MILLION = 1e6
+WIDE = (0.0, 70.0)
+"""degC, ArduPilot's own TMIN and TMAX, where the calibration's range is not known."""
+
+UNKNOWN_C = -300.0
+"""degC, CALTEMP of a sensor that was not calibrated with a thermometer."""
+
+NAMES = {"accelerometer": ("ACC", "ACC"), "gyroscope": ("GYR", "GYR")}
+OFFSETS = {"accelerometer": "INS_ACCOFFS", "gyroscope": "INS_GYROFFS"}
+
+
+class ArduPilot(Target):
+    """A parameter file for Mission Planner, QGroundControl and MAVProxy (`param load`)."""
+
+    name = "ardupilot"
+    title = "ArduPilot"
+    source = "ArduPilot/ardupilot AP_InertialSensor_Backend.cpp, AP_InertialSensor_tempcal.cpp"
+
+    def holds(self, imu: ImuParameters) -> set[str]:
+        """Return the biases with their slopes, and the accelerometer's scale by axis."""
+        biases = {f"{name} {kind}" for name, _ in imu.parts() for kind in ("bias", "bias slope")}
+        return biases | {"accelerometer scale"}
+
+    def notes(self, imu: ImuParameters) -> list[str]:
+        """Return what ArduPilot does by itself."""
+        if imu.gyroscope is None or imu.gyroscope.bias is None:
+            return []
+        return ["ArduPilot measures gyroscope offsets anew at each start, unless INS_GYR_CAL is 0"]
+
+    def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
+        """Return the parameters, a name and a value a line."""
+        lines = (f"{name},{value!r}\n" for name, value in _parameters(imu))
+        return (commented(remarks) + "".join(lines)).encode()
+
+    def read(self, data: bytes) -> ImuParameters:
+        """Return biases, slopes and the accelerometer's scale."""
+        values = dict(_lines(text_of(data)))
+        accel, gyro = (_read_part(values, name) for name in NAMES)
+        if accel is None and gyro is None:
+            raise UserError("holds no INS_ACCOFFS_X and no INS_GYROFFS_X with their Y and Z")
+        low, high = values.get("INS_TCAL1_TMIN"), values.get("INS_TCAL1_TMAX")
+        known = None if low is None or high is None or (low, high) == WIDE else (low, high)
+        return ImuParameters(accelerometer=accel, gyroscope=gyro, temperatures=known)
+
+
+def _parameters(imu: ImuParameters) -> Iterator[tuple[str, float | int]]:
+    for name, part in imu.parts():
+        if part.bias is not None:
+            yield from _vector(OFFSETS[name], part.bias)
+        if name == "accelerometer" and part.scale is not None:
+            yield from _vector("INS_ACCSCAL", np.diag(part.scale))
+    sloped = [(NAMES[name], part) for name, part in imu.parts() if part.slope is not None]
+    if not sloped:
+        return
+    low, high = imu.temperatures or WIDE
+    yield from (("INS_TCAL1_ENABLE", 1), ("INS_TCAL1_TMIN", low), ("INS_TCAL1_TMAX", high))
+    for (calibrated, thermal), part in sloped:
+        assert part.slope is not None and part.reference_c is not None, "a slope counts from a temperature"
+        yield f"INS_{calibrated}1_CALTEMP", part.reference_c
+        yield from _vector(f"INS_TCAL1_{thermal}1", part.slope * PER_MILLION)
+        for power in (2, 3):
+            yield from _vector(f"INS_TCAL1_{thermal}{power}", np.zeros(3))
+
+
+def _vector(name: str, values: Array) -> Iterator[tuple[str, float]]:
+    for axis, value in zip(AXES, values.tolist(), strict=True):
+        yield f"{name}_{axis}", value
+
+
+def _lines(text: str) -> Iterator[tuple[str, float]]:
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.partition("#")[0].replace(",", " ").replace("=", " ").split()
+        if not words:
+            continue
+        try:
+            name, value = words
+            yield name, float(value)
+        except ValueError as error:
+            raise UserError(f"line {number}: expected a name and a value") from error
+
+
+def _read_part(values: dict[str, float], name: str) -> SensorPart | None:
+    bias = _three(values, OFFSETS[name])
+    if bias is None:
+        return None
+    diagonal = _three(values, "INS_ACCSCAL") if name == "accelerometer" else None
+    scale = None if diagonal is None else np.diag(diagonal)
+    calibrated, thermal = NAMES[name]
+    slope, at = _three(values, f"INS_TCAL1_{thermal}1"), values.get(f"INS_{calibrated}1_CALTEMP", UNKNOWN_C)
+    if values.get("INS_TCAL1_ENABLE") != 1 or slope is None or not slope.any():
+        return SensorPart(scale=scale, bias=bias)
+    curves = [_three(values, f"INS_TCAL1_{thermal}{power}") for power in (2, 3)]
+    if any(c is not None and c.any() for c in curves):
+        raise UserError(f"INS_TCAL1_{thermal}2 and 3: a store holds no bias that curves with temperature")
+    if at == UNKNOWN_C:
+        raise UserError(f"INS_TCAL1_ENABLE is 1, but INS_{calibrated}1_CALTEMP is not known")
+    return SensorPart(scale=scale, bias=bias, slope=slope / PER_MILLION, reference_c=at)
+
+
+def _three(values: dict[str, float], name: str) -> Array | None:
+    found = [values.get(f"{name}_{axis}") for axis in AXES]
+    return None if None in found else np.array(found, dtype=np.float64)

@@ -1,0 +1,89 @@
+"""A C header with the numbers and a function that corrects one sample; C99, no library but math.h.
+
+calibrated = scale (raw - bias - slope (T - T_ref) - matrix force), rows first, SI units and degC, the axes of
+the recording: the store's own model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stillcal.calib_core.arrays import Array
+from stillcal.replay.export.imu import ImuParameters, SensorPart
+from stillcal.replay.export.target import Target, commented
+
+KINDS = ("scale", "misalignment", "bias", "bias slope", "g-sensitivity")
+
+
+class CHeader(Target):
+    """calibration.h."""
+
+    name = "c"
+    title = "a C header"
+    source = "the store's own model"
+    invertible = False
+
+    def holds(self, imu: ImuParameters) -> set[str]:
+        """Return all that a correction uses."""
+        return {f"{name} {kind}" for name, _ in imu.parts() for kind in KINDS}
+
+    def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
+        """Return the header."""
+        text = commented(remarks, "// ") + "#ifndef STILLCAL_CALIBRATION_H\n#define STILLCAL_CALIBRATION_H\n"
+        text += "#include <math.h>\n\n"
+        for name, part in imu.parts():
+            text += _constants(name, part)
+        return (text + _function(imu) + "\n#endif\n").encode()
+
+
+def _constants(name: str, part: SensorPart) -> str:
+    text = ""
+    for suffix, value in (("scale", part.scale), ("g_sensitivity", part.matrix)):
+        if value is not None:
+            rows = ", ".join("{" + _row(row) + "}" for row in value)
+            text += f"static const double {name}_{suffix}[3][3] = {{{rows}}};\n"
+    for suffix, value in (("bias", part.bias), ("bias_slope", part.slope)):
+        if value is not None:
+            text += f"static const double {name}_{suffix}[3] = {{{_row(value)}}};\n"
+    if part.reference_c is not None:
+        text += f"static const double {name}_reference_temperature_c = {part.reference_c!r};\n"
+    return text
+
+
+def _row(values: Array) -> str:
+    return ", ".join(map(repr, values.tolist()))
+
+
+def _function(imu: ImuParameters) -> str:
+    text = (
+        "\n// Correct one sample in place: force[3] m/s^2, rate[3] rad/s. temperature: degC or NAN.\n"
+        "static inline void stillcal_correct(double temperature, double force[3], double rate[3]) {\n"
+        "  double offset[3], unbiased[3];\n"
+        "  (void)temperature; (void)force; (void)rate; (void)offset; (void)unbiased;\n"
+    )
+    for argument, (name, part) in zip(("force", "rate"), _named(imu), strict=True):
+        if part is not None:
+            text += _correction(argument, name, part)
+    return text + "}\n"
+
+
+def _named(imu: ImuParameters) -> list[tuple[str, SensorPart | None]]:
+    return [("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope)]
+
+
+def _correction(argument: str, name: str, part: SensorPart) -> str:
+    bias = "0.0" if part.bias is None else f"{name}_bias[i]"
+    text = f"  for (int i = 0; i < 3; i++) {{\n    offset[i] = {bias};\n"
+    if part.slope is not None:
+        text += (
+            f"    if (!isnan(temperature))\n      offset[i] += {name}_bias_slope[i] *"
+            f" (temperature - {name}_reference_temperature_c);\n"
+        )
+    if part.matrix is not None:
+        text += f"    for (int j = 0; j < 3; j++) offset[i] += {name}_g_sensitivity[i][j] * force[j];\n"
+    text += f"    unbiased[i] = {argument}[i] - offset[i];\n  }}\n"
+    text += f"  for (int i = 0; i < 3; i++) {{\n    {argument}[i] = unbiased[i];\n"
+    if part.scale is not None:
+        text += f"    {argument}[i] = 0.0;\n    for (int j = 0; j < 3; j++)"
+        text += f" {argument}[i] += {name}_scale[i][j] * unbiased[j];\n"
+    return text + "  }\n"
