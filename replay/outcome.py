@@ -107,6 +107,8 @@ def _rests(outcome: Outcome) -> str:
         return "the rows of the table"
     share = 100 * min(1.0, ledger.asked_s / outcome.duration) if outcome.duration else 100.0
     counts = f"{state.counters.rests} found, {state.counters.turns} rotations between them"
+    if state.counters.undersampled:
+        counts = f"{counts}, {state.counters.undersampled} more too fast for the gyroscope's sampling rate"
     return f"{counts}, sensors on {share:.1f} % of the time"
 
 

@@ -16,7 +16,7 @@ from stillcal.calib_core.engine.actions import Action, Level, Log
 from stillcal.calib_core.engine.settings import EngineSettings, Watch
 from stillcal.calib_core.engine.state import EngineState, Move
 from stillcal.calib_core.gravity import Gravity, LocationError
-from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment, cut_rotation_segment
+from stillcal.calib_core.gyroscope.rotation_segment import NoSegment, RotationSegment, cut_rotation_segment
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.events import Location
@@ -137,9 +137,22 @@ class Intake:
             if isinstance(segment, RotationSegment):
                 state.pool = state.pool.with_segment(segment, self._settings.pool)
                 state.counters.turns += 1
+            elif segment is NoSegment.UNDERSAMPLED:
+                self._count_undersampled(rest)
         state.last_rest = rest
         why = f"lay still for {rest.duration:.1f} s"
         self._actions.append(Log(rest.t_end, Level.DEBUG, "rest", why, {"n": rest.n}))
+
+    def _count_undersampled(self, rest: RestState) -> None:
+        """Count a turn that the gyroscope's samples cannot follow, ended by `rest`; say so the first time."""
+        counters = self._state.counters
+        counters.undersampled += 1
+        if counters.undersampled == 1:
+            why = f"{NoSegment.UNDERSAMPLED}: sample faster, or its scale stays as it is"
+            rate = rest.n / max(rest.duration, 1e-9)
+            self._actions.append(
+                Log(rest.t_end, Level.WARNING, "undersampled", why, {"rate_hz": round(rate, 1)})
+            )
 
     def _gravity_at(self, t: float) -> Gravity:
         """Return gravity at the phone's place at t (s); a rest may close after later changes of place."""

@@ -22,7 +22,10 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 
 @dataclass(slots=True)
 class Counters:
-    """How often the engine did what since it first began; `turns` counts rotation segments."""
+    """How often the engine did what since it first began.
+
+    turns: rotation segments. undersampled: turns too fast for the gyroscope's sampling rate.
+    """
 
     rests: int = 0
     turns: int = 0
@@ -32,6 +35,7 @@ class Counters:
     checks: int = 0
     zeroings: int = 0
     degradations: int = 0
+    undersampled: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,8 +29,9 @@ from stillcal.calib_core.static.windows import (
     N,
     across,
     joined,
-    matched,
+    longest_pause,
     paired,
+    sparse,
     spread,
 )
 
@@ -128,11 +129,9 @@ class SensorWindows:
         quantisation_allowance = across(np.where(narrow & np.isfinite(lsb), 0.25 * lsb * lsb, 0.0)) / 3.0
         rate = rows[:, N] / ((rows[:, K_END] - rows[:, K]).clip(1.0) * settings.window_s)
         constant = across(rows[:, D2]) == 0
-        few, sparse = (
-            narrow[:, 0] & narrow[:, 1] & narrow[:, 2] & ~constant,
-            2 * rows[:, N] < settings.min_samples,
-        )
-        return cls(rows, spread(rows), rate_class(rate), constant, few, sparse, quantisation_allowance)
+        few = narrow[:, 0] & narrow[:, 1] & narrow[:, 2] & ~constant
+        scarce = sparse(rows, settings.min_samples)
+        return cls(rows, spread(rows), rate_class(rate), constant, few, scarce, quantisation_allowance)
 
     @classmethod
     def absent(cls, rows: Array) -> SensorWindows:
@@ -161,10 +160,12 @@ class Windows:
     @classmethod
     def of(cls, accel: Array, gyro: Array, widths: Index, settings: DetectorSettings) -> Windows:
         """Join two sensors' cell rows into windows; widths: cells of the window of each accelerometer row."""
-        at, present = matched(accel[:, K], gyro[:, K])
-        rows = paired(joined(accel, widths), joined(gyro[present], widths[at[present]]))
+        nearest = np.minimum(np.searchsorted(accel[:, K], gyro[:, K]), widths.size - 1)
+        window = settings.window_s
+        rows = paired(joined(accel, widths, window), joined(gyro, widths[nearest], window))
         gyro_rows = rows[:, COLUMNS:]
-        unusable = (gyro_rows[:, GAP] > settings.gap_s) | (2 * gyro_rows[:, N] < settings.min_samples)
+        unusable = gyro_rows[:, GAP] > longest_pause(gyro_rows, window, settings.gap_s)
+        unusable |= sparse(gyro_rows, settings.min_samples)
         gyro_rows[unusable | (across(gyro_rows[:, D2]) == 0)] = 0.0
         return cls(rows, SensorWindows.of(rows[:, :COLUMNS], settings), SensorWindows.of(gyro_rows, settings))
 
@@ -187,7 +188,7 @@ def classify(
     accel, mean = windows.accel, windows.accel.rows[:, MEAN]
     norm = np.sqrt(mean[:, 0] ** 2 + mean[:, 1] ** 2 + mean[:, 2] ** 2)
     conditions = [
-        accel.rows[:, GAP] > settings.gap_s,
+        accel.rows[:, GAP] > longest_pause(accel.rows, settings.window_s, settings.gap_s),
         accel.sparse,
         (norm < settings.force_low) | (norm > settings.force_high),
         accel.constant & (not coarse),

@@ -85,8 +85,8 @@ class DetectorSettings:
 
     Windows. window_s: length of the windows that are classified; rests begin and end at their borders.
     min_samples: with fewer samples a window, windows are joined two, four or eight at a time (slow sensors).
-    gap_s: a longer pause between samples ends a rest. max_lag_s: how long an accelerometer window waits for
-    its gyroscope samples before it is classified alone.
+    gap_s: a longer pause between samples ends a rest; for a slow sensor, one of two sample intervals.
+    max_lag_s: how long an accelerometer window waits for its gyroscope samples before it is classified alone.
 
     Thresholds. accel_factor, gyro_factor: the paper's 2 and 3 times the noise floor. accel_ceiling,
     gyro_ceiling: no window noisier than this is still, whatever the floor: three times the 0.05 m/s^2

@@ -213,11 +213,11 @@ def _reduced(both: Array, inside: Flags | None, n: Index, out: Array, cells: Ind
     out[cells, LSB] = np.minimum.reduce(step, axis=0, initial=np.inf).reshape(3, count).T
 
 
-def joined(rows: Array, widths: Index) -> Array:
+def joined(rows: Array, widths: Index, window: float) -> Array:
     """Join rows into windows of `widths` cells, (n,), one for each row, aligned on the grid.
 
-    Means and squares are combined exactly (Chan, Golub and LeVeque 1979). A window that lacks a cell has a
-    GAP of inf.
+    window: s, length of a cell. Means and squares are combined exactly (Chan, Golub and LeVeque 1979). Below
+    two samples a second cells stay empty: the pause across one counts from its neighbours' samples.
     """
     if rows.shape[0] == 0 or bool((widths == 1).all()):
         return rows
@@ -231,17 +231,67 @@ def joined(rows: Array, widths: Index) -> Array:
     out[:, N] = total[:, 0]
     out[:, T0] = np.minimum.reduceat(rows[:, T0], starts)
     out[:, T1] = np.maximum.reduceat(rows[:, T1], starts)
-    out[:, GAP] = np.where(members == widths[starts], np.maximum.reduceat(rows[:, GAP], starts), np.inf)
+    out[:, GAP] = np.maximum.reduceat(_pauses(rows, begins, widths, starts, window), starts)
     for mean, squares in ((MEAN, M2), (slice(NORM, NORM + 1), slice(NORM_M2, NORM_M2 + 1))):
         centre = np.add.reduceat(n * rows[:, mean], starts) / total
         between = n * (rows[:, mean] - np.repeat(centre, members, axis=0)) ** 2
         out[:, mean], out[:, squares] = centre, np.add.reduceat(rows[:, squares] + between, starts)
-    out[:, D2] = np.add.reduceat(rows[:, D2], starts)
-    out[:, LSB] = np.minimum.reduceat(rows[:, LSB], starts)
+    squared, size = _single_steps(rows, starts)
+    out[:, D2] = np.add.reduceat(rows[:, D2] + squared, starts)
+    out[:, LSB] = np.minimum.reduceat(np.minimum(rows[:, LSB], size), starts)
     out[:, LOW] = np.minimum.reduceat(rows[:, LOW], starts)
     out[:, HIGH] = np.maximum.reduceat(rows[:, HIGH], starts)
     out[:, TEMP] = np.add.reduceat(n[:, 0] * rows[:, TEMP], starts) / total[:, 0]
     return out
+
+
+def _pauses(rows: Array, begins: Array | Index, widths: Index, starts: Index, window: float) -> Array:
+    """Return for each row the longest pause in and around it within its window, (n,) s.
+
+    begins: (n,) first cell of its window. starts: first row of each window. Next to a cell that holds a
+    sample the pause is the row's own; across empty cells it reaches to the next sample or to the border.
+    """
+    first = np.zeros(rows.shape[0], dtype=bool)
+    first[starts] = True
+    last = np.append(first[1:], True)
+    before = np.where(first, begins * window, np.append(0.0, rows[:-1, T1]))
+    after = np.where(last, (begins + widths) * window, np.append(rows[1:, T0], 0.0))
+    opens = np.where(first, begins, np.append(0.0, rows[:-1, K_END])) != rows[:, K]
+    closes = np.where(last, begins + widths, np.append(rows[1:, K], 0.0)) != rows[:, K_END]
+    pause = np.maximum(rows[:, GAP], np.where(opens, rows[:, T0] - before, 0.0))
+    return np.maximum(pause, np.where(closes, after - rows[:, T1], 0.0))
+
+
+def _single_steps(rows: Array, starts: Index) -> tuple[Array, Array]:
+    """Return the steps that no cell holds, between cells of one sample each: squared, and their size, (n, 3).
+
+    Zero, and inf for the size, elsewhere: at the first cell of a window (`starts`) and next to fuller cells.
+    """
+    single = rows[:, N] == 1
+    within = np.append(False, single[1:] & single[:-1])
+    within[starts] = False
+    step = np.abs(np.diff(rows[:, MEAN], axis=0, prepend=rows[:1, MEAN]))
+    size = np.where(within[:, None] & (step >= _SAME), step, np.inf)
+    return np.where(within[:, None], step * step, 0.0), size
+
+
+def sparse(rows: Array, enough: int) -> Flags:
+    """Tell which windows have less than half of `enough` samples, (n,).
+
+    The longest windows may lack one more: a sensor that gives one a second gives four, now and then three.
+    """
+    longest = rows[:, K_END] - rows[:, K] >= BLOCK
+    return np.asarray(2 * (rows[:, N] + longest) < enough)
+
+
+def longest_pause(rows: Array, window: float, gap: float) -> Array:
+    """Return the longest pause that a window may have, (n,) s: `gap`, or two of its mean sample intervals.
+
+    window: s, length of a cell. A sensor below seven samples a second pauses for longer than 0.3 s where it
+    lacks one sample, or none.
+    """
+    length = (rows[:, K_END] - rows[:, K]) * window
+    return np.maximum(gap, 2.0 * length / np.maximum(rows[:, N], 1.0))
 
 
 def matched(keys: Array, wanted: Array) -> tuple[Index, Flags]:

@@ -88,7 +88,10 @@ class Wire:
 
 @dataclass(frozen=True)
 class Counts:
-    """Counts since the engine first started."""
+    """Counts since the engine first started. turns: between rests, usable for the gyroscope's scale.
+
+    undersampled: turns too fast for the gyroscope's sampling rate.
+    """
 
     rests: int
     turns: int
@@ -98,6 +101,7 @@ class Counts:
     checks: int
     zeroings: int
     degradations: int
+    undersampled: int = 0
 
 
 @dataclass(frozen=True)
