@@ -24,7 +24,7 @@ from stillcal import calib_core, config, replay
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.formats.trace import read_all
 
-SOLVERS = ("diagnosis", "affine_white_bic", "sparse_regression")
+SOLVERS = ("diagnosis", "affine_coloured_bic", "sparse_regression")
 """The solvers by name."""
 
 _MODULE = "stillcal.replay.blind_test.answer"
@@ -59,7 +59,7 @@ def answer_one(
 
 def _without_findings(name: str, verdict: str, error: Exception) -> dict[str, Any]:
     why = f"{type(error).__name__}: {error}"
-    return {"schema": 1, "recording": f"{name}.csv", "verdict": verdict, "findings": [], "why": why}
+    return {"schema": 2, "recording": f"{name}.csv", "verdict": verdict, "findings": [], "why": why}
 
 
 def can_leave_out() -> bool:

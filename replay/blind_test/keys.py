@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-KINDS = ("null", "decoy", "single", "pair", "off_catalogue")
+KINDS = ("null", "decoy", "single", "pair", "near_shape", "off_catalogue", "reserve")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class TrueEffect:
 class Exam:
     """What is needed to score the model of an answer: the bins, the noise, and what the effects truly add.
 
-    Lists over bins; force, accel and gyro (m, 3). accel_noise, gyro_noise: fields of `noise.Colour`.
+    Lists over bins; force, north, accel and gyro (m, 3). accel_noise, gyro_noise: fields of `noise.Colour`.
     """
 
     width: float
@@ -41,6 +41,7 @@ class Exam:
     rest: list[float]
     since: list[float]
     force: list[list[float]]
+    north: list[list[float]]
     temperature: list[float]
     charging: list[float]
     drive: list[list[float]]
@@ -55,7 +56,9 @@ class Key:
     """The key of a recording.
 
     kind: one of `KINDS`. family: of the noise. maker: who made motion and noise, examiner or simulator.
-    variant: the decoy, or the effect outside the catalogue. entailed: further names that are right answers.
+    variant: the decoy, or the hidden kind. ground: what the phone lies on. entailed: names that are true
+    beside the effect. nearest: the names of which a near-shape is almost one; misfit: d' of what these, or of
+    what all names, leave of a hidden kind, None where that is not its measure.
     """
 
     kind: str
@@ -65,6 +68,9 @@ class Key:
     variant: str | None = None
     effects: list[TrueEffect] = field(default_factory=list)
     entailed: list[str] = field(default_factory=list)
+    nearest: list[str] = field(default_factory=list)
+    misfit: float | None = None
+    ground: str = "firm"
     exam: Exam | None = None
     schema: int = 1
 

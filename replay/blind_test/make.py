@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,7 +12,8 @@ import msgspec
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.blind_test.cases import Design, make_case, planned
+from stillcal.replay.blind_test.cases import Case, make_case
+from stillcal.replay.blind_test.designs import Design, planned
 from stillcal.replay.blind_test.keys import key_of, seal_of, sealed
 from stillcal.replay.blind_test.world.phones import MadeRecording
 from stillcal.replay.formats.writer import TraceWriter
@@ -37,9 +38,12 @@ def make(
     seed: int,
     *,
     jobs: int = 1,
-    tick: Callable[[], None] = lambda: None,
+    beside: Collection[str] = (),
+    tick: Callable[[int, int], None] = lambda done, of: None,
 ) -> Manifest:
-    """Write `trials` recordings with their manifest, and their keys; `tick` is called after each.
+    """Write `trials` cases, and those of kinds `beside` them, with their manifest, and their keys.
+
+    tick: is called after each with the number done and the number in all.
 
     Raises ChallengeError where a folder holds something already.
     """
@@ -47,12 +51,12 @@ def make(
         if folder.exists() and any(folder.iterdir()):
             raise ChallengeError(f"{folder}: is not empty; name a new or an empty folder")
         folder.mkdir(parents=True, exist_ok=True)
-    designs, seals = planned(trials, seed), {}
+    designs, seals = planned(trials, seed, beside), {}
     work = [(design, seed, i, recordings, keys) for i, design in enumerate(designs)]
     with _case_mapper(jobs) as run:
         for name, seal in run(_write_case, work):
             seals[name] = seal
-            tick()
+            tick(len(seals), len(designs))
     return _published(recordings, seals)
 
 
@@ -98,11 +102,15 @@ def _case_mapper(jobs: int) -> Iterator[Runner]:
 def _write_case(work: tuple[Design, int, int, Path, Path]) -> tuple[str, str]:
     design, seed, index, recordings, keys = work
     name = f"r{index + 1:04d}"
-    recording, key = make_case(design, seed, index)
-    write_recording(recordings / f"{name}.csv", recording)
-    file = sealed(key)
+    case = make_case(design, seed, index)
+    _write_files(recordings, name, case)
+    file = sealed(case.key)
     (keys / f"{name}.key").write_bytes(file)
     return name, seal_of(file)
+
+
+def _write_files(folder: Path, name: str, case: Case) -> None:
+    write_recording(folder / f"{name}.csv", case.recording)
 
 
 def write_recording(path: Path, recording: MadeRecording) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,23 +33,31 @@ class Verdict:
 
 
 def prove(
-    folder: Path, trials: int, seed: int, jobs: int = 1, tick: Tick = lambda stage, done, of: None
+    folder: Path,
+    trials: int,
+    seed: int,
+    *,
+    jobs: int = 1,
+    beside: Collection[str] = (),
+    tick: Tick = lambda stage, done, of: None,
 ) -> Verdict:
     """Run the blind test in `folder` (new or empty); keys are moved there only after all answers.
 
-    Raises as `make`, `answer_all` and `open_keys` do.
+    beside: kinds of case in addition to the trials. Raises as `make`, `answer_all` and `open_keys` do.
     """
     recordings, sealed = folder / "recordings", folder / "keys"
-    done = [0]
-
-    def count() -> None:
-        done[0] += 1
-        tick("making", done[0], trials)
-
     with tempfile.TemporaryDirectory() as withheld:
-        manifest = make(recordings, Path(withheld) / "keys", trials, seed, jobs=jobs, tick=count)
+        manifest = make(
+            recordings,
+            Path(withheld) / "keys",
+            trials,
+            seed,
+            jobs=jobs,
+            beside=beside,
+            tick=lambda done, of: tick("making", done, of),
+        )
         for solver in SOLVERS:
-            show_answers = _progress_of(tick, solver, trials)
+            show_answers = _progress_of(tick, solver, len(manifest.seals))
             answer_all(
                 recordings, folder / solver, list(manifest.seals), solver, jobs=jobs, tick=show_answers
             )

@@ -9,15 +9,19 @@ from itertools import pairwise
 
 import numpy as np
 
-from stillcal.replay.blind_test.cases import DECOYS
 from stillcal.replay.blind_test.confidence_bounds import Mean, Power, Rate, mean, power, rate
-from stillcal.replay.blind_test.marking import EffectMark, Mark
+from stillcal.replay.blind_test.designs import DECOYS
+from stillcal.replay.blind_test.marking import NAMELESS, EffectMark, Mark
+from stillcal.replay.blind_test.world.grounds import GROUNDS
 from stillcal.replay.blind_test.world.noise import FAMILIES
 
-FALSE_ALARMS, DETECTION_D, NAMING_D = 0.02, 6.0, 8.0
-NAMED, UNKNOWN, MISNAMED, GAIN, PAIRS = 0.90, 0.80, 0.05, 0.80, 0.70
-COVERAGE = (0.90, 0.98)
+FALSE_ALARMS, FAMILY_ALARMS, DETECTION_D, NAMING_D = 0.01, 0.03, 7.0, 8.0
+NAMED, UNKNOWN, MISNAMED, PAIRS = 0.93, 0.80, 0.04, 0.90
+COVERAGE_95, COVERAGE_90 = (0.93, 0.97), (0.87, 0.93)
 """The required scores, fixed before any trial."""
+
+RELIABILITY = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 0.999, np.inf)
+"""Bounds of the classes of stated probability."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +64,11 @@ def scored(solver: str, marks: Sequence[Mark], left_out: Sequence[Mark] | None =
         *_false_alarms(marks),
         *_detection(scaled, curve),
         *_naming(clear),
-        *_off_catalogue(marks),
+        *_near_shapes(marks),
+        *_off_catalogue(marks, "off_catalogue", "off-catalogue"),
+        *_off_catalogue(marks, "reserve", "off-catalogue in reserve"),
         *_models(marks, clear),
+        *_reliability(marks),
         *_places(marks, clear),
         _pairs(marks),
         *_left_out(left_out),
@@ -104,30 +111,21 @@ def _share(marks: Sequence[Mark], true: Callable[[Mark], bool]) -> Rate:
 
 
 def _false_alarms(marks: Sequence[Mark]) -> list[Line]:
-    nulls = [m for m in marks if m.kind == "null"]
-    lines = [
-        _at_most(
-            f"false alarms, {f} noise",
-            _share([m for m in nulls if m.family == f], lambda m: m.alarmed),
-            FALSE_ALARMS,
-        )
-        for f in FAMILIES
-    ]
-    decoys = [m for m in marks if m.kind == "decoy"]
-    lines += [
-        _at_most(
-            f"false alarms, decoy: {d}",
-            _share([m for m in decoys if m.variant == d], lambda m: m.alarmed),
-            FALSE_ALARMS,
-        )
-        for d in DECOYS
-    ]
-    makers = sorted({m.maker for m in nulls})
+    quiet = [m for m in marks if m.kind in ("null", "decoy")]
+    nulls = [m for m in quiet if m.kind == "null"]
+
+    def family(text: str, members: list[Mark]) -> Line:
+        return _at_most(f"false alarms, {text}", _share(members, lambda m: m.alarmed), FAMILY_ALARMS)
+
+    lines = [_at_most("false alarms, nulls and decoys", _share(quiet, lambda m: m.alarmed), FALSE_ALARMS)]
+    lines += [family(f"{f} noise", [m for m in nulls if m.family == f]) for f in FAMILIES]
+    lines += [family(f"on {g}", [m for m in nulls if m.ground == g]) for g in GROUNDS]
+    lines += [family(f"decoy: {d}", [m for m in quiet if m.variant == d]) for d in DECOYS]
     return lines + [
         _without_bar(
-            f"false alarms, made by the {k}", _share([m for m in nulls if m.maker == k], lambda m: m.alarmed)
+            f"false alarms, made by the {k}", _share([m for m in quiet if m.maker == k], lambda m: m.alarmed)
         )
-        for k in makers
+        for k in sorted({m.maker for m in quiet})
     ]
 
 
@@ -167,34 +165,91 @@ def _naming(clear: list[tuple[Mark, EffectMark]]) -> list[Line]:
     return lines
 
 
-def _off_catalogue(marks: Sequence[Mark]) -> list[Line]:
-    off_catalogue = [m for m in marks if m.kind == "off_catalogue"]
+def _off_catalogue(marks: Sequence[Mark], kind: str, text: str) -> list[Line]:
+    chosen = [m for m in marks if m.kind == kind and _far_from_names(m)]
+    if kind == "reserve" and not chosen:
+        return []
+    lines = [
+        _at_least(f"{text} called unknown", _share(chosen, lambda m: m.unknown), UNKNOWN),
+        _at_most(f"{text} misnamed", _share(chosen, lambda m: bool(m.false_names)), MISNAMED),
+    ]
+    for variant in sorted({m.variant or "" for m in chosen}):
+        of_it = [m for m in chosen if m.variant == variant]
+        lines.append(_without_bar(f"  {variant}: unknown", _share(of_it, lambda m: m.unknown)))
+    return lines
+
+
+def _far_from_names(mark: Mark) -> bool:
+    """Return whether names leave enough of a hidden kind to be seen; not where a phone had no room for it."""
+    return mark.misfit is None or mark.misfit >= NAMING_D
+
+
+def _near_shapes(marks: Sequence[Mark]) -> list[Line]:
+    """Score near-shapes; of those sized by it, only such as the pure form leaves enough of."""
+    near = [m for m in marks if m.kind == "near_shape" and _far_from_names(m)]
+    outcomes = {
+        "stated": "named, the misfit stated",
+        "fitted": "named, and wholly fitted",
+        "unknown": "called unknown",
+        "plain": "the pure form stated as the whole",
+        "other": "a false name",
+        "missed": "missed",
+    }
     return [
-        _at_least("off-catalogue called unknown", _share(off_catalogue, lambda m: m.unknown), UNKNOWN),
-        _at_most("off-catalogue misnamed", _share(off_catalogue, lambda m: bool(m.false_names)), MISNAMED),
+        _at_most("near-shapes plainly identified", _share(near, lambda m: m.near == "plain"), MISNAMED),
+        _at_most("near-shapes misnamed", _share(near, lambda m: m.near == "other"), MISNAMED),
+        *(
+            _without_bar(f"  {text}", _share(near, lambda m, o=outcome: m.near == o))  # type: ignore[misc]
+            for outcome, text in outcomes.items()
+        ),
     ]
 
 
 def _models(marks: Sequence[Mark], clear: list[tuple[Mark, EffectMark]]) -> list[Line]:
-    """Score the coverage of intervals and the gains; bounds count each effect once, not each component."""
-    judged = [e.covered for m in marks for e in m.effects if e.covered]
-    inside = float(np.mean(np.concatenate(judged))) if judged else None
-    bounds = rate(round((inside or 0.0) * len(judged)), len(judged))
-    holds = inside is not None and COVERAGE[0] <= inside <= COVERAGE[1]
+    """Score the coverage of intervals and the gains."""
+    judged = [e for m in marks for e in m.effects if e.covered]
     ratios = [max(e.gain / e.oracle, -1.0) for _, e in clear if e.gain is not None and e.oracle]
     return [
-        Line("95 % intervals that hold the truth", inside, bounds.low, bounds.high, len(judged),
-             f"{COVERAGE[0]:.0%} to {COVERAGE[1]:.0%}", holds),
-        _at_least("held-out gain, of the oracle's", mean(ratios), GAIN),
-    ]  # fmt: skip
+        _coverage("95 % intervals that hold the truth", [e.covered for e in judged], COVERAGE_95),
+        _coverage("90 % intervals that hold the truth", [e.covered_90 for e in judged], COVERAGE_90),
+        _without_bar("held-out gain, of the oracle's", mean(ratios)),
+    ]
+
+
+def _coverage(what: str, covered: list[list[bool]], bar: tuple[float, float]) -> Line:
+    """Return the share of components that are covered; its bounds count each effect once."""
+    inside = float(np.mean(np.concatenate(covered))) if covered else None
+    bounds = rate(round((inside or 0.0) * len(covered)), len(covered))
+    holds = inside is not None and bar[0] <= inside <= bar[1]
+    return Line(what, inside, bounds.low, bounds.high, len(covered), f"{bar[0]:.0%} to {bar[1]:.0%}", holds)
+
+
+def _reliability(marks: Sequence[Mark]) -> list[Line]:
+    """Return by classes of stated probability how many are true, which must be as many as stated."""
+    claims = [c for m in marks for c in m.claims]
+    lines = []
+    for low, high in pairwise(RELIABILITY):
+        chosen = [c for c in claims if low <= c.probability < high]
+        share = rate(sum(c.true for c in chosen), len(chosen))
+        stated = float(np.mean([c.probability for c in chosen])) if chosen else None
+        what = f"findings of probability {low:g} to {min(high, 1.0):g} that are true"
+        if stated is None:
+            lines.append(_without_bar(what, share))
+        else:
+            holds = share.low <= stated <= share.high
+            lines.append(
+                Line(what, share.value, share.low, share.high, share.n, f"{stated:.2%} stated", holds)
+            )
+    tried = any(c.probability is not None for c in claims)
+    return lines if tried else [Line("findings with a probability", None, None, None, 0, "stated", False)]
 
 
 def _places(marks: Sequence[Mark], clear: list[tuple[Mark, EffectMark]]) -> list[Line]:
-    off_catalogue = [e for m in marks if m.kind == "off_catalogue" for e in m.effects]
+    off_catalogue = [e for m in marks if m.kind in NAMELESS for e in m.effects]
     lines = [
         _without_bar("overlap of time spans", mean([e.overlap for _, e in clear if e.overlap is not None])),
         _without_bar(
-            "overlap of time spans, off-catalogue",
+            "overlap of time spans, without a name",
             mean([e.overlap for e in off_catalogue if e.overlap is not None]),
         ),
         _without_bar("overlap of axes", mean([e.axes for _, e in clear if e.axes is not None])),

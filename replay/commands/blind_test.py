@@ -35,6 +35,9 @@ _seed = click.option(
 _jobs = click.option(
     "--jobs", default=1, show_default=True, type=click.IntRange(1), help="Number of processes."
 )
+_reserve = click.option(
+    "--reserve", is_flag=True, help="Also draw the effects in reserve, 12 for 100 trials; scored apart."
+)
 _json = click.option(
     "--json", "json_path", type=_folder, help="Write all scores there ('-': standard output)."
 )
@@ -58,17 +61,23 @@ def challenge_group() -> None:
 @_trials
 @_seed
 @_jobs
-def make_command(recordings: Path, keys: Path, trials: int, seed: int, jobs: int) -> None:
+@_reserve
+def make_command(  # noqa: PLR0917 - click hands every option over by name
+    recordings: Path, keys: Path, trials: int, seed: int, jobs: int, reserve: bool
+) -> None:
     """Write recordings with hidden effects and the manifest of seals into RECORDINGS, the keys elsewhere."""
     with _refusals(), _progress() as tick:
-        done = [0]
-
-        def count() -> None:
-            done[0] += 1
-            tick("making", done[0], trials)
-
-        make(recordings, keys, trials, seed, jobs=jobs, tick=count)
-    click.echo(f"{recordings}: {trials} recordings and their manifest; keys in {keys}")
+        beside = _beside(reserve)
+        manifest = make(
+            recordings,
+            keys,
+            trials,
+            seed,
+            jobs=jobs,
+            beside=beside,
+            tick=lambda done, of: tick("making", done, of),
+        )
+    click.echo(f"{recordings}: {len(manifest.seals)} recordings and their manifest; keys in {keys}")
 
 
 @challenge_group.command(
@@ -137,15 +146,22 @@ def reveal_command(recordings: Path, keys: Path, answers: tuple[Path, ...], json
 @_jobs
 @_json
 @click.option("--keep", type=_folder, help="Keep recordings, keys and answers in this new folder.")
-def prove_command(trials: int, seed: int, jobs: int, json_path: Path | None, keep: Path | None) -> None:
+@_reserve
+def prove_command(  # noqa: PLR0917 - click hands every option over by name
+    trials: int, seed: int, jobs: int, json_path: Path | None, keep: Path | None, reserve: bool
+) -> None:
     """Run the whole blind test: hide effects, seal the keys, diagnose, reveal, score.
 
     Exit code 0: every required score is reached; 1: one is missed. Takes about 6 s a recording and process,
     and 3 MB of disk a recording.
     """
     with _refusals(), _working_folder(keep) as folder, _progress() as tick:
-        verdict = proof.prove(folder, trials, seed, jobs, tick)
+        verdict = proof.prove(folder, trials, seed, jobs=jobs, beside=_beside(reserve), tick=tick)
     _show_verdict(verdict, json_path)
+
+
+def _beside(reserve: bool) -> tuple[str, ...]:
+    return ("reserve",) if reserve else ()
 
 
 @contextmanager

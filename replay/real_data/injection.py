@@ -131,6 +131,7 @@ def _world(recording: Recording, samples: Samples, switches: list[Charging]) -> 
         force=_at(samples.t, recording.accelerometer),
         rate=_at(samples.t, rate),
         rate_dot=np.zeros((t.size, 3)),
+        north=np.zeros((t.size, 3)),
         temperature=np.full(t.size, 25.0)
         if warm is None
         else np.interp(samples.t, recording.accelerometer.t, warm),

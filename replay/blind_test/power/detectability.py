@@ -1,11 +1,10 @@
 """Detectability of an effect: d' on binned rests with the true noise covariance, and held-out gain.
 
 d'^2 = delta' C^-1 delta. C is the covariance of the bins' means, plus broad normal priors on all that a
-calibration may absorb, which is projecting it out: the gyroscope's constant bias and the Earth's rate,
-latitude unknown and so in every rest, or every attitude, the heading; the accelerometer's bias and nine
-scale terms, and for every rest the unknown attitude with a steady creep of it. No observer of the rests can
-do better than this d', because all that such an observer could know is in it. `rotation_power` has the d' of
-effects that only motion shows.
+calibration may absorb, which is projecting it out: the gyroscope's constant bias and the Earth's rate, one
+unknown vector of the ground for the recording; the accelerometer's bias and nine scale terms, and for every
+rest the unknown attitude with a steady creep of it. No observer of the rests can do better than this d',
+because all that such an observer could know is in it. `rotation` has the d' of effects of motion only.
 """
 
 from __future__ import annotations
@@ -23,10 +22,6 @@ BIAS, SCALE, POSE, CREEP = 1.0, 0.5, 1.0, 0.01
 
 GYRO_BIAS = 0.2
 """The same for the gyroscope's bias, rad/s."""
-
-
-LINEAR, ALIKE = 0.25, 0.2
-"""Part of the Earth's rate that may be linear in up; how far apart attitudes are, rad."""
 
 
 def accelerometer_precision(bins: Bins, colour: Colour) -> Array:
@@ -70,21 +65,15 @@ def gyroscope_precision(bins: Bins, colour: Colour) -> Array:
 
 
 def _turning(bins: Bins) -> Array:
-    """Return what the Earth's rate may do to the bins, columns (3m, k) scaled by their priors.
+    """Return what the Earth's rate may do to the bins, columns (3m, 3) scaled by its size.
 
-    About up as at 45 degrees; about the unknown north of every rest, and of every attitude, for a phone may
-    lie again as it lay; and where heading is a matter of attitude, some of it linear in up.
+    The Earth turns about one axis all the time, and the gyroscope itself carries that axis from rest to rest:
+    a turn of 90 degrees that is known to 1 % leaves the axis known to 1 degree, which is 1e-6 rad/s. So it is
+    one unknown vector of the ground for the whole recording, seen along up, north and east.
     """
     up = bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True)
-    columns = [EARTH / math.sqrt(2.0) * up.T]
-    eye = np.eye(3)
-    columns += [LINEAR * EARTH * eye[a][:, None] * up[:, b] for a in range(3) for b in range(3) if a != b]
-    _, place = np.unique(np.round(up / ALIKE), axis=0, return_inverse=True)
-    for group in (bins.rest, place.ravel()):
-        for one in np.unique(group):
-            inside = group == one
-            columns += [0.5 * EARTH * tangent[:, None] * inside for tangent in _tangents(up[inside][0])]
-    return np.stack([c.ravel() for c in columns], axis=1)
+    east = np.cross(bins.north, up)
+    return np.stack([EARTH * v.T.ravel() for v in (up, bins.north, east)], axis=1)
 
 
 def precision(bins: Bins, sensor: str, colour: Colour) -> Array:

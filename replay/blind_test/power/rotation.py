@@ -11,8 +11,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.blind_test.power.detectability import GYRO_BIAS
 from stillcal.replay.blind_test.world.day import World
-from stillcal.replay.blind_test.world.days import rotated
 from stillcal.replay.blind_test.world.noise import Colour
+from stillcal.replay.blind_test.world.turning import rotated
 
 SCALE = 0.1
 """Prior standard deviation of the gyroscope's scale and misalignment."""

@@ -23,6 +23,7 @@ class World:
     """True motion and surroundings at times t (n,) s.
 
     force, rate, rate_dot: (n, 3) specific force m/s^2, angular rate rad/s and its derivative, in body axes.
+    north: (n, 3) one fixed horizontal direction of the ground, in body axes; during rests only it is exact.
     temperature: (n,) degC. charging: (n,) 0 or 1. drive: (k, 2) times in s and heating from then on.
     rests: (r, 2) s, beginnings and ends. turns: (q, 6) begin, end, axis in the body; empty where unknown.
     """
@@ -31,6 +32,7 @@ class World:
     force: Array
     rate: Array
     rate_dot: Array
+    north: Array
     temperature: Array
     charging: Array
     drive: Array
@@ -53,14 +55,15 @@ class World:
 class Bins:
     """A world averaged over m bins within rests.
 
-    width: s. t: (m,) s, centres. rest: (m,) number of the rest. since: (m,) s since its start. drive: (k, 2)
-    as in World, like the other fields.
+    width: s. t: (m,) s, centres. rest: (m,) number of the rest. since: (m,) s since its start. The other
+    fields are as in World.
     """
 
     width: float
     t: Array
     rest: Array
     force: Array
+    north: Array
     temperature: Array
     charging: Array
     drive: Array
@@ -75,10 +78,11 @@ def binned(world: World) -> Bins:
     width = max(WIDTH_S, world.duration / MOST_BINS)
     centres, rests = _centres(world, width)
     begin = world.rests[rests.astype(np.int64), 0]
-    force, temperature, charging = (
-        averaged(world, centres, width, v) for v in (world.force, world.temperature, world.charging)
+    force, north, temperature, charging = (
+        averaged(world, centres, width, v)
+        for v in (world.force, world.north, world.temperature, world.charging)
     )
-    return Bins(width, centres, rests, force, temperature, charging, world.drive, centres - begin)
+    return Bins(width, centres, rests, force, north, temperature, charging, world.drive, centres - begin)
 
 
 def averaged(world: World, centres: Array, width: float, values: Array) -> Array:

@@ -14,7 +14,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.blind_test.world.day import EARTH, World, lagged
+from stillcal.replay.blind_test.world.grounds import stirred
 from stillcal.replay.blind_test.world.noise import log_uniform
+from stillcal.replay.blind_test.world.turning import minimum_jerk, rotated, rows_between, tones
 
 LEAST_REST_S = 14.0
 """Shortest rest, s: one bin of 10 s and the margins at both ends, with some to spare."""
@@ -24,8 +26,8 @@ LEAST_REST_S = 14.0
 class Day:
     """Settings of one recording's motion.
 
-    rest_s: s, range of a rest's length. attitudes: number of different ones. stirred: what moves the phone at
-    rest: None, breathing, heartbeat, creep or vehicle. vivid: whether it is shaken and spun between rests.
+    rest_s: s, range of a rest's length. attitudes: number of different ones. ground: what the phone lies on,
+    one of `GROUNDS`, or a chest whose heartbeat it feels. vivid: whether it is shaken and spun between rests.
     pivot: whether it is rotated about a fixed point, as on a hinge. plugs: how often the charger is plugged
     in. gravity: m/s^2. earth_rotation: whether the gyroscope measures the Earth's rotation.
     """
@@ -34,7 +36,7 @@ class Day:
     rate_hz: float
     rest_s: tuple[float, float] = (20.0, 80.0)
     attitudes: int = 12
-    stirred: str | None = None
+    ground: str = "firm"
     vivid: bool = False
     pivot: bool = False
     plugs: int = 3
@@ -49,20 +51,21 @@ def play(day: Day, rng: np.random.Generator) -> World:
     t = np.arange(int(day.duration * day.rate_hz)) / day.rate_hz
     rests, turns = _course(day, rng)
     up, north, rate, rate_dot = _turned(day, t, rests, turns, rng)
-    earth = day.earth_rotation * _earth(up, north, rng)
     push = np.zeros_like(up)
     for begin, end in zip(rests[:-1, 1], rests[1:, 0], strict=True):
-        rows = _rows(t, begin, end)
+        rows = rows_between(t, begin, end)
         push[rows] += _hand(t[rows], day, rng)
         if day.vivid:
             push[rows] += _shake(t[rows], rng)
-    rests = _stirred(day, t, rests, (up, rate, push), rng)
+    rests = stirred(day.ground, t, (rests, turns), (up, north, rate, push), rng)
+    earth = day.earth_rotation * _earth(up, north, rng)
     drive = _drive(day, rng)
     return World(
         t,
         day.gravity * up + push,
         rate + earth,
         rate_dot,
+        north,
         _warmth(day, t, drive, rng),
         _charging_at(drive, t),
         drive,
@@ -75,11 +78,6 @@ def _earth(up: Array, north: Array, rng: np.random.Generator) -> Array:
     """Return the Earth's rate (n, 3) in the body, somewhere between 65 degrees south and north."""
     latitude = math.radians(rng.uniform(-65.0, 65.0))
     return EARTH * (math.sin(latitude) * up + math.cos(latitude) * north)
-
-
-def _rows(t: Array, begin: float, end: float) -> slice:
-    first, last = np.searchsorted(t, (begin, end))
-    return slice(int(first), int(last))
 
 
 def _course(day: Day, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -115,14 +113,14 @@ def _turned(
     here = known[0]
     ahead = np.cross(here, rng.standard_normal(3))
     ahead /= np.linalg.norm(ahead)
-    first = _rows(t, 0.0, rests[0, 1])
+    first = rows_between(t, 0.0, rests[0, 1])
     up[first], north[first] = here, ahead
     for turn, (begin, end) in zip(turns, rests[1:], strict=True):
         there = known[rng.integers(len(known))] if len(known) > 1 else _nearby(here, rng)
         axis, angle = _way(here, there, rng)
         angle += math.copysign(2.0 * math.pi, angle) * day.vivid  # a whole spin more ends where it would
         turn[2:5], turn[5] = axis, angle
-        rows, then = _rows(t, turn[0], turn[1]), _rows(t, begin, end + 1.0)
+        rows, then = rows_between(t, turn[0], turn[1]), rows_between(t, begin, end + 1.0)
         turned, speed, jerk = minimum_jerk(t[rows] - turn[0], turn[1] - turn[0], angle)
         up[rows], north[rows] = rotated(here, axis, -turned), rotated(ahead, axis, -turned)
         rate[rows], rate_dot[rows] = speed[:, None] * axis, jerk[:, None] * axis
@@ -152,36 +150,13 @@ def _way(here: Array, there: Array, rng: np.random.Generator) -> tuple[Array, fl
     return axis, math.atan2(float(axis @ np.cross(b, a)), float(a @ b))
 
 
-def rotated(vector: Array, axis: Array, angle: Array) -> Array:
-    """Rotate a vector (3,) about a unit axis (3,) by angles (n,) rad; shape (n, 3). Rodrigues' formula."""
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    turned: Array = vector * c + np.cross(axis, vector) * s + axis * (axis @ vector) * (1.0 - c)
-    return turned
-
-
-def minimum_jerk(t: Array, length: float, angle: float) -> tuple[Array, Array, Array]:
-    """Return the angle turned, its rate and acceleration at times t (n,) s into a turn of `length` s."""
-    s = np.clip(t / length, 0.0, 1.0)
-    place = angle * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-    speed = angle / length * 30.0 * s**2 * (1.0 - s) ** 2
-    change = angle / length**2 * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
-    return place, speed, change
-
-
 def _hand(t: Array, day: Day, rng: np.random.Generator) -> Array:
     """Return the acceleration (n, 3) that a hand adds while it turns the phone."""
     if t.size < 2:
         return np.zeros((t.size, 3))
     size = 0.01 if day.pivot else log_uniform(rng, 0.05, 0.3)
     window = np.sin(math.pi * (t - t[0]) / (t[-1] - t[0])) ** 2
-    return np.asarray(size * window[:, None] * _tones(t, rng, (0.5, 4.0), 4))
-
-
-def _tones(t: Array, rng: np.random.Generator, band: tuple[float, float], count: int) -> Array:
-    """Return sums of `count` tones of unit variance on three axes; shape (n, 3)."""
-    pitch, phase = rng.uniform(*band, (count, 3)), rng.uniform(0.0, 2.0 * math.pi, (count, 3))
-    waves = np.sin(2.0 * math.pi * pitch * t[:, None, None] + phase)
-    return np.asarray(waves.sum(axis=1) * math.sqrt(2.0 / count))
+    return np.asarray(size * window[:, None] * tones(t, rng, (0.5, 4.0), 4))
 
 
 def _shake(t: Array, rng: np.random.Generator) -> Array:
@@ -192,56 +167,6 @@ def _shake(t: Array, rng: np.random.Generator) -> Array:
     axis = rng.standard_normal(3)
     wave = rng.uniform(8.0, 25.0) * window * np.sin(6.0 * math.pi * t)
     return np.asarray(wave[:, None] * axis / np.linalg.norm(axis))
-
-
-def _stirred(
-    day: Day, t: Array, rests: Array, motion: tuple[Array, Array, Array], rng: np.random.Generator
-) -> Array:
-    """Add the motion of a phone at rest, and return the spans that are still rests."""
-    up, rate, push = motion
-    if day.stirred == "vehicle":
-        return _driven(t, rests, rate, push, rng)
-    for begin, end in rests if day.stirred in ("breathing", "creep") else []:
-        rows = _rows(t, begin, end)
-        _tilt(t[rows] - begin, up[rows], rate[rows], day.stirred == "creep", rng)
-    if day.stirred == "heartbeat":
-        push += _beats(t, rng)[:, None] * (up + 0.3 * rng.standard_normal(3))
-    return rests
-
-
-def _tilt(t: Array, up: Array, rate: Array, creeps: bool, rng: np.random.Generator) -> None:
-    """Tilt a rest's rows in place by breathing or creep, and add the rate of that tilt."""
-    axis = np.cross(up[0], rng.standard_normal(3))
-    axis /= np.linalg.norm(axis)
-    if creeps:
-        depth, tau = log_uniform(rng, 2e-5, 2e-3), log_uniform(rng, 60.0, 600.0)
-        angle, speed = depth * -np.expm1(-t / tau), depth / tau * np.exp(-t / tau)
-    else:
-        depth, pitch = log_uniform(rng, 1e-4, 1.5e-3), 2.0 * math.pi * rng.uniform(0.2, 0.33)
-        angle, speed = depth * (1.0 - np.cos(pitch * t)), depth * pitch * np.sin(pitch * t)
-    up -= angle[:, None] * np.cross(axis, up)
-    rate += speed[:, None] * axis
-
-
-def _beats(t: Array, rng: np.random.Generator) -> Array:
-    """Return the acceleration of a heart under the phone: a 6 Hz wavelet some 70 times a minute; (n,)."""
-    height = log_uniform(rng, 2e-3, 1.5e-2)
-    beats = np.cumsum(rng.normal(0.86, 0.04, int(t[-1] / 0.7) + 2))
-    since = t - beats[np.clip(np.searchsorted(beats, t, side="right") - 1, 0, None)]
-    since = np.where(since < 0.0, 9.0, since)
-    return np.asarray(height * np.exp(-since / 0.12) * np.sin(2.0 * math.pi * 6.0 * since))
-
-
-def _driven(t: Array, rests: Array, rate: Array, push: Array, rng: np.random.Generator) -> Array:
-    """Replace the middle third by a drive with road, braking and bends; return the rests outside it."""
-    begin, end = t[-1] / 3.0, 2.0 * t[-1] / 3.0
-    rows = _rows(t, begin, end)
-    count = rows.stop - rows.start
-    road = rng.standard_normal((count, 3)) * rng.uniform(0.05, 0.3)
-    push[rows] += road + 0.6 * _tones(t[rows], rng, (0.02, 0.2), 5)
-    rate[rows] += 0.01 * rng.standard_normal((count, 3))
-    outside = (rests[:, 1] < begin) | (rests[:, 0] > end)
-    return np.asarray(rests[outside])
 
 
 def _drive(day: Day, rng: np.random.Generator) -> Array:

@@ -24,7 +24,15 @@ def _spread(course: Array, values: Any) -> Array:
 
 
 def _by_temperature(felt: Felt, p: Parameters) -> Array:
-    return _spread(felt.temperature - 25.0, p["slope"])
+    """Return a bias by temperature: a straight line, and any curve or part by the rate of warming."""
+    above = felt.temperature - float(p.get("reference_c", 25.0))
+    bias = _spread(above, p["slope"])
+    for power, name in ((2, "quadratic"), (3, "cubic")):
+        if name in p:
+            bias = bias + _spread(above**power, p[name])
+    if "rate" in p:
+        bias = bias + _spread(np.gradient(felt.temperature, felt.t), p["rate"])
+    return bias
 
 
 def _scale_by_temperature(felt: Felt, p: Parameters) -> Array:

@@ -14,7 +14,8 @@ from click.testing import CliRunner
 from stillcal.replay.blind_test import answer as answering
 from stillcal.replay.blind_test import baselines
 from stillcal.replay.blind_test import run as proof
-from stillcal.replay.blind_test.cases import Design, make_case
+from stillcal.replay.blind_test.cases import make_case
+from stillcal.replay.blind_test.designs import Design
 from stillcal.replay.blind_test.make import make, write_recording
 from stillcal.replay.commands.blind_test import challenge_group, prove_command
 from stillcal.replay.formats.trace import read_all
@@ -31,7 +32,7 @@ def test_the_commands_from_end_to_end(challenge: Path, tmp_path: Path) -> None:
     runner, recordings = CliRunner(), str(challenge / "recordings")
     out, told = tmp_path / "bic", tmp_path / "scores.json"
     done = runner.invoke(
-        challenge_group, ["answer", recordings, "--out", str(out), "--solver", "affine_white_bic"]
+        challenge_group, ["answer", recordings, "--out", str(out), "--solver", "affine_coloured_bic"]
     )
     assert done.exit_code == 0, done.output
     assert sorted(p.name for p in out.iterdir()) == [f"r{i:04d}.json" for i in range(1, 6)]
@@ -51,7 +52,7 @@ def test_keys_of_ones_own_are_sealed_and_scored(challenge: Path, tmp_path: Path)
         folder.mkdir()
     (recordings / "r7.csv").write_bytes((challenge / "recordings" / "r0001.csv").read_bytes())
     (keys / "r7.json").write_text('{"kind": "null"}')
-    (answers / "r7.json").write_text('{"schema": 1, "verdict": "adequate", "findings": []}')
+    (answers / "r7.json").write_text('{"schema": 1, "verdict": "match", "findings": []}')
     arguments = [str(recordings), "--keys", str(keys)]
     assert runner.invoke(challenge_group, ["commit", *arguments]).exit_code == 0
     again = runner.invoke(challenge_group, ["commit", *arguments])
@@ -87,7 +88,7 @@ def test_the_answering_process_cannot_open_a_key(challenge: Path, tmp_path: Path
 import sys
 from pathlib import Path
 from stillcal.replay.blind_test import answer as answering
-answering.run("affine_white_bic", Path({str(tmp_path)!r}), ["r0001"])
+answering.run("affine_coloured_bic", Path({str(tmp_path)!r}), ["r0001"])
 assert not [m for m in sys.modules if m.rpartition(".")[2] in ("cases", "keys", "make")]
 open({str(key)!r}).read()
 """
@@ -99,7 +100,7 @@ open({str(key)!r}).read()
         check=False,
     )
     assert "may read its recordings only" in done.stderr and done.returncode != 0
-    assert json.loads((tmp_path / "r0001.json").read_bytes())["verdict"] in ("adequate", "explained")
+    assert json.loads((tmp_path / "r0001.json").read_bytes())["verdict"] in ("match", "identified")
 
 
 def test_a_solver_that_breaks_answers_failed(tmp_path: Path) -> None:
@@ -119,7 +120,7 @@ def test_a_process_that_dies_is_an_error(
 def test_the_whole_proof_leaves_keys_only_after_the_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(proof, "SOLVERS", ("affine_white_bic", "sparse_regression"))
+    monkeypatch.setattr(proof, "SOLVERS", ("affine_coloured_bic", "sparse_regression"))
     monkeypatch.setattr(proof, "can_leave_out", lambda: False)
     stages: dict[str, bool] = {}
 
@@ -127,7 +128,7 @@ def test_the_whole_proof_leaves_keys_only_after_the_answers(
         stages[stage] = (tmp_path / "keys").exists()
 
     verdict = proof.prove(tmp_path, 5, 4, tick=tick)
-    assert stages == {"making": False, "affine_white_bic": False, "sparse_regression": False}
+    assert stages == {"making": False, "affine_coloured_bic": False, "sparse_regression": False}
     assert len(verdict.marks) == 5 and [s.solver for s in verdict.scores] == list(proof.SOLVERS)
 
 
@@ -136,16 +137,17 @@ def test_prove_says_what_it_is() -> None:
     assert done.exit_code == 0 and "hide effects, seal the keys, diagnose, reveal" in done.output
 
 
-@pytest.mark.parametrize("solver", ["affine_white_bic", "sparse_regression"])
+@pytest.mark.parametrize("solver", ["affine_coloured_bic", "sparse_regression"])
 def test_the_baselines_find_a_plain_effect_in_white_noise(solver: str, tmp_path: Path) -> None:
     """They are to be beaten, not to be made of straw."""
-    design = Design("single", "white", "examiner", ("gyro_bias_temperature",), 200.0, False)
-    recording, key = make_case(design, 11, 3)
-    write_recording(tmp_path / "r.csv", recording)
+    design = Design("single", "white", "examiner", ("gyro_bias_temperature",), 2000.0, False)
+    case = make_case(design, 11, 3)
+    key = case.key
+    write_recording(tmp_path / "r.csv", case.recording)
     answer = baselines.SOLVERS[solver](read_all(tmp_path / "r.csv"), "r.csv")
     named = {f["effect"]: f for f in answer["findings"]}
     assert "gyro_bias_temperature" in named
-    if solver == "affine_white_bic":
+    if solver == "affine_coloured_bic":
         told = named["gyro_bias_temperature"]["parameters"]["slope"]["value"]
         assert told == pytest.approx(key.effects[0].parameters["slope"], rel=0.3, abs=3e-5), (
             "the Earth turns 7e-5 rad/s while it warms by a few K"

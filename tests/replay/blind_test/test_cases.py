@@ -11,17 +11,22 @@ import numpy as np
 import pytest
 
 from stillcal.replay.blind_test import simulator_cases as simulated
-from stillcal.replay.blind_test.cases import DECOYS, Design, make_case, planned
+from stillcal.replay.blind_test.cases import make_case
+from stillcal.replay.blind_test.designs import DECOYS, HIDDEN, SHARES, VARIANTS, Design, planned
+from stillcal.replay.blind_test.hidden.near_shapes import NEAR_SHAPES
+from stillcal.replay.blind_test.hidden.off_catalogue import OFF_CATALOGUE
+from stillcal.replay.blind_test.hidden.off_catalogue_reserve import RESERVE
 from stillcal.replay.blind_test.keys import SealError, TrueEffect, opened, seal_of, sealed
 from stillcal.replay.blind_test.make import ChallengeError, make, read_manifest
-from stillcal.replay.blind_test.off_catalogue import OFF_CATALOGUE
 from stillcal.replay.blind_test.power import detectability as power
 from stillcal.replay.blind_test.power import direct as sizes
+from stillcal.replay.blind_test.power.misfit import left_by_names
 from stillcal.replay.blind_test.power.sizing import NAMES, Stage, drawn_effect, put_in
 from stillcal.replay.blind_test.world import phones
 from stillcal.replay.blind_test.world.day import binned, over_bins
 from stillcal.replay.blind_test.world.days import Day, play
-from stillcal.replay.blind_test.world.forward_model import FORWARD
+from stillcal.replay.blind_test.world.forward_model import FORWARD, played
+from stillcal.replay.blind_test.world.grounds import GROUNDS
 from stillcal.replay.blind_test.world.phones import Additions
 
 DOCUMENTED = """
@@ -37,7 +42,8 @@ bandwidth lever_arm
 
 def test_every_documented_effect_is_in_the_examination() -> None:
     assert sorted(NAMES) == sorted(DOCUMENTED.split())
-    assert not set(OFF_CATALOGUE) & set(NAMES)
+    assert not set(HIDDEN) & set(NAMES)
+    assert len(OFF_CATALOGUE) >= 10 and len(RESERVE) >= 10 and len(OFF_CATALOGUE) + len(RESERVE) >= 20
 
 
 def stage_of(seed: int, **day: object) -> Stage:
@@ -84,12 +90,11 @@ def test_the_simulated_phone_and_the_examiner_agree_on_slow_effects(name: str) -
     phone = phones.drawn_phone("white", 25.0, 9.812, rng)
     phone = replace(phone, accel=replace(phone.accel, lsb=1e-7), gyro=replace(phone.gyro, lsb=1e-8))
     day = simulated.drawn_day(400.0, rng)
-    world = simulated.world_of(simulated.simulated(phone, day, [], 9, False))
+    world = simulated.world_of(simulated.simulated(phone, day, [], 9), 25.0)
     stage = Stage(world, binned(world), phone, rng)
     effect = drawn_effect(stage, name, 30.0)
-    plain, with_it = (
-        simulated.recorded(simulated.simulated(phone, day, e, 9, False), phone) for e in ([], [effect])
-    )
+    entries = [simulated.entry_of(phone, effect)]
+    plain, with_it = (simulated.recorded(simulated.simulated(phone, day, e, 9), phone) for e in ([], entries))
     told = "gyroscope" if effect.sensor == "gyro" else "accelerometer"
     difference = getattr(with_it, told).xyz - getattr(plain, told).xyz
     added = Additions.none(world)
@@ -98,7 +103,7 @@ def test_the_simulated_phone_and_the_examiner_agree_on_slow_effects(name: str) -
         np.clip(np.searchsorted(world.t, getattr(plain, told).t), 0, world.t.size - 1)
     ]
     switched = [effect.parameters.get("at_s", -9.0), *world.drive[:, 0]]
-    near = (np.abs(getattr(plain, told).t[:, None] - switched) < 2.0 * simulated.GRID_S).any(axis=1)
+    near = (np.abs(getattr(plain, told).t[:, None] - switched) < 1.0).any(axis=1)
     inside = (world.rest_of(getattr(plain, told).t) >= 0) & ~near
     assert np.abs(difference - expected)[inside].max() < 0.02 * np.abs(expected[inside]).max()
 
@@ -118,43 +123,93 @@ def test_sizes_are_the_inverse_of_what_they_are_drawn_from() -> None:
     assert lost / np.hypot(np.sqrt(lost / 30_000), sizes.DROP_SPREAD) == pytest.approx(5.0)
 
 
-def test_the_plan_has_every_kind_and_about_half_from_either_maker() -> None:
+def test_the_plan_has_every_kind_and_in_each_about_half_from_either_maker() -> None:
     designs = planned(1000, 1)
-    kinds, makers = Counter(d.kind for d in designs), Counter(d.maker for d in designs)
-    assert len(designs) == 1000 and set(kinds) == {"null", "decoy", "single", "pair", "off_catalogue"}
-    assert 0.4 < makers["simulator"] / 1000 < 0.6
-    assert {d.names[0] for d in designs if d.kind == "decoy"} == set(DECOYS)
-    assert {d.names[0] for d in designs if d.kind == "single"} == set(NAMES)
-    assert {d.names[0] for d in designs if d.kind == "off_catalogue"} == set(OFF_CATALOGUE)
+    assert len(designs) == 1000 and {d.kind for d in designs} == set(SHARES)
+    for kind in SHARES:
+        of_it = [d for d in designs if d.kind == kind]
+        share = sum(d.maker == "simulator" for d in of_it) / len(of_it)
+        assert 0.35 < share < 0.65, kind
+        if kind != "null":
+            assert {d.names for d in of_it} == set(VARIANTS[kind]), kind
+    assert {d.ground for d in designs if d.kind == "null"} == set(GROUNDS)
+    assert {d.ground for d in designs if d.kind != "null"} == {"firm"}
     assert 10 <= sum(d.full_length for d in designs) <= 30
+    assert Counter(d.kind for d in planned(1000, 1, ["reserve"]))["reserve"] == 120
 
 
-@pytest.mark.parametrize("name", [*OFF_CATALOGUE])
-def test_off_catalogue_effects_are_in_their_recordings(name: str) -> None:
-    recording, key = make_case(Design("off_catalogue", "white", "examiner", (name,), 16.0, False), 6, 1)
-    assert key.exam is not None
-    added = np.abs(getattr(key.exam, OFF_CATALOGUE[name].sensor)).max()
-    assert (added > 0.0) == (OFF_CATALOGUE[name].course is not None)
+@pytest.mark.parametrize("maker", ["examiner", "simulator"])
+@pytest.mark.parametrize("name", [*HIDDEN])
+def test_hidden_kinds_are_in_their_recordings(name: str, maker: str) -> None:
+    """What is sized by rests is in the bins that the key stores, and the key says what it is near to."""
+    kind = HIDDEN[name]
+    if maker == "simulator" and kind.vivid:
+        pytest.skip("only the examiner shakes its phones")
+    case = make_case(Design("near_shape", "white", maker, (name,), 9.0, False), 6, 1)
+    key, samples = case.key, case.recording.accelerometer
+    assert key.exam is not None and np.isfinite(samples.xyz).all()
+    assert (np.diff(samples.t) > 0.0).all(), "time runs on"
+    sensor = kind.sensor if kind.sensor != "timing" else "accel"
+    assert (np.abs(getattr(key.exam, sensor)).max() > 0.0) or not kind.sized
+    assert (key.misfit is not None) == kind.sized
+    assert key.nearest == list(kind.nearest) and key.entailed == list(kind.entailed)
     assert key.effects[0].t_end > key.effects[0].t_start
-    assert np.isfinite(recording.accelerometer.xyz).all()
+    assert set(key.nearest) <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", [n for n, k in HIDDEN.items() if k.altered is not None])
+def test_kinds_that_alter_a_finished_recording_do(name: str) -> None:
+    kind, stage = HIDDEN[name], stage_of(3, vivid=HIDDEN[name].vivid)
+    recording = phones.recorded(stage.world, stage.phone, Additions.none(stage.world), stage.rng)
+    assert kind.altered is not None
+    altered, begin, end = kind.altered(recording, stage)
+    changed = [
+        not np.array_equal(getattr(getattr(recording, s), f), getattr(getattr(altered, s), f))
+        for s in ("accelerometer", "gyroscope")
+        for f in ("t", "xyz")
+    ]
+    of = {"accel": [False, True, False, False], "gyro": [False, False, False, True]}
+    assert changed == of.get(kind.sensor, [True, False, True, False])
+    assert 0.0 <= begin < end
+
+
+def test_a_named_effect_leaves_nothing_of_itself_and_something_of_a_near_shape() -> None:
+    stage = stage_of(5)
+    for name in ("accel_bias_temperature", "accel_charging_bias"):
+        delta = played(stage.bins, name, {"slope": [0.1, 0.0, 0.0], "step": [0.0, 0.1, 0.1]})
+        weight = stage.weight("accel")
+        assert left_by_names(stage.bins, "accel", weight, delta) < 1e-3 * power.d_prime(weight, delta)
+    curve = over_bins(stage.world, stage.bins, NEAR_SHAPES["saturating_temperature"].added(stage))  # type: ignore[misc]
+    line = left_by_names(stage.bins, "accel", weight, curve, ("accel_bias_temperature",))
+    every = left_by_names(stage.bins, "accel", weight, curve)
+    assert every < line < power.d_prime(weight, curve), "a cubic follows a saturation better than a line"
 
 
 @pytest.mark.parametrize("decoy", DECOYS)
 def test_decoys_conceal_nothing(decoy: str) -> None:
-    recording, key = make_case(Design("decoy", "flicker", "examiner", (decoy,), 10.0, False), 7, 1)
-    assert key.effects == [] and key.variant == decoy
-    assert (recording.claims.gravity is None) == (decoy == "location")
+    for maker in ("examiner", *(["simulator"] if decoy in simulated.DECOYS else [])):
+        case = make_case(Design("decoy", "flicker", maker, (decoy,), 10.0, False), 7, 1)
+        assert case.key.effects == [] and case.key.variant == decoy
+        assert (case.recording.claims.gravity is None) == (decoy == "location")
+
+
+@pytest.mark.parametrize("ground", simulated.GROUNDS)
+def test_a_simulated_phone_lies_on_every_ground_and_hides_nothing(ground: str) -> None:
+    case = make_case(Design("null", "white", "simulator", (), 2.0, False, ground), 7, 2)
+    assert case.key.effects == [] and case.key.ground == ground
+    rows = case.recording.accelerometer.xyz
+    assert np.linalg.norm(rows, axis=1).mean() == pytest.approx(9.8, abs=0.6)
 
 
 def test_a_case_is_its_design_seed_and_index() -> None:
     design = Design("single", "mixture", "examiner", ("accel_warmup",), 8.0, False)
-    (a, key_a), (b, key_b), (c, _) = (make_case(design, 8, i) for i in (1, 1, 2))
-    assert np.array_equal(a.accelerometer.xyz, b.accelerometer.xyz) and key_a == key_b
-    assert not np.array_equal(a.accelerometer.xyz[:100], c.accelerometer.xyz[:100])
+    a, b, c = (make_case(design, 8, i) for i in (1, 1, 2))
+    assert np.array_equal(a.recording.accelerometer.xyz, b.recording.accelerometer.xyz) and a.key == b.key
+    assert not np.array_equal(a.recording.accelerometer.xyz[:100], c.recording.accelerometer.xyz[:100])
 
 
 def test_a_seal_is_the_sum_of_the_file_and_breaks_with_one_bit() -> None:
-    _, key = make_case(Design("null", "white", "examiner", (), 2.0, False), 9, 1)
+    key = make_case(Design("null", "white", "examiner", (), 2.0, False), 9, 1).key
     file = sealed(key)
     assert seal_of(file) == hashlib.sha256(file).hexdigest()
     assert opened(file, seal_of(file), "r0001.key") == key
@@ -174,9 +229,7 @@ def test_a_key_of_another_kind_is_refused() -> None:
 def test_recordings_tell_nothing_of_what_is_in_them(tmp_path: Path) -> None:
     manifest = make(tmp_path / "recordings", tmp_path / "keys", 4, 3)
     assert read_manifest(tmp_path / "recordings") == manifest
-    words = [
-        w.encode() for w in (*NAMES, *OFF_CATALOGUE, *DECOYS, "examiner", "simulator", "flicker", "seed")
-    ]
+    words = [w.encode() for w in (*NAMES, *HIDDEN, *DECOYS, "examiner", "simulator", "flicker", "seed")]
     for path in (tmp_path / "recordings").iterdir():
         assert path.name == "manifest.json" or (path.name[0] == "r" and path.name[1:5].isdigit())
         head = path.read_bytes()[:4096]
@@ -187,8 +240,7 @@ def test_recordings_tell_nothing_of_what_is_in_them(tmp_path: Path) -> None:
 
 
 def test_true_effects_of_a_pair_are_both_told() -> None:
-    _, key = make_case(
-        Design("pair", "white", "simulator", ("accel_bias_step", "dropped_samples"), 16.0, False), 10, 1
-    )
+    design = Design("pair", "white", "simulator", ("accel_bias_step", "dropped_samples"), 16.0, False)
+    key = make_case(design, 10, 1).key
     assert [e.effect for e in key.effects] == ["accel_bias_step", "dropped_samples"]
     assert isinstance(key.effects[0], TrueEffect) and key.effects[0].t_start > 0.0

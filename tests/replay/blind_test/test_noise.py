@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from stillcal.replay.blind_test.power import detectability as power
 from stillcal.replay.blind_test.power.rotation import turn_d_prime
 from stillcal.replay.blind_test.world.day import Bins, binned, lagged
-from stillcal.replay.blind_test.world.days import Day, minimum_jerk, play, rotated
+from stillcal.replay.blind_test.world.days import Day, play
 from stillcal.replay.blind_test.world.forward_model import played
 from stillcal.replay.blind_test.world.noise import FAMILIES, Colour, drawn_colour
+from stillcal.replay.blind_test.world.turning import minimum_jerk, rotated
 
 
 @pytest.fixture(scope="module")
@@ -108,16 +109,20 @@ def test_gravity_turns_as_the_rate_says() -> None:
     assert np.abs(np.gradient(world.rate, 1.0 / 400.0, axis=0) - world.rate_dot).max() < 0.05
 
 
-@pytest.mark.parametrize("stirred", ["breathing", "creep"])
-def test_what_tilts_a_resting_phone_is_told_to_the_gyroscope_too(stirred: str) -> None:
-    day = Day(120.0, 100.0, rest_s=(50.0, 60.0), stirred=stirred, earth_rotation=False)
+@pytest.mark.parametrize("ground", ["foam", "cushion", "breathing", "sagging"])
+def test_what_tilts_a_resting_phone_is_seen_by_both_sensors(ground: str) -> None:
+    """In rests and through the turns between them, gravity turns by what the gyroscope turns."""
+    day = Day(120.0, 200.0, rest_s=(30.0, 40.0), ground=ground, pivot=True, earth_rotation=False)
     world = play(day, np.random.default_rng(6))
-    begin, end = world.rests[1]
-    rows = slice(*np.searchsorted(world.t, (begin + 1.0, end - 1.0)))
-    up = world.force[rows] / 9.80665
-    turned = np.cumsum(-np.cross(world.rate[rows], up) / 100.0, axis=0)
-    assert np.abs((up - up[0]) - (turned - turned[0])).max() < 1e-4
-    assert np.abs(up - up[0]).max() > 1e-6
+    up = world.force / 9.80665
+    turning = -np.cross(world.rate, up)
+    for begin, end in world.rests:
+        rows = slice(*np.searchsorted(world.t, (begin + 0.1, end - 0.1)))
+        turned = np.cumsum(turning[rows], axis=0) / 200.0
+        assert np.abs((up[rows] - up[rows][0]) - (turned - turned[0])).max() < 1e-4
+        assert np.abs(up[rows] - up[rows][0]).max() > 1e-6
+        assert np.abs(np.linalg.norm(up[rows], axis=1) - 1.0).max() < 1e-9
+    assert np.abs(np.gradient(up, 1.0 / 200.0, axis=0) - turning).max() < 0.1, "no jump that only one feels"
 
 
 @given(st.floats(-3.0, 3.0), st.floats(0.3, 5.0))
@@ -160,6 +165,16 @@ def test_scale_and_bias_of_the_gyroscope_are_absorbed_in_turns_too() -> None:
         turn_d_prime(world, played(world, "gyro_nonlinearity", {"quadratic": [0.02, 0.02, 0.02]}), colour)
         > 20.0
     )
+
+
+def test_one_vector_of_the_ground_is_absorbed_and_one_a_rest_is_not(bins: Bins) -> None:
+    weight = power.precision(bins, "gyro", Colour(2e-5))
+    up = bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True)
+    east = np.cross(bins.north, up)
+    assert power.d_prime(weight, 7e-5 * (0.3 * up + 0.8 * bins.north + 0.5 * east)) < 2.0
+    heading = np.where(bins.rest % 2.0 == 0.0, 0.0, math.pi)[:, None]
+    jumping = 7e-5 * (np.cos(heading) * bins.north + np.sin(heading) * east)
+    assert power.d_prime(weight, jumping) > 8.0
 
 
 def test_the_earth_turns_under_every_rest() -> None:

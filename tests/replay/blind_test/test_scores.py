@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from stillcal.replay.blind_test import confidence_bounds as bounds
-from stillcal.replay.blind_test.cases import DECOYS, Design, make_case
+from stillcal.replay.blind_test.cases import make_case
+from stillcal.replay.blind_test.designs import DECOYS, Design
 from stillcal.replay.blind_test.keys import Key, TrueEffect
 from stillcal.replay.blind_test.marking import marked
+from stillcal.replay.blind_test.reading import read
 from stillcal.replay.blind_test.scores import Score, compared, scored
+from stillcal.replay.blind_test.world.grounds import GROUNDS
 from stillcal.replay.blind_test.world.noise import FAMILIES
 
 SLOPE = TrueEffect(
@@ -40,11 +44,12 @@ def finding(effect: TrueEffect, name: str | None = None, **changes: Any) -> dict
         "where": {"t_start": effect.t_start, "t_end": effect.t_end},
         "parameters": parameters,
         "alternatives": [],
+        "probability": 0.97,
     } | changes
 
 
 def answer(*findings: dict[str, Any]) -> dict[str, Any]:
-    return {"schema": 1, "verdict": "explained" if findings else "adequate", "findings": list(findings)}
+    return {"schema": 2, "verdict": "identified" if findings else "match", "findings": list(findings)}
 
 
 def single(effect: TrueEffect = SLOPE) -> Key:
@@ -108,13 +113,77 @@ def test_silence_where_nothing_is_and_noise_where_something_is_said(kind: str) -
 
 
 def test_an_off_catalogue_effect_is_to_be_called_unknown_and_nothing_else() -> None:
-    strange = TrueEffect("axes_swapped", "accel", ["x", "y"], {}, None, 200.0, 400.0)
-    key = Key("off_catalogue", "white", "examiner", variant="axes_swapped", effects=[strange])
+    strange = TrueEffect("stale_blocks", "accel", ["x", "y"], {}, None, 200.0, 400.0)
+    key = Key("off_catalogue", "white", "examiner", variant="stale_blocks", effects=[strange])
     where = {"t_start": 300.0, "t_end": 400.0}
     mark = marked("r0001", key, answer(finding(strange, "unknown", where=where)))
     assert mark.right and mark.effects[0].overlap == 0.5
     assert not marked("r0001", key, answer(finding(strange, "unknown"), finding(SLOPE))).right
     assert not marked("r0001", key, answer()).right
+
+
+def near(*findings: dict[str, Any], verdict: str = "identified", misfit: float = 9.0) -> str | None:
+    hidden = TrueEffect("settling_step", "accel", ["x"], {}, 20.0, 0.0, 1000.0)
+    key = Key("near_shape", "white", "examiner", effects=[hidden], nearest=["accel_bias_step"], misfit=misfit)
+    mark = marked("r0001", key, answer(*findings) | {"verdict": verdict})
+    assert mark.right == (mark.near in ("stated", "fitted", "unknown"))
+    return mark.near
+
+
+def test_a_near_shape_is_named_with_its_misfit_or_called_unknown() -> None:
+    step, unknown = finding(STEP, "accel_bias_step"), finding(STEP, "unknown")
+    assert near(step) == "plain"
+    assert near(step, verdict="partly_identified") == "stated"
+    assert near(step, unknown) == "stated"
+    assert near(unknown) == "unknown"
+    assert near(finding(SLOPE)) == near(step, finding(SLOPE), unknown) == "other"
+    assert near() == "missed"
+
+
+def test_a_model_that_leaves_nothing_of_a_near_shape_is_right() -> None:
+    """A model that follows a course to within the noise is the whole of it, as far as anybody sees."""
+    design = Design("near_shape", "flicker", "examiner", ("settling_step",), 9.0, False)
+    key = make_case(design, 2, 1).key
+    assert key.exam is not None
+    key = replace(key, nearest=["accel_bias_temperature"])
+    exact = finding(SLOPE, parameters={"slope": {"value": [0.01, 0.0, 0.0], "ci95": None}})
+    assert marked("r0001", key, answer(exact)).near == "plain"
+    line = 0.01 * (np.array(key.exam.temperature) - 25.0)
+    exam = replace(key.exam, accel=np.stack([line, 0.0 * line, 0.0 * line], axis=1).tolist())
+    assert marked("r0001", replace(key, exam=exam), answer(exact)).near == "fitted"
+
+
+def test_stated_probabilities_are_held_against_the_truth() -> None:
+    def lines(true: int, false: int, probability: float) -> dict[str, bool | None]:
+        right, wrong = finding(SLOPE, probability=probability), finding(STEP, probability=probability)
+        marks = [marked("r", single(), answer(right)) for _ in range(true)]
+        marks += [marked("r", single(), answer(wrong)) for _ in range(false)]
+        return {line.what: line.holds for line in scored("x", marks).lines}
+
+    what = "findings of probability 0.95 to 0.99 that are true"
+    assert lines(97, 3, 0.97)[what] is True
+    assert lines(80, 20, 0.97)[what] is False
+    assert lines(80, 20, 0.8)["findings of probability 0.8 to 0.9 that are true"] is True
+    assert lines(1, 0, 0.97)["findings of probability 0.5 to 0.8 that are true"] is None
+
+
+def test_ninety_per_cent_intervals_are_narrower() -> None:
+    stated = finding(SLOPE)
+    truth = np.array(SLOPE.parameters["slope"])
+    stated["parameters"]["slope"] = {
+        "value": (truth + np.array([0.0, 0.9, 1.1])).tolist(),
+        "ci95": np.stack(
+            [truth + np.array([-1.0, -0.1, 0.1]), truth + np.array([1.0, 1.9, 2.1])], -1
+        ).tolist(),
+    }
+    mark = marked("r0001", single(), answer(stated)).effects[0]
+    assert mark.covered == [True, True, False] and mark.covered_90 == [True, False, False]
+
+
+def test_the_older_schema_reads_the_same() -> None:
+    old = {"schema": 1, "verdict": "partly_explained", "findings": [finding(SLOPE)]}
+    assert read(old).verdict == "partly_identified" and read({}).verdict == "failed"
+    assert read(old).statements[0].effect == SLOPE.effect
 
 
 @pytest.mark.parametrize(
@@ -126,9 +195,8 @@ def test_an_answer_without_the_layout_counts_as_not_said(rubbish: dict[str, Any]
 
 
 def test_a_models_worth_is_weighed_by_the_examiner() -> None:
-    _, key = make_case(
-        Design("single", "flicker", "examiner", ("accel_bias_temperature",), 12.0, False), 1, 1
-    )
+    design = Design("single", "flicker", "examiner", ("accel_bias_temperature",), 12.0, False)
+    key = make_case(design, 1, 1).key
     truth = key.effects[0]
     exact = marked("r0001", key, answer(finding(truth))).effects[0]
     assert exact.gain is not None and exact.oracle == pytest.approx(
@@ -146,25 +214,27 @@ def test_a_models_worth_is_weighed_by_the_examiner() -> None:
 
 def keys() -> list[Key]:
     """Return hand-made keys that touch every bar but the held-out gain."""
-    nulls = [Key("null", family, "examiner") for family in FAMILIES for _ in range(3)]
+    nulls = [Key("null", family, "examiner", ground=g) for family in FAMILIES for g in GROUNDS]
     decoys = [Key("decoy", "white", "examiner", variant=decoy) for decoy in DECOYS]
     sized = [
         TrueEffect(e.effect, e.sensor, e.axes, e.parameters, d, e.t_start, e.t_end)
         for d in (2.0, 4.0, 5.0, 8.0, 12.0, 20.0)
         for e in (SLOPE, LEVEL, STEP)
     ]
-    strange = TrueEffect("axes_swapped", "accel", ["x"], {}, None, 0.0, 1000.0)
+    strange = TrueEffect("stale_blocks", "gyro", ["x"], {}, None, 0.0, 1000.0)
+    near = TrueEffect("settling_step", "accel", ["x"], {}, 20.0, 0.0, 1000.0)
     return [
         *nulls,
         *decoys,
         *(single(e) for e in sized),
         Key("pair", "white", "examiner", effects=[SLOPE, STEP]),
-        Key("off_catalogue", "white", "examiner", variant="axes_swapped", effects=[strange]),
+        Key("off_catalogue", "white", "examiner", variant="stale_blocks", effects=[strange]),
+        Key("near_shape", "white", "examiner", effects=[near], nearest=["accel_bias_step"], misfit=9.0),
     ]
 
 
 def perfect(key: Key) -> dict[str, Any]:
-    if key.kind == "off_catalogue":
+    if key.kind in ("off_catalogue", "near_shape"):
         return answer(finding(key.effects[0], "unknown"))
     hidden = key.kind == "single" and (key.effects[0].d_prime or 0.0) < 4.5
     return answer(*([] if hidden else [finding(e) for e in key.effects]))
@@ -176,8 +246,8 @@ def failing(score: Score) -> set[str]:
 
 def test_perfect_answers_hold_every_bar_that_hand_made_keys_can_test() -> None:
     score = scored("perfect", [marked(f"r{i}", key, perfect(key)) for i, key in enumerate(keys())])
-    # Intervals of perfect answers hold the truth always, which is not 90 to 98 %: too wide is a fault too.
-    assert failing(score) == {"95 % intervals that hold the truth", "held-out gain, of the oracle's"}
+    # Intervals of perfect answers hold the truth always, which is not what they say: too wide is a fault too.
+    assert failing(score) == {"95 % intervals that hold the truth", "90 % intervals that hold the truth"}
     assert score.curve is not None and score.curve.d90 is not None and 4.0 < score.curve.d90 < 5.5
 
 

@@ -92,7 +92,9 @@ def _world(day: nulls.Day) -> World:
     """Return a day as the examiner sees one: it lies still, so nothing turns."""
     still, none = np.zeros((day.t.size, 3)), np.zeros((0, 2))
     force = nulls.G * day.up
-    return World(day.t, force, still, still, day.temperature, day.charging, none, none, np.zeros((0, 6)))
+    return World(
+        day.t, force, still, still, still, day.temperature, day.charging, none, none, np.zeros((0, 6))
+    )
 
 
 def _play(rng: np.random.Generator, day: nulls.Day, _last: Array) -> Array:
