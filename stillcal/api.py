@@ -29,9 +29,9 @@ from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.daemon.store.document import calibration_json
-from stillcal.replay.diagnosis.given_simulation import judge_simulation
-from stillcal.replay.diagnosis.report.answer import Request, answer_for_recording
-from stillcal.replay.diagnosis.report.summary import summary
+from stillcal.replay.diagnosis.diagnose import Request
+from stillcal.replay.diagnosis.diagnose import diagnose as find_differences
+from stillcal.replay.diagnosis.relation_text import summary
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.in_memory import column_names, of_arrays, of_table, warmed
 from stillcal.replay.formats.trace import Recording, read_all
@@ -293,11 +293,14 @@ def diagnose(
 
     Raises NotSupported where there is too little data, ValueError where the phone cannot be had.
     """
-    if simulated is not None:
-        return Diagnosis(judge_simulation(load(recording), load(simulated)).answer)
-    known = None if phone is None else load_phone(_text(phone))
-    request = Request(phone=known, phone_name="" if phone is None else _text(phone))
-    return Diagnosis(answer_for_recording(load(recording), request).answer)
+    if simulated is not None and phone is not None:
+        raise ValueError("give phone or simulated: each is another simulation")
+    request = Request(
+        simulated=None if simulated is None else load(simulated),
+        phone=None if phone is None else load_phone(_text(phone)),
+        phone_name="" if phone is None else Path(_text(phone)).name,
+    )
+    return Diagnosis(find_differences(load(recording), request).judged.answer)
 
 
 def simulate(scenario: PathLike, *, phone: PathLike = "typical", seed: int = 0) -> Recording:

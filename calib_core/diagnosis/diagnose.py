@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
-from stillcal.calib_core.diagnosis.model.records import NAME, Claims, Diagnosis, Finding, Where, verdict_of
+from stillcal.calib_core.diagnosis.model.records import NAME, Claims, Diagnosis, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
@@ -53,7 +53,7 @@ class Examination:
     bins: the static bins that slow effects are judged on; streams: each sensor's noise, steps and spectra;
     scenes: each sensor's slow residuals; turns: the rotation between rests (None where there is too little);
     aligned: both sensors' affine parameters (None without a gyroscope or rests); statements: the findings
-    with the hypotheses they state.
+    with the hypotheses they state. timed: whether it is known when what was recorded.
     """
 
     accelerometer: Samples
@@ -66,11 +66,16 @@ class Examination:
     turns: Scene | None
     statements: list[Stated]
     limits: list[str]
+    timed: bool = True
 
     def diagnosis(self, recording: str) -> Diagnosis:
-        """Return the findings with the verdict they stand for. recording: the name it is known by."""
-        findings = [s.finding for s in self.statements]
-        return Diagnosis(1, recording, verdict_of(findings), findings, self.limits)
+        """Return the findings. recording: the name it is known by."""
+        return Diagnosis(recording, [s.finding for s in self.statements], self.limits)
+
+    @property
+    def is_table(self) -> bool:
+        """Whether it is a table of rests, which has no samples."""
+        return len(self.accelerometer) == 0
 
 
 def diagnose(

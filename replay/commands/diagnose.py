@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import click
 from rich.console import Console
@@ -20,19 +20,15 @@ from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
 from stillcal.replay.commands.reading import Reading, reading_options
-from stillcal.replay.diagnosis.given_simulation import judge_simulation
-from stillcal.replay.diagnosis.relation_text import VERDICTS as JUDGEMENTS
-from stillcal.replay.diagnosis.report.answer import Answer, Request, answer_for_recording, answer_for_table
-from stillcal.replay.diagnosis.report.comparison_page import comparison_page
+from stillcal.replay.diagnosis.diagnose import Request, diagnose
+from stillcal.replay.diagnosis.relation_text import VERDICTS, summary
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
-from stillcal.replay.diagnosis.report.summary import summary
+from stillcal.replay.diagnosis.report.page import page
+from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.phone.phone import Phone, load_phone
 
 _path = click.Path(path_type=Path)
-
-VERDICTS = (*JUDGEMENTS, "adequate", "explained", "partly_explained", "unexplained")
-"""Those of a given simulation, and those of the built-in one and of a phone file."""
 
 
 class _Asked(NamedTuple):
@@ -70,7 +66,7 @@ class _Asked(NamedTuple):
 @click.option("--simulated-format", default=None, help="The format of --simulated [default: by its content].")
 @click.option(
     "--fail-on",
-    type=click.Choice(VERDICTS),
+    type=click.Choice(list(VERDICTS)),
     multiple=True,
     help="Exit with 5 on this verdict; may be given several times.",
 )
@@ -103,18 +99,16 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     _check(asked)
     try:
         with _stages(quiet) as show_stage:
-            answer = (
-                answer_for_table(trace) if reading.is_rest_table(trace) else _diagnosed(asked, show_stage)
-            )
+            outputs = _table(asked) if reading.is_rest_table(trace) else _diagnosed(asked, show_stage)
     except NotSupported as refusal:
         # Of two recordings the refusal itself names the one that is too short.
         subject = f"{trace}: " if simulated is None else ""
         click.echo(f"stillcal: {subject}too little data: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
-    _write(answer, asked)
+    _write(outputs, asked)
     if not quiet and json_path != STANDARD_OUTPUT:
-        click.echo("\n".join(summary(answer.answer)))
-    if answer.answer["verdict"] in fail_on:
+        click.echo("\n".join(summary(outputs.answer)))
+    if outputs.answer["verdict"] in fail_on:
         sys.exit(VERDICT)
 
 
@@ -143,17 +137,33 @@ def _check(asked: _Asked) -> None:
     refuse_collisions(files(report, phone_out, asked.json), reads)
 
 
-def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> Answer:
+class _Outputs(NamedTuple):
+    """The answer in plain values, with the text of the page and of the phone file if they were asked for."""
+
+    answer: dict[str, Any]
+    page: str | None = None
+    phone: str | None = None
+
+
+def _table(asked: _Asked) -> _Outputs:
+    return _Outputs(diagnose_rests(asked.reading.rests(asked.trace), asked.trace.name))
+
+
+def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> _Outputs:
     show_stage(f"reading {asked.trace.name}")
     recording = asked.reading.read(asked.trace)
+    simulated = None
     if asked.simulated is not None:
         show_stage(f"reading {asked.simulated.name}")
-        simulation = read_all(asked.simulated, asked.simulated_format)
-        judged = judge_simulation(recording, simulation, show_stage)
-        return Answer(judged.answer, comparison_page(judged) if asked.report is not None else None)
+        simulated = read_all(asked.simulated, asked.simulated_format)
     phone = None if asked.phone is None else _loaded(asked.phone)
-    report, phone_file = asked.report is not None, asked.phone_out is not None
-    return answer_for_recording(recording, Request(phone, asked.phone or "", report, phone_file), show_stage)
+    name = "" if asked.phone is None else Path(asked.phone).name
+    request = Request(simulated, phone, name, asked.phone_out is not None)
+    outcome = diagnose(recording, request, show_stage)
+    show_stage("writing")
+    return _Outputs(
+        outcome.judged.answer, page(outcome.judged) if asked.report is not None else None, outcome.phone_text
+    )
 
 
 def _loaded(name: str) -> Phone:
@@ -173,13 +183,13 @@ def _stages(quiet: bool) -> Iterator[Callable[[str], None]]:
         yield status.update
 
 
-def _write(answer: Answer, asked: _Asked) -> None:
+def _write(outputs: _Outputs, asked: _Asked) -> None:
     """Write the files that were asked for, each whole or not at all."""
-    if asked.report is not None and answer.page is not None:
-        write_atomically(asked.report, answer.page.encode())
-    if asked.phone_out is not None and answer.phone is not None:
-        write_atomically(asked.phone_out, answer.phone.encode())
-    text = pretty(jsonable(answer.answer)) + "\n"
+    if asked.report is not None and outputs.page is not None:
+        write_atomically(asked.report, outputs.page.encode())
+    if asked.phone_out is not None and outputs.phone is not None:
+        write_atomically(asked.phone_out, outputs.phone.encode())
+    text = pretty(jsonable(outputs.answer)) + "\n"
     if asked.json == STANDARD_OUTPUT:
         click.echo(text, nl=False)
     elif asked.json is not None:

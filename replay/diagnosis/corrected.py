@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
 from stillcal.calib_core.streams.resample import interpolate, temperature_at
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.diagnosis.diagnose import charging_events
+from stillcal.replay.diagnosis.judged import charging_events
 from stillcal.replay.formats.trace import Recording
 
 MATRIX_NUMBERS = 9

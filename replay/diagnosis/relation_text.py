@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core import gravity
+from stillcal.calib_core.diagnosis.comparison.compare import LEVEL
 
 AXES = "xyz"
 
@@ -52,6 +53,9 @@ NOUNS = {
     "unknown": "something that no named effect explains",
 }
 
+BUILT_IN = "built-in"
+"""The built-in simulation's name: an ideal affine sensor with plain noise, moved as the recording moved."""
+
 SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 SHOWN_AS = (
@@ -67,11 +71,11 @@ NEARLY_CERTAIN = 0.9995
 """Probability that three digits would round to one."""
 
 VERDICTS = {
-    "match": "no difference found",
-    "identified": "differences found, all identified",
-    "partly_identified": "differences found, some identified",
-    "unidentified": "differences found, of unknown cause",
-    "not_judged": "not judged: too few of the checks could be made",
+    "match": "No difference found",
+    "identified": "Differences found, all identified",
+    "partly_identified": "Differences found, some identified",
+    "unidentified": "Differences found, of unknown cause",
+    "not_judged": "Not judged: too few of the checks could be made",
 }
 
 
@@ -146,12 +150,19 @@ OF_CORRECTION = (
 
 def statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     """Return what differs and what to do about it in the simulation, in one to three sentences."""
-    text = _statement(finding, names)
+    text = _capital(_statement(finding, names)) if names[1] == BUILT_IN else _statement(finding, names)
+    text += _undistinguished(finding)
     return text + OF_CORRECTION if finding["effect"] in ("accel_scale", "gyro_scale") else text
 
 
+def _undistinguished(finding: Mapping[str, Any]) -> str:
+    """Return which other effects would look the same in this recording; "" where none would."""
+    alike = [noun(a["effect"], finding["sensor"]) for a in finding["alternatives"] if a["indistinguishable"]]
+    return f" This recording cannot tell it from: {', or '.join(alike)}." if alike else ""
+
+
 def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
-    recording, simulation = names
+    recording, simulation = names[0], simulation_text(names[1])
     what = noun(finding["effect"], finding["sensor"])
     name = _clearest(finding)
     recorded, simulated = (_side(finding, side, name) for side in ("parameters", "simulated"))
@@ -209,23 +220,61 @@ def _word(finding: Mapping[str, Any], name: str | None) -> str:
     return "has other values"
 
 
-def comparison_summary(answer: Mapping[str, Any], lines: int = 12) -> list[str]:
+LINES = 14
+"""Longest summary; it is to be read at a glance."""
+
+
+def simulation_text(name: str) -> str:
+    """Return what a simulation is called in a sentence."""
+    return "the built-in simulation" if name == BUILT_IN else name
+
+
+def headline(answer: Mapping[str, Any]) -> str:
+    """Return the verdict in a sentence, with how many of the checks this recording allows."""
+    text, made, of = VERDICTS[answer["verdict"]], answer["checks"]["made"], answer["checks"]["of"]
+    checks = f"{made} of {of} checks possible"
+    return f"{text} ({checks})"
+
+
+def outcome(answer: Mapping[str, Any]) -> str:
+    """Return how the simulation fits with what was found put into it; "" where nothing was found."""
+    if not answer["findings"]:
+        return ""
+    simulation, fit = simulation_text(answer["simulation"]), answer["fit"]
+    if "p_after" not in fit:
+        return f"{_capital(simulation)} could not be played with what was found: the phone is never at rest."
+    passes = "passes" if fit["p_after"] >= LEVEL else "still fails"
+    numbers = f"p = {fit['p_after']:.2g}; before {fit['p_before']:.2g}"
+    # One effect on both sensors is named once.
+    left = ", ".join(dict.fromkeys(noun(effect, "") for effect in fit["not_put_in"]))
+    but = f" These could not be put in and are left out of it: {left}." if left else ""
+    return f"With what was found put in, {simulation} {passes} the same comparison ({numbers}).{but}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
     """Return the answer in some lines for a terminal, the verdict first."""
-    compared = {(s["effect"], s["sensor"]) for s in answer["sensitivity"]}
-    checks = len(compared)
-    # What was measured in both and stays undecided is listed with what could not be measured.
-    missed = sum((n["effect"], n["sensor"]) not in compared for n in answer["not_compared"])
-    head = f"{answer['recording']} against {answer['simulation']}: {VERDICTS[answer['verdict']]}"
-    out = [f"{head} ({checks} quantities compared, {missed} could not be)"]
+    simulation = simulation_text(answer["simulation"])
+    out = [f"{answer['recording']} against {simulation}: {headline(answer)}"]
     out += [
         f"  {f['statement']} (probability {probability_text(f['probability'])})" for f in answer["findings"]
     ]
+    out += [f"  {text}" for text in [outcome(answer)] if text]
     agreed = ", ".join(noun(a["effect"], a["sensor"]) for a in answer["agreed"])
     if agreed:
         out.append(f"  agreed: {agreed}")
-    out += [
-        f"  not compared: {noun(n['effect'], n['sensor'])} - {n['reason']}" for n in answer["not_compared"]
-    ]
+    out += [f"  not compared: {', '.join(what)} - {why}" for why, what in reasons(answer).items()]
     if len(out) > lines:
-        out = [*out[: lines - 1], f"  and {len(out) - lines + 1} more lines in --json"]
+        out = [*out[: lines - 1], f"  and {len(out) - lines + 1} more lines in --json and --report"]
+    return out
+
+
+def reasons(answer: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return what could not be compared, by the reason why not."""
+    out: dict[str, list[str]] = {}
+    for one in answer["not_compared"]:
+        out.setdefault(one["reason"], []).append(noun(one["effect"], one["sensor"]))
     return out

@@ -6,44 +6,111 @@ and charging are the recorded ones. Time stamps, noise and effects are those of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.streams.resample import interpolate, temperature_at
+from stillcal.calib_core.streams.resample import interpolate, median_rate_hz, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.diagnosis.twin import AffinePhone, Conditions
+from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, effects_output, observable
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
-from stillcal.replay.phone.effects.base import Moment
+from stillcal.replay.phone.effects.base import Effect, Moment
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.sensor_chain import SensorChain
 
+SLOWEST = 0.05
+"""Rates below this, rad/s, are noise at rest, which acts through no lever arm and no nonlinearity."""
 
-def resimulate(
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """What a phone truly did. force_t: (n,) s with force (n, 3) m/s^2; rate_t: (m,) s with rate (m, 3) rad/s.
+
+    rate_t and rate are None without a gyroscope.
+    """
+
+    force_t: Array
+    force: Array
+    rate_t: Array | None = None
+    rate: Array | None = None
+
+
+def motion_of(
     recording: Recording,
     bins: Bins,
     affine: AffinePhone,
+    effects: Sequence[Effect],
     conditions: Conditions,
-    phone: Phone,
     *,
     gravity: float,
-    seed: int = 0,
+) -> Motion:
+    """Return the motion behind a recording: free of its constant errors and of the effects found in it.
+
+    In static bins the phone is perfectly still in the attitude measured there. effects: a delay of the
+    gyroscope is taken back, and what the others add, as far as it follows from the recording, taken off.
+    """
+    accel, gyroscope = recording.accelerometer, recording.gyroscope
+    delay = sum(float(getattr(e, "delay", 0.0)) for e in effects if e.name == "accel_gyro_time_offset")
+    force = affine.true_force(accel.xyz)
+    rate_t = None if gyroscope is None else gyroscope.t - delay
+    rate = None if gyroscope is None else affine.true_rate(gyroscope.xyz)
+    raw = Motion(accel.t, force, rate_t, rate)
+    known = [e for e in effects if observable(e)]
+    if known:
+        added = _added(
+            known, Sensor.ACCELEROMETER, moment_of(recording, raw, conditions, accel.t), recording, conditions
+        )
+        force = affine.true_force(accel.xyz - added)
+        if gyroscope is not None and rate_t is not None:
+            added = _added(
+                known, Sensor.GYROSCOPE, moment_of(recording, raw, conditions, rate_t), recording, conditions
+            )
+            rate = affine.true_rate(gyroscope.xyz - added)
+    force = _still(accel, bins, force, gravity * affine.baseline.up)
+    if gyroscope is not None and rate is not None:
+        rate = _still(gyroscope, bins, rate, np.zeros((len(bins), 3)))
+    return Motion(accel.t, force, rate_t, rate)
+
+
+def _added(
+    effects: Sequence[Effect], sensor: Sensor, raw: Moment, recording: Recording, conditions: Conditions
+) -> Array:
+    """Return what effects added to a sensor's samples (n, 3)."""
+    moment = raw
+    turning = np.linalg.norm(moment.rate, axis=1, keepdims=True) > SLOWEST
+    moment = replace(moment, rate=moment.rate * turning, rate_dot=moment.rate_dot * turning)
+    rate_hz = median_rate_hz(recording.accelerometer)
+    return effects_output(effects, sensor, moment, conditions, rate_hz)
+
+
+def moment_of(recording: Recording, motion: Motion, conditions: Conditions, at: Array) -> Moment:
+    """Return the true input at the recording's times (n,) s, which need not rise everywhere."""
+    force = interpolate(at, motion.force_t, motion.force)
+    rate = np.zeros_like(force)
+    if motion.rate_t is not None and motion.rate is not None:
+        rate = interpolate(at, motion.rate_t, motion.rate)
+    temperature = temperature_at(recording.accelerometer, at)
+    warmth = np.zeros(at.size) if temperature is None else temperature - conditions.reference_c
+    # Stamps may repeat; a derivative by time must not divide by nothing.
+    rising = np.maximum.accumulate(at) + 1e-9 * np.arange(at.size)
+    since = at - conditions.t_start
+    charging = conditions.surroundings.charging.at(since)
+    return Moment(since, force, rate, np.gradient(rate, rising, axis=0), warmth, charging)
+
+
+def resimulate(
+    recording: Recording, motion: Motion, conditions: Conditions, phone: Phone, *, seed: int = 0
 ) -> Recording:
-    """Return what `phone` would have recorded. affine: the affine phone fitted to the recording."""
-    accel = recording.accelerometer
-    force = (accel.xyz - affine.baseline.bias) @ affine.baseline.scale.T
-    motion = [_still(accel, bins, force, gravity * affine.baseline.up)]
-    gyroscope = recording.gyroscope
-    if gyroscope is not None:
-        rate = gyroscope.xyz - affine.rate_bias
-        motion.append(_still(gyroscope, bins, rate, np.zeros((len(bins), 3))))
-    streams = [
-        _stream(phone, conditions, sensor, (recording, motion), seed)
-        for sensor in Sensor
-        if sensor is Sensor.ACCELEROMETER or (gyroscope is not None and phone.gyro is not None)
-    ]
+    """Return what `phone` would have recorded of a motion in the conditions of a recording."""
+    sensors = [Sensor.ACCELEROMETER]
+    if recording.gyroscope is not None and phone.gyro is not None:
+        sensors.append(Sensor.GYROSCOPE)
+    streams = [_stream(phone, conditions, sensor, (recording, motion), seed) for sensor in sensors]
     claims = recording.claims.without_counts()
     return Recording(streams[0], streams[1] if len(streams) > 1 else None, recording.events, claims, [])
 
@@ -73,7 +140,7 @@ def _ticks(phone: Phone, sensor: Sensor, rate_hz: float, duration: float, seed: 
 
 
 def _stream(
-    phone: Phone, conditions: Conditions, sensor: Sensor, recorded: tuple[Recording, list[Array]], seed: int
+    phone: Phone, conditions: Conditions, sensor: Sensor, recorded: tuple[Recording, Motion], seed: int
 ) -> Samples:
     recording, motion = recorded
     settings, clock = phone.sensor(sensor), phone.effective_clock()
@@ -84,23 +151,13 @@ def _stream(
     accel = recording.accelerometer
     ticks = _ticks(phone, sensor, settings.rate_hz, float(accel.t[-1] - accel.t[0]), seed)
     delay = clock.gyro_delay_s if sensor is Sensor.GYROSCOPE else 0.0
-    moment, temperature = _moment(conditions, recording, motion, ticks.t, delay)
+    true = ticks.t + conditions.t_start
+    late = moment_of(recording, motion, conditions, true - delay)
+    temperature = temperature_at(accel, true)
+    warmth = late.warmth if temperature is None else temperature - conditions.reference_c
+    moment = replace(late, t=ticks.t, warmth=warmth, charging=conditions.surroundings.charging.at(ticks.t))
     raw = SensorChain(sensor, settings, phone.effects, conditions.surroundings, seed).read(moment)
     rows = ticks.rows
     warm = None if temperature is None or sensor is Sensor.GYROSCOPE else frozen(temperature[rows])
     arrival = None if accel.t_arrival is None else frozen(ticks.arrival[rows] + conditions.t_start)
     return Samples(sensor, frozen(ticks.stamp[rows] + conditions.t_start), frozen(raw[rows]), warm, arrival)
-
-
-def _moment(
-    conditions: Conditions, recording: Recording, motion: list[Array], t: Array, delay: float
-) -> tuple[Moment, Array | None]:
-    """Return the true input at true times (n,) s since the start, and the temperature, degC."""
-    accel, at = recording.accelerometer, t + conditions.t_start - delay
-    force = interpolate(at, accel.t, motion[0])
-    gyroscope = recording.gyroscope
-    rate = np.zeros_like(force) if gyroscope is None else interpolate(at, gyroscope.t, motion[1])
-    temperature = temperature_at(accel, t + conditions.t_start)
-    warmth = np.zeros(t.size) if temperature is None else temperature - conditions.reference_c
-    dot = np.gradient(rate, t, axis=0)
-    return Moment(t, force, rate, dot, warmth, conditions.surroundings.charging.at(t)), temperature

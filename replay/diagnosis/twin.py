@@ -7,7 +7,7 @@ quantities: temperature, charging, attitude, rate, time since the start. Only th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -91,12 +91,24 @@ def effects_output(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AffinePhone:
-    """The affine part of a phone. accel, gyro: (n, 3), what the effects add in each static bin."""
+    """The affine part of a phone. accel, gyro: (n, 3), what the effects add in each static bin.
+
+    rate_mapping: (3, 3), true rate = rate_mapping @ (raw rate - rate_bias).
+    """
 
     baseline: Baseline
     rate_bias: Array
     accel: Array
     gyro: Array
+    rate_mapping: Array = field(default_factory=lambda: np.eye(3))
+
+    def true_force(self, raw: Array) -> Array:
+        """Return the specific force (n, 3) behind raw readings (n, 3), m/s^2."""
+        return np.asarray((raw - self.baseline.bias) @ self.baseline.scale.T)
+
+    def true_rate(self, raw: Array) -> Array:
+        """Return the rate (n, 3) behind raw readings (n, 3), rad/s."""
+        return np.asarray((raw - self.rate_bias) @ self.rate_mapping.T)
 
 
 def fit_affine(

@@ -1,27 +1,8 @@
-"""Words of the page and the terminal: verdicts, titles, equations, what to record next."""
+"""Words of the page: equations, and what to record next."""
 
 from __future__ import annotations
 
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
-from stillcal.calib_core.diagnosis.model.records import Finding
-
-VERDICTS = {
-    "adequate": (
-        "No difference found: this recording looks like a sensor with constant bias, scale and plain noise"
-    ),
-    "explained": "Differences found, all identified",
-    "partly_explained": "Differences found, some identified, some of unknown cause",
-    "unexplained": "Differences found, of unknown cause",
-}
-"""The verdicts of `diagnose --json` as sentences; the simulation is an ideal sensor."""
-
-SAME_AS_PHONE = "No difference found between this recording and the simulated phone"
-"""The verdict `adequate` where the simulation is a phone file."""
-
-JUDGED_SHARE = 1.0 / 3.0
-"""With fewer than this share of the checks possible, no difference found is no verdict."""
-
-SENSORS = {"accel": "accelerometer", "gyro": "gyroscope", "timing": "stamps"}
 
 EQUATIONS = {
     "bias_temperature": "raw = S·true + b + <b>slope</b>·(T &minus; T₀)",
@@ -76,63 +57,14 @@ def ending(effect: str, table: dict[str, str]) -> str:
     return table[max(fitting, key=len)] if fitting else ""
 
 
-def to_record(finding: Finding) -> str:
-    """Return which recording would tell more about a finding; "" where nothing is known."""
-    for effect in named_effects():
-        if (effect.name, effect.sensor) == (finding.effect, finding.sensor) and effect.decides:
-            return effect.decides
-    return ending(finding.effect, NEXT)
-
-
-def title(finding: Finding) -> str:
-    """Return a heading: name and axes."""
-    where = " ".join([SENSORS.get(finding.sensor, finding.sensor), ", ".join(finding.axes)]).strip()
-    return f"{finding.effect.replace('_', ' ')} ({where})"
-
-
-def certainty(p: float) -> str:
-    """Return the confidence that goes with a p-value, in words."""
-    for limit, words in ((1e-9, "very high"), (1e-5, "high"), (1e-2, "good")):
-        if p < limit:
-            return words
-    return "moderate"
-
-
-def headline(verdict: str, checked: int, of: int, *, against_phone: bool = False) -> str:
-    """Return the verdict as sentences, with how many of the checks were possible.
-
-    against_phone: whether the simulation is a phone file, and not an ideal sensor.
-    """
-    if verdict == "adequate" and checked < JUDGED_SHARE * of:
-        return (
-            f"Not judged: {of - checked} of {of} checks need more data (see below)."
-            f" No difference found in the other {checked}."
-        )
-    text = SAME_AS_PHONE if verdict == "adequate" and against_phone else VERDICTS[verdict]
-    if checked >= of:
-        return f"{text}."
-    were = "was" if of - checked == 1 else "were"
-    return f"{text}. {of - checked} of {of} checks {were} not possible."
-
-
-def number(value: float) -> str:
-    """Return a number with four significant digits."""
-    return f"{value:.4g}"
-
-
-def judged_against(phone: str) -> str:
-    """Return the sentence that says what a recording was compared with."""
-    return (
-        f"Compared with the phone {phone}. Where both have a slow effect, its parameters are the difference"
-        " between them."
-    )
+def to_record(effect: str, sensor: str) -> str:
+    """Return which recording would tell more about an effect; "" where nothing is known."""
+    for known in named_effects():
+        if (known.name, known.sensor) == (effect, sensor) and known.decides:
+            return known.decides
+    return ending(effect, NEXT)
 
 
 def readable(text: str) -> str:
     """Return a text with its units as people write them: m/s² for m/s^2."""
     return text.replace("^2", "²").replace("^3", "³")
-
-
-def counted(count: int, one: str) -> str:
-    """Return a number with its noun, in the plural unless the number is 1."""
-    return f"{count} {one}" if count == 1 else f"{count} {one}s"

@@ -75,7 +75,7 @@ FINDINGS = pa.schema(
         ("parameter", _TEXT),
         ("value", pa.list_(_REAL)),
         ("unit", _TEXT),
-        ("p_value", _REAL),
+        ("probability", _REAL),
         ("heldout_log_score_gain", _REAL),
         ("indistinguishable", pa.list_(_TEXT)),
         ("statement", _TEXT),

@@ -178,7 +178,8 @@ def _diagnosis(recording: Recording, outcome: Examined) -> None:
         row["verdict"] = f"too little data: {refusal}"
         return
     outcome.findings = [_finding(row, finding) for finding in answer["findings"]]
-    row |= {"verdict": answer["verdict"], "findings": len(outcome.findings), "limits": answer["limits"]}
+    limits = [f"{n['effect']}: {n['reason']}" for n in answer["not_compared"]]
+    row |= {"verdict": answer["verdict"], "findings": len(outcome.findings), "limits": limits}
 
 
 def _finding(row: dict[str, Any], finding: dict[str, Any]) -> dict[str, Any]:
@@ -191,7 +192,8 @@ def _finding(row: dict[str, Any], finding: dict[str, Any]) -> dict[str, Any]:
         **{k: row[k] for k in ("name", "model", "device")},
         **{k: finding[k] for k in ("effect", "sensor", "axes", "statement")},
         **{k: where[k] for k in ("t_start", "t_end", "driver")},
-        **{k: evidence[k] for k in ("p_value", "heldout_log_score_gain")},
+        "probability": finding["probability"],
+        "heldout_log_score_gain": evidence.get("heldout_log_score_gain"),
         "parameter": name,
         "value": None if name is None else np.ravel(first["value"]).astype(float).tolist(),
         "unit": first.get("unit"),

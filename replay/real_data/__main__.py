@@ -9,7 +9,7 @@ import click
 from rich.console import Console
 from rich.progress import Progress
 
-from stillcal.replay.diagnosis.diagnose import diagnose_rests
+from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.formats.trace import read_rest_table
 from stillcal.replay.real_data.injection import DIRECT, SLOW
 from stillcal.replay.real_data.page import page

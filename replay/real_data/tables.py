@@ -35,7 +35,8 @@ def diagnose(recording: Recording, name: str) -> tuple[str, list[Finding], list[
         answer = diagnose_recording(recording, name)
     except NotSupported as refusal:
         return "too little data", [], [str(refusal)]
-    return answer["verdict"], answer["findings"], answer["limits"]
+    limits = list(dict.fromkeys(one["reason"] for one in answer["not_compared"]))
+    return answer["verdict"], answer["findings"], limits
 
 
 def names(findings: Sequence[Finding]) -> set[tuple[str, str]]:

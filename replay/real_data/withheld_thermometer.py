@@ -8,7 +8,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.replay.diagnosis.diagnose import bins_of
+from stillcal.replay.diagnosis.judged import bins_of
 from stillcal.replay.real_data.sources import Source, without_thermometer
 
 LEAST_BINS = 6

@@ -16,6 +16,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     quantity_of,
     why_not_shown,
 )
+from stillcal.calib_core.diagnosis.comparison.evidence import evidence_of
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted, linear_quantities, wanted_of
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
@@ -26,6 +27,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     subtract,
     weighed,
 )
+from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, of_difference
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Where
@@ -82,7 +84,8 @@ class NotCompared:
 class Comparison:
     """The whole answer. comparisons: how many quantities were compared; p: of both being alike.
 
-    undecided: compared, with a probability that is neither a difference nor agreement.
+    undecided: compared, with a probability that is neither a difference nor agreement. smallest: how small
+    a difference would have been seen.
     """
 
     discrepancies: list[Discrepancy] = field(default_factory=list)
@@ -92,16 +95,20 @@ class Comparison:
     undecided: list[NotCompared] = field(default_factory=list)
     comparisons: int = 0
     p: float = 1.0
+    smallest: list[Smallest] = field(default_factory=list)
 
-    def verdict(self, p_after: float) -> Verdict:
-        """Return the verdict; p_after: p of the corrected simulation being like the recording."""
+    def verdict(self, p_after: float | None) -> Verdict:
+        """Return the verdict.
+
+        p_after: p of the corrected simulation being like the recording, None where it could not be played.
+        """
         checks = self.comparisons + len(self.not_compared)
         if self.comparisons < LEAST_JUDGED * checks:
             return "not_judged"
         if not self.discrepancies:
             return "match"
         names = [d.effect != "unknown" for d in self.discrepancies]
-        if all(names) and p_after >= LEVEL:
+        if all(names) and p_after is not None and p_after >= LEVEL:
             return "identified"
         return "partly_identified" if any(names) else "unidentified"
 
@@ -141,7 +148,8 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     undecided = [_undecided(d, names) for d in pairs if 1.0 - CERTAIN < d.probability < CERTAIN]
     factors = [d.log_bayes_factor for d in pairs] + [gain for _, gain, _ in more]
     found.sort(key=lambda d: -d.log_bayes_factor)
-    return Comparison(found, agreed, pairs, missing, undecided, count, p_of(factors))
+    smallest = [row for d in pairs for row in of_difference(d, max(count, 1))]
+    return Comparison(found, agreed, pairs, missing, undecided, count, p_of(factors), smallest)
 
 
 def p_of(log_bayes_factors: Sequence[float]) -> float:
@@ -340,20 +348,15 @@ def _direct(
             reason = why_not_shown(finding, other)
             if reason is not None:
                 unseen.append(NotCompared(finding.effect, finding.sensor, f"{name}: {reason}"))
-            elif (evidence := _log_bayes_factor(finding)) > 0.0:
+            elif (evidence := _evidence(finding)) > 0.0:
                 sole.append((finding, evidence, of_recording))
     return both, sole, unseen
 
 
-def _log_bayes_factor(finding: Finding) -> float:
-    """Return the evidence, nats, for a finding that one recording makes by itself.
-
-    It is the gain in held-out log score, but no more than its p value can stand for: the Bayes factor against
-    no effect is at most 1 / (-e p ln p) (Sellke, Bayarri and Berger, Am. Stat. 55, 2001).
-    """
-    p = max(finding.evidence.p_value, 1e-300)
-    most = -1.0 - np.log(p) - np.log(-np.log(p)) if p < np.exp(-1.0) else 0.0
-    return float(min(finding.evidence.heldout_log_score_gain, most))
+def _evidence(finding: Finding) -> float:
+    """Return the evidence, nats, for a finding: no more than parts left out of the fit confirm."""
+    gain = finding.evidence.heldout_log_score_gain
+    return evidence_of(finding) if gain is None else min(gain, evidence_of(finding))
 
 
 def _paired(one: Finding, other: Finding) -> list[Difference]:

@@ -79,7 +79,7 @@ class Wanted:
 def wanted_of(exam: Examination) -> list[Wanted]:
     """Return the linear effects that a recording was found to have and that another can be asked for."""
     return [
-        Wanted(_kind(s.scene), s.hypothesis)
+        Wanted(kind_of(s.scene), s.hypothesis)
         for s in exam.statements
         if s.hypothesis is not None and s.scene is not None and transferable(s.hypothesis)
     ]
@@ -90,7 +90,8 @@ def transferable(hypothesis: Hypothesis) -> bool:
     return hypothesis.effect.name != "unknown" and not hypothesis.effect.recurs
 
 
-def _kind(scene: Scene) -> str:
+def kind_of(scene: Scene) -> str:
+    """Return what a scene is of: "accel" or "gyro" for rests, "turn" for the turns between them."""
     return "turn" if scene.turns else scene.sensor
 
 
@@ -106,7 +107,7 @@ def linear_quantities(
     scenes = [*exam.scenes, *([exam.turns] if exam.turns else [])]
     for scene in scenes:
         if len(scene.bins) >= thresholds.LEAST_BINS:
-            own = [w for w in wanted if w.kind == _kind(scene)]
+            own = [w for w in wanted if w.kind == kind_of(scene)]
             for quantity in _fitted(exam, scene, own, reference_c.get(scene.sensor)):
                 out[quantity.effect, quantity.sensor] = quantity
     return out
@@ -115,7 +116,7 @@ def linear_quantities(
 def _fitted(
     exam: Examination, scene: Scene, wanted: Sequence[Wanted], reference_c: float | None
 ) -> list[Quantity]:
-    kind = _kind(scene)
+    kind = kind_of(scene)
     free = replace(scene, views=tuple(_freed(v, scene.gravity) for v in scene.views))
     effects = [h for w in wanted if (h := proposed(scene, w)) is not None]
     hypotheses = [_constants(kind, scene), *effects]

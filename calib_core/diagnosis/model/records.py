@@ -52,13 +52,18 @@ class Where:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How sure. p_value has the size of the search in it; log scores in nats, rmse in the sensor's unit."""
+    """How sure. p_value has the size of the search in it; log scores in nats, rmse in the sensor's unit.
+
+    What has no meaning for an effect is None: nothing is predicted of an effect that is certain by counting.
+    log_bayes_factor: nats for the effect against none, where it was computed; else p_value stands for it.
+    """
 
     p_value: float
-    heldout_rmse_before: float
-    heldout_rmse_after: float
-    heldout_log_score_gain: float
-    folds: int
+    heldout_rmse_before: float | None = None
+    heldout_rmse_after: float | None = None
+    heldout_log_score_gain: float | None = None
+    folds: int = 0
+    log_bayes_factor: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +77,7 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing the twin leaves out."""
+    """One thing that an ideal sensor does not do."""
 
     effect: str
     sensor: str
@@ -86,20 +91,8 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The answer. verdict: adequate, explained, partly_explained or unexplained."""
+    """What one recording shows beside constant bias and scale. limits: what it cannot show, as sentences."""
 
-    schema: int
     recording: str
-    verdict: str
     findings: list[Finding]
     limits: list[str] = field(default_factory=list)
-
-
-def verdict_of(findings: list[Finding]) -> str:
-    """Return the verdict that a list of findings stands for."""
-    if not findings:
-        return "adequate"
-    known = [f for f in findings if f.effect != "unknown"]
-    if len(known) == len(findings):
-        return "explained"
-    return "partly_explained" if known else "unexplained"

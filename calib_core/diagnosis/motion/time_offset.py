@@ -61,7 +61,7 @@ def motion_findings(
     if len(gyroscope) < 200:
         return []
     baseline = None if affine is None else affine.baseline
-    cut = [p for p in _windows(gyroscope, affine) if all(_apart(p[0], s) for s in spoiled)]
+    cut = [p for p in turning_windows(gyroscope, affine) if all(_apart(p[0], s) for s in spoiled)]
     parts = cut if affine is None else [(t, rate @ affine.mapping.T) for t, rate in cut]
     if len(parts) < LEAST_WINDOWS:
         return []
@@ -80,7 +80,7 @@ def motion_findings(
     return [f for f in found if f]
 
 
-def _windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
+def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
     """Return stamps (n,) and rate (n, 3) of unbroken windows in which the phone turns, the lively ones.
 
     Slow turns of a hand tell little, and its own acceleration is the louder beside them.

@@ -120,7 +120,7 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
             continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
         least = [LEAST_GAIN * (f.effect == "unknown" or len(made) > 1) for f in made]
-        gains = [f.evidence.heldout_log_score_gain - x for f, x in zip(made, least, strict=True)]
+        gains = [(f.evidence.heldout_log_score_gain or 0.0) - x for f, x in zip(made, least, strict=True)]
         if min(gains) > 0.0:
             return [Stated(f, h, scene) for f, h in zip(made, found, strict=True)]
         steps = _without(steps, kept[int(np.argmin(gains))])

@@ -20,7 +20,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
+from stillcal.replay.diagnosis.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, at_bins, effects_output, observable
 
 LEAST_SHARE = 0.5

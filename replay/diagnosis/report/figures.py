@@ -173,18 +173,20 @@ def prefixed(values: Array, unit: str) -> tuple[float, str]:
 
 
 RecordedAndSimulated = Sequence[tuple[str, str, Samples, Bins]]
-"""Label, colour, samples and still bins of the recording and of the twins before and after."""
+"""Label, colour, samples and static bins of the recording, the simulation, and the corrected simulation."""
 
 
-def spectrum_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, mark: float | None) -> str:
-    """Draw noise densities at rest, root mean square over axes. mark: Hz."""
+def spectrum_figure(
+    recorded_and_simulated: RecordedAndSimulated, unit: str, axis: int, mark: float | None
+) -> str:
+    """Draw the noise densities of one axis at rest. mark: Hz."""
     with drawing() as (_, axes, out):
         for label, colour, samples, bins in recorded_and_simulated:
             still = quiet(samples, bins)
             if len(still.pieces) < 3:
                 continue
             f, power = spectra(still)
-            density = np.sqrt(np.median(power, axis=0).max(axis=1))
+            density = np.sqrt(np.median(power[:, :, axis], axis=0))
             dash = (
                 "--" if colour == AFTER else "-"
             )  # a simulation that matches lies on the recording: both must be visible
@@ -192,7 +194,7 @@ def spectrum_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, mar
         if mark is not None:
             axes.axvline(mark, color="#999999", lw=1.0, ls=":")
         axes.set_xlabel("frequency, Hz" if mark is None else f"frequency, Hz (dotted: {mark:.4g} Hz)")
-        axes.set_ylabel(f"density, noisiest axis,\n{readable(unit)}/√Hz")
+        axes.set_ylabel(f"density {'xyz'[axis]}, {readable(unit)}/√Hz")
     return out[0]
 
 
@@ -249,15 +251,4 @@ def extremes_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, lim
         axes.set_yscale("log")
         axes.set_xlabel(f"largest value of a sample, {readable(unit)} (dotted: {limit:.4g})")
         axes.set_ylabel("share of samples")
-    return out[0]
-
-
-def held_out_figure(before: float, after: float) -> str:
-    """Draw the cross-validation residual without and with a finding that has no other picture."""
-    with drawing(1.5) as (_, axes, out):
-        axes.barh([1.0, 0.0], [before, after], color=[BEFORE, AFTER], height=0.7)
-        axes.set_yticks([1.0, 0.0], ["without it", "with it"])
-        axes.tick_params(axis="y", length=0)
-        axes.set_xlim(0.0, 1.1 * max(before, after))
-        axes.set_xlabel("cross-validation residual, rms")
     return out[0]

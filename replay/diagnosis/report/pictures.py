@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.judged import Judged, bins_of
+from stillcal.replay.diagnosis.relation_text import noun, simulation_text
 from stillcal.replay.diagnosis.report import figures
-from stillcal.replay.diagnosis.report.curves import Curve
-from stillcal.replay.diagnosis.report.inputs import Case, Resimulation
-from stillcal.replay.diagnosis.report.phone_effects import MappedFinding
-from stillcal.replay.diagnosis.wording import readable
-from stillcal.replay.formats.trace import Recording
+from stillcal.replay.diagnosis.report.curves import Curve, curves_of
 
 SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
 VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed", "unknown")
@@ -29,39 +27,62 @@ class Picture:
     caption: str
 
 
-def pictures(
-    case: Case, mapped: MappedFinding, resimulated: tuple[Resimulation, Resimulation] | None
-) -> list[Picture]:
-    """Return the pictures of one finding."""
-    curves = case.curves(mapped)
-    if curves:
-        return [p for curve in curves for p in _of_curve(mapped.finding, curve)]
-    sample_pictures = [] if resimulated is None else _of_samples(case, mapped.finding, resimulated)
-    return sample_pictures or _of_held_out(mapped.finding)
+Sources = figures.RecordedAndSimulated
 
 
-def _of_held_out(finding: Finding) -> list[Picture]:
-    before, after = finding.evidence.heldout_rmse_before, finding.evidence.heldout_rmse_after
-    if not before > 0.0:
-        return []
-    alt = f"Cross-validation residual without it {before:.3g} rms, with it {after:.3g}."
-    caption = "Prediction error on parts of the recording that were left out of the fit, without and with it."
-    return [Picture(figures.held_out_figure(before, after), alt, caption)]
+@dataclass(frozen=True, slots=True, eq=False)
+class Album:
+    """What pictures are made of: the recording's case and, by sensor, the samples that are drawn together."""
+
+    judged: Judged
+    samples: Mapping[str, Sources]
+
+    @classmethod
+    def of(cls, judged: Judged) -> Album:
+        """Gather the recording, the simulation as it is, and the corrected one."""
+        recorded, simulated = judged.recorded, judged.simulated
+        name = simulation_text(judged.answer["simulation"])
+        sides = [(recorded.accelerometer, recorded.gyroscope, recorded.bins, "recorded", figures.RECORDED)]
+        if simulated is not None:
+            one = (simulated.accelerometer, simulated.gyroscope, simulated.bins)
+            sides.append((*one, name, figures.BEFORE))
+        if judged.corrected is not None:
+            made = judged.corrected
+            sides.append((made.accelerometer, made.gyroscope, bins_of(made), "corrected", figures.AFTER))
+        force = [(label, colour, accel, bins) for accel, _, bins, label, colour in sides]
+        rate = [(label, colour, gyro, bins) for _, gyro, bins, label, colour in sides if gyro is not None]
+        return cls(judged, {"accel": force, "timing": force, "gyro": rate})
+
+    def pictures(self, answered: Mapping[str, Any]) -> list[Picture]:
+        """Return the pictures of one finding of the answer."""
+        key = (answered["effect"], answered["sensor"])
+        for finding, curves in self._curves(key):
+            if curves:
+                return [p for curve in curves for p in _of_curve(finding, curve)]
+        return _of_samples(answered, self.samples[answered["sensor"]])
+
+    def _curves(self, key: tuple[str, str]) -> list[tuple[Finding, list[Curve]]]:
+        case = self.judged.case
+        if case is None:
+            return []
+        return [
+            (m.finding, curves_of(m, case.bins, case.conditions, case.affine, case.gravity))
+            for m in case.mapped
+            if (m.finding.effect, m.finding.sensor) == key
+        ]
 
 
 def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
     svgs = figures.curve_figures(curve)
-    effect = finding.effect.replace("_", " ")
-    low, high = float(curve.point.min()), float(curve.point.max())
-    size = f"from {low:.3g} to {high:.3g} {readable(curve.unit)}"
+    effect = noun(finding.effect, finding.sensor)
     against = Picture(
         svgs[0],
-        f"Bias of axis {curve.axis} against {curve.x_name}, {size}, with the curve of {effect}.",
-        f"Axis {curve.axis}: bias in each static interval, against {readable(curve.x_name)}.",
+        f"Bias of axis {curve.axis} against {curve.x_name}, with the curve of the {effect}.",
+        f"Axis {curve.axis}: bias in each static interval, against {curve.x_name}.",
     )
     in_time = Picture(
         svgs[-1],
-        f"Bias of axis {curve.axis} in time, {size}, with the cross-validated prediction of {effect}.",
+        f"Bias of axis {curve.axis} in time, with the cross-validated prediction of the {effect}.",
         f"Axis {curve.axis}: the line in each fifth was fitted to the other four fifths; the dots about zero"
         " are the residual."
         if curve.held_out is not None
@@ -70,76 +91,53 @@ def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
     return [in_time] if len(svgs) == 1 else [against, in_time]
 
 
-def _of_samples(
-    case: Case, finding: Finding, resimulated: tuple[Resimulation, Resimulation]
-) -> list[Picture]:
+Draw = Callable[[Sources, str], str]
+
+
+def _of_samples(finding: Mapping[str, Any], sources: Sources) -> list[Picture]:
     """Return the picture of what single samples or stamps do; none where no kind of picture shows it."""
-    recorded_and_simulated = _recorded_and_simulated(case, finding, resimulated)
     kind = _kind(finding)
-    if recorded_and_simulated is None or kind is None:
+    if kind is None or not sources:
         return []
     draw, what, caption = kind
-    alt = f"{what}: recorded, simulated without and with the effects found."
-    return [Picture(draw(recorded_and_simulated, UNIT.get(finding.sensor, "")), alt, caption)]
+    alt = f"{what}: {', '.join(label for label, *_ in sources)}."
+    return [Picture(draw(sources, UNIT.get(finding["sensor"], "")), alt, caption)]
 
 
-Draw = Callable[[figures.RecordedAndSimulated, str], str]
-
-
-def _kind(finding: Finding) -> tuple[Draw, str, str] | None:
+def _kind(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
     """Return how a finding is drawn, what the picture is of, and its caption."""
-    axis = "xyz".index(finding.axes[0]) if finding.axes else 0
-    if finding.effect in SPECTRAL:
+    effect = finding["effect"]
+    axis = "xyz".index(finding["axes"][0]) if finding["axes"] else 0
+    if effect in SPECTRAL:
         mark = _number(finding, "frequency", "cutoff")
-        draw: Draw = lambda three, unit: figures.spectrum_figure(three, unit, mark)  # noqa: E731 - one of five
-        return (
-            draw,
-            "Noise density at rest",
-            "Noise density at rest: with the effects found, the dashed line should lie on the recorded one.",
-        )
-    if finding.effect in LIMITED:
+        draw: Draw = lambda three, unit: figures.spectrum_figure(three, unit, axis, mark)  # noqa: E731 - one of five
+        return draw, "Noise density at rest", f"Noise density of axis {'xyz'[axis]} at rest."
+    if effect in LIMITED:
         limit = _number(finding, "limit") or 1.0
         return (
-            lambda t, unit: figures.extremes_figure(t, unit, limit),
+            lambda three, unit: figures.extremes_figure(three, unit, limit),
             "Histogram of largest values",
-            "Histogram of the largest axis value of each sample. Between rests the simulated phone moves only"
-            " roughly as recorded, and may not reach the limit.",
+            "Histogram of the largest axis value of each sample.",
         )
-    if finding.sensor == "timing":
-        late = finding.effect == "arrival_bursts"
+    if finding["sensor"] == "timing":
+        late = effect == "arrival_bursts"
         caption = "Histogram of sample intervals (log scale)."
-        return lambda t, _: figures.intervals_figure(t, arrival=late), "Histogram of intervals", caption
-    if finding.effect in VALUED and finding.where.driver != "rate of turn":
+        return (
+            lambda three, _: figures.intervals_figure(three, arrival=late),
+            "Histogram of intervals",
+            caption,
+        )
+    if effect in VALUED and finding["where"]["driver"] != "rate of turn":
         caption = "Histogram of samples about the mean of their static interval (log scale)."
-        return lambda t, unit: figures.values_figure(t, unit, axis), "Histogram of samples at rest", caption
+        draw = lambda three, unit: figures.values_figure(three, unit, axis)  # noqa: E731 - one of five
+        return draw, "Histogram of samples at rest", caption
     return None
 
 
-def _number(finding: Finding, *names: str) -> float | None:
+def _number(finding: Mapping[str, Any], *names: str) -> float | None:
     for name in names:
-        value = finding.parameters[name].value if name in finding.parameters else None
-        if isinstance(value, float):
-            return value
+        for side in ("parameters", "simulated"):
+            value = finding[side][name]["value"] if name in finding[side] else None
+            if isinstance(value, float):
+                return value
     return None
-
-
-def _recorded_and_simulated(
-    case: Case, finding: Finding, resimulated: tuple[Resimulation, Resimulation]
-) -> figures.RecordedAndSimulated | None:
-    """Return the sensor's samples recorded, before and after; None where there are none."""
-    recordings = [
-        (case.recording, case.bins, "recorded", figures.RECORDED),
-        (resimulated[0].recording, resimulated[0].bins, "simulated without", figures.BEFORE),
-        (resimulated[1].recording, resimulated[1].bins, "simulated with effects", figures.AFTER),
-    ]
-    rows = []
-    for recording, bins, label, colour in recordings:
-        samples = _samples(recording, finding.sensor)
-        if samples is None:
-            return None
-        rows.append((label, colour, samples, bins))
-    return rows
-
-
-def _samples(recording: Recording, sensor: str) -> Samples | None:
-    return recording.gyroscope if sensor == "gyro" else recording.accelerometer

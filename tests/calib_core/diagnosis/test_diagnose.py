@@ -6,7 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from stillcal.calib_core.codec import plain
 from stillcal.calib_core.diagnosis.diagnose import diagnose
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis
 from stillcal.calib_core.errors import NotSupported
@@ -28,11 +27,8 @@ def diagnosed(*effects: dict[str, object], minutes: float = 20.0, rate: float = 
     return diagnose(made.accelerometer, made.gyroscope, (), Claims(**told), "made")
 
 
-def test_a_sound_phone_is_adequate() -> None:
-    answer = diagnosed()
-    assert answer.verdict == "adequate"
-    assert answer.findings == []
-    assert plain(answer)["schema"] == 1
+def test_a_sound_phone_shows_nothing() -> None:
+    assert diagnosed().findings == []
 
 
 @pytest.mark.slow
@@ -79,7 +75,7 @@ def test_too_little_is_refused_and_no_gyroscope_is_said() -> None:
     with pytest.raises(NotSupported, match="at least 10 s"):
         diagnose(samples[:400], None)
     answer = diagnose(samples, None)
-    assert answer.verdict == "adequate"
+    assert answer.findings == []
     assert any("No gyroscope" in text for text in answer.limits)
 
 
@@ -88,5 +84,4 @@ def test_an_axis_that_never_changes_breaks_nothing() -> None:
     force = rng.normal(0, 0.01, (6000, 3)) + np.array([0, 0, 9.8])
     force[:, 1] = 0.25
     diagnosis = diagnose(Samples.checked(Sensor.ACCELEROMETER, np.arange(6000) / 50.0, force), None)
-    assert diagnosis.verdict in ("adequate", "explained", "partly_explained", "unexplained")
     assert any("at rest" in text or "rests" in text for text in diagnosis.limits)

@@ -77,7 +77,7 @@ def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp
     bad = next(row for row in rows if row["status"] == "error")
     assert "recording.csv:3: column 'ax' holds nan" in bad["reason"]
     verdicts = {row["verdict"] for row in rows if row is not bad}
-    assert verdicts <= {"adequate", "explained", "partly_explained", "unexplained"}
+    assert verdicts <= {"match", "identified", "partly_identified", "unidentified", "not_judged"}
 
     path = phones / bad["name"]
     path.write_text(path.read_text().replace("nan", "0.1"))

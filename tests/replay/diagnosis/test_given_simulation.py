@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
-from stillcal.replay.diagnosis.report.comparison_page import comparison_page
+from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.formats.trace import Recording, TraceWriter
 from stillcal.replay.phone.phone import Phone
 from tests.support.report_days import phone_with, recorded
@@ -199,14 +199,14 @@ def test_what_is_compared_is_stated_agreed_or_undecided() -> None:
 @pytest.mark.slow
 def test_the_page_shows_both_files_and_every_finding() -> None:
     pytest.importorskip("matplotlib")
-    page = comparison_page(judge_simulation(real(), simulated(0.5)))
-    assert "real.csv against sim.csv" in page and "Differences found, all identified" in page
+    drawn = page(judge_simulation(real(), simulated(0.5)))
+    assert "real.csv against sim.csv" in drawn and "Differences found, all identified" in drawn
     assert (
-        "is too small in sim.csv" in page
-        and "Smaller in the simulation" in page
-        and page.count("<svg") + page.count("svg+xml") >= 1
+        "is too small in sim.csv" in drawn
+        and "Smaller in the simulation" in drawn
+        and drawn.count("<svg") + drawn.count("svg+xml") >= 1
     )
-    assert "25 Hz" in page and "http" not in page.replace("http://www.w3.org", "")
+    assert "25 Hz" in drawn and "http" not in drawn.replace("http://www.w3.org", "")
 
 
 @pytest.fixture

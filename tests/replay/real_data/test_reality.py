@@ -79,7 +79,7 @@ def test_a_row_says_what_the_halves_say(data_dir: Path) -> None:
     source = next(sources(data_dir, "broad"))
     told = row(source)
     assert source.optical is not None and len(source.optical) == len(source.recording.accelerometer)
-    assert told.verdict in ("adequate", "explained", "partly_explained", "unexplained")
+    assert told.verdict in ("match", "identified", "partly_identified", "unidentified", "not_judged")
     for finding in told.findings:
         assert "first half" in agreement(told, finding, [told])
     first = part(source.recording, 0.0, 0.5)

@@ -86,7 +86,7 @@ def run(
 
 def show(label: str, answer: Diagnosis, seconds: float) -> None:
     """Print one line a finding."""
-    print(f"{label}: {answer.verdict}, {seconds:.1f} s", flush=True)
+    print(f"{label}: {len(answer.findings)} found, {seconds:.1f} s", flush=True)
     for f in answer.findings:
         values = {
             k: p.value if not isinstance(p.value, float) else round(p.value, 6)

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from stillcal.replay.diagnosis.diagnose import diagnosis_of
-from stillcal.replay.diagnosis.report.inputs import Case, case_of
+from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.replay.diagnosis.case import Case, case_of
+from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.formats.trace import Recording, TraceWriter
 from tests.support.report_days import phone_with, recorded
 
@@ -28,6 +29,12 @@ def recording() -> Callable[..., Recording]:
     return of
 
 
+def diagnosed(recording: Recording) -> Case:
+    """Return a recording's case."""
+    exam = examined(recording)
+    return case_of(recording, exam, compare_with_ideal(exam))
+
+
 @pytest.fixture(scope="session")
 def case_with(recording: Callable[..., Recording]) -> Callable[..., Case]:
     """Give diagnosed recordings of a phone with the effects named."""
@@ -36,7 +43,7 @@ def case_with(recording: Callable[..., Recording]) -> Callable[..., Case]:
     def of(*effects: Mapping[str, Any]) -> Case:
         if repr(effects) not in made:
             real = recording(*effects)
-            made[repr(effects)] = case_of(real, diagnosis_of(real, "r"))
+            made[repr(effects)] = diagnosed(real)
         return made[repr(effects)]
 
     return of

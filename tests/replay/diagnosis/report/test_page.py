@@ -18,10 +18,10 @@ from click.testing import CliRunner
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.cli.main import cli
-from stillcal.replay.diagnosis.diagnose import diagnose_recording, diagnose_rests
-from stillcal.replay.diagnosis.report.departure_map import CELLS
+from stillcal.replay.diagnosis.diagnose import diagnose_recording
+from stillcal.replay.diagnosis.relation_text import LINES, summary
 from stillcal.replay.diagnosis.report.figures import drawing
-from stillcal.replay.diagnosis.report.summary import LINES, summary
+from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.formats.trace import Recording, TraceWriter, read_rest_table
 from tests.support.report_days import THERMAL, TONE, phone_with, recorded
 
@@ -65,11 +65,12 @@ def test_one_page_says_all_and_needs_nothing_else(recording: Maker, written: Wri
     assert "<b>&c" not in page and "a&lt;b&gt;&amp;c.csv" in page
     assert "@import" not in page and "url(" not in page
     answer = json.loads(out["d.json"].read_text())
-    assert answer["comparison_after"]["accepted"] and not answer["comparison_before"]["accepted"]
-    loud = next(c for c in answer["map"]["channels"] if c["channel"] == "accel norm")
-    assert len(loud["departure"]) == CELLS == len(answer["map"]["t"]) - 1
-    assert np.median([abs(d) for d in loud["departure"] if d is not None]) > 8.0
-    assert len(said.splitlines()) <= LINES and "accel_bias_temperature" in said
+    assert answer["verdict"] == "identified"
+    assert answer["fit"]["p_before"] < 1e-6 and answer["fit"]["p_after"] > 0.01
+    (one,) = answer["findings"]
+    assert one["relation"] == "lacking" and one["simulated"]["slope"]["value"] == [0.0, 0.0, 0.0]
+    assert one["difference"]["slope"] == one["parameters"]["slope"]
+    assert len(said.splitlines()) <= LINES and "accelerometer's bias with temperature" in said
     scenario = tmp_path / "s.toml"
     scenario.write_text('[[segment]]\nactivity = "table"\nduration_s = 60.0\n')
     made = ["simulate", str(scenario), "--phone", str(out["p.toml"]), "--out", str(tmp_path / "again.csv")]
@@ -104,12 +105,16 @@ def test_a_line_that_only_the_simulation_has_is_superfluous(
     assert [(f["effect"], f["relation"]) for f in found] == [("vibration_tone", "superfluous")]
 
 
-def test_the_map_is_quiet_where_nothing_is_wrong(of_a_sound_phone: Any) -> None:
+def test_a_sound_phone_matches_and_says_how_small_an_effect_it_would_have_shown(
+    of_a_sound_phone: Any,
+) -> None:
     answer = of_a_sound_phone
-    assert answer["verdict"] == "adequate"
-    quick = [c for c in answer["map"]["channels"] if c["channel"].endswith("noise")]
-    assert len(quick) == 6
-    assert all(abs(d) < 6.0 for c in quick for d in c["departure"] if d is not None)
+    assert answer["verdict"] == "match" and answer["findings"] == [] and answer["agreed"] == []
+    assert answer["fit"]["p_before"] > 0.01
+    least = {(s["effect"], s["parameter"]): s["smallest_seen_90"] for s in answer["sensitivity"]}
+    assert 0.0 < least["accel_bias_temperature", "slope"] < 1e-3
+    looked_for = {(s["effect"], s["sensor"]) for s in answer["sensitivity"]}
+    assert looked_for & {(n["effect"], n["sensor"]) for n in answer["not_compared"]} == set()
 
 
 def test_nothing_is_written_over_what_is_read(recording: Maker, written: Writer, tmp_path: Path) -> None:
@@ -125,7 +130,7 @@ def test_nothing_is_written_over_what_is_read(recording: Maker, written: Writer,
     assert not list(tmp_path.glob("*.html")) and not list(tmp_path.glob("*.toml"))
 
 
-def test_a_recording_without_stillness_is_not_called_adequate_without_a_word(recording: Maker) -> None:
+def test_a_recording_without_stillness_is_not_judged(recording: Maker) -> None:
     real = recording()
     rng = np.random.default_rng(0)
     up = rng.normal(size=(2000, 3))  # turned elsewhere every two seconds
@@ -134,12 +139,11 @@ def test_a_recording_without_stillness_is_not_called_adequate_without_a_word(rec
     turning = up[((t - t[0]) / 2.0).astype(int)] + rng.normal(0.0, 0.01, (t.size, 3))
     samples = Samples.checked(Sensor.ACCELEROMETER, t, turning)
     answer = diagnose_recording(Recording(samples, None, [], real.claims, []), "shaken.csv")
-    assert any("never lies still for long enough" in text for text in answer["limits"])
-    undone = {c["what"]: c["how"] for c in answer["checked"] if not c["done"]}
-    assert undone["slow changes of bias at rest"] == "the phone never lies still"
-    assert "temperature" in undone
-    first = summary(answer)[0]
-    assert re.search(r"Not judged: \d+ of \d+ checks need more data", first)
+    why = {n["effect"]: n["reason"] for n in answer["not_compared"]}
+    assert why["accel_bias_drift"] == "the phone never lies still for long enough"
+    assert why["gyro_bias_temperature"] == "no gyroscope was recorded"
+    assert answer["verdict"] == "not_judged"
+    assert re.search(r"Not judged: .* \(\d+ of \d+ checks possible\)", summary(answer)[0])
 
 
 def test_a_table_of_rests_is_judged_by_norms_and_says_what_it_cannot_show(tmp_path: Path) -> None:
@@ -147,7 +151,7 @@ def test_a_table_of_rests_is_judged_by_norms_and_says_what_it_cannot_show(tmp_pa
     up = rng.normal(size=(60, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     g = 9.80665
-    for quadratic, verdict in ((0.0, "adequate"), (4e-3, "explained")):
+    for quadratic, verdict in ((0.0, "not_judged"), (4e-3, "not_judged")):
         force = g * up * (1.0 + quadratic * g * up * [1, 0, 0]) + rng.normal(0.0, 1e-3, up.shape)
         rows = [
             "ax,ay,az,sax,say,saz",
@@ -157,7 +161,9 @@ def test_a_table_of_rests_is_judged_by_norms_and_says_what_it_cannot_show(tmp_pa
         table.write_text("\n".join(rows) + "\n")
         answer = diagnose_rests(read_rest_table(table), "rests.csv")
         assert answer["verdict"] == verdict
-        assert any("no time" in text for text in answer["limits"])
+        why = {n["effect"]: n["reason"] for n in answer["not_compared"]}
+        assert why["accel_bias_drift"] == "the table's rows have no time"
+        assert why["timestamp_jitter"] == "a table of rests has no samples"
         assert [f["effect"] for f in answer["findings"]] == ["accel_nonlinearity"] * bool(quadratic)
     table.write_text("\n".join(rows[:4]) + "\n")
     result = CliRunner().invoke(cli, ["diagnose", str(table), "--format", "rest"])
@@ -170,14 +176,14 @@ def test_an_accelerometer_alone_has_a_page(written: Writer, tmp_path: Path) -> N
     with TraceWriter(tmp_path / "a.csv", gyroscope=False, temperature=True, claims=made.claims) as writer:
         writer.write(made.accelerometer, None, tuple(made.events))
     said = run(tmp_path / "a.csv", "--report", tmp_path / "a.html")
-    assert "No gyroscope data" in said and "accel_bias_temperature" in said
+    assert "accelerometer's bias with temperature" in said
     assert "no gyroscope was recorded" in (tmp_path / "a.html").read_text()
 
 
 def test_a_real_recording_has_a_page(data_dir: Path, tmp_path: Path) -> None:
     real = data_dir / "mikoff" / "imu0.log"
     said = run(real, "--format", "mikoff", "--report", tmp_path / "r.html")
-    assert said.startswith("imu0.log: ")
+    assert said.startswith("imu0.log against the built-in simulation: ")
     assert (tmp_path / "r.html").stat().st_size < 3_000_000
 
 

@@ -9,19 +9,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from stillcal.replay.diagnosis.diagnose import bins_of, diagnosis_of
-from stillcal.replay.diagnosis.judge_phone import judge_phone
-from stillcal.replay.diagnosis.report.comparison import (
-    Compared,
-    compare,
-    holm_corrected,
-    side_of,
-    stamps_measured,
-)
-from stillcal.replay.diagnosis.report.inputs import Case, case_of, resimulate_before_and_after
-from stillcal.replay.diagnosis.report.phone_file import phone_text
+from stillcal.replay.diagnosis.case import Case
+from stillcal.replay.diagnosis.given_simulation import judge_simulation
+from stillcal.replay.diagnosis.judged import named
+from stillcal.replay.diagnosis.phone_file import phone_text, stamps_measured
+from stillcal.replay.diagnosis.phone_simulation import judge_phone
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.phone import load_phone
+from stillcal.replay.phone.settings import per_axis
+from tests.replay.diagnosis.report.conftest import diagnosed
 from tests.support.report_days import THERMAL, TONE, phone_with, recorded
 
 Maker = Callable[..., Recording]
@@ -36,12 +32,11 @@ def test_a_recording_with_the_written_phone_is_accepted_and_one_without_its_term
     assert [m.finding.effect for m in case.mapped] == [effect["name"]]
     (tmp_path / "better.toml").write_text(phone_text(case.phone(), case.mapped, "r"))
     better = load_phone(tmp_path / "better.toml")
-    side = case.side()
     with_it = recorded(better, 17, claims=better)
     without = recorded(msgspec.structs.replace(better, effects=()), 17, claims=better)
-    outcome = [compare(side, side_of(r, bins_of(r), case.gravity)) for r in (with_it, without)]
-    assert outcome[0].accepted, outcome[0].tests[:3]
-    assert not outcome[1].accepted
+    answers = [judge_simulation(case.recording, named(r, "sim.csv")).answer for r in (with_it, without)]
+    assert answers[0]["verdict"] == "match", answers[0]["findings"]
+    assert [(f["effect"], f["relation"]) for f in answers[1]["findings"]] == [(effect["name"], "lacking")]
 
 
 def test_the_baseline_is_that_of_the_phone(case_with: Callable[..., Case]) -> None:
@@ -57,48 +52,49 @@ def test_the_baseline_is_that_of_the_phone(case_with: Callable[..., Case]) -> No
     assert found.accel.rate_hz == pytest.approx(true.accel.rate_hz, rel=1e-4)
 
 
-def test_before_and_after_on_the_recordings_own_day(case_with: Callable[..., Case]) -> None:
-    before, after = resimulate_before_and_after(case_with(THERMAL))
-    assert not before.comparison.accepted
-    assert before.comparison.tests[0].statistic == "accel_bias_temperature"
-    assert after.comparison.accepted, after.comparison.tests[:3]
-
-
 @pytest.mark.slow
 def test_what_has_no_place_in_a_phone_file_is_a_comment(recording: Maker) -> None:
     hidden = {"name": "accel_thermal_hysteresis", "coefficient": [0.03, 0.03, 0.03], "tau_s": 300.0}
     real = recording(hidden)
-    case = case_of(real, diagnosis_of(real, "a\nname"))
+    case = diagnosed(real)
     unnamed = [m for m in case.mapped if m.effect is None]
-    text = phone_text(case.phone(), case.mapped, case.diagnosis.recording)
+    text = phone_text(case.phone(), case.mapped, "a\nname")
     assert unnamed
     assert text.count("# Not in this file: unknown") == len(unnamed)
     assert text.startswith("# A phone with the errors of a name, measured")
 
 
 @pytest.mark.slow
-def test_what_the_judged_phone_has_is_no_news_and_what_it_has_wrong_is(recording: Maker) -> None:
-    real = recording(THERMAL)
-    right = judge_phone(real, "r", phone_with(THERMAL))
-    assert right.diagnosis.findings == []
-    assert [k["effect"] for k in right.already_simulated] == ["accel_bias_temperature"]
-    wrong = judge_phone(real, "r", phone_with(THERMAL | {"slope": [0.006, 0.004, -0.005]}))
-    (left,) = wrong.diagnosis.findings
-    assert left.effect == "accel_bias_temperature" and left.axes == ["y"]
-    slope = left.parameters["slope"].value
-    assert isinstance(slope, list)
-    np.testing.assert_allclose(slope, [0.0, -0.004, 0.0], atol=4e-4)
-    merged = case_of(real, wrong.diagnosis, wrong.known()).phone()
-    total = sum(np.asarray(e.slope) for e in merged.effects if e.name == "accel_bias_temperature")  # type: ignore[union-attr]
-    np.testing.assert_allclose(total, THERMAL["slope"], atol=4e-4)
-    absent = judge_phone(recording(), "r", phone_with(TONE))
-    assert [k["effect"] for k in absent.only_simulated] == ["vibration_tone"]
+def test_a_phone_file_is_judged_as_any_simulation_is(recording: Maker) -> None:
+    real = named(recording(THERMAL), "real.csv")
+    right = judge_phone(real, phone_with(THERMAL), "phone.toml").answer
+    assert right["verdict"] == "match", right["findings"]
+    assert "accel_bias_temperature" in {a["effect"] for a in right["agreed"]}
+    wrong = judge_phone(real, phone_with(THERMAL | {"slope": [0.006, 0.004, -0.005]}), "phone.toml").answer
+    (left,) = wrong["findings"]
+    assert left["effect"] == "accel_bias_temperature" and left["axes"] == ["y"]
+    np.testing.assert_allclose(left["difference"]["slope"]["value"], [0.0, -0.004, 0.0], atol=4e-4)
+    absent = judge_phone(named(recording(), "real.csv"), phone_with(TONE), "phone.toml").answer
+    assert [(f["effect"], f["relation"]) for f in absent["findings"]] == [("vibration_tone", "superfluous")]
 
 
-def test_p_values_are_corrected_by_holm() -> None:
-    found = holm_corrected([Compared("s", str(p), 0.0, 0.0, "1", p) for p in (0.5, 0.004, 0.001)])
-    assert [t.p_corrected for t in found.tests] == pytest.approx([0.003, 0.008, 0.5])
-    assert not found.accepted
+@pytest.mark.slow
+def test_a_phone_with_wrong_constants_and_slow_noise_is_told_so(recording: Maker) -> None:
+    """Biases are 1.2 m/s^2 off, scales all 1, and the 1/f noise is twenty times too strong."""
+    sound = phone_with()
+    flicker = tuple(20.0 * f for f in per_axis(sound.accel.noise.flicker))
+    accel = msgspec.structs.replace(
+        sound.accel,
+        bias=tuple(b + 1.2 for b in sound.accel.bias),
+        scale=tuple(map(tuple, np.eye(3).tolist())),
+        noise=msgspec.structs.replace(sound.accel.noise, flicker=flicker),
+    )
+    off = msgspec.structs.replace(sound, accel=accel)
+    findings = judge_phone(named(recording(), "real.csv"), off, "phone.toml").answer["findings"]
+    told = {f["effect"]: f for f in findings}
+    assert {"accel_bias", "accel_scale", "accel_slow_noise"} <= set(told)
+    np.testing.assert_allclose(told["accel_bias"]["difference"]["bias"]["value"], [-1.2] * 3, atol=0.02)
+    assert told["accel_slow_noise"]["relation"] == "too_large"
 
 
 def test_the_clock_of_the_written_phone_scatters_and_loses_as_the_recording_does() -> None:
@@ -108,7 +104,7 @@ def test_the_clock_of_the_written_phone_scatters_and_loses_as_the_recording_does
     scatter, missing = stamps_measured(real.accelerometer)
     assert scatter == pytest.approx(3e-4, rel=0.05)
     assert missing == pytest.approx(0.005, rel=0.3)
-    case = case_of(real, diagnosis_of(real, "r"))
+    case = diagnosed(real)
     told = {m.finding.effect for m in case.mapped}
     clock = case.phone().clock
     assert clock.jitter_s == (0.0 if "timestamp_jitter" in told else pytest.approx(scatter, rel=1e-3))

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.direct.low_pass import quiet
 from stillcal.calib_core.diagnosis.direct.noise_level import density
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
@@ -18,8 +19,7 @@ from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.calib_core.noise.covariance import NoiseModel, fit_noise
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.diagnosis.report.comparison import stamps_measured
-from stillcal.replay.diagnosis.report.phone_effects import WHITE_NOISE_FINDINGS, MappedFinding
+from stillcal.replay.diagnosis.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, fit_affine
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
@@ -32,7 +32,6 @@ from stillcal.replay.phone.settings import (
     SensorSettings,
     Vector,
     Wandering,
-    per_axis,
 )
 
 LEAST_BINS = 8
@@ -87,41 +86,38 @@ def _clock(recording: Recording, effects: Sequence[Effect]) -> ClockSettings:
     )
 
 
-def plain_phone(
-    phone: Phone,
-    mapped: Sequence[MappedFinding],
-    known: Sequence[Effect],
-    recording: Recording,
-    affine: AffinePhone,
-) -> Phone:
-    """Return the phone without the effects found: affine, with the same slow noise and an even clock.
+PIECES = 40
+"""Spans of time of equally many intervals, whose median is robust against a few disturbed ones."""
 
-    affine: the affine phone fitted with no effects but those known before.
-    """
-    scale = _matrix(np.asarray(np.linalg.inv(affine.baseline.scale), dtype=np.float64))
-    replaced = {m.finding.sensor for m in mapped if m.finding.effect in WHITE_NOISE_FINDINGS}
-    claims = recording.claims
-    accel = _as_claimed(
-        phone.accel, claims.accel_noise_density if "accel" in replaced else None, "accel" in replaced
-    )
-    gyro = phone.gyro
-    if gyro is not None:
-        quiet_gyro = _as_claimed(
-            gyro, claims.gyro_noise_density if "gyro" in replaced else None, "gyro" in replaced
-        )
-        gyro = msgspec.structs.replace(quiet_gyro, bias=_vector(affine.rate_bias))
-    accel = msgspec.structs.replace(accel, bias=_vector(affine.baseline.bias), scale=scale)
-    clock = ClockSettings(shared=phone.clock.shared)
-    return msgspec.structs.replace(phone, accel=accel, gyro=gyro, clock=clock, effects=tuple(known))
+NEAR = 0.75
+"""An interval that is off by a larger share of the period is no scatter, but a gap or a burst."""
+
+LONGEST_GAP = 50
+"""Periods beyond which the recording was paused, and nothing is missing."""
 
 
-def _as_claimed(settings: SensorSettings, density: float | None, replaced: bool) -> SensorSettings:
-    """Return a sensor whose white noise is as claimed, or alike on its axes where nothing is claimed."""
-    if not replaced:
-        return settings
-    white = density or float(np.median(per_axis(settings.noise.white)))
-    noise = msgspec.structs.replace(settings.noise, white=white)
-    return msgspec.structs.replace(settings, noise=noise)
+def stamps_measured(samples: Samples) -> tuple[float, float]:
+    """Return the standard deviation of a stamp about an even rate, s, and the part of samples missing."""
+    steps = np.diff(samples.t)
+    return _about(steps, 1.0 / sample_rate(samples))
+
+
+def sample_rate(samples: Samples) -> float:
+    """Return the samples in a second, Hz: by the median interval; by their count if they come in bursts."""
+    rate = median_rate_hz(samples)
+    if _about(np.diff(samples.t), 1.0 / rate)[1] <= MOST_MISSING:
+        return rate
+    return float(np.exp(counted_rate(samples).value[0]))
+
+
+def _about(steps: Array, period: float) -> tuple[float, float]:
+    """Return the scatter of stamps about a period, s, and the part of samples missing at that period."""
+    parts = np.array_split(steps, PIECES)
+    even = [p[np.abs(p - period) < NEAR * period] for p in parts]
+    scatter = [float(np.diff(e).std() / np.sqrt(6.0)) if e.size > 8 else 0.0 for e in even]
+    hops = [np.maximum(np.rint(p / period) - 1.0, 0.0) for p in parts]
+    missing = float(np.mean([h[h < LONGEST_GAP].sum() / max(h.size, 1) for h in hops]))
+    return float(np.median(scatter)), missing / (1.0 + missing)
 
 
 def _claims(recording: Recording) -> Claims:
@@ -162,7 +158,7 @@ def _sensor(
     limit: float | None,
     claimed: float | None,
 ) -> SensorSettings:
-    rate = median_rate_hz(samples)
+    rate = sample_rate(samples)
     steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
     coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
     # Noise below a coarse step cannot be measured: only the maker's claim is left.

@@ -1,0 +1,225 @@
+"""Which effects a recording allows to look for, and why the others not: the reason that really decided.
+
+Each condition is the one under which the diagnosis itself does not look for the effect, in the order in which
+it is tested there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.comparison.noise import why_no_density
+from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought
+from stillcal.calib_core.diagnosis.diagnose import LEAST_SAMPLES, Examination, Stream
+from stillcal.calib_core.diagnosis.direct import noise_level
+from stillcal.calib_core.diagnosis.direct.low_pass import LEAST_PIECES
+from stillcal.calib_core.diagnosis.direct.spectral_line import BRIEF
+from stillcal.calib_core.diagnosis.direct.steady_segments import stretches
+from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
+from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
+from stillcal.calib_core.diagnosis.effects.warmup import TAUS
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
+from stillcal.calib_core.diagnosis.motion.time_offset import LEAST_WINDOWS, WINDOW, turning_windows
+from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN, Bins
+
+SLOW = (
+    "bias_temperature",
+    "warmup",
+    "bias_drift",
+    "bias_step",
+    "bias_random_walk",
+    "charging_bias",
+)
+"""Slow effects of either sensor, by the end of their names."""
+
+OF_TIME = ("warmup", "bias_drift", "bias_step", "bias_random_walk", "charging_bias", "thermal_latent")
+"""Slow effects, by the end of their names, for which it must be known when the phone was at rest."""
+
+OF_TURNS = ("gyro_nonlinearity", "gyro_scale_temperature")
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One effect. reason: why it could not be looked for; None where it was."""
+
+    effect: str
+    sensor: str
+    reason: str | None = None
+
+
+Condition = tuple[bool, str]
+"""Whether something stands in the way, and what to say then."""
+
+
+def checks_of(exam: Examination, found: Sequence[Sought]) -> list[Check]:
+    """Return every effect of the catalogue with whether this recording was asked for it."""
+    return [*_direct(exam), *slow_checks(exam, found)]
+
+
+def slow_checks(exam: Examination, found: Sequence[Sought]) -> list[Check]:
+    """Return the effects that rests and the turns between them can show. found: what was fitted there."""
+    seen = {(s.effect, s.sensor): bool(s.smallest) for s in found}
+    stated = {(s.finding.effect, s.finding.sensor) for s in exam.statements}
+    return [
+        Check(effect, sensor, None if (effect, sensor) in stated else _why_slow(exam, effect, sensor, seen))
+        for effect, sensor in _slow_effects(exam.bins)
+    ]
+
+
+def _slow_effects(bins: Bins) -> Iterator[tuple[str, str]]:
+    for sensor in ("accel", "gyro"):
+        yield from ((f"{sensor}_{name}", sensor) for name in SLOW)
+        if bins.temperature is None:
+            yield "thermal_latent", sensor
+    yield from (("accel_scale_temperature", "accel"), ("accel_nonlinearity", "accel"))
+    yield from (("gyro_g_sensitivity", "gyro"), *((name, "gyro") for name in OF_TURNS))
+
+
+def _why_slow(
+    exam: Examination, effect: str, sensor: str, seen: Mapping[tuple[str, str], bool]
+) -> str | None:
+    """Say why a slow effect was not looked for; None where it was."""
+    if seen.get((effect, sensor)):
+        return None
+    first = next((why for stands, why in _obstacles(exam, effect, sensor) if stands), None)
+    if first is not None:
+        return first
+    if effect.endswith("bias_random_walk"):
+        return None
+    return "what it depends on changes too little at rest to tell it from bias, scale and attitude"
+
+
+def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Condition]:
+    bins = exam.bins
+    if sensor == "gyro":
+        what = "the table has no rates" if exam.is_table else "no gyroscope was recorded"
+        yield exam.gyroscope is None, what
+    yield from _of_rest(exam, sensor)
+    yield not exam.timed and effect.endswith(OF_TIME), "the table's rows have no time"
+    if "temperature" in effect:
+        yield from _of_temperature(exam)
+    if effect.endswith("charging_bias"):
+        yield bins.charging is None, "no charging events were recorded"
+        yield True, "the charger is never switched between two rests"
+    if effect.endswith("warmup"):
+        lasts, needed = bins.span[1] - bins.span[0], 2.0 * TAUS[0]
+        yield lasts < needed, f"the recording lasts {lasts:.0f} s, {needed:.0f} s are needed"
+    if effect == "thermal_latent":
+        plugged = bins.charging_switches is not None
+        yield True, "neither use nor charging changes" if plugged else "the use of the phone does not change"
+    if effect in ("accel_nonlinearity", "gyro_g_sensitivity"):
+        needed = FEWEST_OF_DEGREE[2] if effect == "accel_nonlinearity" else FEWEST_OF_G
+        up = next((s.up for s in exam.scenes if s.sensor == sensor), None)
+        have = 0 if up is None else distinct(up)
+        yield have < needed, f"{_counted(have, 'attitude')} at rest, {needed} are needed"
+        yield True, f"{_counted(have, 'attitude')} at rest are too alike"
+    if effect in OF_TURNS:
+        have = 0 if exam.aligned is None else len(exam.aligned.turns)
+        yield (
+            exam.turns is None,
+            f"{_counted(have, 'turn')} from rest to rest can be used, {LEAST_TURNS} are needed",
+        )
+        yield True, "the turns from rest to rest are too few or too alike"
+
+
+def _of_rest(exam: Examination, sensor: str) -> Iterator[Condition]:
+    bins, least = exam.bins, thresholds.LEAST_BINS
+    yield len(bins) == 0, "the phone never lies still for long enough"
+    yield sensor == "gyro" and bins.rate is None, "vibration hides the rate at rest"
+    if exam.is_table:
+        yield len(bins) < least, f"only {_counted(len(bins), 'rest')}, {least} are needed"
+    still = float(bins.duration.sum())
+    needed = max(still * least / max(len(bins), 1), SHORTEST_BIN)
+    yield len(bins) < least, f"only {still:.0f} s at rest, {needed:.0f} s are needed"
+
+
+def _of_temperature(exam: Examination) -> Iterator[Condition]:
+    warm = exam.bins.temperature
+    yield warm is None and exam.accelerometer.temperature is None, "no temperature was recorded"
+    yield warm is None, "the temperature is not known at every rest"
+    span = 0.0 if warm is None else float(np.ptp(warm))
+    yield span < LEAST_SPAN, f"the temperature varies by {span:.2g} K at rest, {LEAST_SPAN} K are needed"
+
+
+def _direct(exam: Examination) -> Iterator[Check]:
+    """Return what samples, values, stamps and motion show directly."""
+    if exam.is_table:
+        why = "a table of rests has no samples"
+        for sensor in ("accel", "gyro"):
+            yield from (Check(name, sensor, why) for name in _of_samples(sensor))
+        yield from (Check(name, "timing", why) for name in (*STAMPS, "clock_skew", "arrival_bursts"))
+        return
+    yield from (Check(name, "timing") for name in STAMPS)
+    claims, arrivals = exam.claims, exam.accelerometer.t_arrival is not None
+    nominal = arrivals or bool(claims.nominal_rate_hz)
+    unknown = "neither arrival times nor a nominal rate are known (add nominal_rate_hz to NAME.json)"
+    yield Check("clock_skew", "timing", None if nominal else unknown)
+    yield Check("arrival_bursts", "timing", None if arrivals else "no arrival times were recorded")
+    for stream in exam.streams:
+        yield from _of_stream(exam, stream)
+    if exam.gyroscope is None:
+        yield from (Check(name, "gyro", "no gyroscope was recorded") for name in _of_samples("gyro"))
+    yield from _of_motion(exam)
+
+
+STAMPS = ("timestamp_jitter", "dropped_samples")
+LEVELS = ("noise_unequal_axes", "noise_heavy_tailed", "bandwidth", "noise_level")
+MOTION = (("accel_gyro_time_offset", "timing"), ("lever_arm", "accel"))
+
+
+def _of_samples(sensor: str) -> tuple[str, ...]:
+    return f"{sensor}_saturation", f"{sensor}_quantisation", "vibration_tone", *LEVELS
+
+
+def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
+    sensor, count = stream.sensor, len(stream.samples)
+    stated = {s.finding.effect for s in exam.statements if s.finding.sensor == sensor}
+    few = None if count >= LEAST_SAMPLES else f"{count} samples, {LEAST_SAMPLES} are needed"
+    yield Check(f"{sensor}_saturation", sensor, few)
+    pieces = len(stream.still.pieces)
+    restless = (
+        f"{_counted(pieces, 'static interval')}, {LEAST_PIECES} are needed" if pieces < LEAST_PIECES else None
+    )
+    yield Check(f"{sensor}_quantisation", sensor, few or restless)
+    coarse = "its values come in steps that hide the noise" if stream.steps.hides_noise() else None
+    tone = None if "vibration_tone" in stated else few or coarse or _no_stretch(stream)
+    yield Check("vibration_tone", sensor, tone)
+    noise = few or coarse or restless or (None if stream.levels is not None else why_no_density(stream))
+    blurred = "its values come in steps larger than the noise" if stream.steps.blurs_level() else None
+    wide = None if "noise_heavy_tailed" not in stated else "heavy tails stand in the way"
+    unclaimed = f"the datasheet's noise is not given (add {sensor}_noise_density to NAME.json)"
+    claimed = noise_level.claimed(sensor, exam.claims) is not None
+    reasons = {
+        "noise_unequal_axes": noise or blurred or wide,
+        "noise_heavy_tailed": noise or blurred,
+        "bandwidth": noise,
+        "noise_level": noise or blurred or wide or (None if claimed else unclaimed),
+    }
+    yield from (Check(name, sensor, None if name in stated else why) for name, why in reasons.items())
+
+
+def _no_stretch(stream: Stream) -> str | None:
+    """Say why no line can be looked for; None where steady segments are long enough."""
+    if stretches(stream.samples, stream.sensor, BRIEF) is not None:
+        return None
+    return f"there are no three steady segments of {BRIEF:.0f} s"
+
+
+def _of_motion(exam: Examination) -> Iterator[Check]:
+    stated = {s.finding.effect for s in exam.statements}
+    why = None
+    if exam.gyroscope is None:
+        why = "no gyroscope was recorded"
+    else:
+        have = len(turning_windows(exam.gyroscope, exam.aligned))
+        if have < LEAST_WINDOWS:
+            why = f"the phone turns in {_counted(have, 'span')} of {WINDOW:.0f} s, {LEAST_WINDOWS} are needed"
+    yield from (Check(name, sensor, None if name in stated else why) for name, sensor in MOTION)
+
+
+def _counted(count: int, one: str) -> str:
+    return f"{count} {one}" if count == 1 else f"{count} {one}s"

@@ -1,0 +1,168 @@
+"""How small an effect one recording would have shown, from the covariance of the model that looked for it.
+
+An effect of size d on one axis, known to a standard error s, raises the log likelihood by about
+(d / s)^2 / 2. The search states it where that gain passes its threshold (`slow.search.score`), which gives
+the least d / s. Nine recordings in ten show an effect that is 1.28 standard errors larger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.linear import kind_of
+from stillcal.calib_core.diagnosis.comparison.quantity import INFORMED, NINE_IN_TEN, Difference
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.likelihood import Reduced, fit_hypothesis, null_log_likelihood
+from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_scene
+
+ONE_AXIS = 6
+"""What an effect on one axis alone pays for in trials, as the search counts them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Smallest:
+    """The smallest value of a parameter, on one axis, that is found nine times in ten, in `unit`.
+
+    reference: the time constant or moment it is stated for, where the effect has one.
+    """
+
+    effect: str
+    sensor: str
+    parameter: str
+    value: float
+    unit: str
+    reference: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Sought:
+    """A slow effect that was looked for. log_bayes_factor: nats for it, against none.
+
+    smallest: one for each of its parameters that the recording shows better than the prior does.
+    """
+
+    effect: str
+    sensor: str
+    log_bayes_factor: float
+    smallest: tuple[Smallest, ...]
+
+
+def sought(exam: Examination) -> list[Sought]:
+    """Return every named slow effect that the recording's rests and turns could be asked for."""
+    scenes = [*exam.scenes, *([] if exam.turns is None else [exam.turns])]
+    out = []
+    for scene in scenes:
+        if len(scene.bins) >= thresholds.LEAST_BINS:
+            every = effects_of(scene.sensor, in_turns=bool(scene.turns))
+            named = [e for e in every if e.name != "unknown" and (exam.timed or not follows_time(e.follows))]
+            out += _of_scene(scene, named, _stated(exam, scene))
+    return out
+
+
+def _stated(exam: Examination, scene: Scene) -> list[Hypothesis]:
+    """Return the hypotheses that were stated of a scene."""
+    return [
+        s.hypothesis
+        for s in exam.statements
+        if s.hypothesis is not None and s.scene is not None and kind_of(s.scene) == kind_of(scene)
+    ]
+
+
+def follows_time(driver: str) -> bool:
+    """Whether an effect with this driver needs to know when a rest was."""
+    return "time" in driver or driver.startswith("charging")
+
+
+def _of_scene(scene: Scene, effects: Sequence[Effect], stated: Sequence[Hypothesis]) -> list[Sought]:
+    """Fit one hypothesis of every effect, beside those stated of other effects."""
+    asked = [one for effect in effects if (one := _typical(scene, effect)) is not None]
+    found = {h.effect.name for h in stated}
+    groups = [[h for h in asked if h.effect.name not in found]]
+    groups += [[h for h in asked if h.effect.name == name] for name in sorted(found)]
+    out = []
+    for group in groups:
+        beside = [h for h in stated if h.effect.name not in {own.effect.name for own in group}]
+        reduced = reduce_scene(scene, group, beside) if group else []
+        out += [_sought(reduced, i, h) for i, h in enumerate(group)]
+    return out
+
+
+def _typical(scene: Scene, effect: Effect) -> Hypothesis | None:
+    """Return the middle one of an effect's hypotheses; of a step, one in the middle of the rests.
+
+    Its multiplicity is that of all of them, which compete with it.
+    """
+    found = scene.hypotheses(effect)
+    if found:
+        return replace(found[len(found) // 2], multiplicity=len(found))
+    dictionary = effect.dictionary(scene.moments)
+    if dictionary is None or "t_start" not in effect.grid_units:
+        return None
+    middle = scene.hypothesis(effect, {"t_start": float(np.median(scene.bins.t))})
+    return replace(middle, multiplicity=dictionary.multiplicity)
+
+
+def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> Sought:
+    fit, effect = fit_hypothesis(reduced, index), hypothesis.effect
+    gain = fit.log_likelihood - null_log_likelihood(reduced)
+    evidence = gain + 0.5 * float(np.linalg.slogdet(fit.covariance)[1])
+    variance = fit.covariance.diagonal()
+    # The prior is taken off again: what is wanted is the error of the data alone.
+    sigma = np.sqrt(variance / np.maximum(1.0 - variance, 1e-9)) * hypothesis.sizes
+    informed = np.sqrt(variance) < INFORMED
+    per_axis = int(np.count_nonzero(hypothesis.axis_of == 0))
+    trials = hypothesis.multiplicity * ONE_AXIS
+    needed = _needed(degrees(reduced, index), per_axis, trials, effect.prior_penalty)
+    least, smallest, first = (needed + NINE_IN_TEN) * sigma, [], 0
+    for parameter in effect.parameters:
+        rows = np.arange(first, first + parameter.count)
+        first += parameter.count
+        if informed[rows].any():
+            smallest.append(_smallest(hypothesis, parameter, least[rows][informed[rows]]))
+    return Sought(effect.name, effect.sensor, evidence, tuple(smallest))
+
+
+def _smallest(hypothesis: Hypothesis, parameter: Linear, least: Array) -> Smallest:
+    effect = hypothesis.effect
+    at = {k: v for k, v in hypothesis.grid.items() if k in effect.grid_units}
+    return Smallest(effect.name, effect.sensor, parameter.name, float(least.max()), parameter.unit, at)
+
+
+def _needed(dof: float, parameters: int, trials: float, penalty: float) -> float:
+    """Return how many standard errors an effect must be from nothing, for its score to reach the threshold.
+
+    It is the inverse of `slow.search.score`: the tail of F is I_x(dof/2, parameters/2), x = exp(-fall).
+    """
+    from scipy.special import betaincinv  # noqa: PLC0415 - the daemon stays light
+
+    left = max(dof - parameters, 1.0)
+    tail = np.exp(-(thresholds.SCORE + penalty + np.log10(trials)) * LN10)
+    x = float(betaincinv(left / 2.0, parameters / 2.0, tail))
+    fall = -np.log(max(x, 1e-300))
+    return float(np.sqrt(fall * dof))
+
+
+def of_difference(difference: Difference, comparisons: int) -> list[Smallest]:
+    """Return, part by part, the smallest difference on one axis that is stated nine times in ten."""
+    recorded = difference.recorded
+    shown = recorded.informed & difference.simulated.informed
+    least = difference.visible_from(comparisons)
+    if recorded.logarithmic:
+        least = np.exp(np.minimum(recorded.value, difference.simulated.value)) * np.expm1(least)
+        shown = np.ones(least.size, dtype=np.bool_)
+    out, first = [], 0
+    for part in recorded.parts:
+        rows = np.arange(first, first + part.count)
+        first += part.count
+        if shown[rows].any():
+            size = float(least[rows][shown[rows]].max())
+            out.append(Smallest(recorded.effect, recorded.sensor, part.name, size, part.unit))
+    return out

@@ -1,0 +1,233 @@
+"""The answer in plain values, JSON schema 2: one layout for every kind of simulation.
+
+docs/comparison.md describes it. A field without a meaning for a finding is absent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
+from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
+from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
+from stillcal.replay.diagnosis.relation_text import BUILT_IN, statement
+
+SCHEMA = 2
+
+NORMAL_95 = 1.96
+"""Half the width of a 95 % interval of a normal distribution, in standard deviations."""
+
+WITHOUT_ZERO = frozenset({"limit", "cutoff", "frequency", "tau_s", "period_s", "ratio", "order", "longest"})
+"""Parameters of which an ideal sensor has no value that could be written as a number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How well the simulation fits before and after what was found was put into it.
+
+    p_after: None where the corrected simulation could not be played; not_put_in: what could not be added.
+    """
+
+    p_before: float
+    p_after: float | None
+    not_put_in: Sequence[str] = ()
+
+    def plain(self) -> dict[str, Any]:
+        """Return the fields that have a value."""
+        after = {} if self.p_after is None else {"p_after": self.p_after}
+        return {"p_before": self.p_before, **after, "not_put_in": list(self.not_put_in)}
+
+
+def answer_of(
+    before: Comparison, names: tuple[str, str], fit: Fit, stated: Mapping[tuple[str, str, str], Finding]
+) -> dict[str, Any]:
+    """Return a comparison as plain values.
+
+    names: of the recording and the simulation. stated: the findings that the recording ("recorded") or the
+    simulation ("simulated") makes by itself, by side, effect and sensor: they have what a difference lacks.
+    """
+    return {
+        "schema": SCHEMA,
+        "recording": names[0],
+        "simulation": names[1],
+        "verdict": before.verdict(fit.p_after),
+        "findings": [_finding(d, names, stated) for d in before.discrepancies],
+        "agreed": [
+            {"effect": d.recorded.effect, "sensor": d.recorded.sensor, "parameters": _values(d.recorded)}
+            for d in before.agreed
+        ],
+        "not_compared": [_not_compared(n) for n in (*before.not_compared, *before.undecided)],
+        "checks": {"made": before.comparisons, "of": before.comparisons + len(before.not_compared)},
+        "sensitivity": [_smallest(s) for s in before.smallest],
+        "fit": fit.plain(),
+    }
+
+
+def findings_stated(findings: Sequence[Finding], side: str) -> dict[tuple[str, str, str], Finding]:
+    """Return findings by side, effect and sensor; of several of one kind the first."""
+    return {(side, f.effect, f.sensor): f for f in reversed(findings)}
+
+
+def _not_compared(one: NotCompared) -> dict[str, str]:
+    return {"effect": one.effect, "sensor": one.sensor, "reason": one.reason}
+
+
+def _smallest(one: Smallest) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        "effect": one.effect,
+        "sensor": one.sensor,
+        "parameter": one.parameter,
+        "smallest_seen_90": one.value,
+        "unit": one.unit,
+    }
+    return out | ({"reference": one.reference} if one.reference else {})
+
+
+def _finding(
+    one: Discrepancy, names: tuple[str, str], stated: Mapping[tuple[str, str, str], Finding]
+) -> dict[str, Any]:
+    side = "simulated" if one.relation == "superfluous" else "recorded"
+    own = one.recorded or one.simulated or stated.get((side, one.effect, one.sensor))
+    out: dict[str, Any] = {
+        "effect": one.effect,
+        "sensor": one.sensor,
+        "axes": one.axes,
+        "where": {
+            "t_start": one.where.t_start,
+            "t_end": one.where.t_end,
+            "band_hz": list(one.where.band_hz),
+            "driver": one.where.driver,
+        },
+        "parameters": {},
+        "alternatives": [] if own is None else [_alternative(a) for a in own.alternatives],
+        "relation": one.relation,
+        "probability": one.probability,
+        "difference": {},
+        "simulated": {},
+        "evidence": {"log_bayes_factor": one.log_bayes_factor},
+    }
+    out |= _of_both(one.difference) if one.difference is not None else _of_one(one, names)
+    if own is not None and one.relation in ("lacking", "superfluous"):
+        out["evidence"] |= _held_out(own)
+    out["statement"] = statement(out, names)
+    return out
+
+
+def _of_both(difference: Difference) -> dict[str, Any]:
+    """Return what two recordings' quantities are, and how they differ."""
+    out = {
+        "parameters": _values(difference.recorded),
+        "simulated": _values(difference.simulated),
+        "difference": _difference(difference),
+    }
+    reference = dict(difference.recorded.reference)
+    return out | ({"reference": reference} if reference else {})
+
+
+def _of_one(one: Discrepancy, names: tuple[str, str]) -> dict[str, Any]:
+    """Return what one of the two has and the other has nothing of."""
+    own = one.recorded or one.simulated
+    assert own is not None, "what has no difference was found in one of the two"
+    values = {name: _parameter(p) for name, p in own.parameters.items()}
+    if one.recorded is None:
+        return {"simulated": values, "difference": {k: _negated(v) for k, v in _zeroed(values).items()}}
+    out = {"parameters": values, "difference": _zeroed(values)}
+    out["simulated"] = {k: _nothing_of(v) for k, v in _zeroed(values).items()}
+    if one.effect == "noise_level" and names[1] == BUILT_IN:
+        out["simulated"] = {"ratio": {"value": 1.0, "unit": "1"}}
+    return out
+
+
+def _zeroed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters of which nothing is a value too."""
+    return {k: v for k, v in values.items() if k not in WITHOUT_ZERO}
+
+
+def _nothing_of(parameter: Mapping[str, Any]) -> dict[str, Any]:
+    value = np.zeros(np.shape(parameter["value"]))
+    return {"value": value.tolist(), "unit": parameter["unit"]}
+
+
+def _negated(parameter: Mapping[str, Any]) -> dict[str, Any]:
+    out = {"value": (-np.asarray(parameter["value"])).tolist(), "unit": parameter["unit"]}
+    if "ci95" in parameter:
+        out["ci95"] = (-np.asarray(parameter["ci95"])[..., ::-1]).tolist()
+    return out
+
+
+def _held_out(finding: Finding) -> dict[str, Any]:
+    evidence = finding.evidence
+    out = {
+        "heldout_log_score_gain": evidence.heldout_log_score_gain,
+        "heldout_rmse_before": evidence.heldout_rmse_before,
+        "heldout_rmse_after": evidence.heldout_rmse_after,
+        "folds": evidence.folds or None,
+    }
+    return {name: value for name, value in out.items() if value is not None}
+
+
+def _alternative(one: Alternative) -> dict[str, Any]:
+    return {
+        "effect": one.effect,
+        "heldout_log_score_gain": one.heldout_log_score_gain,
+        "indistinguishable": one.indistinguishable,
+    }
+
+
+def _parameter(parameter: Parameter) -> dict[str, Any]:
+    """Return one recording's parameter; without an interval where that is only the value twice."""
+    out = {"value": parameter.value, "unit": parameter.unit}
+    return out if _flat(parameter.ci95) else out | {"ci95": parameter.ci95}
+
+
+def _flat(ci95: Any) -> bool:
+    if ci95 is None:
+        return True
+    ends = np.asarray(ci95, dtype=np.float64).reshape(-1, 2)
+    return bool((ends[:, 0] == ends[:, 1]).all())
+
+
+def _values(quantity: Quantity) -> dict[str, Any]:
+    """Return values with 95 % intervals, part by part; of logarithms, the numbers themselves."""
+    low, high = quantity.value - NORMAL_95 * quantity.sigma, quantity.value + NORMAL_95 * quantity.sigma
+    value = quantity.value
+    if quantity.logarithmic:
+        value, low, high = np.exp(value), np.exp(low), np.exp(high)
+    return _by_part(quantity, value, low, high)
+
+
+def _difference(difference: Difference) -> dict[str, Any]:
+    """Return what to add to the simulation, with 95 % intervals; of positive numbers the ratio too."""
+    recorded, simulated = difference.recorded, difference.simulated
+    if not recorded.logarithmic:
+        half = NORMAL_95 * difference.sigma
+        return _by_part(recorded, difference.value, difference.value - half, difference.value + half)
+    one, other = np.exp(recorded.value), np.exp(simulated.value)
+    half = NORMAL_95 * np.hypot(one * recorded.sigma, other * simulated.sigma)
+    out = _by_part(recorded, one - other, one - other - half, one - other + half)
+    spread = np.exp(NORMAL_95 * difference.sigma)
+    ratio = np.exp(difference.value)
+    ci = np.stack([ratio / spread, ratio * spread], axis=-1)
+    return out | {"ratio": {"value": ratio.tolist(), "ci95": ci.tolist(), "unit": "1"}}
+
+
+def _by_part(quantity: Quantity, value: Array, low: Array, high: Array) -> dict[str, Any]:
+    out, first = {}, 0
+    for part in quantity.parts:
+        rows = slice(first, first + part.count)
+        first += part.count
+        shape: tuple[int, ...] = (3, 3) if part.count == 9 else (part.count,)
+        ci = np.stack([low[rows], high[rows]], axis=-1).reshape(*shape, 2)
+        values = value[rows].reshape(shape)
+        out[part.name] = {
+            "value": values.tolist() if part.count > 1 else float(values[0]),
+            "ci95": ci.tolist() if part.count > 1 else ci[0].tolist(),
+            "unit": part.unit,
+        }
+    return out

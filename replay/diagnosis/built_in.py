@@ -1,0 +1,54 @@
+"""`stillcal diagnose REC`: against an ideal affine sensor with plain noise, moved as the recording moved.
+
+The corrected simulation is a phone with the effects found: it is played through the recording's own motion
+and compared with the recording as any other simulation is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from stillcal.calib_core.diagnosis.comparison.compare import Comparison, compare
+from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.replay.diagnosis.answer import Fit, answer_of
+from stillcal.replay.diagnosis.case import Case, case_of
+from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent, without_left_out
+from stillcal.replay.diagnosis.relation_text import BUILT_IN
+from stillcal.replay.formats.trace import Recording
+
+
+def judge_built_in(
+    recording: Recording,
+    name: str = "",
+    show_stage: ShowStage = silent,
+    *,
+    without: Collection[str] = (),
+) -> Judged:
+    """Compare a recording with the built-in simulation.
+
+    name: of the recording, where it is not its own. without: effects of which the catalogue knows nothing.
+    Raises NotSupported on too little data.
+    """
+    names = (name or recording.name, BUILT_IN)
+    recorded = examined(recording, show_stage, without=without)
+    show_stage("comparing")
+    before = compare_with_ideal(recorded)
+    case = case_of(recording, recorded, before)
+    fit, after, corrected = Fit(before.p, before.p), None, None
+    if before.discrepancies:
+        fit, after, corrected = _played(case, recorded, before, names, show_stage)
+    return Judged(recorded, None, before, after, corrected, answer_of(before, names, fit, {}), case)
+
+
+def _played(
+    case: Case, recorded: Examination, before: Comparison, names: tuple[str, str], show_stage: ShowStage
+) -> tuple[Fit, Comparison | None, Recording | None]:
+    """Play the phone with the effects found and compare it; nothing is played where nothing is at rest."""
+    if not len(case.bins):
+        return Fit(before.p, None, case.not_in_phone()), None, None
+    show_stage("simulating the recording's motion with the effects found")
+    corrected = named(case.played(case.phone()), f"{BUILT_IN}, corrected")
+    after = compare(recorded, examined(corrected, show_stage), names)
+    left_out = case.not_in_phone()
+    return Fit(before.p, without_left_out(after, left_out), left_out), after, corrected

@@ -1,0 +1,73 @@
+"""What a recording's effects, motion and conditions are, for whatever is simulated in its place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from stillcal.calib_core.diagnosis.comparison.compare import Comparison
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.replay.diagnosis.phone_effects import WHITE_NOISE_FINDINGS, MappedFinding, map_findings
+from stillcal.replay.diagnosis.phone_file import phone_of
+from stillcal.replay.diagnosis.resimulate import motion_of, resimulate
+from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, conditions_of, fit_affine
+from stillcal.replay.formats.trace import Recording
+from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.phone import Phone
+
+SEED = 2
+"""Of what is simulated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A recording with what an ideal sensor lacks of it.
+
+    mapped: the findings, each with its effect in a phone file. affine: the constants fitted with these.
+    """
+
+    recording: Recording
+    bins: Bins
+    gravity: float
+    conditions: Conditions
+    mapped: tuple[MappedFinding, ...]
+    affine: AffinePhone
+
+    def phone(self) -> Phone:
+        """Return the phone that the recording shows, with the effects found. Needs static bins."""
+        return phone_of(self.recording, self.bins, self.effects, self.conditions, self.gravity)
+
+    def played(self, phone: Phone, conditions: Conditions | None = None) -> Recording:
+        """Return what a phone would have recorded of this recording's motion.
+
+        conditions: other than the recording's own, whose reference temperature is its mean.
+        """
+        motion = motion_of(
+            self.recording, self.bins, self.affine, self.effects, self.conditions, gravity=self.gravity
+        )
+        return resimulate(self.recording, motion, conditions or self.conditions, phone, seed=SEED)
+
+    @property
+    def effects(self) -> list[Effect]:
+        """The effects found that a phone file can have."""
+        return [m.effect for m in self.mapped if m.effect is not None]
+
+    def not_in_phone(self) -> list[str]:
+        """Return the effects found that a phone file cannot have."""
+        return [
+            m.finding.effect
+            for m in self.mapped
+            if m.effect is None and m.finding.effect not in WHITE_NOISE_FINDINGS
+        ]
+
+
+def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) -> Case:
+    """Return a recording's case. against_ideal: its comparison with an ideal sensor."""
+    conditions, gravity = conditions_of(exam.bins), exam.claims.gravity
+    findings = [d.recorded for d in against_ideal.discrepancies if d.recorded is not None]
+    mapped = tuple(map_findings(findings, exam.bins, conditions))
+    effects = [m.effect for m in mapped if m.effect is not None]
+    affine = fit_affine(exam.bins, effects, conditions, gravity)
+    if exam.aligned is not None:
+        affine = replace(affine, rate_mapping=exam.aligned.mapping)
+    return Case(recording, exam.bins, gravity, conditions, mapped, affine)

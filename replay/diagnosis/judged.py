@@ -1,0 +1,94 @@
+"""What a recording's comparison with a simulation leaves: both examined, before and after the correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
+
+from stillcal.calib_core.diagnosis.comparison.compare import Comparison, p_of
+from stillcal.calib_core.diagnosis.diagnose import Examination, examine, still_bins
+from stillcal.calib_core.diagnosis.model.records import Claims
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.streams.events import Charging
+from stillcal.replay.diagnosis.case import Case
+from stillcal.replay.formats.trace import Recording
+
+ShowStage = Callable[[str], None]
+"""Is called with the name of each stage as it begins."""
+
+
+def silent(_stage: str) -> None:
+    """Show no stage."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A recording against a simulation.
+
+    simulated: None for the built-in simulation, whose part of every difference is zero. before, after: the
+    comparison with the simulation as it is, and with what was found put into it (None where nothing was found
+    or it could not be played). corrected: that simulation's recording. case: what a phone file is made of,
+    None where a simulator's recording was judged.
+    """
+
+    recorded: Examination
+    simulated: Examination | None
+    before: Comparison
+    after: Comparison | None
+    corrected: Recording | None
+    answer: dict[str, Any]
+    case: Case | None = None
+
+
+def examined(
+    recording: Recording, show_stage: ShowStage = silent, *, name: str = "", without: Collection[str] = ()
+) -> Examination:
+    """Measure a recording. name: of what is shown. Raises NotSupported, with its name, on too little data."""
+    show_stage(f"examining {name or recording.name or 'the recording'}")
+    try:
+        return examine(
+            recording.accelerometer,
+            recording.gyroscope,
+            charging_events(recording),
+            claims_of(recording),
+            without=without,
+        )
+    except NotSupported as refusal:
+        where = f"{recording.name}: " if recording.name else ""
+        raise NotSupported(f"{where}{refusal.reason}", refusal.missing) from refusal
+
+
+def without_left_out(comparison: Comparison, left_out: Sequence[str]) -> float:
+    """Return p of no difference but those that could not be put into the simulation."""
+    factors = [d.log_bayes_factor for d in comparison.compared if d.recorded.effect not in left_out]
+    factors += [
+        d.log_bayes_factor
+        for d in comparison.discrepancies
+        if d.difference is None and d.effect not in left_out
+    ]
+    return p_of(factors)
+
+
+def claims_of(recording: Recording) -> Claims:
+    """Return what the maker says, as the diagnosis takes it."""
+    claims = msgspec.to_builtins(recording.claims)
+    return Claims(**{k: claims[k] for k in Claims.__slots__ if claims.get(k) is not None})
+
+
+def charging_events(recording: Recording) -> list[Charging]:
+    """Return the recording's charging events."""
+    return [e for e in recording.events if isinstance(e, Charging)]
+
+
+def bins_of(recording: Recording) -> Bins:
+    """Return the recording's static bins."""
+    return still_bins(recording.accelerometer, recording.gyroscope, charging_events(recording))
+
+
+def named(recording: Recording, name: str) -> Recording:
+    """Return a recording under a name."""
+    return replace(recording, name=name)

@@ -1,0 +1,116 @@
+"""The diagnosis of a table of rests: how gravity's norm and the rate at rest depart from ideal sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.comparison.sensitivity import follows_time
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.model.records import Claims, Finding
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.findings import Stated, statements_of
+from stillcal.calib_core.diagnosis.slow.search import forward
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.diagnosis.answer import Fit, answer_of
+from stillcal.replay.diagnosis.phone_effects import map_findings
+from stillcal.replay.diagnosis.relation_text import BUILT_IN
+from stillcal.replay.diagnosis.twin import conditions_of, fit_affine
+
+LEAST_UNCERTAINTY = 1e-4
+"""m/s^2: the least uncertainty of a row's mean specific force, whether a table states less or none."""
+
+LEAST_ROWS = 7
+"""Fewer rests than the affine accelerometer has parameters to spare show nothing beyond it."""
+
+
+def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None = None) -> dict[str, Any]:
+    """Return what a table of rests shows, as plain values.
+
+    Raises NotSupported with fewer than `LEAST_ROWS` rows.
+    """
+    if len(rests) < LEAST_ROWS:
+        raise NotSupported(f"{len(rests)} rests", (f"at least {LEAST_ROWS}, in different attitudes",))
+    claims, timed = claims or Claims(), _timed(rests)
+    exam = _examined(rest_bins(rests), claims, timed=timed)
+    before = compare_with_ideal(exam)
+    fit = Fit(before.p, before.p)
+    if before.discrepancies:
+        findings = [d.recorded for d in before.discrepancies if d.recorded is not None]
+        corrected, left_out = _without_effects(exam.bins, findings, claims.gravity)
+        fit = Fit(before.p, compare_with_ideal(_examined(corrected, claims, timed=timed)).p, left_out)
+    return answer_of(before, (name, BUILT_IN), fit, {})
+
+
+def _without_effects(bins: Bins, findings: Sequence[Finding], gravity: float) -> tuple[Bins, list[str]]:
+    """Return the table without what the effects found add to it, and the effects that have no equation.
+
+    What an ideal sensor leaves of this is what a simulation with these effects leaves of the table: both are
+    linear in them.
+    """
+    conditions = conditions_of(bins)
+    mapped = map_findings(findings, bins, conditions)
+    effects = [m.effect for m in mapped if m.effect is not None]
+    affine = fit_affine(bins, effects, conditions, gravity)
+    rate = None if bins.rate is None else bins.rate - affine.gyro
+    left_out = [m.finding.effect for m in mapped if m.effect is None]
+    return replace(bins, force=bins.force - affine.accel, rate=rate), left_out
+
+
+def rest_bins(rests: Sequence[RestState]) -> Bins:
+    """Return a table of rests as bins, one a row: no vibration, no motion, every row a rest of its own.
+
+    Rows without a duration count as one second.
+    """
+    start = np.array([r.t_start for r in rests])
+    duration = np.maximum([r.duration for r in rests], 1.0)
+    rate = _stacked([r.rate for r in rests])
+    warm = [r.temperature for r in rests]
+    return Bins(
+        t=start + duration / 2.0,
+        duration=duration,
+        rest=np.arange(len(rests)),
+        force=np.array([r.specific_force for r in rests]),
+        force_variance=np.maximum(np.array([r.force_uncertainty for r in rests]), LEAST_UNCERTAINTY) ** 2,
+        vibration=np.ones(len(rests)),
+        activity=np.stack([start, np.zeros(len(rests))], axis=1),
+        span=(float(start.min()), float((start + duration).max())),
+        rate=rate,
+        rate_variance=None if rate is None else _variances(rests),
+        temperature=None if any(w is None for w in warm) else np.array(warm, dtype=np.float64),
+    )
+
+
+def _stacked(values: Sequence[Array | None]) -> Array | None:
+    return None if any(v is None for v in values) else np.array(values, dtype=np.float64)
+
+
+def _variances(rests: Sequence[RestState]) -> Array:
+    uncertainty = _stacked([r.rate_uncertainty for r in rests])
+    return np.maximum(1e-18 if uncertainty is None else uncertainty**2, 1e-18)
+
+
+def _examined(bins: Bins, claims: Claims, *, timed: bool) -> Examination:
+    """Return the examination of a table: slow effects only, and no samples."""
+    none = Samples.checked(Sensor.ACCELEROMETER, np.empty(0), np.empty((0, 3)))
+    made = scenes(bins, claims.gravity)
+    statements: list[Stated] = []
+    for scene in made:
+        effects = [e for e in effects_of(scene.sensor) if timed or not follows_time(e.follows)]
+        statements += statements_of(scene, forward(scene, effects))
+    gyroscope = None if bins.rate is None else replace(none, sensor=Sensor.GYROSCOPE)
+    return Examination(none, gyroscope, claims, bins, [], made, None, None, statements, [], timed)
+
+
+def _timed(rests: Sequence[RestState]) -> bool:
+    """Whether rows have a time of their own: those without are numbered."""
+    return any(r.t_start != i for i, r in enumerate(rests))
