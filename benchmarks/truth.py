@@ -28,12 +28,15 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.terms import bias_terms
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.engine.settings import EngineSettings
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.phone import Chunk
 
 EVERY_S = 600.0
-ENGINES = {"stillcal": EngineSettings()}
+ENGINES = {
+    "stillcal": EngineSettings(),
+    "stillcal without learning": EngineSettings(schedule=ScheduleSettings(learn_temperature=False)),
+}
 RIVALS = ("raw", "offset table", "vqf")
 ACCEL, GYRO = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
 GOALS = {ACCEL: (0.15, 0.6, "mg"), GYRO: (0.004, 0.02, "deg/s")}
@@ -41,7 +44,7 @@ GOALS = {ACCEL: (0.15, 0.6, "mg"), GYRO: (0.004, 0.02, "deg/s")}
 MOMENT = np.dtype(
     [
         *((name, float) for name in ("phone", "t", "celsius", "outside_k", "age_s")),
-        *(("who", "U24"), ("sensor", "U16"), ("error", float), ("apart", float, 3), ("stated", float, 3)),
+        *(("who", "U32"), ("sensor", "U16"), ("error", float), ("apart", float, 3), ("stated", float, 3)),
     ]
 )
 """One contender's sensor at one moment.
@@ -115,7 +118,7 @@ def told_by(
     if part is None:
         return
     bias = part.bias + np.atleast_2d(bias_terms(record, sensor, np.array([celsius])))[0]
-    sd = part.bias_uncertainty
+    sd = record.bias_uncertainty_at(sensor, t, celsius)
     measured = getattr(part, "zeroed_at", record.fitted_at)
     age = np.nan if measured is None else t - measured
     yield Answer(name, sensor, bias, part.scale, _UNKNOWN if sd is None else sd, age)

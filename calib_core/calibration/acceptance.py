@@ -126,7 +126,7 @@ def compare_residuals(old: Array, new: Array, sd: Array, settings: QualitySettin
     """
     gains = (old**2 - new**2) / (2 * sd**2)
     n = gains.size
-    chance = _flipped_share(gains) if n else 1.0
+    chance = flipped_share(gains) if n else 1.0
     rms_old, rms_new = (float(np.sqrt(np.mean(r**2))) if n else 0.0 for r in (old, new))
     better = n >= settings.held_out_rests and chance <= settings.chance
     return Comparison(n, float(gains.mean()) if n else 0.0, chance, rms_old, rms_new, better)
@@ -153,7 +153,7 @@ def _cross_validated(new: Candidate, asked: NDArray[np.bool_]) -> Array:
     return residuals
 
 
-def _flipped_share(gains: Array) -> float:
+def flipped_share(gains: Array) -> float:
     """Return the share of sign patterns, all or 4096 drawn ones, whose sum reaches that of `gains`."""
     n = gains.size
     if n <= _ALL_SIGN_PATTERNS:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, Evidence
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
+from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import force_uncertainties, forces
 
@@ -119,8 +120,9 @@ class Check:
 
 
 def check_calibration(record: CalibrationRecord, recent: Pool, settings: QualitySettings) -> Check:
-    """Check a calibration on recent rests (4.7). It must have an accelerometer part."""
+    """Check a calibration on recent rests (4.7), by its terms too. It must have an accelerometer part."""
     assert record.accelerometer is not None
+    recent = compensated(recent, record.terms)
     bias = None if record.gyroscope is None else record.gyroscope.bias
     uncertainty = np.hypot(norm_uncertainty(record.accelerometer), _gravity_change(record, recent))
     return check_rests(record.accelerometer.model, float(uncertainty), bias, recent.held, settings)

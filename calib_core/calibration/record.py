@@ -21,8 +21,9 @@ from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.temperature.forecast import Forecast
 
-How = Literal["calibration", "zeroing", "rollback", "migration"]
+How = Literal["calibration", "zeroing", "terms", "rollback", "migration"]
 Evidence = dict[str, float | int | str | bool | None]
 
 DETERMINANTS = (1 / 8, 8.0)
@@ -272,7 +273,8 @@ class Term:
 class CalibrationRecord:
     """A calibration of a phone: either sensor or both, with all that is needed to judge and use it.
 
-    fitted_at: s, sample time of the fit, None where unknown. Raises ValueError where both sensors are missing
+    fitted_at: s, sample time of the fit, None where unknown. forecast: by sensor, how uncertain its bias is
+    at other times and temperatures, where that was learnt. Raises ValueError where both sensors are missing
     or gravity is one that no place on earth has.
     """
 
@@ -285,6 +287,7 @@ class CalibrationRecord:
     provenance: Provenance = field(default_factory=Provenance)
     terms: tuple[Term, ...] = ()
     states: tuple[StateRecord, ...] = ()
+    forecast: dict[str, Forecast] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.accelerometer is None and self.gyroscope is None:
@@ -321,6 +324,17 @@ class CalibrationRecord:
                 f"calibration {self.id} has no {sensor} part: record one with it at rest"
             )
         return part.model
+
+    def bias_uncertainty_at(self, sensor: Sensor, t: float | None, celsius: float | None) -> Array | None:
+        """Return the standard uncertainty (3,) of a bias at t (s) and a temperature, degC; None if unknown.
+
+        celsius: None where unknown. Where no forecast was learnt, it is that of the time of the fit.
+        """
+        forecast = self.forecast.get(str(sensor))
+        if forecast is not None and t is not None:
+            return forecast.bias_uncertainty(t, celsius)
+        part = self.accelerometer if sensor == Sensor.ACCELEROMETER else self.gyroscope
+        return None if part is None else part.bias_uncertainty
 
     def apply(self, raw: Array, sensor: Sensor) -> Array:
         """Correct raw readings (..., 3) of one sensor by its affine model; `terms.correct` adds the terms."""

@@ -2,7 +2,8 @@
 
 There are two kinds: a bias that follows the temperature, and a gyroscope's sensitivity to force
 (g-sensitivity). In a diagnosis a slope counts from a temperature of its own. Here it counts from the mean
-temperature of the rests that the calibration was fitted to, because its bias holds there.
+temperature of the rests that the calibration was fitted to, because its bias holds there. A temperature term
+that the daemon learnt itself (bias_curve.py) is a polynomial, and knows the span that it was learnt at.
 
 calibrated = scale @ (raw - bias - slope (T - T_ref) - matrix @ force)
 """
@@ -13,11 +14,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError, Term, TermParameter
+from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 _KINDS: dict[str, tuple[Sensor, str, tuple[int, ...]]] = {
@@ -100,11 +104,56 @@ def bias_terms(
         if term.sensor != sensor or term.effect not in _KINDS:
             continue
         if "slope" in term.parameters and temperature is not None:
-            warmer = np.nan_to_num(temperature - term.reference["temperature"])
-            offset = offset + warmer[:, None] * term.parameters["slope"].value
+            offset = offset + polynomial(term, temperature)
         elif "matrix" in term.parameters and force is not None:
             offset = offset + force @ term.parameters["matrix"].value.T
     return offset
+
+
+POWER_NAMES = ("slope", "quadratic", "cubic")
+"""A temperature term's parameters: per K, K^2 and K^3."""
+
+_BEYOND = 0.25
+_BEYOND_K = 1.0
+
+
+def polynomial(term: Term, temperature: Array) -> Array:
+    """Return a temperature term's bias at temperatures (n,), degC: (n, 3); zero where they are unknown.
+
+    A term that knows the span of temperatures that it was learnt at is followed beyond them by a quarter of
+    the span and 1 K at most; there it stays as it is. A thermometer that lies far off does little harm so.
+    """
+    low, high = (term.reference.get(f"temperature_{end}") for end in ("min", "max"))
+    if low is not None and high is not None:
+        beyond = _BEYOND * (high - low) + _BEYOND_K
+        temperature = np.clip(temperature, low - beyond, high + beyond)
+    warmer = np.nan_to_num(temperature - term.reference["temperature"])
+    total = np.zeros((len(warmer), 3))
+    for power, name in enumerate(POWER_NAMES, start=1):
+        if name in term.parameters:
+            total = total + warmer[:, None] ** power * term.parameters[name].value
+    return total
+
+
+def compensated(pool: Pool, terms: Iterable[Term]) -> Pool:
+    """Return a pool whose rests have the temperature terms taken off their means; turns stay as they are.
+
+    The bias of the rests is then that at the terms' reference temperature. Rests of unknown temperature stay.
+    """
+    by_sensor = {term.sensor: term for term in terms if "slope" in term.parameters}
+    if not by_sensor:
+        return pool
+    return replace(pool, held=tuple(replace(h, rest=_compensated(h.rest, by_sensor)) for h in pool.held))
+
+
+def _compensated(rest: RestState, by_sensor: Mapping[Sensor, Term]) -> RestState:
+    if rest.temperature is None:
+        return rest
+    at = np.array([rest.temperature])
+    offsets = {sensor: polynomial(term, at)[0] for sensor, term in by_sensor.items()}
+    force = rest.specific_force - offsets.get(Sensor.ACCELEROMETER, 0.0)
+    rate = None if rest.rate is None else frozen(rest.rate - offsets.get(Sensor.GYROSCOPE, 0.0))
+    return msgspec.structs.replace(rest, specific_force=frozen(force), rate=rate)
 
 
 def interpolated(samples: Samples, t: Array) -> Array | None:

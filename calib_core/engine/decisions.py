@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit
 from stillcal.calib_core.calibration.acceptance import decide, with_decision
+from stillcal.calib_core.calibration.bias_curve import learn_gyroscope, with_learnt_gyroscope
 from stillcal.calib_core.calibration.candidate import (
     CalibrateSettings,
     Candidate,
@@ -24,7 +25,7 @@ from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict
 from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed_up
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
-from stillcal.calib_core.calibration.terms import inherit_terms
+from stillcal.calib_core.calibration.terms import compensated, inherit_terms
 from stillcal.calib_core.engine.actions import Action, Diagnose, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.schedule import CalibrationStatus, Occasion, calibration_due
 from stillcal.calib_core.engine.settings import EngineSettings
@@ -228,7 +229,8 @@ class CalibrationPolicy:
         if record is None or record.provisional:
             self.measure_gyroscope_alone(t)
         else:
-            self._publish_bias(with_updated_bias(record, self._rests_since(since), t), t)
+            recent = compensated(self._rests_since(since), record.terms)
+            self._publish_bias(self._learnt(with_updated_bias(record, recent, t), t), t)
 
     def measure_gyroscope_alone(self, t: float) -> None:
         """Before the first full calibration, publish the gyroscope's bias, or confirm the one published.
@@ -270,6 +272,13 @@ class CalibrationPolicy:
             self._state.record = updated
             self._state.counters.zeroings += 1
             self._actions.append(Publish(t, updated, updated.acceptance.reason))
+
+    def _learnt(self, record: CalibrationRecord | None, t: float) -> CalibrationRecord | None:
+        """Return a record with the gyroscope's bias by temperature and time as all rests kept show it."""
+        if record is None or not self._settings.schedule.learn_temperature:
+            return record
+        learnt = learn_gyroscope(self._state.memory, record, t, self._settings.quality)
+        return record if learnt is None else with_learnt_gyroscope(record, learnt, t)
 
     def _rests_since(self, t: float | None) -> Pool:
         """Return the rests from t (s) on, None for all, that the noise floor known now confirms."""

@@ -41,6 +41,7 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Ledger, Mode, Sense, Sleep
 from stillcal.calib_core.streams.events import Charging, End, Event, Location, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.memory import Memory
 
 MAX_EVENTS = 1024
 """Events ahead of the samples that are kept."""
@@ -135,8 +136,12 @@ class Engine:
         review_soon(state, self._now(), settings.schedule)
 
     def use_calibration(self, record: CalibrationRecord | None) -> None:
-        """Use `record` as the current calibration, as after a rollback, with no failed check against it."""
+        """Use `record` as the current calibration, as after a rollback, with no failed check against it.
+
+        What is learnt of temperature from now on is learnt from later rests.
+        """
         state = self._state
+        state.memory = Memory()
         state.record, state.degraded = record, False
         state.checked = state.sound_until = state.trouble = None
         review_soon(state, self._now(), self.settings.schedule)

@@ -99,6 +99,7 @@ class Intake:
         change = gravity.value - state.gravity.value
         if state.gravity.source == "default":
             state.pool = state.pool.located(gravity, place.t, self._settings.pool)
+            state.memory = state.memory.at_gravity(gravity.value)
             state.attitudes = self._index.attitudes(state.pool)
         else:
             reach = place.t - self._settings.detector.max_rest_s - _SLACK_S
@@ -130,6 +131,7 @@ class Intake:
         state = self._state
         state.pool = self._index.with_rest(state.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
         state.attitudes = self._index.attitudes(state.pool)
+        state.memory = state.memory.with_rest(rest, state.pool.held[-1].gravity.value)
         state.fresh += 1
         state.counters.rests += 1
         if state.last_rest is not None and state.gyro_tail is not None:

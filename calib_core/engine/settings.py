@@ -40,7 +40,7 @@ class ScheduleSettings:
     gathering pauses (s in Algorithm 1). gravity: local g in m/s^2 if it is known, else None.
     gyro_patience_s: how far the gyroscope's stream may lag behind the accelerometer's.
     diagnose_after_checks: how many checks in a row may fail after a new calibration before a diagnosis is
-    asked for.
+    asked for. learn_temperature: whether biases are learnt by temperature and time.
     """
 
     watch: Literal["auto", "continuous", "probing"] = "auto"
@@ -51,6 +51,7 @@ class ScheduleSettings:
     gravity: float | None = None
     gyro_patience_s: float = 5.0
     diagnose_after_checks: int = 3
+    learn_temperature: bool = True
 
     def __post_init__(self) -> None:
         for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s"):

@@ -18,6 +18,7 @@ from stillcal.calib_core.static.detector import DetectorState
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.events import Event
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.memory import Memory
 
 
 @dataclass(slots=True)
@@ -84,10 +85,11 @@ class EngineState:
     newest stamp of each stream. began: stamp of the first sample. heard: the clock's last tick. next_check,
     next_review: the coming deadlines. check_due: a check waits for a rest. checked, tried: times of the last
     check and of the last attempt to fit. allowance: the duty-cycle budget. degraded: the calibration failed
-    its check. moves: recent changes of place. attitudes: number of distinct ones in the pool. fresh: rests
-    gathered since the last attempt to fit. gyro_tail: gyroscope samples that the next rotation segment may be
-    cut from. sound_until: when a calibration that now fails last passed a check. refusal: why the last
-    attempt to fit was refused. trouble: None where the last check passed.
+    its check. moves: recent changes of place. memory: the rests that temperature and wander are learnt from.
+    attitudes: number of distinct ones in the pool. fresh: rests gathered since the last attempt to fit.
+    gyro_tail: gyroscope samples that the next rotation segment may be cut from. sound_until: when a
+    calibration that now fails last passed a check. refusal: why the last attempt to fit was refused.
+    trouble: None where the last check passed.
     """
 
     detector: DetectorState | None = None
@@ -108,6 +110,7 @@ class EngineState:
     gravity: Gravity = field(default_factory=Gravity)
     moves: list[Move] = field(default_factory=list)
     pool: Pool = field(default_factory=Pool)
+    memory: Memory = field(default_factory=Memory)
     attitudes: int = 0
     fresh: int = 0
     last_rest: RestState | None = None

@@ -1,0 +1,93 @@
+"""The uncertainty of a bias now: at another time and another temperature than it was measured at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.temperature.regression import Wander, curve_basis
+
+_LEAST_SPAN_K = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Forecast:
+    """What is known of a sensor's bias besides its value; in the sensor's unit, K and s.
+
+    at: s, time that the bias holds for. reference: degC, temperature that it holds for. temperature_min,
+    temperature_max: degC, span of the rests, None without a thermometer. curve: (3, 3) coefficients of
+    u, u^2, u^3 by axis, u = (T - reference) / 10 K. applied: whether the calibration's terms correct the
+    curve; else it is an error that is expected. covariance: (12, 12) of the bias and the coefficients, axes
+    innermost. white, flicker, walk: the wander
+    measured on this phone (regression.Wander). thermometer_sd: K,
+    standard uncertainty of a temperature for the thermometer's steps.
+    """
+
+    at: float
+    reference: float
+    curve: Array
+    covariance: Array
+    white: float
+    flicker: float
+    walk: float
+    applied: bool = False
+    temperature_min: float | None = None
+    temperature_max: float | None = None
+    thermometer_sd: float = 0.0
+
+    @property
+    def wander(self) -> Wander:
+        """How the bias wanders."""
+        return Wander(self.white, self.flicker, self.walk)
+
+    def bias_uncertainty(self, t: float, celsius: float | None) -> Array:
+        """Return the standard uncertainty (3,) of the bias at t (s) and a temperature, degC.
+
+        Without a temperature, it is taken to be anywhere in the span of the rests.
+        """
+        grown = self.wander.growth(t - self.at)
+        if celsius is not None and np.isfinite(celsius):
+            return np.sqrt(self._variance(celsius, self.thermometer_sd) + grown)
+        low, high = self._span()
+        at = np.linspace(low, high, 7)
+        unknown = np.mean([self._variance(float(c), 0.0) for c in at], axis=0)
+        if self.applied:
+            unknown = unknown + np.mean((curve_basis(at, self.reference) @ self.curve) ** 2, axis=0)
+        total: Array = np.sqrt(unknown + grown)
+        return total
+
+    def _span(self) -> tuple[float, float]:
+        if self.temperature_min is None or self.temperature_max is None:
+            return self.reference - _LEAST_SPAN_K, self.reference + _LEAST_SPAN_K
+        return self.temperature_min, self.temperature_max
+
+    def _variance(self, celsius: float, thermometer_sd: float) -> Array:
+        """Return the variance (3,) of the bias at a temperature, the curve that is not corrected included."""
+        at = np.array([celsius])
+        basis = np.concatenate(([1.0], curve_basis(at, self.reference)[0]))
+        rows = np.kron(basis, np.eye(3))
+        variance = np.diag(rows @ self.covariance @ rows.T)
+        slope = (curve_basis(at + 0.5, self.reference) - curve_basis(at - 0.5, self.reference))[
+            0
+        ] @ self.curve
+        variance = variance + (slope * thermometer_sd) ** 2
+        total: Array = variance if self.applied else variance + (basis[1:] @ self.curve) ** 2
+        return total
+
+
+def thermometer_step(celsius: Array) -> float:
+    """Return the step of a thermometer, K, from the means of rests (n,), degC; 0 where none shows.
+
+    While a phone rests, a coarse thermometer mostly stays on one step, so that the mean is a multiple of it.
+    """
+    known = celsius[np.isfinite(celsius)]
+    for step in (1.0, 0.5, 0.25, 0.2, 0.1):
+        if known.size and np.mean(np.abs(known / step - np.round(known / step)) < 0.01) > _ON_STEP:
+            return step
+    return 0.0
+
+
+_ON_STEP = 0.5
+"""Share of rests on a multiple of a step from which it is the thermometer's; by chance 2 % are."""

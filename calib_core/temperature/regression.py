@@ -1,0 +1,300 @@
+"""Regression of a bias on temperature and time: a polynomial of temperature, and a bias that wanders.
+
+bias(T, t) = b + c1 u + c2 u^2 + c3 u^3 + w(t), u = (T - reference) / 10 K
+
+The coefficients have a Gaussian prior, so that a curve stays near a line until the rests say otherwise. w is
+flicker (a bank of Gauss-Markov processes) and a random walk, whose sizes are those of greatest likelihood
+under weak priors. This is Gaussian-process regression (Rasmussen and Williams 2006, sections 2.2 and 2.7).
+Its Cholesky factor holds, for each rest, the error of predicting it from the rests before it: the evidence
+for the curve is taken from these errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array, frozen
+
+UNIT_K = 10.0
+"""K: coefficients count from the reference in units of this."""
+
+POWERS = 3
+FLICKER_TAUS_S = (30.0, 240.0, 1920.0, 15360.0, 122880.0)
+"""Correlation times of the flicker's bank, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Priors:
+    """What is known of a kind of sensor before its rests, in its unit.
+
+    curve: standard deviations of c1, c2, c3. white, flicker, walk: medians of the scatter of single rests, of
+    each process of the flicker's bank, and of the walk of a day; `spread` is their standard deviation in
+    natural logarithms. step: standard deviation of a step, as a knock leaves it.
+    """
+
+    curve: tuple[float, float, float]
+    white: float
+    flicker: float
+    walk: float
+    step: float
+    spread: float = 1.5
+
+
+MG, DEG = 9.80665e-3, np.pi / 180
+ACCELEROMETER = Priors((8 * MG, 1.5 * MG, 0.5 * MG), 0.05 * MG, 0.03 * MG, 0.1 * MG, 10 * MG)
+GYROSCOPE = Priors((0.3 * DEG, 0.05 * DEG, 0.02 * DEG), 5e-4 * DEG, 1.5e-3 * DEG, 5e-3 * DEG, 0.3 * DEG)
+"""Data sheets of phones' parts: 0.2 to 1 mg/K, 0.01 to 0.03 deg/s/K (Bosch BMI160, BMI270; InvenSense)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wander:
+    """How a bias wanders. white: of single rests; flicker: of each process of the bank; walk: per sqrt(s)."""
+
+    white: float
+    flicker: float
+    walk: float
+
+    def covariance(self, t: Array, other: Array) -> Array:
+        """Return the covariance of the wander at times (n,) and (m,), s: (n, m); it begins at t = 0."""
+        apart = np.abs(t[:, None] - other)
+        return self.flicker**2 * _flicker(apart) + self.walk**2 * np.minimum(t[:, None], other)
+
+    def growth(self, age_s: float) -> float:
+        """Return the variance by which the bias changes within a time, s."""
+        apart = np.array(max(age_s, 0.0))
+        gone = len(FLICKER_TAUS_S) - float(_flicker(apart))
+        return 2.0 * self.flicker**2 * gone + self.walk**2 * float(apart)
+
+
+def _flicker(apart: Array) -> Array:
+    total: Array = np.sum([np.exp(-apart / tau) for tau in FLICKER_TAUS_S], axis=0)
+    return total
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """Rests as a regression sees them, oldest first.
+
+    t: (n,) s. celsius: (n,) degC, NaN where unknown. value: (n, k), k biases that share one model, or k = 1
+    where each rest shows only the component along `towards` (n, 3). sd: (n,). level: (n, p) what is unknown
+    besides, the bias first, with prior standard deviations level_sd (p,).
+    """
+
+    t: Array
+    celsius: Array
+    value: Array
+    sd: Array
+    level: Array
+    level_sd: Array
+    towards: Array | None = None
+
+    def doubting(self, row: int, sd: float) -> Observations:
+        """Return the observations with one rest uncertain by `sd` more."""
+        wider = self.sd.copy()
+        wider[row] = np.hypot(wider[row], sd)
+        return replace(self, sd=wider)
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What is to be fitted.
+
+    reference: degC, from which the curve counts. with_curve: whether there is a curve.
+    priors: of the kind of sensor.
+    """
+
+    priors: Priors
+    reference: float
+    with_curve: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A regression's result.
+
+    model: what was fitted. wander: that of greatest likelihood. log_likelihood: of it, prior included.
+    errors: (n, k), of predicting each rest from those before it, and errors_sd (n,). coefficients: (4, 3),
+    the bias at the reference temperature now and c1, c2, c3, by axis. covariance: (12, 12) of these, axes
+    innermost. steps: s, where the bias stepped. doubted: rows of rests that disagree with those before and
+    after them.
+    """
+
+    model: Model
+    wander: Wander
+    log_likelihood: float
+    errors: Array
+    errors_sd: Array
+    coefficients: Array
+    covariance: Array
+    steps: tuple[float, ...] = ()
+    doubted: tuple[int, ...] = ()
+
+
+def curve_basis(celsius: Array, reference: float) -> Array:
+    """Return u, u^2, u^3 at temperatures (n,), degC: (n, 3); zero where the temperature is unknown."""
+    u = np.nan_to_num((celsius - reference) / UNIT_K)
+    return np.column_stack([u**power for power in range(1, POWERS + 1)])
+
+
+_BORDER = 1e30
+"""Any number above the sum of squares of whitened values."""
+
+
+class Regression:
+    """The regression of one set of observations, with or without a curve of temperature."""
+
+    def __init__(self, seen: Observations, model: Model) -> None:
+        self._seen, self._priors, self._model = seen, model.priors, model
+        basis = curve_basis(seen.celsius, model.reference)
+        if seen.towards is not None:
+            basis = (basis[:, :, None] * seen.towards[:, None, :]).reshape(len(basis), -1)
+        axes = 1 if seen.towards is None else 3
+        prior = np.repeat(model.priors.curve, axes) * float(model.with_curve)
+        self._design = np.hstack((seen.level, basis))
+        self._prior = np.concatenate((seen.level_sd, prior)) ** 2
+        self._fixed = (self._design * self._prior) @ self._design.T
+        self._shared = 1.0 if seen.towards is None else seen.towards @ seen.towards.T
+        apart = np.abs(seen.t[:, None] - seen.t)
+        self._start = float(seen.t[0])
+        since = seen.t - self._start
+        self._flicker = _flicker(apart) * self._shared
+        self._walk = np.minimum(since[:, None], since) * self._shared
+        self._axes = axes
+
+    def fit(self, now: float, steps: tuple[float, ...] = (), start: Wander | None = None) -> Fit:
+        """Fit, with the bias stepping at times `steps`; now: s, the time that the bias is wanted for."""
+        wander, score = self._likeliest(steps, start)
+        factor, whitened = self._factor(wander, steps)
+        diagonal = np.diag(factor)
+        mean, covariance = self._present(wander, factor, whitened, now, steps)
+        return Fit(
+            self._model,
+            wander,
+            score,
+            frozen(whitened * diagonal[:, None]),
+            frozen(diagonal),
+            frozen(mean),
+            frozen(covariance),
+            steps,
+        )
+
+    def _total(self, wander: Wander, steps: tuple[float, ...]) -> Array:
+        total = self._fixed + wander.flicker**2 * self._flicker + wander.walk**2 * self._walk
+        for step in steps:
+            after = (self._seen.t >= step).astype(float)
+            total = total + self._priors.step**2 * np.outer(after, after) * self._shared
+        return total + np.diag(self._seen.sd**2 + wander.white**2)
+
+    def _factor(self, wander: Wander, steps: tuple[float, ...]) -> tuple[Array, Array]:
+        """Return the Cholesky factor L of the covariance and L^-1 value, both from one decomposition."""
+        value = self._seen.value
+        n, k = value.shape
+        bordered = np.empty((n + k, n + k))
+        bordered[:n, :n] = self._total(wander, steps)
+        bordered[n:, :n] = value.T
+        bordered[n:, n:] = _BORDER * np.eye(k)
+        factor = np.linalg.cholesky(bordered)
+        return factor[:n, :n], factor[n:, :n].T
+
+    def _score(self, wander: Wander, steps: tuple[float, ...]) -> float:
+        """Return the log likelihood of the rests, with the log prior of the wander."""
+        try:
+            factor, whitened = self._factor(wander, steps)
+        except np.linalg.LinAlgError:
+            return -np.inf
+        columns = whitened.shape[1]
+        likelihood = -0.5 * float((whitened**2).sum()) - columns * float(np.log(np.diag(factor)).sum())
+        return float(likelihood - 0.5 * (self._places(wander) ** 2).sum())
+
+    def _places(self, wander: Wander) -> Array:
+        p = self._priors
+        day = p.walk / np.sqrt(86400.0)
+        ratios = np.array([wander.white / p.white, wander.flicker / p.flicker, wander.walk / day])
+        places: Array = np.log(ratios) / p.spread
+        return places
+
+    def _likeliest(self, steps: tuple[float, ...], start: Wander | None) -> tuple[Wander, float]:
+        """Return the wander of greatest posterior, by a search along its three logarithms, and its score."""
+        p = self._priors
+        best = start or Wander(p.white, p.flicker, p.walk / np.sqrt(86400.0))
+        score = self._score(best, steps)
+        for factor in (4.0, 2.0, 1.4):
+            for _ in range(4):
+                before = score
+                for name in ("white", "flicker", "walk"):
+                    for by in (factor, 1 / factor):
+                        tried = replace(best, **{name: getattr(best, name) * by})
+                        if (other := self._score(tried, steps)) > score:
+                            best, score = tried, other
+                            break
+                if score == before:
+                    break
+        return best, score
+
+    def _present(
+        self, wander: Wander, factor: Array, whitened: Array, now: float, steps: tuple[float, ...]
+    ) -> tuple[Array, Array]:
+        """Return bias now and curve, (4, 3), and their covariance, (12, 12)."""
+        seen, axes = self._seen, self._axes
+        p = seen.level.shape[1]
+        along = wander.covariance(np.array([now - self._start]), seen.t - self._start)[0]
+        for step in steps:
+            along = along + self._priors.step**2 * (seen.t >= step)
+        own = float(wander.covariance(np.array([now - self._start]), np.array([now - self._start]))[0, 0])
+        own += len(steps) * self._priors.step**2
+        bias = np.zeros((axes, len(self._prior)))
+        bias[:, :axes] = np.eye(axes)
+        curve = np.hstack((np.zeros((axes * POWERS, p)), np.eye(axes * POWERS)))
+        pick = np.vstack((bias, curve))
+        cross = (pick * self._prior) @ self._design.T
+        cross[:axes] += along if seen.towards is None else along * seen.towards.T
+        prior = (pick * self._prior) @ pick.T
+        prior[:axes, :axes] += own * np.eye(axes)
+        gain = np.linalg.solve(factor, cross.T)
+        mean = gain.T @ whitened
+        covariance: Array = prior - gain.T @ gain
+        if seen.towards is None:
+            return mean, np.asarray(np.kron(covariance, np.eye(3)), dtype=np.float64)
+        return mean.reshape(-1, 3), covariance
+
+
+MOST_BREAKS = 8
+"""Steps and doubted rests that one regression allows for."""
+
+BREAK = 5.0
+"""Standard uncertainties by which a rest must miss its prediction to be one of them."""
+
+_LIKELIER = 0.1
+"""nats: below this, two explanations of a rest are alike."""
+
+
+def learn(seen: Observations, model: Model, now: float, start: Wander | None = None) -> Fit:
+    """Fit a bias by temperature and time, allowing for steps and for rests that are no rests.
+
+    A rest that misses its prediction by more than BREAK standard uncertainties is either doubted or begins a
+    step, whichever is likelier; of two alike it begins a step, so that a knock widens the uncertainty at
+    once. now: s, the time that the bias is wanted for. start: where the search for the wander begins. Raises
+    ValueError where there is no rest.
+    """
+    if not len(seen.t):
+        raise ValueError("no rests to learn from")
+    steps: tuple[float, ...] = ()
+    doubted: tuple[int, ...] = ()
+    fit = Regression(seen, model).fit(now, start=start)
+    for _ in range(MOST_BREAKS):
+        missed = np.abs(fit.errors).max(axis=1) / fit.errors_sd
+        missed[0] = 0.0
+        row = int(missed.argmax())
+        if missed[row] <= BREAK:
+            break
+        doubting = seen.doubting(row, model.priors.step)
+        in_doubt = Regression(doubting, model).fit(now, steps, fit.wander)
+        at_step = (*steps, float(seen.t[row]))
+        stepped = Regression(seen, model).fit(now, at_step, fit.wander)
+        if in_doubt.log_likelihood > stepped.log_likelihood + _LIKELIER:
+            seen, doubted, fit = doubting, (*doubted, row), in_doubt
+        else:
+            steps, fit = at_step, stepped
+    return replace(fit, steps=steps, doubted=doubted)
