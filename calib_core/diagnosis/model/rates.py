@@ -1,4 +1,8 @@
-"""The gyroscope at rest: its rate is nothing but the Earth's."""
+"""The gyroscope at rest: its rate is the Earth's, and that of a support which gives way.
+
+What gravity's direction confirms is motion and no bias: the accelerometer sees how the phone tilts within a
+rest.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +19,55 @@ OF_ATTITUDE = 0.25
 """Part of the Earth's rate that may be linear in `up`, element by element, standard deviation."""
 
 
-def rate_views(bins: Bins, up: Array) -> list[View]:
+ADDED = 0.1
+"""Part of the gyroscope's own variance that the accelerometer's noise may add to a rate of tilt."""
+
+
+SHAPE_ERROR = 0.3
+"""Part of a rate of tilt by which a parabola through bins misses it, standard deviation: at an exponential as
+short as a bin it is a tenth at the first bin, more where the phone still settles in hand."""
+
+TWIST = 1.0
+"""How much a support that tilts a phone turns it about gravity besides, as a part of the tilt, standard
+deviation: a phone on a cushion slides and turns as freely as it tilts. The same in all bins of a rest."""
+
+
+def tilt_rate(bins: Bins, up: Array) -> Array:
+    """Return the rate (n, 3) rad/s at which the phone tilts within its rests, as gravity shows it.
+
+    up: (n, 3) unit gravity, bin by bin. The rate across gravity is d(up)/dt x up; the turn about gravity is
+    not seen. The slope is that of a parabola through as many neighbouring bins of a rest as keep its noise
+    below `ADDED` of the gyroscope's; rests with fewer bins give none.
+    """
+    rate = np.zeros_like(up)
+    assert bins.rate_variance is not None, "asked for with a gyroscope only"
+    noise = float(np.median(bins.force_variance)) / float(np.median(np.linalg.norm(bins.force, axis=1))) ** 2
+    allowed = ADDED * float(np.median(bins.rate_variance))
+    spacing = float(np.median(bins.duration))
+    # A slope through m values of variance v, d apart, has the variance 12 v / (m^3 d^2).
+    width = int(np.ceil(np.cbrt(12.0 * noise / (max(allowed, 1e-300) * spacing**2))))
+    width = max(3, width + 1 - width % 2)
+    for r in np.flatnonzero(np.bincount(bins.rest) >= width):
+        rows = np.flatnonzero(bins.rest == r)
+        rate[rows] = np.cross(_slope(bins.t[rows], up[rows], width), up[rows])
+    return rate
+
+
+def _slope(t: Array, values: Array, width: int) -> Array:
+    """Return the slope (n, k) of values (n, k) at t (n,): of a parabola through the `width` nearest."""
+    out = np.empty_like(values)
+    for i in range(t.size):
+        first = int(np.clip(i - width // 2, 0, t.size - width))
+        near = slice(first, first + width)
+        powers = np.vander(t[near] - t[i], 3, increasing=True)
+        out[i] = np.linalg.lstsq(powers, values[near], rcond=None)[0][1]
+    return out
+
+
+def rate_views(bins: Bins, up: Array, motion: Array) -> list[View]:
     """Rate at rest, one view an axis; the baseline is a constant and the Earth's turn about `up` (n, 3).
+
+    motion: (n, 3) rad/s, at which the phone was seen to tilt: as much of it as the rate shows is absorbed.
 
     The latitude is not known: what the Earth turns about `up` is as large as at 45 degrees, what it turns
     about the horizontal as at the equator. That follows heading, which all bins of a rest share, and half of
@@ -28,13 +79,14 @@ def rate_views(bins: Bins, up: Array) -> list[View]:
     n = len(bins)
     rounding = np.zeros(3) if bins.rate_rounding is None else bins.rate_rounding
     heading, place = 0.25 * EARTH**2 * (1.0 - up**2), attitudes(up)
+    tilting = np.linalg.norm(motion, axis=1)
     linear = OF_ATTITUDE + (1.0 / np.sqrt(2.0) - OF_ATTITUDE) * np.eye(3)
     return [
         View(
             name=f"rate_{'xyz'[a]}",
             y=bins.rate[None, :, a],
             baseline=np.ones((1, n, 1)),
-            variance=bins.rate_variance[:, a],
+            variance=bins.rate_variance[:, a] + (SHAPE_ERROR * motion[:, a]) ** 2,
             coupling=np.ones((n, n)),
             project=np.broadcast_to(np.eye(3)[a], (1, n, 3)),
             bins=np.arange(n),
@@ -44,8 +96,9 @@ def rate_views(bins: Bins, up: Array) -> list[View]:
             shared=(
                 (bins.rest, np.sqrt(rounding[a] ** 2 + heading[:, a])),
                 (place, np.sqrt(heading[:, a])),
+                (bins.rest, TWIST * tilting * np.abs(up[:, a])),
             ),
-            absorbed=EARTH * up * linear[a],
+            absorbed=np.column_stack([EARTH * up * linear[a], motion[:, a]]),
         )
         for a in range(3)
     ]

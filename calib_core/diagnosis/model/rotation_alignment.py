@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.model.residuals import (
     fit_baseline,
     linearised,
     norms_of,
-    rest_means,
+    rest_courses,
     tilted,
 )
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -174,7 +174,7 @@ def aligned(gyroscope: Samples, bins: Bins, gravity: float, limit: float = np.in
     """
     found = cuts(gyroscope, bins, limit)
     norms = norms_of(bins.force, bins.force_variance, bins.rest, gravity)
-    steady = rest_means(bins.force, bins.rest)
+    steady = rest_courses(bins.force, bins.rest)
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
     x, mapping = baseline.parameters, np.eye(3)
     if len(found) >= LEAST_TURNS:

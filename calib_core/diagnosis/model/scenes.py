@@ -15,5 +15,8 @@ def scenes(bins: Bins, gravity: float) -> list[Scene]:
     tangent = views.tangent_view(bins, baseline)
     force_views = (norm,) if tangent is None else (norm, tangent)
     found = [Scene("accel", bins, force_views, gravity, baseline.up)]
-    turning = tuple(rates.rate_views(bins, baseline.up))
+    if bins.rate is None or bins.rate_variance is None:
+        return found
+    motion = rates.tilt_rate(bins, views.tilted(bins.force, baseline.parameters)[0])
+    turning = tuple(rates.rate_views(bins, baseline.up, motion))
     return [*found, Scene("gyro", bins, turning, gravity, baseline.up)] if turning else found
