@@ -28,6 +28,7 @@ from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
+from stillcal.calib_core.streams.smoothing import smoothed
 from stillcal.daemon.store.document import calibration_json
 from stillcal.replay.diagnosis.diagnose import Request
 from stillcal.replay.diagnosis.diagnose import diagnose as find_differences
@@ -231,17 +232,21 @@ def calibrate(
     return Calibration(record, outcome, tuple(full(actions)), opened.name)
 
 
-def apply(recording: Source, calibration: Calibration | PathLike) -> Recording:
+def apply(recording: Source, calibration: Calibration | PathLike, *, smooth: bool = False) -> Recording:
     """Return the recording as true sensors would have given it, as `stillcal apply` writes it.
 
     recording: a Recording, or what `load` takes. calibration: a Calibration, or the path of a store. A sensor
-    of which the calibration holds nothing stays as it is. `.save("true.csv")` writes the result. Raises
-    UserError where the store cannot be read or holds nothing.
+    of which the calibration holds nothing stays as it is. smooth: also remove noise by a rolling mean of 3 to
+    20 samples, by rate (Grammenos et al. 2018, Table 2); stamps stay, so values come late by half of that.
+    `.save("true.csv")` writes the result. Raises UserError where the store cannot be read or holds nothing.
     """
     opened = load(recording)
     known = calibration if isinstance(calibration, Calibration) else Calibration.read(calibration)
     accelerometer, gyroscope = correct_both(known.record, opened.accelerometer, opened.gyroscope)
     claims = opened.claims.without_counts()
+    if smooth:
+        accelerometer, claims = smoothed(accelerometer), claims.without_noise()
+        gyroscope = None if gyroscope is None else smoothed(gyroscope)
     return replace(opened, accelerometer=accelerometer, gyroscope=gyroscope, claims=claims)
 
 

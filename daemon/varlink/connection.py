@@ -18,6 +18,7 @@ import msgspec
 from asyncvarlink import VarlinkInterfaceRegistry, VarlinkInterfaceServerProtocol
 from asyncvarlink.serviceinterface import InvalidParameter
 
+from stillcal.calib_core.streams.smoothing import RollingMean
 from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.system.clock import Clock
 from stillcal.daemon.varlink.interface import CALLER
@@ -60,6 +61,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         self._call_credit, self._credit_at = server.settings.calls_per_s, server.clock()
         self.answering = False
         self.may_change = False
+        self.rolling_means: dict[str, RollingMean] = {}
 
     def on_disconnect(self, subscriber: Any) -> None:
         """Close `subscriber` when the client has gone, which it may have already."""

@@ -23,6 +23,7 @@ from asyncvarlink.serviceinterface import InvalidParameter, PermissionDenied
 
 from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.streams.smoothing import RollingMean
 from stillcal.daemon.varlink import types as api
 from stillcal.daemon.varlink import views
 from stillcal.daemon.varlink.address import NAME as INTERFACE
@@ -33,7 +34,9 @@ MAX_ENTRIES = 400
 
 
 class Caller(Protocol):
-    """The client that calls a method."""
+    """The client that calls a method. rolling_means: of each sensor whose samples it has smoothed."""
+
+    rolling_means: dict[str, RollingMean]
 
     @property
     def may_change(self) -> bool:
@@ -114,7 +117,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         """Return the energy use of the newest `limit` days, oldest first."""
         return views.energy(self._daemon.saved.energy.days, _within("limit", limit))
 
-    @varlinkmethod(return_parameter="samples")
+    @varlinkmethod
     def Correct(
         self,
         *,
@@ -122,11 +125,14 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         samples: list[list[float]],
         temperature_c: float | None = None,
         force: list[list[float]] | None = None,
-    ) -> list[list[float]]:
+        smooth_hz: float | None = None,
+    ) -> api.Corrected:
         """Correct at most 1000 raw samples [x, y, z] of a sensor by the current calibration.
 
         temperature_c: of the sensor; force: corrected accelerometer [x, y, z] for each
-        gyroscope sample. Terms that depend on what is not given are left out.
+        gyroscope sample. Terms that depend on what is not given are left out. smooth_hz: the sampling
+        rate; also remove noise by a rolling mean of 3 to 20 samples, which goes on from this client's
+        last call for the sensor. delay_s: how late the samples come because of it.
         """
         record = self._daemon.view.record
         if record is None:
@@ -141,8 +147,10 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
             raise InvalidParameter(parameter="force") from None
         if not np.isfinite(corrected).all():
             raise InvalidParameter(parameter="samples")
-        rows: list[list[float]] = corrected.tolist()
-        return rows
+        if smooth_hz is None:
+            return {"samples": corrected.tolist(), "delay_s": None}
+        mean = _rolling_mean(sensor, smooth_hz)
+        return {"samples": mean.smoothed(corrected).tolist(), "delay_s": mean.delay_s}
 
     @varlinkmethod(return_parameter="event", delay_generator=False)
     async def Monitor(self) -> AsyncIterator[api.Event]:
@@ -205,14 +213,26 @@ def _with_quick_tables() -> None:
     assert signature is not None
     optional_number = VarlinkType.from_type_annotation(float).optional()
     sensor = VarlinkType.from_type_annotation(api.SensorName)
-    left_out = {"temperature_c", "force"}
+    left_out = {"temperature_c", "force", "smooth_hz"}
     parameters = {"sensor": sensor, "samples": Rows(), "temperature_c": optional_number}
-    parameters["force"] = Rows().optional()
+    parameters |= {"force": Rows().optional(), "smooth_hz": optional_number}
     signature.parameter_type = ObjectVarlinkType(parameters, discardnone=left_out)
-    signature.return_type = ObjectVarlinkType({"samples": Rows()})
+    answer = {"samples": Rows(), "delay_s": optional_number}
+    signature.return_type = ObjectVarlinkType(answer, discardnone={"delay_s"})
 
 
 _with_quick_tables()
+
+
+def _rolling_mean(sensor: str, rate_hz: float) -> RollingMean:
+    """Return the client's rolling mean of a sensor; it begins anew with another rate."""
+    means = CALLER.get().rolling_means
+    if sensor not in means or means[sensor].rate_hz != rate_hz:
+        try:
+            means[sensor] = RollingMean(rate_hz)
+        except ValueError:
+            raise InvalidParameter(parameter="smooth_hz") from None
+    return means[sensor]
 
 
 def _require_right() -> None:

@@ -5,7 +5,7 @@ evaluation, and it names only what varlink has: no `from __future__ import annot
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypedDict
 
 SensorName = Literal["accelerometer", "gyroscope"]
 Confidence = Literal["unchecked", "confirmed", "failing"]
@@ -56,6 +56,13 @@ class Calibration:
     temperature_max_c: float | None = None
     accelerometer: SensorCalibration | None = None
     gyroscope: SensorCalibration | None = None
+
+
+class Corrected(TypedDict):
+    """Corrected samples. delay_s: how late they come because they were smoothed, where they were."""
+
+    samples: list[list[float]]
+    delay_s: float | None
 
 
 @dataclass(frozen=True)

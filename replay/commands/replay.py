@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,9 @@ from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.streams.resample import median_rate_hz
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.streams.smoothing import RollingMean
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option, quiet_option
@@ -33,6 +36,7 @@ from stillcal.replay.commands.outputs import (
     store_files,
 )
 from stillcal.replay.commands.reading import Reading, reading_options
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Chunk, Trace
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
@@ -40,6 +44,9 @@ from stillcal.replay.runner import Outcome, replay, replay_rests, with_choices
 from stillcal.replay.suitability import Suitability
 
 _existing = click.Path(path_type=Path)
+
+RATE_ROWS = 1000
+"""Rows at the beginning of a recording that its sampling rate is taken from."""
 
 
 @click.command(
@@ -113,15 +120,30 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
 @click.option("--store", "store_path", type=_existing, required=True, help="The store with the calibration.")
 @click.option("--out", type=_existing, required=True, help="The corrected recording (.csv, .csv.gz).")
 @reading_options()
+@click.option(
+    "--smooth",
+    is_flag=True,
+    help="Also remove noise by a rolling mean of 3 to 20 samples, by rate; the values then come late.",
+)
 @quiet_option
-def apply_command(trace: Path, store_path: Path, out: Path, reading: Reading, quiet: bool) -> None:
-    """Write the recording with its sensor errors corrected: scale @ (raw - bias)."""
+def apply_command(  # noqa: PLR0917 - click hands every option over by name
+    trace: Path, store_path: Path, out: Path, reading: Reading, smooth: bool, quiet: bool
+) -> None:
+    """Write the recording with its sensor errors corrected: scale @ (raw - bias).
+
+    With --smooth each value is the mean of the newest samples: 3 up to 20 Hz, 5 up to 80 Hz, 10 up to 120 Hz
+    and 20 above. Time stamps stay, so values come late by half of that; the command says by how much.
+    """
     record = current_in_store(store_path)
     refuse_collisions(
         new_recording_files(out), [*_input_files(trace, reading.gyro), *store_files(store_path)]
     )
     opened, suits = reading.open(trace), Suitability(record)
-    with progress(opened.path.name, opened.size_bytes, quiet) as step, _writer(opened, out, record) as write:
+    means = _rolling_means(opened) if smooth else {}
+    with (
+        progress(opened.path.name, opened.size_bytes, quiet) as step,
+        _writer(opened, out, record, means) as write,
+    ):
         for chunk in opened.chunks():
             suits.see(chunk.accelerometer)
             write(chunk)
@@ -130,27 +152,45 @@ def apply_command(trace: Path, store_path: Path, out: Path, reading: Reading, qu
         click.echo(f"stillcal: {trace}: {warning}", err=True)
     if not quiet:
         Console().print(f"{out}: corrected with calibration {record.id}")
+        for sensor, mean in means.items():
+            Console().print(f"{out}: {sensor}: {mean.words()}")
+
+
+def _rolling_means(opened: Trace) -> dict[Sensor, RollingMean]:
+    """Return the rolling mean of each sensor, by its rate at the recording's beginning. Raises TraceError."""
+    first = next(iter(opened.chunks(max_rows=RATE_ROWS)))
+    present = [first.accelerometer, *([first.gyroscope] if opened.has_gyroscope else [])]
+    try:
+        return {samples.sensor: RollingMean(median_rate_hz(samples)) for samples in present}
+    except ValueError as error:
+        raise TraceError(opened.path, f"cannot be smoothed: {error}", "apply without --smooth") from None
 
 
 @contextmanager
-def _writer(opened: Trace, out: Path, record: CalibrationRecord) -> Iterator[Callable[[Chunk], None]]:
-    """Give a function that writes corrected chunks; an error leaves no file behind.
+def _writer(
+    opened: Trace, out: Path, record: CalibrationRecord, means: Mapping[Sensor, RollingMean]
+) -> Iterator[Callable[[Chunk], None]]:
+    """Give a function that writes corrected and perhaps smoothed chunks; an error leaves no file behind.
 
-    The first chunk shows which optional columns there are. The maker's claims about noise and range stay
-    true to first order; those about raw counts do not.
+    The first chunk shows which optional columns there are. The maker's claims about range stay true to first
+    order, and about noise where it is not smoothed; those about raw counts do not.
     """
     first = next(iter(opened.chunks(max_rows=64)))
+    claims = opened.claims.without_counts()
     with TraceWriter(
         out,
         gyroscope=opened.has_gyroscope,
         temperature=first.accelerometer.temperature is not None,
         arrival=first.accelerometer.t_arrival is not None,
-        claims=opened.claims.without_counts(),
+        claims=claims.without_noise() if means else claims,
     ) as writer:
 
         def write(chunk: Chunk) -> None:
             gyroscope = chunk.gyroscope if opened.has_gyroscope else None
             accel, gyro = correct_both(record, chunk.accelerometer, gyroscope)
+            if means:
+                accel = means[accel.sensor].smoothed_samples(accel)
+                gyro = None if gyro is None else means[gyro.sensor].smoothed_samples(gyro)
             writer.write(accel, gyro, chunk.events)
 
         yield write

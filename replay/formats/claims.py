@@ -42,6 +42,10 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         """Return the claims as they hold once the values are in SI units."""
         return msgspec.structs.replace(self, accel_unit=None, gyro_unit=None, accel_zero=None, gyro_zero=None)
 
+    def without_noise(self) -> Claims:
+        """Return the claims as they hold once noise has been removed."""
+        return msgspec.structs.replace(self, accel_noise_density=None, gyro_noise_density=None)
+
     def counts(self, sensor: Sensor) -> tuple[PerAxis | None, PerAxis | None]:
         """Return (SI value of one count, zero in counts) claimed for a sensor."""
         if sensor is Sensor.ACCELEROMETER:

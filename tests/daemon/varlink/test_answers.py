@@ -17,6 +17,7 @@ import varlink
 
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.streams.smoothing import RollingMean
 from stillcal.daemon.store.store import Store
 from stillcal.replay.trials.faults.kill import example
 from tests.support.asking import NAME, STILLCAL, asked, client, stored
@@ -98,6 +99,33 @@ def test_samples_are_corrected_and_their_number_is_bounded(folder: Path, make_re
             for bad in ([[0.0] * 3] * 1001, [[1.0, 2.0]], [["x", 1.0, 2.0]], [[1.79e308] * 3]):
                 with pytest.raises(varlink.VarlinkError, match="InvalidParameter"):
                     await asked(folder, lambda c, b=bad: c.Correct("accelerometer", b))
+
+    within_reason(test())
+
+
+def test_a_clients_samples_are_smoothed_from_call_to_call(folder: Path, make_record: Any) -> None:
+    record = make_record(3)
+    stored(folder, record)
+    raw = np.random.default_rng(2).normal(0, 9, (100, 3))
+    expected = RollingMean(100.0).smoothed(record.apply(raw, Sensor.GYROSCOPE))
+
+    def smoothed(caller: Any, rows: Any, smooth_hz: float) -> Any:
+        return caller.Correct(sensor="gyroscope", samples=rows.tolist(), smooth_hz=smooth_hz)
+
+    def two_calls(rate: float) -> list[Any]:
+        with client(folder) as caller:
+            return [smoothed(caller, raw[:30], 100.0), smoothed(caller, raw[30:], rate)]
+
+    async def test() -> None:
+        async with answering(folder):
+            first, second = await asyncio.to_thread(two_calls, 100.0)
+            assert np.array_equal(first["samples"] + second["samples"], expected)
+            assert second["delay_s"] == pytest.approx(0.045)
+            _, other = await asyncio.to_thread(two_calls, 50.0)  # another rate begins anew, as a client does
+            assert other["samples"][0] == record.apply(raw[30], Sensor.GYROSCOPE).tolist()
+            assert "delay_s" not in await asked(folder, lambda c: c.Correct("gyroscope", raw.tolist()))
+            with pytest.raises(varlink.VarlinkError, match="InvalidParameter"):
+                await asked(folder, lambda c: smoothed(c, raw, 0.0))
 
     within_reason(test())
 

@@ -93,6 +93,7 @@ def test_the_description_is_the_one_that_was_published(folder: Path) -> None:
     correct = re.search(r"method Correct(.*?) -> (.*)", description)
     assert correct is not None
     assert correct[1] == (
-        "(sensor: (accelerometer, gyroscope), samples: [][]float, temperature_c: ?float, force: ?[][]float)"
+        "(sensor: (accelerometer, gyroscope), samples: [][]float, temperature_c: ?float, force: ?[][]float, "
+        "smooth_hz: ?float)"
     )
-    assert correct[2] == "(samples: [][]float)"
+    assert correct[2] == "(samples: [][]float, delay_s: ?float)"

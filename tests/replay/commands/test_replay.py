@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stillcal.calib_core.streams.resample import median_rate_hz
+from stillcal.calib_core.streams.smoothing import window_for
 from stillcal.daemon.cli import main as cli
 from stillcal.daemon.store.store import Store
 from stillcal.replay.formats.trace import read_all
@@ -275,6 +277,19 @@ trace.Trace.chunks = chunks
 from stillcal.daemon.cli.main import main
 main()
 """
+
+
+def test_apply_removes_noise_and_says_how_late_it_comes(tmp_path: Path, run: Run, lab: Path) -> None:
+    store, plain, smooth = tmp_path / "s.json", tmp_path / "plain.csv", tmp_path / "smooth.csv"
+    assert run("replay", lab, "--store", store, "--quiet")[0] == 0
+    assert run("apply", lab, "--store", store, "--out", plain, "--quiet")[0] == 0
+    code, said, _ = run("apply", lab, "--store", store, "--out", smooth, "--smooth")
+    raw, mean = (read_all(path).accelerometer for path in (plain, smooth))
+    window = window_for(median_rate_hz(raw))
+    assert code == 0 and f"mean of {window} samples" in said and "late" in said
+    assert mean.t.tolist() == raw.t.tolist()
+    for i in (window, 400):
+        assert mean.xyz[i] == pytest.approx(raw.xyz[i - window + 1 : i + 1].mean(axis=0), abs=1e-9)
 
 
 @pytest.mark.parametrize("command", ["replay", "apply"])
