@@ -1,0 +1,162 @@
+"""Findings of a diagnosis (JSON schema 2) as numbers to put into a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+
+Finding = Mapping[str, Any]
+
+AXES = "xyz"
+SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
+ORDER = ("sample_rate", "accel_scale", "gyro_scale")
+"""Applied first: a noise per sample depends on the rate, and a bias is added to what is scaled."""
+
+
+@dataclass(slots=True)
+class Fixed:
+    """A corrected configuration. changed: what was, a line each. not_held: effects, and why, a line each."""
+
+    text: str
+    changed: list[str] = field(default_factory=list)
+    not_held: list[str] = field(default_factory=list)
+
+
+class CannotHold(Exception):  # noqa: N818 - a refusal is not a failure
+    """A configuration has no place for a finding; its text says why."""
+
+
+def apply_findings(
+    findings: Iterable[Finding],
+    handlers: Mapping[str, Callable[[Finding], None]],
+    fixed: Fixed,
+    otherwise: Callable[[Finding], None] | None = None,
+) -> None:
+    """Hand every finding to the handler of its effect; list what has none, or whose handler refuses it."""
+    ordered = sorted(findings, key=lambda f: ORDER.index(f["effect"]) if f["effect"] in ORDER else len(ORDER))
+    for finding in ordered:
+        handler = handlers.get(finding["effect"], otherwise)
+        try:
+            if handler is None:
+                raise CannotHold("it has no setting for this")
+            handler(finding)
+        except CannotHold as reason:
+            fixed.not_held.append(f"{title(finding)}: {reason}")
+
+
+def title(finding: Finding) -> str:
+    """Return what a finding is about: its effect, and its sensor where the name does not say it."""
+    sensor = finding["sensor"]
+    named = finding["effect"].startswith(("accel_", "gyro_")) or sensor not in SENSORS
+    return finding["effect"] if named else f"{finding['effect']} ({SENSORS[sensor]})"
+
+
+def difference(finding: Finding, name: str) -> Array:
+    """Return what to add to the simulation's parameter, zero on axes that the finding does not name.
+
+    Where only the recording has the effect it is the recording's value, where only the simulation has it,
+    minus the simulation's. Raises CannotHold where there is no such parameter.
+    """
+    if name in finding["difference"]:
+        value = np.asarray(finding["difference"][name]["value"], dtype=np.float64)
+    elif name in finding["parameters"]:
+        value = np.asarray(finding["parameters"][name]["value"], dtype=np.float64)
+    elif name in finding["simulated"]:
+        value = -np.asarray(finding["simulated"][name]["value"], dtype=np.float64)
+    else:
+        raise CannotHold(f"the finding has no {name}")
+    if value.shape == (3,) and finding["axes"]:
+        value = np.where([axis in finding["axes"] for axis in AXES], value, 0.0)
+    return value
+
+
+def recorded(finding: Finding, name: str) -> Array:
+    """Return the recording's parameter. Raises CannotHold where it has none."""
+    if name not in finding["parameters"]:
+        raise CannotHold(f"the recording has no {name}")
+    return np.asarray(finding["parameters"][name]["value"], dtype=np.float64)
+
+
+def ratio(finding: Finding, name: str) -> Array:
+    """Return recorded over simulated of a positive parameter, one on axes that the finding does not name."""
+    one = recorded(finding, name)
+    if name not in finding["simulated"]:
+        raise CannotHold(f"the simulation has no {name}")
+    out = one / np.asarray(finding["simulated"][name]["value"], dtype=np.float64)
+    if out.shape == (3,) and finding["axes"]:
+        out = np.where([axis in finding["axes"] for axis in AXES], out, 1.0)
+    return np.asarray(out)
+
+
+def common_ratio(finding: Finding, name: str) -> float:
+    """Return the ratio of powers over the axes, as one number of standard deviations."""
+    one = recorded(finding, name)
+    other = one / ratio(finding, name)
+    return float(np.sqrt(np.sum(np.square(one)) / np.sum(np.square(other))))
+
+
+def is_lacking(finding: Finding) -> bool:
+    """Whether the simulation has as good as nothing of the effect, so that there is nothing to multiply."""
+    return bool(finding["relation"] == "lacking")
+
+
+def reference_c(finding: Finding) -> float | None:
+    """Return the temperature, degC, at which bias and slope of a finding are stated."""
+    value = finding.get("reference", {}).get("temperature_c")
+    return None if value is None else float(value)
+
+
+def walk_of(allan_deviation: Array, averaging_s: float = 100.0) -> Array:
+    """Return the random walk, unit/sqrt(s), of an Allan deviation at a time in s (IEEE Std 952, Annex C)."""
+    return np.asarray(allan_deviation * np.sqrt(3.0 / averaging_s))
+
+
+def gain_change(finding: Finding) -> Array:
+    """Return the matrix (3, 3) that multiplies the simulated sensor's forward matrix from the left.
+
+    A correction's matrix C belongs to the forward matrix inv(C): the simulation's becomes the recording's.
+    """
+    ours, theirs = (_correction(finding[side]) for side in ("parameters", "simulated"))
+    return np.asarray(np.linalg.solve(ours, theirs))
+
+
+def _correction(parameters: Mapping[str, Any]) -> Array:
+    """Return a correction's matrix from its parts: less unity, by three scales and xy, xz, yz, or by nine."""
+    if "scale" not in parameters:
+        raise CannotHold("the finding has no scale")
+    scale = np.asarray(parameters["scale"]["value"], dtype=np.float64)
+    if scale.shape == (3, 3):
+        return np.asarray(np.eye(3) + scale)
+    out = np.diag(1.0 + scale)
+    crossed = parameters.get("misalignment", {"value": [0.0, 0.0, 0.0]})["value"]
+    for value, (a, b) in zip(crossed, ((0, 1), (0, 2), (1, 2)), strict=True):
+        out[a, b] = out[b, a] = value
+    return np.asarray(out)
+
+
+def shown(values: Array | float) -> str:
+    """Return numbers for a message, four digits each."""
+    array = np.asarray(values)
+    if array.ndim == 0:
+        return f"{float(array):.4g}"
+    return f"[{', '.join(shown(v) for v in array)}]"
+
+
+def rounded(values: Array) -> Array:
+    """Return numbers with ten significant digits: more than any recording shows, and short to read."""
+    return np.asarray([float(f"{v:.10g}") for v in np.ravel(values)]).reshape(np.shape(values))
+
+
+def note_change(fixed: Fixed, place: str, before: Array | float, after: Array | float) -> None:
+    """Say what was changed, and from what to what."""
+    fixed.changed.append(f"{place}: {shown(before)} -> {shown(after)}")
+
+
+def changed_axes(delta: Sequence[float] | Array) -> list[int]:
+    """Return the axes on which something is added."""
+    return [i for i, value in enumerate(np.asarray(delta).tolist()) if value != 0.0]

@@ -1,0 +1,142 @@
+"""MATLAB's imuSensor, corrected: assignments such as imu.Gyroscope.ConstantBias = [x y z]; in an .m file.
+
+Units, signs and the reference of 25 degC are explained, with sources, in `stillcal.replay.export.imusensor`.
+Comments and everything else stay; a property that is missing is added below the sensor's other lines.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.errors import UserError
+from stillcal.replay.export.fix.findings import (
+    CannotHold,
+    Finding,
+    Fixed,
+    apply_findings,
+    common_ratio,
+    difference,
+    gain_change,
+    note_change,
+    ratio,
+    recorded,
+    reference_c,
+    rounded,
+    walk_of,
+)
+from stillcal.replay.export.imusensor import PERCENT, REFERENCE_C
+
+SENSORS = {"accel": "Accelerometer", "gyro": "Gyroscope"}
+SIGNS = {"accel": -1.0, "gyro": 1.0}
+NEW = "function imu = corrected_imu()\nimu = imuSensor('accel-gyro');\nend\n"
+
+
+def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
+    """Return the file with the differences in it; a new function where there is none."""
+    fixed = Fixed(NEW if text is None else text)
+    _variable(fixed.text)
+
+    def bias(finding: Finding) -> None:
+        _add(fixed, finding, "ConstantBias", SIGNS[finding["sensor"]] * difference(finding, "bias"))
+
+    def slope(finding: Finding) -> None:
+        sign, delta, at = SIGNS[finding["sensor"]], difference(finding, "slope"), reference_c(finding)
+        if at is None:
+            raise CannotHold("the finding does not say from which temperature its slope counts")
+        _add(fixed, finding, "TemperatureBias", sign * delta)
+        _add(fixed, finding, "ConstantBias", sign * delta * (REFERENCE_C - at))
+
+    def scale(finding: Finding) -> None:
+        before = _get(fixed, finding, "AxesMisalignment", PERCENT * np.eye(3))
+        if before.shape != (3, 3):
+            raise CannotHold("AxesMisalignment is not a matrix of 3 by 3 in it")
+        _set(fixed, finding, "AxesMisalignment", before, gain_change(finding) @ before)
+
+    def scale_slope(finding: Finding) -> None:
+        _add(fixed, finding, "TemperatureScaleFactor", PERCENT * difference(finding, "slope"))
+
+    def white(finding: Finding) -> None:
+        before = _get(fixed, finding, "NoiseDensity", np.zeros(3))
+        after = np.where(before == 0.0, recorded(finding, "density"), before * ratio(finding, "density"))
+        _set(fixed, finding, "NoiseDensity", before, after)
+
+    def slow(finding: Finding) -> None:
+        name = "allan_deviation_100s"
+        before = _get(fixed, finding, "RandomWalk", np.zeros(3))
+        fresh = np.broadcast_to(walk_of(recorded(finding, name)), 3) / np.sqrt(2.0)
+        _set(
+            fixed,
+            finding,
+            "RandomWalk",
+            before,
+            np.where(before == 0.0, fresh, before * ratio(finding, name)),
+        )
+
+    def rate(finding: Finding) -> None:
+        _sample_rate(fixed, common_ratio(finding, "rate"))
+
+    both = {"bias": bias, "bias_temperature": slope, "scale": scale, "scale_temperature": scale_slope}
+    handlers = {
+        f"{s}_{name}": handler for s in SENSORS for name, handler in (both | {"slow_noise": slow}).items()
+    }
+    apply_findings(findings, handlers | {"noise_level": white, "sample_rate": rate}, fixed)
+    return fixed
+
+
+def _variable(text: str) -> str:
+    """Return the name of the variable that holds the sensor."""
+    found = re.search(r"^[ \t]*(\w+)[ \t]*=[ \t]*imuSensor\b", text, re.MULTILINE)
+    if found is None:
+        raise UserError("holds no line such as imu = imuSensor('accel-gyro');")
+    return found[1]
+
+
+def _line(fixed: Fixed, finding: Finding, key: str) -> re.Match[str] | None:
+    name = rf"{_variable(fixed.text)}\.{SENSORS[finding['sensor']]}\.{key}"
+    return re.search(rf"^([ \t]*{name}[ \t]*=[ \t]*)([^;%\n]*(?:\[[^\]]*\])?)(;?)", fixed.text, re.MULTILINE)
+
+
+def _get(fixed: Fixed, finding: Finding, key: str, default: Array) -> Array:
+    match = _line(fixed, finding, key)
+    if match is None:
+        return default
+    rows = [row.replace(",", " ").split() for row in match[2].strip().strip("[]").split(";")]
+    try:
+        values = np.array([[float(x) for x in row] for row in rows], dtype=np.float64)
+    except ValueError as error:
+        raise CannotHold(f"{key} is {match[2].strip()[:40]}, which is not made of plain numbers") from error
+    values = values[0] if len(values) == 1 else values
+    return np.full(3, values[0]) if values.shape == (1,) else values
+
+
+def _add(fixed: Fixed, finding: Finding, key: str, delta: Array) -> None:
+    before = _get(fixed, finding, key, np.zeros(3))
+    _set(fixed, finding, key, before, before + delta)
+
+
+def _set(fixed: Fixed, finding: Finding, key: str, before: Array, after: Array) -> None:
+    rows = np.atleast_2d(rounded(after))
+    literal = "[" + "; ".join(" ".join(map(repr, row)) for row in rows.tolist()) + "]"
+    match = _line(fixed, finding, key)
+    sensor = SENSORS[finding["sensor"]]
+    if match is not None:
+        fixed.text = f"{fixed.text[: match.start()]}{match[1]}{literal};{fixed.text[match.end() :]}"
+    else:
+        variable = _variable(fixed.text)
+        own = list(re.finditer(rf"^[ \t]*{variable}\b[^\n]*(?:\n|$)", fixed.text, re.MULTILINE))
+        end = own[-1].end()
+        fixed.text = f"{fixed.text[:end]}{variable}.{sensor}.{key} = {literal};\n{fixed.text[end:]}"
+    note_change(fixed, f"{sensor}.{key}", before, after)
+
+
+def _sample_rate(fixed: Fixed, factor: float) -> None:
+    match = re.search(r"('SampleRate'\s*,\s*|SampleRate\s*=\s*)([0-9.eE+-]+)", fixed.text)
+    if match is None:
+        raise CannotHold("there is no SampleRate in it")
+    after = float(f"{float(match[2]) * factor:.6g}")
+    fixed.text = f"{fixed.text[: match.start()]}{match[1]}{after!r}{fixed.text[match.end() :]}"
+    note_change(fixed, "SampleRate, Hz", float(match[2]), after)

@@ -1,0 +1,234 @@
+"""stillcal's own phone file, corrected: constant errors, noise, rate, and the effects by their names.
+
+It holds every difference but those that belong to one moment of one recording. Where the file is laid out
+plainly its comments and order stay; otherwise it is written anew.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.errors import UserError
+from stillcal.calib_core.noise.allan import FLOOR
+from stillcal.replay.export.fix.findings import (
+    CannotHold,
+    Finding,
+    Fixed,
+    apply_findings,
+    difference,
+    gain_change,
+    is_lacking,
+    note_change,
+    ratio,
+    recorded,
+    reference_c,
+    rounded,
+)
+from stillcal.replay.export.fix.toml_text import edited
+from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.registry import EFFECTS
+from stillcal.replay.phone.phone import Phone, dump_phone
+from stillcal.replay.phone.settings import Noise, SensorSettings, per_axis
+
+OF_ONE_MOMENT = {
+    "accel_bias_step": "it happened at one moment of the recording",
+    "gyro_bias_step": "it happened at one moment of the recording",
+    "thermal_latent": "its amplitude is that of the recording's own warmth, which a phone file does not have",
+}
+
+
+class _Phone:
+    """One correction of one phone."""
+
+    def __init__(self, phone: Phone, fixed: Fixed) -> None:
+        self.phone = phone
+        self._fixed = fixed
+
+    def bias(self, finding: Finding) -> None:
+        self._add_bias(finding, difference(finding, "bias"))
+
+    def bias_temperature(self, finding: Finding) -> None:
+        delta, at = difference(finding, "slope"), reference_c(finding)
+        self._effect(finding, {"slope": delta})
+        if at is not None:
+            self._add_bias(finding, delta * (self.phone.heat.reference_c - at))
+
+    def scale(self, finding: Finding) -> None:
+        self._multiply_gain(finding, gain_change(finding))
+
+    def scale_temperature(self, finding: Finding) -> None:
+        delta, at = difference(finding, "slope"), reference_c(finding)
+        self._effect(finding, {"slope": delta})
+        if at is not None:
+            self._multiply_gain(finding, np.eye(3) + np.diag(delta * (self.phone.heat.reference_c - at)))
+
+    def white(self, finding: Finding) -> None:
+        noise = self._sensor(finding).noise
+        before = per_axis(noise.white)
+        fresh = recorded(finding, "density")
+        after = np.where(
+            before == 0.0, fresh, before if is_lacking(finding) else before * ratio(finding, "density")
+        )
+        self._set_noise(finding, white=_vector(after))
+        note_change(self._fixed, f"{finding['sensor']}.noise.white", before, after)
+
+    def slow(self, finding: Finding) -> None:
+        noise, name = self._sensor(finding).noise, "allan_deviation_100s"
+        if not (per_axis(noise.flicker).any() or per_axis(noise.random_walk).any() or noise.gauss_markov):
+            flicker = np.broadcast_to(recorded(finding, name), 3) / FLOOR
+            self._set_noise(finding, flicker=_vector(flicker))
+            note_change(self._fixed, f"{finding['sensor']}.noise.flicker", 0.0, flicker)
+            return
+        factor = np.broadcast_to(ratio(finding, name), 3)
+        changed = {f: _vector(per_axis(getattr(noise, f)) * factor) for f in ("flicker", "random_walk")}
+        wandering = tuple(
+            msgspec.structs.replace(g, sigma=_vector(per_axis(g.sigma) * factor)) for g in noise.gauss_markov
+        )
+        self._set_noise(finding, gauss_markov=wandering, **changed)
+        self._fixed.changed.append(f"{finding['sensor']}.noise: all slow noise times {factor.mean():.4g}")
+
+    def rate(self, finding: Finding) -> None:
+        factor = float(ratio(finding, "rate"))
+        for which in ("accel", "gyro"):
+            settings = getattr(self.phone, which)
+            if settings is not None:
+                after = float(f"{settings.rate_hz * factor:.6g}")
+                note_change(self._fixed, f"{which}.rate_hz", settings.rate_hz, after)
+                self._set_sensor(which, rate_hz=after)
+
+    def other(self, finding: Finding) -> None:
+        """Put in an effect that the phone lacks, change one that it has, or take one out."""
+        if finding["effect"] in OF_ONE_MOMENT:
+            raise CannotHold(OF_ONE_MOMENT[finding["effect"]])
+        kind = EFFECTS.get(finding["effect"])
+        if kind is None:
+            raise CannotHold("a phone file has no effect of this name")
+        if finding["relation"] == "superfluous" and not finding["difference"]:
+            self._remove(finding)
+            return
+        values: dict[str, Any] = {}
+        for name, given in {**finding["parameters"], **finding["difference"]}.items():
+            if name in kind.__struct_fields__:
+                value = np.asarray(given["value"], dtype=np.float64)
+                values[name] = difference(finding, name) if value.ndim else float(recorded(finding, name))
+        known = {k: v for k, v in finding.get("reference", {}).items() if k in kind.__struct_fields__}
+        self._effect(finding, values | known)
+
+    def _effect(self, finding: Finding, values: dict[str, Any]) -> None:
+        """Add vectors to those of the phone's effect of the same name and sensor; set its other numbers."""
+        name, sensor = finding["effect"], finding["sensor"]
+        kind = EFFECTS[name]
+        own = {"sensor": sensor} if "sensor" in kind.__struct_fields__ and sensor in ("accel", "gyro") else {}
+        for index, effect in enumerate(self.phone.effects):
+            if effect.name == name and (not own or getattr(effect, "sensor", sensor) == sensor):
+                before = {k: getattr(effect, k) for k in values}
+                after = {k: np.asarray(before[k]) + v if np.ndim(v) else v for k, v in values.items()}
+                made = self._made(kind, {**msgspec.structs.asdict(effect), **after})
+                effects = [*self.phone.effects]
+                effects[index] = made
+                self._set_effects(effects)
+                for key, value in after.items():
+                    note_change(self._fixed, f"{name}.{key}", np.asarray(before[key]), np.asarray(value))
+                return
+        made = self._made(kind, {**own, **values})
+        self._set_effects([*self.phone.effects, made])
+        for key, value in values.items():
+            note_change(self._fixed, f"{name}.{key}", 0.0, np.asarray(value))
+
+    def _made(self, kind: type[Effect], values: dict[str, Any]) -> Any:
+        plain = {k: rounded(v).tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
+        try:
+            return msgspec.convert({"name": kind.__struct_config__.tag, **plain}, type=kind)
+        except (msgspec.ValidationError, ValueError) as error:
+            raise CannotHold(str(error)) from error
+
+    def _remove(self, finding: Finding) -> None:
+        kept = [e for e in self.phone.effects if e.name != finding["effect"]]
+        if len(kept) == len(self.phone.effects):
+            raise CannotHold("the phone has no effect of this name")
+        self._set_effects(kept)
+        self._fixed.changed.append(f"{finding['effect']}: taken out")
+
+    def _set_effects(self, effects: Sequence[Any]) -> None:
+        self.phone = msgspec.structs.replace(self.phone, effects=tuple(effects))
+
+    def _sensor(self, finding: Finding) -> SensorSettings:
+        settings = getattr(self.phone, finding["sensor"])
+        if settings is None:
+            raise CannotHold("the phone has no such sensor")
+        assert isinstance(settings, SensorSettings), "accel and gyro are sensors"
+        return settings
+
+    def _set_sensor(self, which: str, **values: Any) -> None:
+        settings = msgspec.structs.replace(getattr(self.phone, which), **values)
+        self.phone = msgspec.structs.replace(self.phone, **{which: settings})
+
+    def _set_noise(self, finding: Finding, **values: Any) -> None:
+        noise: Noise = msgspec.structs.replace(self._sensor(finding).noise, **values)
+        self._set_sensor(finding["sensor"], noise=noise)
+
+    def _add_bias(self, finding: Finding, delta: Array) -> None:
+        if not delta.any():
+            return
+        before = np.asarray(self._sensor(finding).bias)
+        self._set_sensor(finding["sensor"], bias=_vector(before + delta))
+        note_change(self._fixed, f"{finding['sensor']}.bias", before, before + delta)
+
+    def _multiply_gain(self, finding: Finding, change: Array) -> None:
+        before = np.asarray(self._sensor(finding).scale)
+        after = change @ before
+        rows = tuple(_vector(row) for row in after)
+        self._set_sensor(finding["sensor"], scale=rows)
+        note_change(self._fixed, f"{finding['sensor']}.scale", before, after)
+
+
+def _vector(values: Array) -> tuple[float, float, float]:
+    x, y, z = rounded(values).tolist()
+    return (x, y, z)
+
+
+def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
+    """Return a phone file with the differences in it; of a phone without errors where there is none."""
+    before = Phone() if text is None else _parsed(text)
+    fixed = Fixed("")
+    work = _Phone(before, fixed)
+    handlers: dict[str, Callable[[Finding], None]] = {"noise_level": work.white, "sample_rate": work.rate}
+    for sensor in ("accel", "gyro"):
+        handlers |= {
+            f"{sensor}_bias": work.bias,
+            f"{sensor}_bias_temperature": work.bias_temperature,
+            f"{sensor}_scale": work.scale,
+            f"{sensor}_scale_temperature": work.scale_temperature,
+            f"{sensor}_slow_noise": work.slow,
+        }
+    apply_findings(findings, handlers, fixed, otherwise=work.other)
+    fixed.text = _text(text, before, work.phone, fixed)
+    return fixed
+
+
+def _parsed(text: str) -> Phone:
+    try:
+        return msgspec.convert(tomllib.loads(text), type=Phone)
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError, ValueError) as error:
+        raise UserError(f"not a phone file: {error}") from error
+
+
+def _text(text: str | None, before: Phone, after: Phone, fixed: Fixed) -> str:
+    """Return the phone's text: the user's own with the values changed, or one written anew."""
+    whole = dump_phone(after)
+    if text is None:
+        return whole
+    changed = edited(text, msgspec.to_builtins(before), msgspec.to_builtins(after))
+    try:
+        if _parsed(changed) == after:
+            return changed
+    except UserError:
+        pass
+    fixed.changed.append("the file is written anew: its comments are lost")
+    return whole
