@@ -18,6 +18,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
+from stillcal.replay.commands.fix_for import Correction
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
 from stillcal.replay.commands.reading import Reading, reading_options
 from stillcal.replay.diagnosis.diagnose import Request, diagnose
@@ -25,6 +26,7 @@ from stillcal.replay.diagnosis.relation_text import VERDICTS, summary
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
+from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.phone.phone import Phone, load_phone
 
@@ -41,6 +43,7 @@ class _Asked(NamedTuple):
     json: Path | None
     report: Path | None
     phone_out: Path | None
+    fix_for: tuple[str, Path] | None
     reading: Reading
 
 
@@ -56,6 +59,7 @@ class _Asked(NamedTuple):
         "stillcal diagnose walk.csv --phone mpu6050        # compare with a simulated phone",
         "stillcal diagnose walk.csv --simulated sim.csv    # where does my simulator differ?",
         "stillcal diagnose walk.csv --simulated sim.csv --report difference.html",
+        "stillcal diagnose walk.csv --simulated sim.csv --fix-for gazebo model.sdf",
         "stillcal diagnose Phones_accelerometer.csv --json -",
         "stillcal diagnose esgi.csv                        # a table of rests",
     ),
@@ -75,6 +79,13 @@ class _Asked(NamedTuple):
 @click.option(
     "--phone-out", type=_path, help="Write a phone with the effects found (.toml), for simulate --phone."
 )
+@click.option(
+    "--fix-for",
+    type=(click.Choice(list(FIXERS)), _path),
+    metavar="TOOL FILE",
+    help="Correct the simulation's configuration FILE by what was found; FILE.bak keeps the old one."
+    f" TOOL: {', '.join(FIXERS)}.",
+)
 @reading_options()
 @quiet_option
 def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
@@ -86,6 +97,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     json_path: Path | None,
     report: Path | None,
     phone_out: Path | None,
+    fix_for: tuple[str, Path] | None,
     reading: Reading,
     quiet: bool,
 ) -> None:
@@ -95,8 +107,9 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     simulator made (--simulated): other motion, another rate and another length do not matter then. What
     could not be checked is said. Exit code 3 where there is too little data.
     """
-    asked = _Asked(trace, phone, simulated, simulated_format, json_path, report, phone_out, reading)
+    asked = _Asked(trace, phone, simulated, simulated_format, json_path, report, phone_out, fix_for, reading)
     _check(asked)
+    correction = None if fix_for is None else Correction(*fix_for)
     try:
         with _stages(quiet) as show_stage:
             outputs = _table(asked) if reading.is_rest_table(trace) else _diagnosed(asked, show_stage)
@@ -106,6 +119,8 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
         click.echo(f"stillcal: {subject}too little data: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
     _write(outputs, asked)
+    if correction is not None:
+        correction.write(outputs.answer)
     if not quiet and json_path != STANDARD_OUTPUT:
         click.echo("\n".join(summary(outputs.answer)))
     if outputs.answer["verdict"] in fail_on:
@@ -122,10 +137,10 @@ def _check(asked: _Asked) -> None:
     if phone_out is not None and phone_out.suffix != ".toml":
         raise click.UsageError(f"{phone_out}: choose a name that ends in .toml for a phone file")
     if asked.reading.is_rest_table(asked.trace) and any(
-        x is not None for x in (asked.phone, asked.simulated, report, phone_out)
+        x is not None for x in (asked.phone, asked.simulated, report, phone_out, asked.fix_for)
     ):
         raise click.UsageError(
-            "a rest table has no samples, which --phone, --simulated, --report and --phone-out need"
+            "a rest table has no samples: --phone, --simulated, --report, --phone-out and --fix-for need them"
         )
     if asked.simulated is not None and (asked.phone is not None or phone_out is not None):
         raise click.UsageError("give --simulated, or --phone and --phone-out: each is another simulation")
@@ -134,7 +149,10 @@ def _check(asked: _Asked) -> None:
     reads = [*recording_files(asked.trace), *files(asked.reading.gyro)]
     reads += [] if asked.simulated is None else recording_files(asked.simulated)
     reads += [Path(asked.phone)] if asked.phone and asked.phone.endswith(".toml") else []
-    refuse_collisions(files(report, phone_out, asked.json), reads)
+    fixed = None if asked.fix_for is None else asked.fix_for[1]
+    if fixed is not None and asked.phone and fixed.resolve() == Path(asked.phone).resolve():
+        reads.remove(Path(asked.phone))  # the phone file that was judged is the one to be corrected
+    refuse_collisions(files(report, phone_out, fixed, asked.json), reads)
 
 
 class _Outputs(NamedTuple):

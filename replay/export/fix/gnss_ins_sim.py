@@ -3,8 +3,8 @@
 Aceinna/gnss-ins-sim, gnss_ins_sim/sim/imu_model.py: gyro_b and gyro_b_stability in deg/h, gyro_arw in
 deg/sqrt(h), accel_b and accel_b_stability in m/s^2, accel_vrw in m/s/sqrt(h), three numbers each.
 pathgen/pathgen.py, acc_gen and gyro_gen: measured = true + b + drift + noise; a sample's standard deviation
-is the walk's density times sqrt(rate), the true force is the specific force. Only these numbers are changed in
-the script's text.
+is the walk's density times sqrt(rate), and the true force is the specific force. Only these numbers are
+changed in the script's text.
 """
 
 from __future__ import annotations
@@ -127,7 +127,8 @@ def _evaluated(node: ast.expr, key: str) -> Array:
         return _evaluated(node.args[0], key)
     if isinstance(node, ast.Attribute) and node.attr == "pi":
         return np.float64(np.pi)  # type: ignore[return-value]
-    if isinstance(node, ast.BinOp) and type(node.op) in _ARITHMETIC:
+    lists = (ast.List, ast.Tuple)  # a list times a number is the list repeated, no arithmetic
+    if isinstance(node, ast.BinOp) and not isinstance(node.left, lists) and type(node.op) in _ARITHMETIC:
         one, other = _evaluated(node.left, key), _evaluated(node.right, key)
         return np.asarray(_ARITHMETIC[type(node.op)](one, other))
     raise CannotHold(f"{key} is {ast.unparse(node)[:60]}, which is not made of plain numbers")

@@ -109,7 +109,7 @@ class _Phone:
         kind = EFFECTS.get(finding["effect"])
         if kind is None:
             raise CannotHold("a phone file has no effect of this name")
-        if finding["relation"] == "superfluous" and not finding["difference"]:
+        if not finding["parameters"]:
             self._remove(finding)
             return
         values: dict[str, Any] = {}

@@ -56,7 +56,7 @@ def _rows(lines: list[str], name: str, before: Sequence[Table], after: Sequence[
 
 
 def _block(lines: Sequence[str], heading: str, index: int) -> tuple[int, int]:
-    """Return the lines of a table with its heading: the top of the file for "", (n, n) where there is none."""
+    """Return a table's lines with its heading: the top of the file for "", (n, n) where there is none."""
     starts = [i for i, line in enumerate(lines) if line.partition("#")[0].strip() == heading]
     if heading and index >= len(starts):
         return len(lines), len(lines)

@@ -1,0 +1,219 @@
+"""A simulation's own configuration, corrected by findings."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import xml.etree.ElementTree as ET
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from stillcal.calib_core.errors import UserError
+from stillcal.replay.export.fix.fixers import FIXERS, fixed_for
+from stillcal.replay.phone.phone import Phone
+
+
+def finding(
+    effect: str,
+    sensor: str,
+    values: dict[str, tuple[Any, Any]],
+    relation: str = "too_small",
+    axes: str = "xyz",
+    **more: Any,
+) -> dict[str, Any]:
+    """A finding of JSON schema 2; values: parameter to the recording's and the simulation's."""
+    pairs = {k: (np.asarray(a, float), np.asarray(b, float)) for k, (a, b) in values.items()}
+    return {
+        "effect": effect,
+        "sensor": sensor,
+        "axes": list(axes),
+        "relation": relation,
+        "parameters": {k: {"value": a.tolist()} for k, (a, _) in pairs.items()},
+        "simulated": {k: {"value": b.tolist()} for k, (_, b) in pairs.items()},
+        "difference": {k: {"value": (a - b).tolist()} for k, (a, b) in pairs.items()},
+        **more,
+    }
+
+
+BIAS = finding("gyro_bias", "gyro", {"bias": ([0.03, 0.5, 0.02], [0.01, 0.1, 0.0])}, axes="xz")
+WHITE = finding("noise_level", "accel", {"density": ([4e-3, 2e-3, 3e-3], [2e-3, 2e-3, 2e-3])})
+SLOW = finding("gyro_slow_noise", "gyro", {"allan_deviation_100s": ([3e-5] * 3, [1e-5] * 3)})
+RATE = finding("sample_rate", "timing", {"rate": (200.0, 100.0)}, axes="")
+SLOPE = finding(
+    "gyro_bias_temperature",
+    "gyro",
+    {"slope": ([2e-4, 0.0, -1e-4], [0.0, 0.0, 0.0])},
+    "lacking",
+    reference={"temperature_c": 35.0},
+)
+SCALE = finding("gyro_scale", "gyro", {"scale": (np.diag([-0.02, 0.0, 0.01]), np.zeros((3, 3)))}, "lacking")
+MATRIX = finding("gyro_g_sensitivity", "gyro", {"matrix": (np.eye(3) * 1e-4, np.zeros((3, 3)))}, "lacking")
+UNKNOWN = finding("unknown", "gyro", {}, "lacking")
+ALL = [BIAS, WHITE, SLOW, RATE, SLOPE, SCALE, MATRIX, UNKNOWN]
+
+
+def fixed(tool: str, text: str | None, *findings: dict[str, Any]) -> Any:
+    return fixed_for(tool, text, {"findings": list(findings)})
+
+
+PHONE = """# my phone
+[heat]
+reference_c = 25.0  # as in the chamber
+
+[gyro]
+rate_hz = 100.0
+bias = [0.001, 0.002, 0.003]  # measured in May
+
+[accel]
+[accel.noise]
+white = 0.002
+
+[[effect]]
+# from the datasheet
+name = "gyro_g_sensitivity"
+matrix = [[0.0001, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+"""
+
+
+def test_a_phone_file_keeps_its_comments_and_takes_every_effect_but_the_unknown() -> None:
+    made = fixed("phone", PHONE, *ALL)
+    phone = msgspec.convert(tomllib.loads(made.text), type=Phone)
+    for kept in ("# my phone", "# as in the chamber", "# measured in May", "# from the datasheet"):
+        assert kept in made.text
+    assert [line.partition(":")[0] for line in made.not_held] == ["unknown (gyroscope)"]
+    assert phone.gyro is not None
+    # The bias counts at 25 degC; slope and bias of the findings count at 35: 10 K less of the slope.
+    np.testing.assert_allclose(phone.gyro.bias, [0.001 + 0.02 - 2e-3, 0.002, 0.003 + 0.02 + 1e-3])
+    assert phone.gyro.rate_hz == 200.0
+    assert phone.accel.noise.white == (0.004, 0.002, 0.003)
+    slope, matrix = (next(e for e in phone.effects if e.name == f["effect"]) for f in (SLOPE, MATRIX))
+    assert slope.slope == (2e-4, 0.0, -1e-4)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(np.diag(matrix.matrix), [2e-4, 1e-4, 1e-4])  # type: ignore[attr-defined]
+    np.testing.assert_allclose(phone.gyro.scale, np.diag([1.0 / 0.98, 1.0, 1.0 / 1.01]), rtol=1e-9)
+
+
+def test_a_phone_file_that_is_not_plain_is_written_anew_and_says_so() -> None:
+    made = fixed("phone", "gyro = {bias = [0.001, 0.0, 0.0]}  # mine\n", BIAS)
+    phone = msgspec.convert(tomllib.loads(made.text), type=Phone)
+    assert phone.gyro is not None and phone.gyro.bias[0] == pytest.approx(0.021)
+    assert any("comments are lost" in line for line in made.changed)
+
+
+def test_what_the_recording_does_not_have_is_taken_out_of_a_phone() -> None:
+    gone = finding(
+        "gyro_g_sensitivity", "gyro", {"matrix": (np.zeros((3, 3)), np.eye(3) * 1e-4)}, "superfluous"
+    )
+    gone["parameters"] = {}
+    made = fixed("phone", PHONE, gone)
+    assert "gyro_g_sensitivity" not in made.text
+    assert "# measured in May" in made.text
+
+
+SDF = """<?xml version="1.0"?>
+<!-- before -->
+<sdf version="1.9"><model name="m"><link name="l">
+  <sensor name="imu" type="imu">
+    <update_rate>100</update_rate>
+    <imu>
+      <linear_acceleration>
+        <x><noise type="gaussian"><mean>0.1</mean><stddev>0.02</stddev></noise></x> <!-- keep > -->
+        <y><noise type="gaussian"><mean>0</mean><stddev>0.02</stddev></noise></y>
+        <z><noise type="none"/></z>
+      </linear_acceleration>
+    </imu>
+  </sensor>
+</link></model></sdf>
+"""
+
+
+def test_gazebo_is_changed_in_place() -> None:
+    made = fixed("gazebo", SDF, *ALL)
+    imu = ET.fromstring(made.text).find(".//imu")
+    assert imu is not None
+    assert "<!-- before -->" in made.text and "<!-- keep > -->" in made.text
+    for axis, ratio in (("x", 2.0), ("y", 1.0)):
+        # Twice the rate: root two more in a sample, beside the density's own ratio.
+        assert float(imu.findtext(f"linear_acceleration/{axis}/noise/stddev") or 0) == pytest.approx(
+            0.02 * np.sqrt(2.0) * ratio
+        )
+    z = imu.find("linear_acceleration/z/noise")
+    assert z is not None and z.get("type") == "gaussian"
+    assert float(z.findtext("stddev") or 0) == pytest.approx(3e-3 * np.sqrt(100.0))
+    assert float(imu.findtext("angular_velocity/x/noise/mean") or 0) == pytest.approx(0.02)
+    assert imu.findtext("angular_velocity/y/noise/mean") is None
+    walk = float(imu.findtext("angular_velocity/y/noise/dynamic_bias_stddev") or 0)
+    assert walk == pytest.approx(3e-5 * np.sqrt(3.0 / 100.0))
+    assert {line.partition(":")[0] for line in made.not_held} == {
+        "gyro_bias_temperature",
+        "gyro_scale",
+        "gyro_g_sensitivity",
+        "unknown (gyroscope)",
+    }
+
+
+def test_airsim_multiplies_its_own_values_and_keeps_other_settings() -> None:
+    text = json.dumps({"SimMode": "Car", "Vehicles": {"A": {"Sensors": {"I": {"SensorType": 2, "x": 1}}}}})
+    value = json.loads(fixed("airsim", text, WHITE, SLOW, BIAS).text)
+    imu = value["Vehicles"]["A"]["Sensors"]["I"]
+    assert (value["SimMode"], imu["x"]) == ("Car", 1)
+    assert imu["VelocityRandomWalk"] == pytest.approx(0.24 * np.sqrt((16 + 4 + 9) / 12))
+    assert imu["GyroBiasStability"] == pytest.approx(4.6 * 3.0)
+
+
+def test_kalibr_changes_its_lines_only() -> None:
+    text = "rostopic: /i\nupdate_rate: 100.0 # Hz\naccelerometer_noise_density: 1.0e-3   # mine\n"
+    made = fixed("kalibr", text, WHITE, RATE, SLOW)
+    assert "update_rate: 200 # Hz\n" in made.text
+    assert f"accelerometer_noise_density: {1e-3 * np.sqrt(29 / 12):.10g}   # mine\n" in made.text
+    assert made.not_held == ["gyro_slow_noise: there is no gyroscope_random_walk in it"]
+
+
+def test_gnss_ins_sim_changes_the_numbers_of_its_dictionary_only() -> None:
+    text = (
+        "import numpy as np\nD = 3  # mine\nimu_err = {'gyro_b': np.array([0.0, 0.0, 0.0]),  # bias\n"
+        "  'gyro_arw': np.array([0.25, 0.25, 0.25]) * 1.0, 'accel_b': [0, 0, 0],\n"
+        "  'accel_vrw': np.array([0.03]*3), 'gyro_b_stability': np.array([3.5, 3.5, 3.5])}\n"
+    )
+    made = fixed("gnss-ins-sim", text, BIAS, WHITE, SLOW)
+    names: dict[str, Any] = {}
+    exec(made.text, names)
+    np.testing.assert_allclose(np.deg2rad(names["imu_err"]["gyro_b"]) / 3600.0, [0.02, 0.0, 0.02], atol=1e-12)
+    np.testing.assert_allclose(names["imu_err"]["gyro_b_stability"], [10.5] * 3)
+    assert "# mine" in made.text and "# bias" in made.text
+    assert made.not_held == [
+        "noise_level (accelerometer): accel_vrw is [0.03] * 3, which is not made of plain numbers"
+    ]
+
+
+def test_imusensor_changes_its_properties_in_its_own_units() -> None:
+    text = (
+        "% mine\nimu = imuSensor('accel-gyro', 'SampleRate', 100);\n"
+        "imu.Gyroscope.ConstantBias = 0.001; % all\n"
+        "imu.Accelerometer.NoiseDensity = [2e-3 2e-3 2e-3];\nx = 1;\n"
+    )
+    made = fixed("imusensor", text, *ALL)
+    assert "imu.Gyroscope.ConstantBias = [0.019 0.001 0.022]; % all\n" in made.text
+    assert "imu.Gyroscope.TemperatureBias = [0.0002 0.0 -0.0001];\n" in made.text
+    assert "imu.Accelerometer.NoiseDensity = [0.004 0.002 0.003];\n" in made.text
+    assert "'SampleRate', 200.0)" in made.text and made.text.endswith("x = 1;\n")
+
+
+@pytest.mark.parametrize("tool", FIXERS)
+def test_nothing_found_changes_nothing_and_a_new_file_can_be_read_back(tool: str) -> None:
+    fresh = fixed(tool, None, *ALL)
+    assert fresh.changed
+    again = fixed(tool, fresh.text)
+    assert not again.changed and not again.not_held
+    assert tool == "airsim" or again.text == fresh.text
+
+
+@pytest.mark.parametrize("tool", [t for t in FIXERS if t != "kalibr"])
+@pytest.mark.parametrize("text", ["", "<a>", "[1]", "a = {", "<sdf/>", "\x00"])
+def test_what_is_not_the_tool_s_is_refused(tool: str, text: str) -> None:
+    if (tool, text) == ("phone", ""):
+        return  # an empty phone file is an ideal phone
+    with pytest.raises(UserError):
+        fixed(tool, text, BIAS)
