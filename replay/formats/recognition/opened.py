@@ -8,6 +8,11 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.logs.arrays import open_arrays
+from stillcal.replay.formats.logs.axivity import open_axivity
+from stillcal.replay.formats.logs.dataflash import open_dataflash
+from stillcal.replay.formats.logs.ros import open_ros, open_ros_folder
+from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
@@ -17,6 +22,12 @@ from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.text import TextTable
+
+_BINARY_LOGS = {
+    magic.AXIVITY: open_axivity,
+    magic.DATAFLASH: open_dataflash,
+    magic.ULOG: open_ulog,
+}
 
 
 class RestTableGivenError(TraceError):
@@ -30,6 +41,8 @@ def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | No
     column_map = None if format is None else load_map(format)
     found = located(path)
     if str(path) != STANDARD_INPUT and found.is_dir():
+        if (found / "metadata.yaml").is_file():
+            return open_ros_folder(found)
         return _archive(found, members_of_folder(found), column_map)
     source = source_of(str(path)) if str(path) == STANDARD_INPUT else source_of(found)
     return _log(source, column_map, gyro)
@@ -51,8 +64,17 @@ def _log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -> Log
     if kind == magic.TEXT:
         return _text_log(source, column_map, gyro)
     if kind == magic.ZIP:
-        return _archive(source.path, members_of_zip(source), column_map)
-    raise TraceError(source.path, f"is {kind}, which is not read yet", "export it as CSV")
+        members = members_of_zip(source)
+        if members and all(name.endswith(".npy") for name in members):
+            return open_arrays(source, kind, column_map)
+        return _archive(source.path, members, column_map)
+    if kind in (magic.PARQUET, magic.HDF5, magic.MATLAB):
+        return open_arrays(source, kind, column_map)
+    if kind in (magic.ROS1, magic.ROS2, magic.MCAP):
+        return open_ros(source, kind)
+    if kind in _BINARY_LOGS:
+        return _BINARY_LOGS[kind](source)
+    raise TraceError(source.path, f"is {kind}, which is not read", "save the arrays as .npz, or export CSV")
 
 
 def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | None) -> Log:

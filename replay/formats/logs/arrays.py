@@ -1,0 +1,293 @@
+"""Files of named arrays: Parquet, HDF5, MATLAB and NumPy archives.
+
+What an array is follows from its name and from the first samples (recognition/settle.py); a column map given
+as --format overrides that. The axes of an array `acc` of three columns are called `acc[0]`, `acc[1]` and
+`acc[2]`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.columns import ColumnMap, load_map
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.logs.extras import library
+from stillcal.replay.formats.recognition import magic
+from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
+from stillcal.replay.formats.recognition.names import is_rate_hz
+from stillcal.replay.formats.recognition.settle import settled
+from stillcal.replay.formats.sources import Source, unpacked_copy
+from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable
+
+MOST_ARRAYS = 2000
+"""Arrays of a file that are looked at; a recording has a few dozen."""
+
+MOST_BYTES = 4 << 30
+"""Bytes of an array that is read whole into memory at most."""
+
+
+@dataclass(slots=True)
+class _Arrays:
+    """The arrays of a file, or of one group of it.
+
+    columns: by name, each giving its values between two rows. length: rows. rate_hz: where a number says so.
+    windows: whether there are arrays of three dimensions, which are no columns.
+    """
+
+    columns: dict[str, Callable[[int, int], Array]] = field(default_factory=dict)
+    length: int = 0
+    rate_hz: float | None = None
+    windows: bool = False
+
+    def table(self, path: Path, size: int) -> NumberTable:
+        """Return the columns as a table that is read in blocks."""
+        names = list(self.columns)
+
+        def rows(places: Sequence[int]) -> Iterator[tuple[Array, float]]:
+            for first in range(0, self.length, BLOCK_ROWS):
+                last = min(first + BLOCK_ROWS, self.length)
+                chosen = [np.asarray(self.columns[names[p]](first, last), dtype=np.float64) for p in places]
+                yield np.column_stack(chosen), last / self.length
+
+        return NumberTable(path, names, rows, size)
+
+
+def open_arrays(source: Source, kind: str, column_map: ColumnMap | None = None) -> Log:
+    """Open a file of named arrays. Raises TraceError where no accelerometer is found in it."""
+    stored = unpacked_copy(source)
+    readers = {magic.PARQUET: _parquet, magic.HDF5: _hdf5, magic.MATLAB: _matlab, magic.ZIP: _numpy}
+    try:
+        groups, extra = readers[kind](stored)
+    except TraceError:
+        raise
+    except MemoryError:
+        raise TraceError(source.path, "does not fit into memory", "give a part of it") from None
+    except Exception as error:  # the libraries raise whatever their parsing meets
+        what = f"the {kind} file is damaged ({type(error).__name__}: {' '.join(str(error).split())[:120]})"
+        raise TraceError(source.path, what, "write it again") from None
+    sensors = _sensors(source, stored.size, groups, column_map)
+    notes = [f"{source.path.name}: {line}" for line in extra]
+    return Log(source.path, kind if kind != magic.ZIP else "NPZ", sensors, notes, source.local)
+
+
+def _sensors(
+    source: Source, size: int, groups: Mapping[str, _Arrays], column_map: ColumnMap | None
+) -> list[LoggedSensor]:
+    found: list[LoggedSensor] = []
+    for group, arrays in groups.items():
+        table = arrays.table(source.path, size)
+        if column_map is not None:
+            found += _mapped(table, column_map, group)
+            continue
+        for sensor in settled(table, load_map("csv"), arrays.rate_hz):
+            name = "/".join(part for part in (group, sensor.name) if part and part != "imu") or "imu"
+            found.append(LoggedSensor(name, sensor.files, sensor.about, sensor.notes))
+    if not found:
+        names = [name for arrays in groups.values() for name in arrays.columns]
+        listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+        deep = any(arrays.windows for arrays in groups.values())
+        windows = "; arrays of three dimensions are windows, no recording" if deep else ""
+        what = f"no accelerometer found in its arrays ({listed or 'there are none of numbers'}){windows}"
+        remedy = "name them acc, gyr and t, or say in a column map what they are (docs/formats.md)"
+        raise TraceError(source.path, what, remedy)
+    return found
+
+
+def _mapped(table: NumberTable, column_map: ColumnMap, group: str) -> list[LoggedSensor]:
+    """Return the sensor that a column map finds in a group; of several groups those that have it."""
+    sensors = [Sensor.ACCELEROMETER] + ([Sensor.GYROSCOPE] if column_map.gyroscope else [])
+    SampleFile(table, column_map, sensors, Claims())  # raises where a column is missing
+    return [LoggedSensor.of(group or "imu", [Part(table, column_map, sensors)])]
+
+
+def _parquet(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
+    """Return the columns of a Parquet file; it is read row group by row group."""
+    parquet = library("pyarrow.parquet", "parquet", stored.path, magic.PARQUET)
+    file = parquet.ParquetFile(str(stored.local))
+    names = [f.name for f in file.schema_arrow if _is_number(f.type)]
+    return {"": _ParquetColumns(stored, names, file.metadata.num_rows)}, []
+
+
+def _is_number(kind: Any) -> bool:
+    from pyarrow import types  # noqa: PLC0415 - only where a Parquet file is read
+
+    return bool(
+        types.is_integer(kind)
+        or types.is_floating(kind)
+        or types.is_timestamp(kind)
+        or types.is_duration(kind)
+    )
+
+
+class _ParquetColumns(_Arrays):
+    """Columns of a Parquet file."""
+
+    def __init__(self, stored: Source, names: list[str], length: int) -> None:
+        super().__init__(dict.fromkeys(names, lambda first, last: np.empty(0)), length)
+        self._stored = stored
+
+    def table(self, path: Path, size: int) -> NumberTable:
+        """Return the columns as a table that is read in batches."""
+        names, stored = list(self.columns), self._stored
+
+        def rows(places: Sequence[int]) -> Iterator[tuple[Array, float]]:
+            from pyarrow import parquet  # noqa: PLC0415 - only where a Parquet file is read
+
+            wanted = [names[p] for p in places]
+            done = 0
+            with parquet.ParquetFile(str(stored.local)) as file:
+                for batch in file.iter_batches(BLOCK_ROWS, columns=list(dict.fromkeys(wanted))):
+                    done += batch.num_rows
+                    columns = [_numbers(batch.column(batch.schema.get_field_index(n))) for n in wanted]
+                    yield np.column_stack(columns), done / max(self.length, 1)
+
+        return NumberTable(path, names, rows, size)
+
+
+def _numbers(column: Any) -> Array:
+    """Return an Arrow column as numbers, NaN where it is null; times in s."""
+    from pyarrow import compute  # noqa: PLC0415 - only where a Parquet file is read
+
+    unit = getattr(column.type, "unit", None)
+    if unit is not None:
+        column = compute.cast(column, "int64")
+    values = np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+    return values * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit] if unit is not None else values
+
+
+def _hdf5(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
+    """Return the arrays of an HDF5 file by group, also of MATLAB 7.3, which stores them transposed."""
+    h5py = library("h5py", "hdf5", stored.path, magic.HDF5)
+    file = h5py.File(str(stored.local), "r")
+    by_group: dict[str, dict[str, Any]] = {}
+    scalars: dict[str, float] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf":
+            return
+        group, _, last = name.rpartition("/")
+        if item.size == 1:
+            scalars[last] = float(np.ravel(item[()])[0])
+        elif len(by_group) < MOST_ARRAYS:
+            by_group.setdefault(group, {})[last] = item
+        for attribute, value in item.attrs.items():
+            _note_rate(scalars, attribute, value)
+
+    file.visititems(visit)
+    for attribute, value in file.attrs.items():
+        _note_rate(scalars, attribute, value)
+    return {group: _gathered(items, scalars) for group, items in by_group.items()}, []
+
+
+def _note_rate(scalars: dict[str, float], name: str, value: Any) -> None:
+    if is_rate_hz(name) and np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
+        scalars[name] = float(np.ravel(value)[0])
+
+
+def _matlab(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
+    """Return the arrays of a MATLAB file up to version 7, those of structs by the struct's name."""
+    scipy_io = library("scipy.io", "matlab", stored.path, magic.MATLAB)
+    listed = scipy_io.whosmat(str(stored.local))
+    if sum(int(np.prod(shape)) * 8 for _, shape, _ in listed) > MOST_BYTES:
+        raise TraceError(stored.path, "holds more than 4 GiB of arrays", "save the sensors' arrays alone")
+    content = scipy_io.loadmat(str(stored.local), squeeze_me=True, struct_as_record=False)
+    groups: dict[str, dict[str, Any]] = {}
+    _walk_struct("", {k: v for k, v in content.items() if not k.startswith("__")}, groups, 0)
+    scalars = {k: float(v) for items in groups.values() for k, v in items.items() if np.ndim(v) == 0}
+    return {
+        group: _gathered({k: v for k, v in items.items() if np.ndim(v) > 0}, scalars)
+        for group, items in groups.items()
+    }, []
+
+
+def _walk_struct(name: str, items: Mapping[str, Any], groups: dict[str, dict[str, Any]], depth: int) -> None:
+    """Sort the arrays of numbers by the struct that they stand in."""
+    for key, value in items.items():
+        fields = getattr(value, "_fieldnames", None)
+        if fields is not None and depth < 5:
+            inner = {f: getattr(value, f) for f in fields}
+            _walk_struct(f"{name}/{key}".strip("/"), inner, groups, depth + 1)
+        elif np.asarray(value).dtype.kind in "iuf":
+            groups.setdefault(name, {})[key] = np.asarray(value)
+
+
+def _numpy(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
+    """Return the arrays of an NPZ file, and what its texts say of corrections by the firmware."""
+    archive = np.load(str(stored.local), allow_pickle=False)
+    items: dict[str, Any] = {}
+    texts: dict[str, str] = {}
+    names = archive.files[:MOST_ARRAYS]
+    if sum(info.file_size for info in archive.zip.infolist()) > MOST_BYTES:
+        raise TraceError(stored.path, "holds more than 4 GiB of arrays", "save the sensors' arrays alone")
+    for name in names:
+        value = archive[name]
+        if value.dtype.kind in "iuf":
+            items[name] = value
+        elif value.dtype.kind == "U" and value.ndim == 0:
+            texts[name] = str(value)
+    scalars = {k: float(v) for k, v in items.items() if v.size == 1}
+    arrays = {k: v for k, v in items.items() if v.size > 1}
+    notes = [line for text in texts.values() for line in _firmware(text)]
+    return {"": _gathered(arrays, scalars)}, notes
+
+
+def _firmware(text: str) -> Iterator[str]:
+    """Say what an autopilot's parameters, as JSON, tell of corrections."""
+    try:
+        parameters = json.loads(text)
+    except ValueError:
+        return
+    if isinstance(parameters, dict):
+        from stillcal.replay.formats.logs.dataflash import corrections  # noqa: PLC0415 - a neighbour
+
+        yield from corrections(parameters)
+
+
+def _gathered(items: Mapping[str, Any], scalars: Mapping[str, float]) -> _Arrays:
+    """Return the columns of arrays (n,), (n, 1), (n, k) or (k, n) that share the length that most have."""
+    shapes = {name: _oriented(item) for name, item in items.items()}
+    gathered = _Arrays(rate_hz=next((v for k, v in scalars.items() if is_rate_hz(k) and v > 0), None))
+    gathered.windows = any(len(item.shape) > 2 for item in items.values())
+    lengths = [rows for rows, columns, _ in shapes.values() if columns in (1, 3)]
+    if not lengths:
+        return gathered
+    longest = max(lengths)
+    near = [n for n in lengths if n >= 0.9 * longest]
+    gathered.length = min(near)
+    for name, (rows, columns, transposed) in shapes.items():
+        if rows < gathered.length or columns not in (1, 3):
+            continue
+        for i in range(columns):
+            gathered.columns[name if columns == 1 else f"{name}[{i}]"] = _slice(items[name], i, transposed)
+    return gathered
+
+
+def _oriented(item: Any) -> tuple[int, int, bool]:
+    """Return (rows, columns, whether columns come first) of an array; columns 0 where it is no table."""
+    shape = tuple(item.shape)
+    if len(shape) == 1:
+        return shape[0], 1, False
+    if len(shape) == 2:
+        first = shape[0] < shape[1] and shape[0] <= 4
+        rows, columns = (shape[1], shape[0]) if first else shape
+        return int(rows), int(columns), first
+    return 0, 0, False
+
+
+def _slice(item: Any, column: int, transposed: bool) -> Callable[[int, int], Array]:
+    def values(first: int, last: int) -> Array:
+        if item.ndim == 1:
+            return np.asarray(item[first:last])
+        return np.asarray(item[column, first:last] if transposed else item[first:last, column])
+
+    return values

@@ -1,0 +1,310 @@
+"""ROS 1 and ROS 2 bags, through `rosbags` (Ternaris, Apache-2.0), and lone MCAP files, through `mcap` (MIT).
+
+Every topic of type sensor_msgs/Imu is a sensor: SI units, acceleration with gravity (REP 145). A covariance
+that begins with -1 says that the message has no such quantity (sensor_msgs/Imu.msg); a topic of accelerations
+alone is paired with one of rates alone, as depth cameras publish them.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.logs.extras import library
+from stillcal.replay.formats.recognition import magic
+from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Part
+from stillcal.replay.formats.sources import Source, unpacked_copy
+from stillcal.replay.formats.tables.numbers import NumberTable
+
+IMU = "sensor_msgs/msg/Imu"
+_ENDINGS = {magic.ROS1: ".bag", magic.ROS2: ".db3"}
+_DOUBLES = 37
+"""Orientation, rate and acceleration, a covariance after each, end an Imu message: 4 + 9 + 3 + 9 + 3 + 9."""
+
+_RATE, _FORCE = 4 + 9, 4 + 9 + 3 + 9
+_BLOCK = 4096
+_PROBED = 200
+_NS = 1e-9
+_NAMES = ["stamp", "logged", "gx", "gy", "gz", "ax", "ay", "az"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Stored:
+    """Messages of one topic as stored. layout: "ros1" or "cdr"."""
+
+    topic: str
+    type: str
+    layout: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Topic:
+    """A topic of Imu messages and what its first messages hold."""
+
+    name: str
+    count: int
+    rate_hz: float
+    has_force: bool
+    has_rate: bool
+    stamped: bool
+
+
+Message = tuple[int, bytes]
+"""When it was logged, ns, and its bytes."""
+
+
+def open_ros(source: Source, kind: str) -> Log:
+    """Open a bag that is one file. Raises TraceError where it is damaged or holds no Imu messages."""
+    container: _Container
+    if kind == magic.MCAP:
+        library("mcap", "mcap", source.path, kind)
+        container = _Mcap(unpacked_copy(source))
+    else:
+        library("rosbags", "ros", source.path, kind)
+        container = _Rosbag(*_ending_in(unpacked_copy(source), _ENDINGS[kind]))
+    return _Bag(source.path, container, kind, source.size, source.local).log()
+
+
+def open_ros_folder(folder: Path) -> Log:
+    """Open a ROS 2 bag that is a folder with metadata.yaml. Raises TraceError as open_ros."""
+    library("rosbags", "ros", folder, magic.ROS2)
+    size = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
+    return _Bag(folder, _Rosbag(folder, None), magic.ROS2, size, folder).log()
+
+
+def _ending_in(stored: Source, ending: str) -> tuple[Path, Any]:
+    """Return a path to the file that ends as `rosbags` expects, and what must live as long."""
+    assert stored.local is not None
+    if stored.local.suffix == ending:
+        return stored.local, stored
+    folder = tempfile.TemporaryDirectory(prefix="stillcal-")
+    link = Path(folder.name) / f"recording{ending}"
+    link.symlink_to(stored.local.resolve())
+    return link, (stored, folder)
+
+
+class _Container(Protocol):
+    """A file or folder of messages."""
+
+    def topics(self) -> list[_Stored]:
+        """Return what is stored."""
+        ...
+
+    def messages(self, topic: str) -> Iterator[Message]:
+        """Yield the messages of a topic as they were logged."""
+        ...
+
+
+class _Rosbag:
+    """A bag read by `rosbags`. keep: what must live as long as it."""
+
+    def __init__(self, path: Path, keep: Any) -> None:
+        self._path, self._keep = path, keep
+        self._one = path.suffix == ".bag"
+
+    def _reader(self) -> Any:
+        from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415 - only where a bag is read
+        from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
+
+        return (Reader1 if self._one else Reader2)(self._path)
+
+    def topics(self) -> list[_Stored]:
+        """Return what is stored."""
+        layout = "ros1" if self._one else "cdr"
+        with self._reader() as reader:
+            return [_Stored(c.topic, c.msgtype, layout, c.msgcount) for c in reader.connections]
+
+    def messages(self, topic: str) -> Iterator[Message]:
+        """Yield the messages of a topic as they were logged."""
+        with self._reader() as reader:
+            connections = [c for c in reader.connections if c.topic == topic]
+            for _, logged, raw in reader.messages(connections):
+                yield logged, bytes(raw)
+
+
+class _Mcap:
+    """A file read by `mcap`, which takes any profile; ROS 1 messages name their type without `msg`."""
+
+    def __init__(self, stored: Source) -> None:
+        self._stored = stored
+
+    def topics(self) -> list[_Stored]:
+        """Return what is stored."""
+        from mcap.reader import make_reader  # noqa: PLC0415 - only where MCAP is read
+
+        with self._stored.open() as file:
+            summary = make_reader(file).get_summary()
+        if summary is None:
+            raise ValueError("it has no summary")
+        counts = summary.statistics.channel_message_counts if summary.statistics is not None else {}
+        found = []
+        for channel in summary.channels.values():
+            schema = summary.schemas.get(channel.schema_id)
+            kind = (schema.name if schema is not None else "unknown").replace("sensor_msgs/Imu", IMU)
+            stored = _Stored(channel.topic, kind, channel.message_encoding, counts.get(channel.id, 0))
+            found.append(stored)
+        return found
+
+    def messages(self, topic: str) -> Iterator[Message]:
+        """Yield the messages of a topic as they were logged."""
+        from mcap.reader import make_reader  # noqa: PLC0415 - only where MCAP is read
+
+        with self._stored.open() as file:
+            for _, _, message in make_reader(file).iter_messages(topics=[topic]):
+                yield message.log_time, message.data
+
+
+class _Bag:
+    """Reads the Imu topics of one bag."""
+
+    def __init__(self, path: Path, container: _Container, kind: str, size: int, beside: Path | None) -> None:
+        self._path, self._container, self._kind = path, container, kind
+        self._size, self._beside = size, beside
+
+    def log(self) -> Log:
+        """Return the bag's sensors, those of both kinds first."""
+        topics = self._topics()
+        force = [t for t in topics if t.has_force and not t.has_rate]
+        rates = [t for t in topics if t.has_rate and not t.has_force]
+        sensors = [self._sensor([t]) for t in topics if t.has_force and t.has_rate]
+        for topic in force:
+            partner = max(rates, key=lambda rate: _shared(rate.name, topic.name), default=None)
+            sensors.append(self._sensor([topic, partner] if partner is not None else [topic]))
+        if not sensors:
+            what = f"the Imu topics {', '.join(t.name for t in topics) or 'of it'} hold no acceleration"
+            raise TraceError(self._path, what, "record the topic of the accelerometer")
+        return Log(self._path, self._kind, sensors, beside=self._beside)
+
+    @contextmanager
+    def _understood(self) -> Iterator[None]:
+        """Turn what the libraries raise into a TraceError."""
+        try:
+            yield
+        except (TraceError, GeneratorExit):
+            raise
+        except Exception as error:  # the libraries raise whatever their parsing meets
+            said = " ".join(str(error).split())[:150] or type(error).__name__
+            what = f"the {self._kind} is damaged or was not closed ({said})"
+            remedy = "copy it again, or mend it: rosbag reindex, ros2 bag reindex, mcap recover"
+            raise TraceError(self._path, what, remedy) from None
+
+    def _topics(self) -> list[_Topic]:
+        with self._understood():
+            stored = self._container.topics()
+            found = {s.topic: s.layout for s in stored if s.type == IMU and s.layout in ("ros1", "cdr")}
+            if not found:
+                there = sorted({f"{s.topic} ({s.type}, {s.layout})" for s in stored})
+                listed = ", ".join(there[:8]) + (", ..." if len(there) > 8 else "")
+                what = f"no topic of type sensor_msgs/Imu; there are: {listed or 'none'}"
+                raise TraceError(self._path, what, "record the IMU's topic")
+            counts: Counter[str] = Counter()
+            for s in stored:
+                counts[s.topic] += s.count
+            probed = [self._probed(name, found[name], counts[name]) for name in sorted(found)]
+            return [topic for topic in probed if topic is not None]
+
+    def _probed(self, name: str, layout: str, count: int) -> _Topic | None:
+        """Return a topic by its first messages, None without any. Raises TraceError on another layout."""
+        rows = list(islice(self._container.messages(name), _PROBED))
+        if not rows:
+            return None
+        self._refuse_other_layout(name, layout, rows[0][1])
+        values, doubles = _decoded(rows), _doubles(rows)
+        force = bool(values[:, 5:8].any()) and not (doubles[:, _FORCE + 3] == -1).all()
+        rate = bool(values[:, 2:5].any()) and not (doubles[:, _RATE + 3] == -1).all()
+        span = (values[-1, 1] - values[0, 1]) * _NS
+        rate_hz = (len(rows) - 1) / span if span > 0 else 0.0
+        return _Topic(name, count, rate_hz, force, rate, bool((values[:, 0] > 0).all()))
+
+    def _refuse_other_layout(self, topic: str, layout: str, raw: bytes) -> None:
+        """Check that a message has the length that its layout gives it, with its frame's name."""
+        length = int.from_bytes(raw[12:16], "little")  # of the frame's name; CDR aligns doubles after it
+        ends = 16 + length + 8 * _DOUBLES
+        aligned = 4 + -(-(12 + length) // 8) * 8 + 8 * _DOUBLES
+        if len(raw) != (ends if layout == "ros1" else aligned) or (layout == "cdr" and raw[1] != 1):
+            what = f"the messages of {topic} are not laid out as little-endian sensor_msgs/Imu"
+            raise TraceError(self._path, what, "export them as CSV")
+
+    def _sensor(self, topics: Sequence[_Topic]) -> LoggedSensor:
+        parts = [
+            Part(self._table(topic), _map(topic), sensors)
+            for topic, sensors in zip(topics, _shares(topics), strict=True)
+        ]
+        about = f"{topics[0].rate_hz:.3g} Hz" + (f", with {topics[1].name}" if len(topics) > 1 else "")
+        notes = [
+            f"{self._path.name}: {t.name} has no stamps of its own; the times of logging are used"
+            for t in topics
+            if not t.stamped
+        ]
+        return LoggedSensor.of(topics[0].name, parts, about, notes)
+
+    def _table(self, topic: _Topic) -> NumberTable:
+        def rows(places: Sequence[int]) -> Iterator[tuple[Array, float]]:
+            done = 0
+            with self._understood():
+                messages = self._container.messages(topic.name)
+                while block := list(islice(messages, _BLOCK)):
+                    done += len(block)
+                    yield _decoded(block)[:, list(places)], min(1.0, done / max(topic.count, 1))
+
+        return NumberTable(self._path, _NAMES, rows, self._size)
+
+
+def _shared(first: str, second: str) -> int:
+    """Return with how many letters in common two names begin."""
+    return next((i for i, (a, b) in enumerate(zip(first, second, strict=False)) if a != b), len(first))
+
+
+def _doubles(rows: Sequence[Message]) -> Array:
+    joined = b"".join(raw[-8 * _DOUBLES :] for _, raw in rows)
+    return np.frombuffer(joined, "<f8").reshape(-1, _DOUBLES)
+
+
+def _decoded(rows: Sequence[Message]) -> Array:
+    """Return messages as (n, 8): own stamp and time of logging, ns, rate rad/s, acceleration m/s^2.
+
+    Both encodings begin with four bytes, then the stamp's seconds and nanoseconds, and end with the doubles.
+    """
+    heads = np.frombuffer(b"".join(raw[4:12] for _, raw in rows), "<u4").reshape(-1, 2).astype(np.float64)
+    doubles = _doubles(rows)
+    values = np.empty((len(rows), len(_NAMES)))
+    values[:, 0] = heads[:, 0] * 1e9 + heads[:, 1]
+    values[:, 1] = [logged for logged, _ in rows]
+    values[:, 2:5] = doubles[:, _RATE : _RATE + 3]
+    values[:, 5:8] = doubles[:, _FORCE : _FORCE + 3]
+    return values
+
+
+def _shares(topics: Sequence[_Topic]) -> list[tuple[Sensor, ...]]:
+    if len(topics) > 1:
+        return [(Sensor.ACCELEROMETER,), (Sensor.GYROSCOPE,)]
+    return [BOTH if topics[0].has_rate else (Sensor.ACCELEROMETER,)]
+
+
+def _map(topic: _Topic) -> ColumnMap:
+    """Return the map of a topic; messages may have been logged a little out of the order of their stamps."""
+    time = (
+        TimeMap(column="stamp", unit="ns", arrival="logged", arrival_unit="ns")
+        if topic.stamped
+        else TimeMap(column="logged", unit="ns")
+    )
+    return ColumnMap(
+        time=time,
+        accelerometer=SensorMap(columns=("ax", "ay", "az"), unit="m/s^2"),
+        gyroscope=SensorMap(columns=("gx", "gy", "gz"), unit="rad/s"),
+        reorder=64,
+        repeats="keep",
+    )
