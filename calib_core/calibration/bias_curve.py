@@ -23,7 +23,7 @@ from stillcal.calib_core.calibration.record import (
     Term,
     TermParameter,
 )
-from stillcal.calib_core.calibration.terms import POWER_NAMES, polynomial
+from stillcal.calib_core.calibration.terms import POWER_NAMES, force_terms, polynomial
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast, thermometer_step
@@ -97,10 +97,11 @@ def learn_gyroscope(
     memory = memory.where(np.asarray(np.isfinite(memory.rate).all(axis=1)))
     if len(memory) < LEAST_RESTS:
         return None
-    middle = frozen(np.median(memory.rate, axis=0))
+    rate = memory.rate - force_terms(record, memory.force)
+    middle = frozen(np.median(rate, axis=0))
     level, level_sd = np.ones((len(memory), 1)), np.array([_RATE_SPREAD])
     sd = memory.rate_sd.mean(axis=1)
-    seen = Observations(memory.t, memory.celsius, memory.rate - middle, sd, level, level_sd)
+    seen = Observations(memory.t, memory.celsius, rate - middle, sd, level, level_sd)
     return _learn(Sensor.GYROSCOPE, seen, middle=middle, record=record, t=t, settings=settings)
 
 

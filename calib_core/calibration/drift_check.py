@@ -122,7 +122,7 @@ class Check:
 def check_calibration(record: CalibrationRecord, recent: Pool, settings: QualitySettings) -> Check:
     """Check a calibration on recent rests (4.7), by its terms too. It must have an accelerometer part."""
     assert record.accelerometer is not None
-    recent = compensated(recent, record.terms)
+    recent = compensated(recent, record)
     bias = None if record.gyroscope is None else record.gyroscope.bias
     uncertainty = np.hypot(norm_uncertainty(record.accelerometer), _gravity_change(record, recent))
     return check_rests(record.accelerometer.model, float(uncertainty), bias, recent.held, settings)

@@ -135,25 +135,32 @@ def polynomial(term: Term, temperature: Array) -> Array:
     return total
 
 
-def compensated(pool: Pool, terms: Iterable[Term]) -> Pool:
-    """Return a pool whose rests have the temperature terms taken off their means; turns stay as they are.
+def compensated(pool: Pool, record: CalibrationRecord) -> Pool:
+    """Return a pool whose rests have a record's terms taken off their means; turns stay as they are.
 
-    The bias of the rests is then that at the terms' reference temperature. Rests of unknown temperature stay.
+    The bias of the rests is then that at the terms' reference temperature and without force. Rests of unknown
+    temperature keep what depends on it.
     """
-    by_sensor = {term.sensor: term for term in terms if "slope" in term.parameters}
-    if not by_sensor:
+    if not any(term.effect in _KINDS for term in record.terms):
         return pool
-    return replace(pool, held=tuple(replace(h, rest=_compensated(h.rest, by_sensor)) for h in pool.held))
+    return replace(pool, held=tuple(replace(h, rest=_compensated(h.rest, record)) for h in pool.held))
 
 
-def _compensated(rest: RestState, by_sensor: Mapping[Sensor, Term]) -> RestState:
-    if rest.temperature is None:
-        return rest
-    at = np.array([rest.temperature])
-    offsets = {sensor: polynomial(term, at)[0] for sensor, term in by_sensor.items()}
-    force = rest.specific_force - offsets.get(Sensor.ACCELEROMETER, 0.0)
-    rate = None if rest.rate is None else frozen(rest.rate - offsets.get(Sensor.GYROSCOPE, 0.0))
-    return msgspec.structs.replace(rest, specific_force=frozen(force), rate=rate)
+def _compensated(rest: RestState, record: CalibrationRecord) -> RestState:
+    at = None if rest.temperature is None else np.array([rest.temperature])
+    force = rest.specific_force - np.ravel(bias_terms(record, Sensor.ACCELEROMETER, at))
+    if rest.rate is None:
+        return msgspec.structs.replace(rest, specific_force=frozen(force))
+    by_temperature = bias_terms(record, Sensor.GYROSCOPE, at)
+    rate = rest.rate - np.ravel(by_temperature) - force_terms(record, force[None])[0]
+    return msgspec.structs.replace(rest, specific_force=frozen(force), rate=frozen(rate))
+
+
+def force_terms(record: CalibrationRecord, raw: Array) -> Array:
+    """Return what force adds to the gyroscope's bias at rests of raw force (n, 3) m/s^2: (n, 3) rad/s."""
+    part = record.accelerometer
+    force = raw if part is None else part.model.apply(raw)
+    return np.zeros((len(raw), 3)) + bias_terms(record, Sensor.GYROSCOPE, None, force)
 
 
 def interpolated(samples: Samples, t: Array) -> Array | None:

@@ -229,7 +229,7 @@ class CalibrationPolicy:
         if record is None or record.provisional:
             self.measure_gyroscope_alone(t)
         else:
-            recent = compensated(self._rests_since(since), record.terms)
+            recent = compensated(self._rests_since(since), record)
             self._publish_bias(self._learnt(with_updated_bias(record, recent, t), t), t)
 
     def measure_gyroscope_alone(self, t: float) -> None:

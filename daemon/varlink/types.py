@@ -17,7 +17,9 @@ class SensorCalibration:
 
     rms_residual: m/s^2 of rests' norms, or rad of turns. zeroed_age_s: since the bias was measured alone.
     most_helpful_attitude: how to lay the phone so that the accelerometer's would gain most. provisional: the
-    bias was measured right after the start, and no later rest has confirmed it.
+    bias was measured right after the start, and no later rest has confirmed it. slow_rotation_deg_per_h:
+    of the gyroscope, per axis, how large a bias error slow rotation in the rests may have caused unseen;
+    absent where nothing bounds it.
     """
 
     scale: list[list[float]]
@@ -31,6 +33,7 @@ class SensorCalibration:
     zeroed_age_s: float | None = None
     most_helpful_attitude: str | None = None
     provisional: bool = False
+    slow_rotation_deg_per_h: list[float] | None = None
 
 
 @dataclass(frozen=True)

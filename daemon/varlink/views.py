@@ -11,7 +11,7 @@ import numpy as np
 
 from stillcal._version import __version__
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
+from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord, SensorRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.calibration.terms import bias_terms
 from stillcal.calib_core.static.settings import Label, Sense
@@ -235,7 +235,14 @@ def _sensor(part: SensorRecord | None, zeroed_age_s: float | None) -> api.Sensor
         rms_residual=part.rms_residual,
         zeroed_age_s=zeroed_age_s,
         most_helpful_attitude=getattr(part, "most_helpful_attitude", None),
+        slow_rotation_deg_per_h=None if not isinstance(part, GyroscopeRecord) else _slow_rotation(part),
     )
+
+
+def _slow_rotation(part: GyroscopeRecord) -> list[float] | None:
+    """Return a gyroscope's bound on undetected rotation in degrees per hour; None where it has none."""
+    bound = part.rotation_admitted
+    return None if bound is None else _finite(np.degrees(bound) * 3600.0)
 
 
 def _finite(values: Array | None) -> list[float] | None:

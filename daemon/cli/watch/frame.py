@@ -111,6 +111,8 @@ def _calibration(calibration: Answer, reason: str) -> Iterable[RenderableType]:
     yield table
     if not calibration.get("accelerometer"):
         yield Text(f"accelerometer: no calibration yet: {reason}", style="yellow")
+    if calibration.get("gyroscope"):
+        yield Text(_slow_rotation(calibration["gyroscope"]), style="dim")
     yield Text(_fit(calibration), style="dim")
 
 
@@ -121,6 +123,13 @@ def _sensor(table: Table, part: Answer, name: str, shown: tuple[float, str, int]
     sds = part.get("bias_uncertainty") or [None] * 3
     table.add_row("  ± (1 sd)", *(UNKNOWN if sd is None else f"{gain * sd:.{digits}f}" for sd in sds), unit)
     table.add_row(f"{name} scale", *(f"{part['scale'][k][k]:.5f}" for k in range(3)), "")
+
+
+def _slow_rotation(gyroscope: Answer) -> str:
+    bound = gyroscope.get("slow_rotation_deg_per_h")
+    if bound is None:
+        return "slow rotation may be in the gyro. bias: no bound yet"
+    return f"slow rotation: up to {max(bound):.2g} °/h may be in the gyro. bias"
 
 
 def _fit(calibration: Answer) -> str:

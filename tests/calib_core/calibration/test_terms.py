@@ -12,10 +12,11 @@ import pytest
 from click.testing import CliRunner
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
+from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate, with_updated_bias
+from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
-from stillcal.calib_core.calibration.terms import correct, inherit_terms, with_terms
+from stillcal.calib_core.calibration.terms import compensated, correct, inherit_terms, with_terms
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
@@ -144,3 +145,26 @@ def test_a_store_adopts_them_and_shows_them(tmp_path: Path, record: CalibrationR
     assert Store(store).rollback().document.current.id == record.id
     diagnosis.write_text("[]")
     assert run(store_group, ["adopt-terms", str(store), str(diagnosis)]).exit_code == 2
+
+
+def test_the_hourly_check_takes_the_terms_off_first(record: CalibrationRecord) -> None:
+    """Rests 20 K warmer than the calibration: no drift with the term, and drift without it."""
+    hot, _ = warm_rests(7, 45.0, 46.0)
+    known = with_terms(record, [finding(SLOPE)])
+    assert check_calibration(known, hot, QualitySettings()).verdict is Verdict.KEEP
+    assert check_calibration(record, hot, QualitySettings()).verdict is Verdict.RECALIBRATE
+
+
+def test_the_gyroscopes_bias_is_measured_without_what_force_adds(record: CalibrationRecord) -> None:
+    """In one attitude force and bias look alike; by the term they are told apart."""
+    bias, force, sd = np.array([0.01, 0.0, -0.02]), np.array([0.0, 9.8, 0.0]), np.full(3, 1e-5)
+    rest = RestState(
+        0.0, 60.0, 6000, frozen(force), frozen(sd), frozen(sd), 0.01,
+        rate=frozen(bias + SENSITIVITY @ force), rate_sd=frozen(sd), rate_uncertainty=frozen(sd),
+    )  # fmt: skip
+    plain = CalibrationRecord(gyroscope=GyroscopeRecord(scale=np.eye(3), bias=np.zeros(3), parameters=3))
+    pool = Pool((HeldRest(rest, Gravity()),))
+    for known, expected in ((plain, bias + SENSITIVITY @ force), (with_terms(plain, [MATRIX]), bias)):
+        measured = with_updated_bias(known, compensated(pool, known), 60.0)
+        assert measured is not None and measured.gyroscope is not None
+        assert measured.gyroscope.bias == pytest.approx(expected, abs=1e-9)

@@ -103,6 +103,30 @@ def test_samples_are_corrected_and_their_number_is_bounded(folder: Path, make_re
     within_reason(test())
 
 
+def test_a_gyroscope_says_what_slow_rotation_may_hide_and_whether_it_is_provisional(
+    folder: Path, make_record: Any
+) -> None:
+    record = make_record(3)
+    hourly = np.array([3.0, 4.0, 5.0])
+    bounded = dataclasses.replace(record.gyroscope, rotation_admitted=np.radians(hourly) / 3600.0)
+    evidence = dataclasses.replace(record.acceptance, how="zeroing", evidence={"provisional": True})
+    alone = dataclasses.replace(record, accelerometer=None, gyroscope=bounded, acceptance=evidence)
+    stored(folder, alone)
+
+    async def test() -> None:
+        async with answering(folder):
+            found = (await asked(folder, lambda c: c.GetCalibration()))["calibration"]
+            assert found["gyroscope"]["slow_rotation_deg_per_h"] == pytest.approx(hourly)
+            assert found["gyroscope"]["provisional"] and found["confidence"] == "unchecked"
+            assert found.get("accelerometer") is None
+            watch = [STILLCAL, "watch", "--once", "--socket", str(folder / "socket")]
+            said = await asyncio.to_thread(subprocess.run, watch, capture_output=True, text=True)
+            assert "provisional" in said.stdout and "no calibration yet" in said.stdout
+            assert "slow rotation: up to 5 °/h" in said.stdout
+
+    within_reason(test())
+
+
 def test_a_clients_samples_are_smoothed_from_call_to_call(folder: Path, make_record: Any) -> None:
     record = make_record(3)
     stored(folder, record)
