@@ -1,18 +1,22 @@
 """A simulated recording with the differences that were found put into its samples.
 
-The forward equations are those of `stillcal.replay.phone`'s sensors, written for samples that exist already.
+What an effect adds is its response in the catalogue, at samples that exist already.
 What cannot be put into samples (another rate, less noise) is left out and named.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference
+from stillcal.calib_core.diagnosis.diagnose import still_bins
+from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
+from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.streams.resample import interpolate, temperature_at
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.judged import charging_events
@@ -27,17 +31,6 @@ class Corrected:
 
     recording: Recording
     left_out: list[str]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stream:
-    """One sensor's samples, which stand for its input, with what its errors follow. force: (n, 3) m/s^2."""
-
-    samples: Samples
-    force: Array
-    age: Array
-    temperature: Array | None
-    charging: Array | None
 
 
 def correct(
@@ -85,33 +78,48 @@ def _added(
     kind = one.effect.partition("_")[2]
     if kind == "scale":
         return _scale(samples.xyz - biases.get(one.sensor, np.zeros(3)), one)
-    if one.effect.startswith(("accel_", "gyro_")) and kind in TERMS:
-        return TERMS[kind](_stream(simulation, samples), one)
+    if kind == "bias":
+        return np.asarray(np.broadcast_to(one.difference.value, samples.xyz.shape))
+    return _by_physics(simulation, samples, one.difference)
+
+
+def _by_physics(simulation: Recording, samples: Samples, difference: Difference) -> Array | None:
+    """Return the response of an effect of the catalogue to the differing parameters; None without drivers."""
+    recorded = difference.recorded
+    names = tuple(part.name for part in recorded.parts)
+    for effect in named_effects():
+        own = (effect.name, effect.sensor, tuple(p.name for p in effect.parameters))
+        if own != (recorded.effect, recorded.sensor, names):
+            continue
+        grid = dict(recorded.reference)
+        drivers = _drivers(simulation, samples, grid.get("temperature_c"))
+        if not effect.can_play(drivers, grid):
+            return None
+        return np.asarray(effect.response(drivers, grid) @ difference.value)
     return None
 
 
-def _stream(simulation: Recording, samples: Samples) -> _Stream:
-    accel = simulation.accelerometer
+def _drivers(simulation: Recording, samples: Samples, reference_c: float | None) -> Moments:
+    """Return what drives effects at a sensor's samples; its own samples stand for its true input."""
+    accel, gyro = simulation.accelerometer, simulation.gyroscope
     plugs = charging_events(simulation)
     states = np.array([0.0, *(float(e.on) for e in plugs)])
-    charging = states[np.searchsorted([e.t for e in plugs], samples.t, side="right")] if plugs else None
-    force = interpolate(samples.t, accel.t, accel.xyz)
-    return _Stream(samples, force, samples.t - samples.t[0], temperature_at(accel, samples.t), charging)
-
-
-def _part(one: Discrepancy, name: str) -> Array:
-    """Return the difference of one named parameter, recorded less simulated."""
-    assert one.difference is not None, "only differences have parameters to add"
-    first = 0
-    for part in one.difference.recorded.parts:
-        if part.name == name:
-            return np.asarray(one.difference.value[first : first + part.count])
-        first += part.count
-    return np.zeros(3)
-
-
-def _bias(stream: _Stream, one: Discrepancy) -> Array:
-    return np.broadcast_to(_part(one, "bias"), stream.samples.xyz.shape)
+    warm = temperature_at(accel, samples.t)
+    reference = reference_c
+    if warm is not None:
+        reference = float(warm.mean()) if reference is None else reference
+        warm = np.asarray(warm - reference)
+    span = (float(samples.t[0]), float(samples.t[-1]))
+    switches = np.array([[e.t, float(e.on)] for e in plugs]) if plugs else None
+    return Moments(
+        samples.t,
+        np.zeros(len(samples)),
+        History(span, still_bins(accel, gyro, plugs).activity, switches, reference),
+        interpolate(samples.t, accel.t, accel.xyz),
+        interpolate(samples.t, gyro.t, gyro.xyz) if gyro else None,
+        warm,
+        states[np.searchsorted([e.t for e in plugs], samples.t, side="right")] if plugs else None,
+    )
 
 
 def _scale(unbiased: Array, one: Discrepancy) -> Array:
@@ -134,61 +142,6 @@ def _matrix(value: Array) -> Array:
     for x, (a, b) in zip(value[3:], ((0, 1), (0, 2), (1, 2)), strict=True):
         out[a, b] = out[b, a] = x
     return np.asarray(out)
-
-
-def _bias_temperature(stream: _Stream, one: Discrepancy) -> Array | None:
-    if stream.temperature is None:
-        return None
-    return np.outer(stream.temperature - _reference(stream, one), _part(one, "slope"))
-
-
-def _scale_temperature(stream: _Stream, one: Discrepancy) -> Array | None:
-    if stream.temperature is None:
-        return None
-    warmer = (stream.temperature - _reference(stream, one))[:, None]
-    return np.asarray(stream.samples.xyz * warmer * _part(one, "slope"))
-
-
-def _reference(stream: _Stream, one: Discrepancy) -> float:
-    assert one.difference is not None and stream.temperature is not None, "asked for where both are known"
-    return float(one.difference.recorded.reference.get("temperature_c", stream.temperature.mean()))
-
-
-def _warmup(stream: _Stream, one: Discrepancy) -> Array | None:
-    assert one.difference is not None, "only differences are added"
-    tau = one.difference.recorded.reference.get("tau_s")
-    return None if tau is None else np.outer(-np.expm1(-stream.age / tau), _part(one, "amplitude"))
-
-
-def _drift(stream: _Stream, one: Discrepancy) -> Array:
-    return np.outer(stream.age, _part(one, "rate"))
-
-
-def _charging(stream: _Stream, one: Discrepancy) -> Array | None:
-    return None if stream.charging is None else np.outer(stream.charging, _part(one, "step"))
-
-
-def _g_sensitivity(stream: _Stream, one: Discrepancy) -> Array:
-    return np.asarray(stream.force @ _part(one, "matrix").reshape(3, 3).T)
-
-
-def _nonlinearity(stream: _Stream, one: Discrepancy) -> Array:
-    return np.asarray(
-        stream.samples.xyz**2 * _part(one, "quadratic") + stream.samples.xyz**3 * _part(one, "cubic")
-    )
-
-
-TERMS: dict[str, Callable[[_Stream, Discrepancy], Array | None]] = {
-    "bias": _bias,
-    "bias_temperature": _bias_temperature,
-    "scale_temperature": _scale_temperature,
-    "warmup": _warmup,
-    "bias_drift": _drift,
-    "charging_bias": _charging,
-    "g_sensitivity": _g_sensitivity,
-    "nonlinearity": _nonlinearity,
-}
-"""What a difference adds to the samples, by the effect's name without its sensor."""
 
 
 def _noise(samples: Samples, one: Discrepancy, rng: np.random.Generator) -> Array | None:

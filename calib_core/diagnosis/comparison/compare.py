@@ -165,10 +165,12 @@ def p_of(log_bayes_factors: Sequence[float]) -> float:
 
 
 def _union(one: Sequence[Wanted], other: Sequence[Wanted]) -> list[Wanted]:
-    """Return the effects of both, each once; those of the recording first, with their grid points."""
-    out: dict[tuple[str, str, str, int], Wanted] = {}
+    """Return the effects of both, each once, with the most parameters; the recording's grid goes first."""
+    out: dict[tuple[str, str, str], Wanted] = {}
     for wanted in (*one, *other):
-        out.setdefault(wanted.key, wanted)
+        known = out.setdefault(wanted.key, wanted)
+        if len(wanted.hypothesis.effect.parameters) > len(known.hypothesis.effect.parameters):
+            out[wanted.key] = wanted
     return list(out.values())
 
 
@@ -186,11 +188,12 @@ def _crossing_temperatures(
         if not all(key in side for key in keys for side in sides):
             continue
         slope, bias = (subtract(sides[0][key], sides[1][key]) for key in keys)
+        line = slope.value[:3]
         if posterior(slope.log_bayes_factor, len(sides[0])) < CERTAIN:
             continue
         weight = np.linalg.inv(bias.covariance + np.diag(bias.recorded.tolerance**2))
-        pull = float(slope.value @ weight @ bias.value)
-        out[sensor] = mean - pull / (float(slope.value @ weight @ slope.value) + CROSSING_SPREAD_K**-2.0)
+        pull = float(line @ weight @ bias.value)
+        out[sensor] = mean - pull / (float(line @ weight @ line) + CROSSING_SPREAD_K**-2.0)
     return out
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import comb
 
 import numpy as np
 
@@ -70,10 +71,10 @@ class Wanted:
     hypothesis: Hypothesis
 
     @property
-    def key(self) -> tuple[str, str, str, int]:
-        """Return what makes two of them the same effect: kind, name, driver, number of parameters."""
+    def key(self) -> tuple[str, str, str]:
+        """Return what makes two of them the same effect: kind, name, driver."""
         effect = self.hypothesis.effect
-        return self.kind, effect.name, effect.follows, len(effect.parameters)
+        return self.kind, effect.name, effect.follows
 
 
 def wanted_of(exam: Examination) -> list[Wanted]:
@@ -140,7 +141,8 @@ def _fitted(
 def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
     """Return the effect as this recording would have it, at the nearest grid point; None if it cannot."""
     for effect in effects_of(scene.sensor, in_turns=wanted.kind == "turn"):
-        if (wanted.kind, effect.name, effect.follows, len(effect.parameters)) != wanted.key:
+        same = (wanted.kind, effect.name, effect.follows) == wanted.key
+        if not same or len(effect.parameters) != len(wanted.hypothesis.effect.parameters):
             continue
         if found := scene.hypotheses(effect):
             return min(found, key=lambda h: _apart(h.grid, wanted.hypothesis.grid))
@@ -198,7 +200,10 @@ the sign (the accelerometer's scale is that of the correction, so what the senso
 def _at_reference(
     scene: Scene, hypotheses: Sequence[Hypothesis], parts: Sequence[Array], reference_c: float | None
 ) -> Array:
-    """Return the matrix that takes constants at the mean temperature to those at the reference."""
+    """Return the matrix that takes constants and polynomials about the mean temperature to the reference.
+
+    About T + w a polynomial sum c_p x^p has the coefficients sum over p of binomial(p, q) w^(p - q) c_p.
+    """
     matrix = np.eye(int(parts[-1][-1]) + 1)
     if reference_c is None or scene.bins.temperature is None:
         return matrix
@@ -206,7 +211,11 @@ def _at_reference(
     for hypothesis, rows in zip(hypotheses, parts, strict=True):
         if hypothesis.effect.name in SHIFTED:
             first, sign = SHIFTED[hypothesis.effect.name]
-            matrix[np.arange(first, first + 3), rows] += sign * warmer
+            powers = rows.reshape(-1, 3)
+            for p, of in enumerate(powers, start=1):
+                matrix[np.arange(first, first + 3), of] += sign * warmer**p
+                for q in range(1, p):
+                    matrix[powers[q - 1], of] += comb(p, q) * warmer ** (p - q)
     return matrix
 
 

@@ -100,6 +100,13 @@ class Effect:
         """Return the change (n, 3, k) of the sensor's outputs by a unit of each linear parameter, SI."""
         raise NotImplementedError(f"{type(self).__name__} gives no response")
 
+    def can_play(self, moments: Moments, grid: Grid) -> bool:
+        """Whether a recording has what drives the effect, so that `response` can be had there."""
+        needed = {"temperature": moments.temperature, "charging": moments.charging}
+        if any(word in self.follows and column is None for word, column in needed.items()):
+            return False
+        return all(name in grid for name in self.grid_units)
+
     def finer(self, moments: Moments, grid: Grid) -> Sequence[Grid]:
         """Return grid points about one, more finely spaced; none where there is no grid."""
         return []

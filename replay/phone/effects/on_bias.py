@@ -26,13 +26,20 @@ from stillcal.replay.phone.settings import (
 
 
 class _BiasTemperature(Effect, frozen=True, kw_only=True):
-    """Bias grows by `slope` per K over the reference temperature."""
+    """Bias grows by `slope` per K over the reference temperature; `quadratic` per K^2 and `cubic` per K^3."""
 
     slope: Vector
+    quadratic: Vector = (0.0, 0.0, 0.0)
+    cubic: Vector = (0.0, 0.0, 0.0)
 
     def output_term(self, sensor: Sensor, circumstances: Circumstances) -> Term:
-        """Return the term slope times warmth."""
-        return lambda m: stretch(m.warmth, self.slope)
+        """Return the polynomial in warmth."""
+
+        def polynomial(m: Moment) -> Array:
+            bent = stretch(m.warmth**2, self.quadratic) + stretch(m.warmth**3, self.cubic)
+            return stretch(m.warmth, self.slope) + bent
+
+        return polynomial
 
 
 class AccelBiasTemperature(
