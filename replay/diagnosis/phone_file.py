@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -75,14 +75,12 @@ def phone_of(
 
 def _clock(recording: Recording, effects: Sequence[Effect]) -> ClockSettings:
     """Return the stamps' clock, with their scatter and what is missing unless effects have these."""
-    effect_names = {e.name for e in effects}
-    scatter, missing = stamps_measured(recording.accelerometer)
+    names = {e.name for e in effects}
+    stamps = stamps_measured(recording.accelerometer)
     return ClockSettings(
         shared=_same_stamps(recording.accelerometer, recording.gyroscope),
-        jitter_s=0.0 if "timestamp_jitter" in effect_names else float(f"{scatter:.4g}"),
-        drop_fraction=0.0
-        if "dropped_samples" in effect_names or missing > MOST_MISSING
-        else float(f"{missing:.3g}"),
+        jitter_s=0.0 if "timestamp_jitter" in names else float(f"{stamps.scatter:.4g}"),
+        drop_fraction=0.0 if "dropped_samples" in names else float(f"{stamps.missing:.3g}"),
     )
 
 
@@ -92,32 +90,46 @@ PIECES = 40
 NEAR = 0.75
 """An interval that is off by a larger share of the period is no scatter, but a gap or a burst."""
 
+WHOLE = 0.25
+"""Part of a period by which a gap may be off a whole number of them."""
+
 LONGEST_GAP = 50
 """Periods beyond which the recording was paused, and nothing is missing."""
 
 
-def stamps_measured(samples: Samples) -> tuple[float, float]:
-    """Return the standard deviation of a stamp about an even rate, s, and the part of samples missing."""
-    steps = np.diff(samples.t)
-    return _about(steps, 1.0 / sample_rate(samples))
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """How a recording is stamped.
+
+    rate: Hz, of samples taken, the missing ones among them; scatter: s, standard deviation of a stamp about
+    an even rate; missing: part of the samples.
+    """
+
+    rate: float
+    scatter: float
+    missing: float
 
 
-def sample_rate(samples: Samples) -> float:
-    """Return the samples in a second, Hz: by the median interval; by their count if they come in bursts."""
-    rate = median_rate_hz(samples)
-    if _about(np.diff(samples.t), 1.0 / rate)[1] <= MOST_MISSING:
-        return rate
-    return float(np.exp(counted_rate(samples).value[0]))
+def stamps_measured(samples: Samples) -> Stamps:
+    """Measure the stamps: how many there are in a second, and how they lie about the median interval.
 
-
-def _about(steps: Array, period: float) -> tuple[float, float]:
-    """Return the scatter of stamps about a period, s, and the part of samples missing at that period."""
+    Stamps in bursts lie close together with gaps between: most samples would be missing, and none is.
+    """
+    steps, period = np.diff(samples.t), 1.0 / median_rate_hz(samples)
     parts = np.array_split(steps, PIECES)
     even = [p[np.abs(p - period) < NEAR * period] for p in parts]
-    scatter = [float(np.diff(e).std() / np.sqrt(6.0)) if e.size > 8 else 0.0 for e in even]
-    hops = [np.maximum(np.rint(p / period) - 1.0, 0.0) for p in parts]
-    missing = float(np.mean([h[h < LONGEST_GAP].sum() / max(h.size, 1) for h in hops]))
-    return float(np.median(scatter)), missing / (1.0 + missing)
+    second = np.concatenate([np.diff(e) for e in even])
+    scatter = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0) if second.size else 0.0
+    lost = [np.rint(p / period) - 1.0 for p in parts]
+    # Only gaps of whole periods are samples that are missing; a pause in one place is no loss everywhere.
+    whole = [
+        (np.abs(p / period - n - 1.0) < WHOLE) & (n < LONGEST_GAP) for p, n in zip(parts, lost, strict=True)
+    ]
+    share = float(
+        np.median([np.maximum(n, 0.0)[w].sum() / max(n.size, 1) for n, w in zip(lost, whole, strict=True)])
+    )
+    missing = share / (1.0 + share) if share / (1.0 + share) <= MOST_MISSING else 0.0
+    return Stamps(float(np.exp(counted_rate(samples).value[0])) / (1.0 - missing), scatter, missing)
 
 
 def _claims(recording: Recording) -> Claims:
@@ -158,7 +170,7 @@ def _sensor(
     limit: float | None,
     claimed: float | None,
 ) -> SensorSettings:
-    rate = sample_rate(samples)
+    rate = stamps_measured(samples).rate
     steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
     coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
     # Noise below a coarse step cannot be measured: only the maker's claim is left.

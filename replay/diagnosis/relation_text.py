@@ -21,6 +21,12 @@ NOUNS = {
     "accel_slow_noise": "slow noise of the accelerometer's bias",
     "gyro_slow_noise": "slow noise of the gyroscope's bias",
     "sample_rate": "sample rate",
+    "noise_unequal_axes": "white noise that differs between axes",
+    "accel_bias_random_walk": "random walk of the accelerometer's bias",
+    "gyro_bias_random_walk": "random walk of the gyroscope's bias",
+    "held_samples": "samples that repeat the one before",
+    "missing_codes": "values that never occur",
+    "axis_exchange": "exchanged axes",
     "accel_bias_temperature": "change of the accelerometer's bias with temperature",
     "gyro_bias_temperature": "change of the gyroscope's bias with temperature",
     "accel_scale_temperature": "change of the accelerometer's scale with temperature",
@@ -53,6 +59,24 @@ NOUNS = {
     "unknown": "something that no named effect explains",
 }
 
+THE_BUILT_IN = "the built-in simulation"
+
+OF_EITHER = frozenset(
+    {
+        "noise_level",
+        "noise_unequal_axes",
+        "noise_heavy_tailed",
+        "vibration_tone",
+        "bandwidth",
+        "held_samples",
+        "missing_codes",
+        "axis_exchange",
+        "thermal_latent",
+        "unknown",
+    }
+)
+"""Effects of either sensor whose name does not say of which."""
+
 BUILT_IN = "built-in"
 """The built-in simulation's name: an ideal affine sensor with plain noise, moved as the recording moved."""
 
@@ -82,8 +106,7 @@ VERDICTS = {
 def noun(effect: str, sensor: str) -> str:
     """Return what an effect is called in a sentence."""
     name = NOUNS.get(effect, effect.replace("_", " "))
-    needs_sensor = effect in ("noise_level", "noise_heavy_tailed", "vibration_tone", "bandwidth", "unknown")
-    return f"{name} ({SENSORS[sensor]})" if needs_sensor and sensor in SENSORS else name
+    return f"{name} ({SENSORS[sensor]})" if effect in OF_EITHER and sensor in SENSORS else name
 
 
 def readable(value: float, unit: str) -> tuple[float, str]:
@@ -150,7 +173,8 @@ OF_CORRECTION = (
 
 def statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     """Return what differs and what to do about it in the simulation, in one to three sentences."""
-    text = _capital(_statement(finding, names)) if names[1] == BUILT_IN else _statement(finding, names)
+    text = _statement(finding, names).replace(f". {THE_BUILT_IN}", f". {_capital(THE_BUILT_IN)}")
+    text = _capital(text) if text.startswith(THE_BUILT_IN) else text
     text += _undistinguished(finding)
     return text + OF_CORRECTION if finding["effect"] in ("accel_scale", "gyro_scale") else text
 
@@ -183,7 +207,7 @@ def _clearest(finding: Mapping[str, Any]) -> str | None:
     strength: dict[str, float] = {
         str(name): float(np.max(np.abs(p["value"]) / np.maximum(np.ptp(p["ci95"], axis=-1), 1e-300)))
         for name, p in finding["difference"].items()
-        if name in finding["parameters"]
+        if name in finding["parameters"] and "ci95" in p
     }
     if strength:
         return max(strength, key=lambda name: strength[name])
@@ -226,7 +250,7 @@ LINES = 14
 
 def simulation_text(name: str) -> str:
     """Return what a simulation is called in a sentence."""
-    return "the built-in simulation" if name == BUILT_IN else name
+    return THE_BUILT_IN if name == BUILT_IN else name
 
 
 def headline(answer: Mapping[str, Any]) -> str:
@@ -266,10 +290,16 @@ def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
     agreed = ", ".join(noun(a["effect"], a["sensor"]) for a in answer["agreed"])
     if agreed:
         out.append(f"  agreed: {agreed}")
-    out += [f"  not compared: {', '.join(what)} - {why}" for why, what in reasons(answer).items()]
+    out += [f"  not compared: {_some(what)} - {why}" for why, what in reasons(answer).items()]
     if len(out) > lines:
         out = [*out[: lines - 1], f"  and {len(out) - lines + 1} more lines in --json and --report"]
     return out
+
+
+def _some(what: Sequence[str], most: int = 3) -> str:
+    """Return the first few of a list, and how many there are besides."""
+    shown = ", ".join(what[:most])
+    return shown if len(what) <= most else f"{shown} and {len(what) - most} more"
 
 
 def reasons(answer: Mapping[str, Any]) -> dict[str, list[str]]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison import noise
 from stillcal.calib_core.diagnosis.comparison.direct import (
+    MEASURED_ELSEWHERE,
     direct_statements,
     named,
     pair_of,
@@ -18,6 +19,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
 )
 from stillcal.calib_core.diagnosis.comparison.evidence import evidence_of
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted, linear_quantities, wanted_of
+from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of, obstacle, uninformed
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
     Difference,
@@ -27,11 +29,11 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     subtract,
     weighed,
 )
-from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, of_difference
+from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Where
-from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN, Bins
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
 Verdict = Literal["match", "identified", "partly_identified", "unidentified", "not_judged"]
 Key = tuple[str, str]
@@ -82,7 +84,7 @@ class NotCompared:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """The whole answer. comparisons: how many quantities were compared; p: of both being alike.
+    """The whole answer. comparisons: how many effects and constants were compared; p: of both being alike.
 
     undecided: compared, with a probability that is neither a difference nor agreement. smallest: how small
     a difference would have been seen.
@@ -135,7 +137,8 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
             pairs.append(subtract(one, other))
         else:
             missing.append(NotCompared(*key, reason or "neither of the two shows it"))
-    direct, more, unseen = _direct(recorded, simulated, names)
+    looked = [_looked_for(exam) for exam in exams]
+    direct, more, unseen = _direct(exams, looked, names)
     pairs += direct
     count = len(pairs) + len(more)
     pairs = weighed(pairs, max(count, 1))
@@ -148,8 +151,56 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     undecided = [_undecided(d, names) for d in pairs if 1.0 - CERTAIN < d.probability < CERTAIN]
     factors = [d.log_bayes_factor for d in pairs] + [gain for _, gain, _ in more]
     found.sort(key=lambda d: -d.log_bayes_factor)
+    told = {*map(_key, pairs), *((n.effect, n.sensor) for n in missing)}
+    told |= {(finding.effect, finding.sensor) for finding, _, _ in more}
+    neither, not_both = _in_neither(looked, told, names)
     smallest = [row for d in pairs for row in of_difference(d, max(count, 1))]
-    return Comparison(found, agreed, pairs, missing, undecided, count, p_of(factors), smallest)
+    smallest += [row for key in neither if key in looked[0].sought for row in _of_both(looked, key)]
+    checks = count + len(neither)
+    return Comparison(found, agreed, pairs, [*missing, *not_both], undecided, checks, p_of(factors), smallest)
+
+
+@dataclass(frozen=True, slots=True)
+class _LookedFor:
+    """What one recording was asked for. reasons: by effect and sensor, None where it was looked for."""
+
+    sought: Mapping[Key, tuple[Smallest, ...]]
+    reasons: Mapping[Key, str | None]
+
+
+def _looked_for(exam: Examination) -> _LookedFor:
+    found = sought(exam)
+    rows: dict[Key, tuple[Smallest, ...]] = {}
+    for one in found:
+        rows[one.effect, one.sensor] = each_once([*rows.get((one.effect, one.sensor), ()), *one.smallest])
+    return _LookedFor(rows, {(c.effect, c.sensor): c.reason for c in checks_of(exam, found)})
+
+
+def _in_neither(
+    looked: Sequence[_LookedFor], told: set[Key], names: tuple[str, str]
+) -> tuple[list[Key], list[NotCompared]]:
+    """Return what was looked for in both and found in neither, and what one of the two cannot show."""
+    neither, missing = [], []
+    for key in dict.fromkeys([*looked[0].reasons, *looked[1].reasons]):
+        if key in told or key[0].endswith(MEASURED_ELSEWHERE):
+            continue
+        reasons = [one.reasons.get(key, "no such sensor") for one in looked]
+        cannot = [f"{name}: {why}" for name, why in zip(names, reasons, strict=True) if why is not None]
+        if cannot:
+            missing.append(NotCompared(*key, "; ".join(cannot)))
+        else:
+            neither.append(key)
+    return neither, missing
+
+
+def _of_both(looked: Sequence[_LookedFor], key: Key) -> list[Smallest]:
+    """Return the smallest difference that shows: each recording hides as much as it alone would."""
+    other = {row.parameter: row for row in looked[1].sought.get(key, ())}
+    return [
+        replace(row, value=float(np.hypot(row.value, other[row.parameter].value)))
+        for row in looked[0].sought[key]
+        if row.parameter in other
+    ]
 
 
 def p_of(log_bayes_factors: Sequence[float]) -> float:
@@ -240,7 +291,7 @@ def _why_not(
         if quantity is None:
             return f"{name}: {_why_absent(key, exam)}"
         if not quantity.logarithmic and not quantity.informed.any():
-            return f"{name}: {_why_uninformed(key)}"
+            return f"{name}: {uninformed(key[0])}"
     one, other = pair
     assert one is not None and other is not None, "a missing one was told of above"
     if not one.logarithmic and not (one.informed & other.informed).any():
@@ -251,36 +302,17 @@ def _why_not(
 def _why_absent(key: Key, exam: Examination) -> str:
     """Say why a recording has no such quantity: the first reason that applies."""
     effect, sensor = key
-    bins = exam.bins
-    still = float(bins.duration.sum()) if len(bins) else 0.0
-    turning = ("gyro_scale", "gyro_nonlinearity", "gyro_scale_temperature")
-    reasons = (
-        (sensor == "gyro" and exam.gyroscope is None, "it has no gyroscope"),
-        (effect == "noise_level", _why_no_density(exam, sensor)),
-        (
-            len(bins) < thresholds.LEAST_BINS,
-            f"it lies still for {still:.0f} s, {SHORTEST_BIN * thresholds.LEAST_BINS:.0f} s are needed",
-        ),
-        ("temperature" in effect and bins.temperature is None, "it has no temperature"),
-        ("charging" in effect and bins.charging is None, "it has no charging events"),
-        (effect in turning, "it has too few turns from rest to rest"),
-        (effect.endswith("slow_noise"), f"it has too few rests of {noise.LAG:.0f} s"),
-    )
-    otherwise = "its rests cannot show it (too few attitudes, or what it depends on hardly changes)"
-    return next((text for applies, text in reasons if applies), otherwise)
+    if effect == "noise_level":
+        return _why_no_density(exam, sensor)
+    first = obstacle(exam, effect, sensor)
+    if first is None and effect.endswith("slow_noise"):
+        return f"too few rests of {noise.LAG:.0f} s"
+    return first or uninformed(effect)
 
 
 def _why_no_density(exam: Examination, sensor: str) -> str:
     streams = [s for s in exam.streams if s.sensor == sensor]
-    return noise.why_no_density(streams[0]) if streams else "it has no such sensor"
-
-
-def _why_uninformed(key: Key) -> str:
-    if key[0] in ("accel_bias", "accel_scale", "accel_nonlinearity", "gyro_g_sensitivity"):
-        return "too few attitudes to know it"
-    if key[0] == "gyro_scale":
-        return "too few turns to know it"
-    return "what drives it changes too little to know it"
+    return noise.why_no_density(streams[0]) if streams else "no such sensor"
 
 
 def _key(difference: Difference) -> Key:
@@ -328,27 +360,28 @@ Sole = tuple[Finding, float, bool]
 
 
 def _direct(
-    recorded: Examination, simulated: Examination, names: tuple[str, str]
+    exams: tuple[Examination, Examination], looked: Sequence[_LookedFor], names: tuple[str, str]
 ) -> tuple[list[Difference], list[Sole], list[NotCompared]]:
     """Compare the effects that samples show directly.
 
     Returned are differences of what both have; what one alone has, with its evidence (nats) and whether
     it is the recording; what the other could not show.
     """
-    sides = (direct_statements(recorded), direct_statements(simulated))
+    sides = (direct_statements(exams[0]), direct_statements(exams[1]))
     both: list[Difference] = []
     sole: list[Sole] = []
     unseen: list[NotCompared] = []
     for own, others, other, name, of_recording in (
-        (sides[0], sides[1], simulated, names[1], True),
-        (sides[1], sides[0], recorded, names[0], False),
+        (sides[0], sides[1], 1, names[1], True),
+        (sides[1], sides[0], 0, names[0], False),
     ):
         for finding in own:
             pair = pair_of(finding, others)
             if pair is not None:
                 both += _paired(finding, pair) if of_recording else []
                 continue
-            reason = why_not_shown(finding, other)
+            unlooked = looked[other].reasons.get((finding.effect, finding.sensor))
+            reason = why_not_shown(finding, exams[other]) or unlooked
             if reason is not None:
                 unseen.append(NotCompared(finding.effect, finding.sensor, f"{name}: {reason}"))
             elif (evidence := _evidence(finding)) > 0.0:

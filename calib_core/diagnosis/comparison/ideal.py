@@ -12,7 +12,7 @@ from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrep
 from stillcal.calib_core.diagnosis.comparison.evidence import evidence_of, heldout_contradicts
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Relation, posterior
-from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, Sought, sought
+from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 
@@ -32,17 +32,8 @@ def compare_with_ideal(exam: Examination) -> Comparison:
         undecided=[_undecided(*one) for one in judged if one not in sure],
         comparisons=len(checks) - len(missing),
         p=p_of([*(e for _, e in stated), *_not_stated(found, stated)]),
-        smallest=_each_once([row for one in found for row in one.smallest]),
+        smallest=list(each_once([row for one in found for row in one.smallest])),
     )
-
-
-def _each_once(rows: Sequence[Smallest]) -> list[Smallest]:
-    """Return one row for each parameter: the least, where an effect has several forms."""
-    least: dict[tuple[str, str, str], Smallest] = {}
-    for row in rows:
-        key = (row.effect, row.sensor, row.parameter)
-        least[key] = min(least.get(key, row), row, key=lambda one: one.value)
-    return list(least.values())
 
 
 def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]) -> list[float]:

@@ -19,27 +19,22 @@ from stillcal.calib_core.diagnosis.direct.low_pass import LEAST_PIECES
 from stillcal.calib_core.diagnosis.direct.spectral_line import BRIEF
 from stillcal.calib_core.diagnosis.direct.steady_segments import stretches
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
+from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
 from stillcal.calib_core.diagnosis.effects.warmup import TAUS
 from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.moments import moves
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
 from stillcal.calib_core.diagnosis.motion.time_offset import LEAST_WINDOWS, WINDOW, turning_windows
 from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN, Bins
 
-SLOW = (
-    "bias_temperature",
-    "warmup",
-    "bias_drift",
-    "bias_step",
-    "bias_random_walk",
-    "charging_bias",
-)
-"""Slow effects of either sensor, by the end of their names."""
-
 OF_TIME = ("warmup", "bias_drift", "bias_step", "bias_random_walk", "charging_bias", "thermal_latent")
 """Slow effects, by the end of their names, for which it must be known when the phone was at rest."""
 
-OF_TURNS = ("gyro_nonlinearity", "gyro_scale_temperature")
+OF_TURNS = ("gyro_nonlinearity", "gyro_scale_temperature", "gyro_scale")
+
+ATTITUDES = {"accel_nonlinearity": FEWEST_OF_DEGREE[2], "gyro_g_sensitivity": FEWEST_OF_G}
+"""Attitudes that an effect of the force needs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +66,11 @@ def slow_checks(exam: Examination, found: Sequence[Sought]) -> list[Check]:
 
 
 def _slow_effects(bins: Bins) -> Iterator[tuple[str, str]]:
-    for sensor in ("accel", "gyro"):
-        yield from ((f"{sensor}_{name}", sensor) for name in SLOW)
-        if bins.temperature is None:
-            yield "thermal_latent", sensor
-    yield from (("accel_scale_temperature", "accel"), ("accel_nonlinearity", "accel"))
-    yield from (("gyro_g_sensitivity", "gyro"), *((name, "gyro") for name in OF_TURNS))
+    """Yield every slow effect with its sensor: those of the catalogue, and a bias that walks."""
+    named = dict.fromkeys((e.name, e.sensor) for e in named_effects())
+    # Where temperature is known, nothing has to stand for it.
+    yield from (key for key in named if bins.temperature is None or key[0] != "thermal_latent")
+    yield from ((f"{sensor}_bias_random_walk", sensor) for sensor in ("accel", "gyro"))
 
 
 def _why_slow(
@@ -85,45 +79,54 @@ def _why_slow(
     """Say why a slow effect was not looked for; None where it was."""
     if seen.get((effect, sensor)):
         return None
-    first = next((why for stands, why in _obstacles(exam, effect, sensor) if stands), None)
+    first = obstacle(exam, effect, sensor)
     if first is not None:
         return first
     if effect.endswith("bias_random_walk"):
         return None
-    return "what it depends on changes too little at rest to tell it from bias, scale and attitude"
+    return uninformed(effect)
+
+
+def uninformed(effect: str) -> str:
+    """Say what is missing where all that an effect needs is there, and still too little."""
+    if effect in (*ATTITUDES, "accel_bias", "accel_scale"):
+        return "the attitudes are too few or too alike"
+    if effect in OF_TURNS:
+        return "the turns from rest to rest are too few or too alike"
+    return "what it depends on changes too little at rest"
+
+
+def obstacle(exam: Examination, effect: str, sensor: str) -> str | None:
+    """Return the first condition of a slow effect, of a bias or a scale that a recording does not meet."""
+    return next((why for stands, why in _obstacles(exam, effect, sensor) if stands), None)
 
 
 def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Condition]:
     bins = exam.bins
     if sensor == "gyro":
-        what = "the table has no rates" if exam.is_table else "no gyroscope was recorded"
-        yield exam.gyroscope is None, what
+        yield exam.gyroscope is None, "no rates" if exam.is_table else "no gyroscope"
     yield from _of_rest(exam, sensor)
     yield not exam.timed and effect.endswith(OF_TIME), "the table's rows have no time"
     if "temperature" in effect:
         yield from _of_temperature(exam)
     if effect.endswith("charging_bias"):
-        yield bins.charging is None, "no charging events were recorded"
-        yield True, "the charger is never switched between two rests"
+        yield bins.charging is None, "no charging events"
+        still = bins.charging is None or not moves(bins.charging, 0.5)
+        yield still, "the charger is never switched between two rests"
     if effect.endswith("warmup"):
         lasts, needed = bins.span[1] - bins.span[0], 2.0 * TAUS[0]
-        yield lasts < needed, f"the recording lasts {lasts:.0f} s, {needed:.0f} s are needed"
-    if effect == "thermal_latent":
-        plugged = bins.charging_switches is not None
-        yield True, "neither use nor charging changes" if plugged else "the use of the phone does not change"
-    if effect in ("accel_nonlinearity", "gyro_g_sensitivity"):
-        needed = FEWEST_OF_DEGREE[2] if effect == "accel_nonlinearity" else FEWEST_OF_G
+        yield lasts < needed, f"it lasts {lasts:.0f} s, {needed:.0f} s are needed"
+    if effect in ATTITUDES:
         up = next((s.up for s in exam.scenes if s.sensor == sensor), None)
         have = 0 if up is None else distinct(up)
-        yield have < needed, f"{_counted(have, 'attitude')} at rest, {needed} are needed"
-        yield True, f"{_counted(have, 'attitude')} at rest are too alike"
+        yield (
+            have < ATTITUDES[effect],
+            f"{_counted(have, 'attitude')} at rest, {ATTITUDES[effect]} are needed",
+        )
     if effect in OF_TURNS:
         have = 0 if exam.aligned is None else len(exam.aligned.turns)
-        yield (
-            exam.turns is None,
-            f"{_counted(have, 'turn')} from rest to rest can be used, {LEAST_TURNS} are needed",
-        )
-        yield True, "the turns from rest to rest are too few or too alike"
+        turns = _counted(have, "turn")
+        yield exam.turns is None, f"{turns} from rest to rest can be used, {LEAST_TURNS} are needed"
 
 
 def _of_rest(exam: Examination, sensor: str) -> Iterator[Condition]:
@@ -139,7 +142,7 @@ def _of_rest(exam: Examination, sensor: str) -> Iterator[Condition]:
 
 def _of_temperature(exam: Examination) -> Iterator[Condition]:
     warm = exam.bins.temperature
-    yield warm is None and exam.accelerometer.temperature is None, "no temperature was recorded"
+    yield warm is None and exam.accelerometer.temperature is None, "no temperature"
     yield warm is None, "the temperature is not known at every rest"
     span = 0.0 if warm is None else float(np.ptp(warm))
     yield span < LEAST_SPAN, f"the temperature varies by {span:.2g} K at rest, {LEAST_SPAN} K are needed"
@@ -158,11 +161,11 @@ def _direct(exam: Examination) -> Iterator[Check]:
     nominal = arrivals or bool(claims.nominal_rate_hz)
     unknown = "neither arrival times nor a nominal rate are known (add nominal_rate_hz to NAME.json)"
     yield Check("clock_skew", "timing", None if nominal else unknown)
-    yield Check("arrival_bursts", "timing", None if arrivals else "no arrival times were recorded")
+    yield Check("arrival_bursts", "timing", None if arrivals else "no arrival times")
     for stream in exam.streams:
         yield from _of_stream(exam, stream)
     if exam.gyroscope is None:
-        yield from (Check(name, "gyro", "no gyroscope was recorded") for name in _of_samples("gyro"))
+        yield from (Check(name, "gyro", "no gyroscope") for name in _of_samples("gyro"))
     yield from _of_motion(exam)
 
 
@@ -213,7 +216,9 @@ def _of_motion(exam: Examination) -> Iterator[Check]:
     stated = {s.finding.effect for s in exam.statements}
     why = None
     if exam.gyroscope is None:
-        why = "no gyroscope was recorded"
+        why = "no gyroscope"
+    elif len(exam.gyroscope) < LEAST_SAMPLES:
+        why = f"{len(exam.gyroscope)} samples of the gyroscope, {LEAST_SAMPLES} are needed"
     else:
         have = len(turning_windows(exam.gyroscope, exam.aligned))
         if have < LEAST_WINDOWS:

@@ -150,6 +150,15 @@ def _needed(dof: float, parameters: int, trials: float, penalty: float) -> float
     return float(np.sqrt(fall * dof))
 
 
+def each_once(rows: Sequence[Smallest]) -> tuple[Smallest, ...]:
+    """Return one row for each parameter: the least, where an effect has several forms."""
+    least: dict[tuple[str, str, str], Smallest] = {}
+    for row in rows:
+        key = (row.effect, row.sensor, row.parameter)
+        least[key] = min(least.get(key, row), row, key=lambda one: one.value)
+    return tuple(least.values())
+
+
 def of_difference(difference: Difference, comparisons: int) -> list[Smallest]:
     """Return, part by part, the smallest difference on one axis that is stated nine times in ten."""
     recorded = difference.recorded

@@ -145,8 +145,8 @@ def test_what_cannot_be_compared_is_said_with_its_reason() -> None:
     blind = replace(whole, accelerometer=replace(whole.accelerometer, temperature=None))
     said = answer(replace(recorded(phone_with(thermal(1.0)), 3), name="real.csv"), blind)
     reasons = {(n["effect"], n["sensor"]): n["reason"] for n in said["not_compared"]}
-    assert reasons["gyro_bias", "gyro"] == "sim.csv: it has no gyroscope"
-    assert reasons["accel_bias_temperature", "accel"] == "sim.csv: it has no temperature"
+    assert reasons["gyro_bias", "gyro"] == "sim.csv: no gyroscope"
+    assert reasons["accel_bias_temperature", "accel"] == "sim.csv: no temperature"
     assert "gyro_bias" not in effects(said)
 
 

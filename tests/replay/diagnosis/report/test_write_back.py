@@ -101,7 +101,8 @@ def test_the_clock_of_the_written_phone_scatters_and_loses_as_the_recording_does
     """Less than a finding takes: half a per cent of the samples, stamps by 0.3 ms of 40."""
     uneven = msgspec.structs.replace(phone_with().clock, jitter_s=3e-4, drop_fraction=0.005)
     real = recorded(msgspec.structs.replace(phone_with(), clock=uneven), 3)
-    scatter, missing = stamps_measured(real.accelerometer)
+    stamps = stamps_measured(real.accelerometer)
+    scatter, missing = stamps.scatter, stamps.missing
     assert scatter == pytest.approx(3e-4, rel=0.05)
     assert missing == pytest.approx(0.005, rel=0.3)
     case = diagnosed(real)
