@@ -82,12 +82,12 @@ class Moments:
 
 def moments_of(bins: Bins, force: Array | None) -> Moments:
     """Return the drivers in static bins. force: (n, 3) m/s^2, gravity in body axes; None where unknown."""
-    warm = bins.temperature
+    warm, (start, end) = bins.temperature, bins.span
     reference = None if warm is None or not warm.size else float(warm.mean())
     return Moments(
         bins.t,
         bins.duration,
-        History(bins.span, bins.activity, bins.charging_switches, reference),
+        History((float(start), float(end)), bins.activity, bins.charging_switches, reference),
         force,
         np.zeros((len(bins), 3)),
         None if warm is None else np.asarray(warm - (reference or 0.0)),
