@@ -248,8 +248,13 @@ def read_all(
     """
     trace = open_trace(path, format, gyro, sensor=sensor, start=start, stop=stop)
     chunks = list(trace.chunks())
-    gyroscope = Samples.joined(c.gyroscope for c in chunks) if trace.has_gyroscope else None
-    accelerometer = Samples.joined(c.accelerometer for c in chunks)
+    gyroscope = _whole([c.gyroscope for c in chunks]) if trace.has_gyroscope else None
+    accelerometer = _whole([c.accelerometer for c in chunks])
     events = [event for chunk in chunks for event in chunk.events]
     name = trace.path.name if str(path) == STANDARD_INPUT else Path(path).name
     return Recording(accelerometer, gyroscope, events, trace.claims, trace.notes, name)
+
+
+def _whole(runs: list[Samples]) -> Samples:
+    """Join runs; an empty one has no temperatures, which must not take those of the others away."""
+    return Samples.joined([run for run in runs if len(run)] or runs[:1])

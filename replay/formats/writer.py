@@ -35,7 +35,8 @@ _encoder = msgspec.json.Encoder()
 class TraceWriter:
     """Writes NAME.csv (or .csv.gz), NAME.events.jsonl and NAME.json; a context manager.
 
-    gyroscope, temperature, arrival: whether the recording has these columns. All is written under
+    gyroscope, temperature, arrival: whether the recording has these columns. side_files: whether events and
+    claims are written, or left as they stand. All is written under
     temporary names in the same folder and renamed when the block ends well; when it ends in an error
     nothing is left behind and what stood there stays. Raises TraceError where the folder does not take it.
     """
@@ -48,10 +49,12 @@ class TraceWriter:
         temperature: bool = False,
         arrival: bool = False,
         claims: Claims | None = None,
+        side_files: bool = True,
     ) -> None:
         self.path = Path(path)
         self._gyroscope, self._temperature, self._arrival = gyroscope, temperature, arrival
         self._claims = claims
+        self._side_files = side_files
         self._events: list[Event] = []
         self._temporary = self._hidden(self.path)
         self._file: BinaryIO | None = None
@@ -69,9 +72,7 @@ class TraceWriter:
             self._file = self._temporary.open("wb")
         except OSError as error:
             raise self._refused(error) from None
-        packed = self.path.suffix == ".gz"
-        self._stream = gzip.GzipFile("", "wb", _ZIP_LEVEL, self._file, mtime=0) if packed else self._file
-        self._put(",".join(self.columns).encode() + b"\n")
+        self._begin(self._file)
         return self
 
     def __exit__(
@@ -94,7 +95,16 @@ class TraceWriter:
         sample is kept.
         """
         self._events.extend(events)
-        rows = self._rows(accelerometer, gyroscope if self._gyroscope else None)
+        self._append(self._rows(accelerometer, gyroscope if self._gyroscope else None))
+
+    def _begin(self, file: BinaryIO) -> None:
+        """Begin the recording's own file."""
+        packed = self.path.suffix == ".gz"
+        self._stream = gzip.GzipFile("", "wb", _ZIP_LEVEL, file, mtime=0) if packed else file
+        self._put(",".join(self.columns).encode() + b"\n")
+
+    def _append(self, rows: Array) -> None:
+        """Append rows (n, columns), NaN where a cell stays empty."""
         for first in range(0, len(rows), _BATCH_ROWS):
             text = _encoder.encode_lines(rows[first : first + _BATCH_ROWS].tolist())
             self._put(text.translate(None, b"[]").replace(b"null", b""))
@@ -125,14 +135,23 @@ class TraceWriter:
         except OSError as error:
             raise self._refused(error) from None
 
+    def _end(self) -> None:
+        """Complete the recording's own file, which stays open."""
+        if self._stream is not None and self._stream is not self._file:
+            self._stream.close()
+
     def _finish(self) -> None:
         """Complete all files, then rename them into place, the recording itself last."""
-        assert self._file is not None and self._stream is not None
-        if self._stream is not self._file:
-            self._stream.close()
+        assert self._file is not None
+        self._end()
         self._file.flush()
         os.fsync(self._file.fileno())
         self._file.close()
+        if self._side_files:
+            self._write_side_files()
+        self._temporary.replace(self.path)
+
+    def _write_side_files(self) -> None:
         events = beside(self.path, ".events.jsonl")
         if self._events:
             _write_beside(events, b"".join(map(event_line, self._events)))
@@ -140,7 +159,6 @@ class TraceWriter:
             events.unlink(missing_ok=True)
         if self._claims is not None:
             _write_beside(beside(self.path, ".json"), msgspec.json.encode(self._claims.without_counts()))
-        self._temporary.replace(self.path)
 
     def _discard(self) -> None:
         with contextlib.suppress(OSError):

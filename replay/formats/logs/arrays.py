@@ -32,6 +32,9 @@ from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable
 MOST_ARRAYS = 2000
 """Arrays of a file that are looked at; a recording has a few dozen."""
 
+OWN = {"t", "ax", "ay", "az"}
+"""Columns by which arrays are stillcal's own, in its units."""
+
 MOST_BYTES = 4 << 30
 """Bytes of an array that is read whole into memory at most."""
 
@@ -88,6 +91,9 @@ def _sensors(
         table = arrays.table(source.path, size)
         if column_map is not None:
             found += _mapped(table, column_map, group)
+            continue
+        if set(table.names or []) >= OWN:
+            found += _mapped(table, load_map("csv"), group)
             continue
         for sensor in settled(table, load_map("csv"), arrays.rate_hz):
             name = "/".join(part for part in (group, sensor.name) if part and part != "imu") or "imu"

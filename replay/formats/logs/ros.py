@@ -20,7 +20,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap
+from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
 from stillcal.replay.formats.recognition import magic
@@ -28,7 +28,7 @@ from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Par
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.tables.numbers import NumberTable
 
-IMU = "sensor_msgs/msg/Imu"
+IMU, TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
 _ENDINGS = {magic.ROS1: ".bag", magic.ROS2: ".db3"}
 _DOUBLES = 37
 """Orientation, rate and acceleration, a covariance after each, end an Imu message: 4 + 9 + 3 + 9 + 3 + 9."""
@@ -37,7 +37,8 @@ _RATE, _FORCE = 4 + 9, 4 + 9 + 3 + 9
 _BLOCK = 4096
 _PROBED = 200
 _NS = 1e-9
-_NAMES = ["stamp", "logged", "gx", "gy", "gz", "ax", "ay", "az"]
+_NAMES = ["stamp", "logged", "gx", "gy", "gz", "ax", "ay", "az", "temperature"]
+_MOST_TEMPERATURES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +154,8 @@ class _Mcap:
         found = []
         for channel in summary.channels.values():
             schema = summary.schemas.get(channel.schema_id)
-            kind = (schema.name if schema is not None else "unknown").replace("sensor_msgs/Imu", IMU)
+            kind = schema.name if schema is not None else "unknown"
+            kind = kind if "/msg/" in kind else kind.replace("/", "/msg/")
             stored = _Stored(channel.topic, kind, channel.message_encoding, counts.get(channel.id, 0))
             found.append(stored)
         return found
@@ -177,6 +179,7 @@ class _Bag:
     def log(self) -> Log:
         """Return the bag's sensors, those of both kinds first."""
         topics = self._topics()
+        self._thermometer = self._temperatures()
         force = [t for t in topics if t.has_force and not t.has_rate]
         rates = [t for t in topics if t.has_rate and not t.has_force]
         sensors = [self._sensor([t]) for t in topics if t.has_force and t.has_rate]
@@ -227,7 +230,7 @@ class _Bag:
         rate = bool(values[:, 2:5].any()) and not (doubles[:, _RATE + 3] == -1).all()
         span = (values[-1, 1] - values[0, 1]) * _NS
         rate_hz = (len(rows) - 1) / span if span > 0 else 0.0
-        return _Topic(name, count, rate_hz, force, rate, bool((values[:, 0] > 0).all()))
+        return _Topic(name, count, rate_hz, force, rate, bool(values[-1, 0] > 0))
 
     def _refuse_other_layout(self, topic: str, layout: str, raw: bytes) -> None:
         """Check that a message has the length that its layout gives it, with its frame's name."""
@@ -238,9 +241,28 @@ class _Bag:
             what = f"the messages of {topic} are not laid out as little-endian sensor_msgs/Imu"
             raise TraceError(self._path, what, "export them as CSV")
 
+    def _temperatures(self) -> tuple[Array, Array]:
+        """Return the times, ns, and the values, degC, of the only topic of temperatures; else nothing."""
+        with self._understood():
+            topics = [s.topic for s in self._container.topics() if s.type == TEMPERATURE]
+            if len(set(topics)) != 1:
+                return np.empty(0), np.empty(0)
+            rows = list(islice(self._container.messages(topics[0]), _MOST_TEMPERATURES))
+            values = np.frombuffer(b"".join(raw[-16:] for _, raw in rows), "<f8").reshape(-1, 2)[:, 0]
+            return _stamps(rows), values
+
+    def _temperature_at(self, stamps: Array) -> Array:
+        """Return the latest temperature at each of the stamps, ns; NaN before the first."""
+        t, celsius = self._thermometer
+        last = np.searchsorted(t, stamps, side="right") - 1
+        if not t.size:
+            return np.full(len(stamps), np.nan)
+        return np.where(last >= 0, celsius[np.maximum(last, 0)], np.nan)
+
     def _sensor(self, topics: Sequence[_Topic]) -> LoggedSensor:
+        warm = self._thermometer[0].size > 0
         parts = [
-            Part(self._table(topic), _map(topic), sensors)
+            Part(self._table(topic), _map(topic, warm=warm), sensors)
             for topic, sensors in zip(topics, _shares(topics), strict=True)
         ]
         about = f"{topics[0].rate_hz:.3g} Hz" + (f", with {topics[1].name}" if len(topics) > 1 else "")
@@ -258,7 +280,9 @@ class _Bag:
                 messages = self._container.messages(topic.name)
                 while block := list(islice(messages, _BLOCK)):
                     done += len(block)
-                    yield _decoded(block)[:, list(places)], min(1.0, done / max(topic.count, 1))
+                    values = np.column_stack([_decoded(block), np.zeros(len(block))])
+                    values[:, 8] = self._temperature_at(values[:, 0 if topic.stamped else 1])
+                    yield values[:, list(places)], min(1.0, done / max(topic.count, 1))
 
         return NumberTable(self._path, _NAMES, rows, self._size)
 
@@ -278,14 +302,19 @@ def _decoded(rows: Sequence[Message]) -> Array:
 
     Both encodings begin with four bytes, then the stamp's seconds and nanoseconds, and end with the doubles.
     """
-    heads = np.frombuffer(b"".join(raw[4:12] for _, raw in rows), "<u4").reshape(-1, 2).astype(np.float64)
     doubles = _doubles(rows)
-    values = np.empty((len(rows), len(_NAMES)))
-    values[:, 0] = heads[:, 0] * 1e9 + heads[:, 1]
+    values = np.empty((len(rows), 8))
+    values[:, 0] = _stamps(rows)
     values[:, 1] = [logged for logged, _ in rows]
     values[:, 2:5] = doubles[:, _RATE : _RATE + 3]
     values[:, 5:8] = doubles[:, _FORCE : _FORCE + 3]
     return values
+
+
+def _stamps(rows: Sequence[Message]) -> Array:
+    """Return the messages' own stamps, (n,) ns."""
+    heads = np.frombuffer(b"".join(raw[4:12] for _, raw in rows), "<u4").reshape(-1, 2).astype(np.float64)
+    return np.asarray(heads[:, 0] * 1e9 + heads[:, 1])
 
 
 def _shares(topics: Sequence[_Topic]) -> list[tuple[Sensor, ...]]:
@@ -294,7 +323,7 @@ def _shares(topics: Sequence[_Topic]) -> list[tuple[Sensor, ...]]:
     return [BOTH if topics[0].has_rate else (Sensor.ACCELEROMETER,)]
 
 
-def _map(topic: _Topic) -> ColumnMap:
+def _map(topic: _Topic, *, warm: bool) -> ColumnMap:
     """Return the map of a topic; messages may have been logged a little out of the order of their stamps."""
     time = (
         TimeMap(column="stamp", unit="ns", arrival="logged", arrival_unit="ns")
@@ -305,6 +334,7 @@ def _map(topic: _Topic) -> ColumnMap:
         time=time,
         accelerometer=SensorMap(columns=("ax", "ay", "az"), unit="m/s^2"),
         gyroscope=SensorMap(columns=("gx", "gy", "gz"), unit="rad/s"),
+        temperature=TemperatureMap(column="temperature") if warm else None,
         reorder=64,
         repeats="keep",
     )

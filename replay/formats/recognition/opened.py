@@ -11,13 +11,20 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.arrays import open_arrays
 from stillcal.replay.formats.logs.axivity import open_axivity
 from stillcal.replay.formats.logs.dataflash import open_dataflash
+from stillcal.replay.formats.logs.gnss_logger import open_gnss_logger
 from stillcal.replay.formats.logs.ros import open_ros, open_ros_folder
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.settle import settled
-from stillcal.replay.formats.recognition.text_formats import REST, UNKNOWN, TextFormat, text_format
+from stillcal.replay.formats.recognition.text_formats import (
+    GNSS_LOGGER,
+    REST,
+    UNKNOWN,
+    TextFormat,
+    text_format,
+)
 from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
 from stillcal.replay.formats.stream import SampleFile
@@ -104,6 +111,8 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -
     if column_map is not None:
         return _mapped(source, TextFormat("", column_map), gyro, [])
     form = text_format(source)
+    if form.name == GNSS_LOGGER:
+        return open_gnss_logger(source)
     if form.name == REST:
         raise RestTableGivenError(source.path, "a rest table holds no samples", "give a recording of samples")
     said = f" ({form.said})" if form.said else ""

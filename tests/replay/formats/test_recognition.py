@@ -273,3 +273,33 @@ def test_the_gyroscopes_file_of_a_pair_names_the_other(tmp_path: Path) -> None:
     with pytest.raises(TraceError, match=r"gyroscope's file of a pair; give Phones_accelerometer.csv"):
         read_all(tmp_path / "Phones_gyroscope.csv")
     assert read_all(tmp_path / "Phones_accelerometer.csv").gyroscope is not None
+
+
+def gnss_logger(folder: Path) -> Path:
+    header = "utcTimeMillis,elapsedRealtimeNanos,UncalAccelXMps2,UncalAccelYMps2,UncalAccelZMps2,BiasXMps2"
+    lines = ["# ", "# Header Description:", f"# UncalAccel,{header}", "Raw,1,2,3", "Fix,GPS,52.2"]
+    for row in rows().tolist():
+        stamp = f"1700000000000,{round(row[0] * 1e9)}"
+        lines.append(f"UncalAccel,{stamp},{row[1]},{row[2]},{row[3]},0.1,0.2,0.3")
+        lines.append(f"UncalGyro,{stamp},{row[4]},{row[5]},{row[6]},0.01,-0.02,0.03")
+        lines.append(f"Accel,{stamp},{row[1]},{row[2]},{row[3]}")
+    (folder / "gnss_log.txt").write_text("\n".join(lines) + "\nUncalAccel,17000")
+    return folder / "gnss_log.txt"
+
+
+def test_a_gnss_logger_file_is_read_with_the_phones_own_bias(tmp_path: Path) -> None:
+    recording = read_all(gnss_logger(tmp_path))
+    assert len(recording.accelerometer) == 400
+    assert recording.gyroscope is not None and recording.gyroscope.t[100] == 1.0
+    assert any("gyroscope bias is 0.01 -0.02 0.03 rad/s" in note for note in recording.notes)
+    assert read_all(gnss_logger(tmp_path), sensor="calibrated").gyroscope is None
+
+
+def test_a_bad_row_of_a_gnss_logger_file_is_named(tmp_path: Path) -> None:
+    path = gnss_logger(tmp_path)
+    text = path.read_text().split("\n")
+    row = next(i for i, line in enumerate(text) if line.startswith("UncalGyro")) + 300
+    text[row] = "UncalGyro,1700000000000,abc,1,2,3,4,5,6"
+    path.write_text("\n".join(text))
+    with pytest.raises(TraceError, match=rf"gnss_log.txt:{row + 1}: the UncalGyro row is not like the first"):
+        read_all(path)

@@ -1,0 +1,1 @@
+"""Writing a recording in other formats than stillcal's own CSV."""
