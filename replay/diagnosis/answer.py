@@ -16,6 +16,7 @@ from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrep
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
+from stillcal.replay.diagnosis.correction_code import to_paste
 from stillcal.replay.diagnosis.relation_text import BUILT_IN, statement
 
 SCHEMA = 2
@@ -45,19 +46,26 @@ class Fit:
 
 
 def answer_of(
-    before: Comparison, names: tuple[str, str], fit: Fit, stated: Mapping[tuple[str, str, str], Finding]
+    before: Comparison,
+    names: tuple[str, str],
+    fit: Fit,
+    stated: Mapping[tuple[str, str, str], Finding],
+    temperature: Array | None = None,
 ) -> dict[str, Any]:
     """Return a comparison as plain values.
 
-    names: of the recording and the simulation. stated: the findings that the recording ("recorded") or the
-    simulation ("simulated") makes by itself, by side, effect and sensor: they have what a difference lacks.
+    temperature: degC of the recording's static bins, from whose mean a slope counts where the comparison does
+    not say otherwise; None without a thermometer. names: of the recording and the simulation. stated: the
+    findings that the recording ("recorded") or the simulation ("simulated") makes by itself, by side, effect
+    and sensor: they have what a difference lacks.
     """
+    mean = None if temperature is None or not temperature.size else float(temperature.mean())
     return {
         "schema": SCHEMA,
         "recording": names[0],
         "simulation": names[1],
         "verdict": before.verdict(fit.p_after),
-        "findings": [_finding(d, names, stated) for d in before.discrepancies],
+        "findings": [_finding(d, names, stated, mean) for d in before.discrepancies],
         "agreed": [
             {"effect": d.recorded.effect, "sensor": d.recorded.sensor, "parameters": _values(d.recorded)}
             for d in before.agreed
@@ -90,7 +98,10 @@ def _smallest(one: Smallest) -> dict[str, Any]:
 
 
 def _finding(
-    one: Discrepancy, names: tuple[str, str], stated: Mapping[tuple[str, str, str], Finding]
+    one: Discrepancy,
+    names: tuple[str, str],
+    stated: Mapping[tuple[str, str, str], Finding],
+    mean_temperature: float | None,
 ) -> dict[str, Any]:
     side = "simulated" if one.relation == "superfluous" else "recorded"
     own = one.recorded or one.simulated or stated.get((side, one.effect, one.sensor))
@@ -113,10 +124,12 @@ def _finding(
         "evidence": {"log_bayes_factor": one.log_bayes_factor},
     }
     out |= _of_both(one.difference) if one.difference is not None else _of_one(one, names)
+    if one.effect.endswith("_temperature") and "reference" not in out and mean_temperature is not None:
+        out["reference"] = {"temperature_c": mean_temperature}
     if own is not None and one.relation in ("lacking", "superfluous"):
         out["evidence"] |= _held_out(own)
     out["statement"] = statement(out, names)
-    return out
+    return out | to_paste(out)
 
 
 def _of_both(difference: Difference) -> dict[str, Any]:

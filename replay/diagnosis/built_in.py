@@ -38,7 +38,8 @@ def judge_built_in(
     fit, after, corrected = Fit(before.p, before.p), None, None
     if before.discrepancies:
         fit, after, corrected = _played(case, recorded, before, names, show_stage)
-    return Judged(recorded, None, before, after, corrected, answer_of(before, names, fit, {}), case)
+    answer = answer_of(before, names, fit, {}, recorded.bins.temperature)
+    return Judged(recorded, None, before, after, corrected, answer, case)
 
 
 def _played(

@@ -48,7 +48,7 @@ def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None 
         findings = [d.recorded for d in before.discrepancies if d.recorded is not None]
         corrected, left_out = _without_effects(exam.bins, findings, claims.gravity)
         fit = Fit(before.p, compare_with_ideal(_examined(corrected, claims, timed=timed)).p, left_out)
-    return answer_of(before, (name, BUILT_IN), fit, {})
+    return answer_of(before, (name, BUILT_IN), fit, {}, exam.bins.temperature)
 
 
 def _without_effects(bins: Bins, findings: Sequence[Finding], gravity: float) -> tuple[Bins, list[str]]:

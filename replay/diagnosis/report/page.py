@@ -146,6 +146,7 @@ def _findings(judged: Judged) -> Iterator[str]:
         yield f"<p>{RELATIONS[finding['relation']].capitalize()}. Probability of a difference: {share}.</p>"
         if equation := ending(finding["effect"], EQUATIONS):
             yield f'<p class="equation">{equation}</p>'
+        yield _to_paste(finding)
         yield _table(finding)
         drawn = [figure_html(p.svg, p.alt, p.caption) for p in album.pictures(finding)]
         if judged.simulated is not None:
@@ -154,6 +155,16 @@ def _findings(judged: Judged) -> Iterator[str]:
             yield f'<div class="pictures">{"".join(drawn)}</div>'
         if following := to_record(finding["effect"], finding["sensor"]):
             yield f"<p>What to record next: {escape(following)}.</p>"
+
+
+def _to_paste(finding: Mapping[str, Any]) -> str:
+    """Return the temperature that a finding counts from, and its NumPy function folded up."""
+    at = finding.get("reference", {}).get("temperature_c")
+    counted = "" if at is None else f"<p>T₀ = {at:.4g} °C.</p>"
+    if "numpy" not in finding:
+        return counted
+    code = f'<pre class="equation">{escape(finding["numpy"])}</pre>'
+    return f"{counted}<details><summary>NumPy function that takes it out</summary>{code}</details>"
 
 
 def _table(finding: Mapping[str, Any]) -> str:
