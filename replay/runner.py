@@ -11,11 +11,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from stillcal.calib_core.calibration.known_faces import calibrate_faces
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState, Refusal
+from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import given
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Ledger
@@ -98,6 +100,22 @@ def replay_rests(rests: Iterable[RestState], engine: Engine, keep: Keep) -> Outc
     outcome.samples = sum(r.n for r in table)
     outcome.t_start, outcome.t_end = (table[0].t_start, table[-1].t_end) if table else (None, None)
     return _closed(outcome, engine, keep)
+
+
+def calibrated_by_faces(outcome: Outcome, settings: EngineSettings) -> list[Publish]:
+    """Calibrate from the six faces among a replay's rests, in place of what the engine made of them.
+
+    Returns the calibration as an action, or nothing where a face is missing; the outcome then says which.
+    """
+    assert outcome.state is not None
+    pool, gravity, t = outcome.state.pool, outcome.state.gravity, outcome.t_end or 0.0
+    try:
+        outcome.record = calibrate_faces(pool, gravity, t, settings.calibrate)
+    except NotSupported as refusal:
+        outcome.record, outcome.refusal = None, Refusal(refusal.reason, refusal.missing)
+        return []
+    outcome.refusal = None
+    return [Publish(t, outcome.record, outcome.record.acceptance.reason)]
 
 
 def _items(chunk: Chunk) -> list[Samples | Event]:

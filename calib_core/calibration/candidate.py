@@ -88,7 +88,7 @@ def fit_candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSet
     """
     fit = fit_accelerometer(pool.held, gravity, settings.accelerometer)
     change = find_change(fit, pool.held)
-    gyro = _fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
+    gyro = fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
     labels = attitude_labels(forces(pool.rests), settings.accelerometer.attitude_angle)
     record = CalibrationRecord(
         accelerometer=_accelerometer_record(fit, change, forces(pool.rests)),
@@ -171,9 +171,10 @@ def with_updated_bias(record: CalibrationRecord, recent: Pool, t: float) -> Cali
     return replace(record, gyroscope=part, acceptance=Acceptance(how="zeroing", reason=reason))
 
 
-def _fit_gyroscope(
+def fit_gyroscope(
     pool: Pool, accel: SensorModel, gravity: float, settings: GyroscopeSettings
 ) -> GyroscopeFit | None:
+    """Fit the gyroscope under the accelerometer's model; None where no rest has a gyroscope mean."""
     try:
         return gyroscope.fit(pool.turns, accel, gravity, rests=pool.rests, settings=settings)
     except NotSupported:

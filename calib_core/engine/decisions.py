@@ -23,6 +23,7 @@ from stillcal.calib_core.calibration.candidate import (
 from stillcal.calib_core.calibration.constancy import Shape
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
 from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed_up
+from stillcal.calib_core.calibration.known_faces import inherit_rotation
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.terms import compensated, inherit_terms
@@ -87,6 +88,7 @@ def fit_and_decide(task: FitTask) -> FitOutcome:
         return FitOutcome(None, False, candidate.reason, candidate.missing)
     decision = decide(candidate, task.current, task.degraded, task.quality)
     record = inherit_terms(task.current, with_decision(candidate, decision, task.occasion))
+    record = inherit_rotation(task.current, record)
     if since is not None and not task.degraded:
         record = _remarked(record, f"the sensor changed: only its rests from {since:.0f} s on are used")
     if (unseen := _unseen(task)) is not None:

@@ -40,7 +40,7 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Chunk, Trace
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
-from stillcal.replay.runner import Outcome, replay, replay_rests, with_choices
+from stillcal.replay.runner import Outcome, calibrated_by_faces, replay, replay_rests, with_choices
 from stillcal.replay.suitability import Suitability
 
 _existing = click.Path(path_type=Path)
@@ -72,6 +72,11 @@ RATE_ROWS = 1000
 @click.option(
     "--watch", type=click.Choice(["auto", "continuous", "probing"]), help="Override when the sensors are on."
 )
+@click.option(
+    "--faces",
+    is_flag=True,
+    help="The phone lay once on each of its six faces, on a level surface: also fixes the common rotation.",
+)
 @quiet_option
 def replay_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path,
@@ -81,16 +86,22 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     config: Path | None,
     gravity: float | None,
     watch: str | None,
+    faces: bool,
     quiet: bool,
 ) -> None:
     """Calibrate from a recording with the daemon's own engine, as fast as possible.
 
     The store is the same as after a live run. Exit code 3: the recording does not allow a calibration; the
     message says why and which attitude is missing.
+
+    With --faces the recording shows the phone lying on each of its six faces, in any order, on a level
+    surface, for some ten seconds each. Only that fixes the rotation common to all axes, and later
+    calibrations of the store keep it. Other attitudes may come between; they improve bias and scale.
     """
     refuse_collisions(_output_files(store_path, json_path), _input_files(trace, reading.gyro))
     settings = load_settings(config)
     calibrations: list[Publish | Reject] = []
+    watch = "continuous" if faces and watch is None else watch
     if reading.is_rest_table(trace):
         engine = Engine(with_choices(settings.engine, gravity, watch))
         outcome = replay_rests(reading.rests(trace), engine, calibrations.append)
@@ -98,7 +109,7 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
         opened = reading.open(trace)
         engine = Engine(with_choices(settings.engine, gravity, watch, opened.claimed_gravity))
         outcome = _replayed(opened, engine, calibrations.append, quiet)
-    calibrations = full(calibrations)
+    calibrations = [*calibrated_by_faces(outcome, settings.engine)] if faces else full(calibrations)
     if store_path is not None and calibrations:
         for note in keep_in_store(store_path, calibrations, trace.name, settings.store):
             click.echo(f"stillcal: {note}", err=True)

@@ -1,0 +1,130 @@
+"""A full calibration from rests on the six faces of the case, and its rotation handed on to later ones.
+
+The daemon's own calibrations know no rotation common to all axes. Where the calibration in use has one from
+known faces, a new one is turned by the same rotation: norms, by which calibrations are judged, do not change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.accelerometer.parameters import basis, names
+from stillcal.calib_core.accelerometer.six_faces import (
+    SixFaces,
+    common_rotation,
+    fit_six_faces,
+    rotated_scale_covariance,
+    rotation_covariance,
+)
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.candidate import (
+    CalibrateSettings,
+    fit_gyroscope,
+    gyroscope_record,
+    validity_of,
+)
+from stillcal.calib_core.calibration.record import (
+    AccelerometerRecord,
+    Acceptance,
+    CalibrationRecord,
+    GyroscopeRecord,
+    Provenance,
+    StateRecord,
+)
+from stillcal.calib_core.calibration.rest_pool import Pool
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.static.rest import attitude_labels, force_uncertainties, forces
+
+_ALL = 12
+"""Parameters of a calibration that holds a common rotation."""
+
+
+def calibrate_faces(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSettings) -> CalibrationRecord:
+    """Calibrate both sensors from rests among which are the six faces, at sample time t (s).
+
+    Raises NotSupported where a face is missing, or the faces are too far from square and level.
+    """
+    raw, local = forces(pool.rests), np.array([h.gravity.value for h in pool.held])
+    samples = np.array([float(rest.n) for rest in pool.rests])
+    fit = fit_six_faces(raw, force_uncertainties(pool.rests), local, samples)
+    gyro = fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
+    labels = attitude_labels(raw, settings.accelerometer.attitude_angle)
+    degrees = np.degrees([fit.tilt, fit.rotation_sd])
+    reason = (
+        f"six known faces, tilted by {degrees[0]:.2g} degrees (rms); "
+        f"the rotation of all axes is known to {degrees[1]:.2g} degrees (1 sd)"
+    )
+    return CalibrationRecord(
+        accelerometer=_accelerometer_record(fit, len(raw), gravity, float(local.mean())),
+        gyroscope=None if gyro is None else gyroscope_record(gyro, t),
+        gravity=gravity,
+        fitted_at=t,
+        validity=validity_of(pool.rests),
+        acceptance=Acceptance(reason=reason, evidence={"tilt": fit.tilt, "rotation_sd": fit.rotation_sd}),
+        provenance=Provenance(t_start=pool.rests[0].t_start, t_end=pool.rests[-1].t_end),
+        states=tuple(
+            StateRecord.of(rest, float(residual), int(label))
+            for rest, residual, label in zip(pool.rests, fit.residuals, labels, strict=True)
+        ),
+    )
+
+
+def inherit_rotation(old: CalibrationRecord | None, new: CalibrationRecord) -> CalibrationRecord:
+    """Return a new calibration turned by the common rotation of the old one, where that has one."""
+    known = None if old is None else old.accelerometer
+    part = new.accelerometer
+    if known is None or part is None or known.parameters != _ALL or part.parameters == _ALL:
+        return new
+    if known.covariance is None or known.names != names(_ALL):
+        return new
+    rotation = common_rotation(known.scale)
+    scale = rotation @ part.scale
+    turned = np.zeros((_ALL, _ALL))
+    if part.covariance is not None:
+        form = "symmetric" if part.names == names(part.parameters) else "triangular"
+        spread = basis(part.parameters, form)
+        turned = spread @ part.covariance @ spread.T
+    by_scale = np.eye(_ALL)
+    by_scale[3:, 3:] = np.kron(rotation, np.eye(3))
+    turned = by_scale @ turned @ by_scale.T
+    turned[3:, 3:] += rotated_scale_covariance(scale, rotation_covariance(known.scale, known.covariance))
+    accelerometer = replace(
+        part,
+        scale=scale,
+        parameters=_ALL,
+        names=names(_ALL),
+        covariance=frozen(turned),
+        observability=None,
+    )
+    return replace(new, accelerometer=accelerometer, gyroscope=_turned(new.gyroscope, rotation))
+
+
+def _turned(part: GyroscopeRecord | None, rotation: Array) -> GyroscopeRecord | None:
+    """Turn a gyroscope's calibration, where its axes were fitted to the accelerometer's."""
+    if part is None or part.parameters != _ALL:
+        return part
+    covariance = part.covariance
+    if covariance is not None:
+        by_scale = np.eye(_ALL)
+        by_scale[:9, :9] = np.kron(rotation, np.eye(3))
+        covariance = frozen(by_scale @ covariance @ by_scale.T)
+    return replace(part, scale=rotation @ part.scale, covariance=covariance)
+
+
+def _accelerometer_record(fit: SixFaces, rests: int, gravity: Gravity, value: float) -> AccelerometerRecord:
+    covariance = np.array(fit.covariance)
+    common = fit.model.scale.ravel() * gravity.scale_uncertainty
+    covariance[3:, 3:] += np.outer(common, common)
+    return AccelerometerRecord(
+        scale=fit.model.scale,
+        bias=fit.model.bias,
+        parameters=_ALL,
+        names=names(_ALL),
+        covariance=frozen(covariance),
+        rms_residual=fit.rms_residual,
+        n_rests=rests,
+        n_states=fit.n_states,
+        gravity=value,
+    )
