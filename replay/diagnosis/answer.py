@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
@@ -60,7 +61,7 @@ def answer_of(
     and sensor: they have what a difference lacks.
     """
     mean = None if temperature is None or not temperature.size else float(temperature.mean())
-    return {
+    answer: dict[str, Any] = {
         "schema": SCHEMA,
         "recording": names[0],
         "simulation": names[1],
@@ -75,6 +76,7 @@ def answer_of(
         "sensitivity": [_smallest(s) for s in before.smallest],
         "fit": fit.plain(),
     }
+    return dict(jsonable(answer))
 
 
 def findings_stated(findings: Sequence[Finding], side: str) -> dict[tuple[str, str, str], Finding]:

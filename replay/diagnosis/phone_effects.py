@@ -10,10 +10,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from stillcal.calib_core.diagnosis.effects.catalogue import foreign_effects
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.replay.diagnosis.twin import Conditions
 from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.other_physics import OtherPhysics
 from stillcal.replay.phone.effects.registry import EFFECTS
 
 WHITE_NOISE_FINDINGS = ("noise_level", "noise_unequal_axes")
@@ -42,7 +44,7 @@ def _map_finding(finding: Finding, bins: Bins, conditions: Conditions) -> Mapped
         return MappedFinding(finding, None, "included in the white noise of its sensor")
     kind = EFFECTS.get(finding.effect)
     if kind is None:
-        return MappedFinding(finding, None, "the cause is unknown, so the simulation has no term for it")
+        return _of_another_package(finding)
     values: dict[str, Any] = {name: p.value for name, p in finding.parameters.items()}
     known = {k: v for k, v in values.items() if k in kind.__struct_fields__}
     known |= {"sensor": finding.sensor} if "sensor" in kind.__struct_fields__ else {}
@@ -52,6 +54,17 @@ def _map_finding(finding: Finding, bins: Bins, conditions: Conditions) -> Mapped
         return MappedFinding(finding, msgspec.convert({"name": finding.effect, **known}, type=kind))
     except (msgspec.ValidationError, ValueError) as error:
         return MappedFinding(finding, None, f"the simulation cannot represent it: {error}")
+
+
+def _of_another_package(finding: Finding) -> MappedFinding:
+    """Return an effect that another package brought; one without a name has no term."""
+    for effect in foreign_effects():
+        if effect.name == finding.effect:
+            own = [finding.parameters[p.name].value for p in effect.parameters]
+            values = tuple(float(x) for x in np.concatenate([np.ravel(v) for v in own]))
+            grid = {name: float(np.ravel(finding.parameters[name].value)[0]) for name in effect.grid_units}
+            return MappedFinding(finding, OtherPhysics(effect=effect.name, values=values, grid=grid))
+    return MappedFinding(finding, None, "the cause is unknown, so the simulation has no term for it")
 
 
 def _step_time(

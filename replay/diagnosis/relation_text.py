@@ -9,6 +9,7 @@ import numpy as np
 
 from stillcal.calib_core import gravity
 from stillcal.calib_core.diagnosis.comparison.compare import LEVEL
+from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 
 AXES = "xyz"
 
@@ -27,22 +28,6 @@ NOUNS = {
     "held_samples": "samples that repeat the one before",
     "missing_codes": "values that never occur",
     "axis_exchange": "exchanged axes",
-    "accel_bias_temperature": "change of the accelerometer's bias with temperature",
-    "gyro_bias_temperature": "change of the gyroscope's bias with temperature",
-    "accel_scale_temperature": "change of the accelerometer's scale with temperature",
-    "gyro_scale_temperature": "change of the gyroscope's scale with temperature",
-    "accel_warmup": "settling of the accelerometer's bias after the start",
-    "gyro_warmup": "settling of the gyroscope's bias after the start",
-    "thermal_latent": "change of bias with heat from charging and use",
-    "accel_bias_drift": "steady drift of the accelerometer's bias",
-    "gyro_bias_drift": "steady drift of the gyroscope's bias",
-    "accel_bias_step": "step of the accelerometer's bias",
-    "gyro_bias_step": "step of the gyroscope's bias",
-    "accel_charging_bias": "change of the accelerometer's bias while charging",
-    "gyro_charging_bias": "change of the gyroscope's bias while charging",
-    "gyro_g_sensitivity": "sensitivity of the gyroscope to acceleration",
-    "accel_nonlinearity": "nonlinearity of the accelerometer",
-    "gyro_nonlinearity": "nonlinearity of the gyroscope",
     "accel_saturation": "limit of the accelerometer's range",
     "gyro_saturation": "limit of the gyroscope's range",
     "accel_quantisation": "step of the accelerometer's values",
@@ -58,6 +43,7 @@ NOUNS = {
     "lever_arm": "distance of the accelerometer from the pivot",
     "unknown": "something that no named effect explains",
 }
+"""What differences are called within a sentence; effects of the catalogue have their own noun."""
 
 THE_BUILT_IN = "the built-in simulation"
 
@@ -105,7 +91,8 @@ VERDICTS = {
 
 def noun(effect: str, sensor: str) -> str:
     """Return what an effect is called in a sentence."""
-    name = NOUNS.get(effect, effect.replace("_", " "))
+    named = {e.name: e.called() for e in named_effects()}
+    name = NOUNS.get(effect) or named.get(effect) or effect.replace("_", " ")
     return f"{name} ({SENSORS[sensor]})" if effect in OF_EITHER and sensor in SENSORS else name
 
 

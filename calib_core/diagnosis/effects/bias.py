@@ -24,8 +24,12 @@ class BiasEffect(Effect):
     says: str
     """What the bias does, for "The accelerometer's bias ... on x, y."."""
 
+    called_as: str
+    """The noun, `{bias}` filled in."""
+
     def __init__(self, sensor: str) -> None:
         self.sensor, self.name = sensor, f"{sensor}_{self.kind}"
+        self.noun = self.called_as.format(bias=f"the {NAME[sensor]}'s bias")
         self.sentence = f"The {NAME[sensor]}'s bias {self.says} on {{axes}}."
 
     @abstractmethod

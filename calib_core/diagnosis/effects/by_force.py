@@ -34,6 +34,7 @@ class ForceNonlinearity(Effect):
     name = "accel_nonlinearity"
     sensor = "accel"
     follows = "own force"
+    noun = "nonlinearity of the accelerometer"
     sentence = "The accelerometer is nonlinear on {axes}."
     equation = "error = quadratic f^2 [+ cubic f^3], f the force on the axis"
     look_alikes = ("accel_saturation",)
@@ -62,6 +63,7 @@ class GSensitivity(Effect):
     sensor = "gyro"
     follows = "attitude"
     parameters = (Linear("matrix", "(rad/s)/(m/s^2)", 9, 1e-3),)
+    noun = "sensitivity of the gyroscope to acceleration"
     sentence = "The gyroscope is sensitive to acceleration (g-sensitivity) on {axes}."
     equation = "rate as read = rate + matrix f, f the specific force"
     remedy = "to correct it: stillcal store adopt-terms"

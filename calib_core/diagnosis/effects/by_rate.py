@@ -18,6 +18,7 @@ class RateNonlinearity(Effect):
     name = "gyro_nonlinearity"
     sensor = "gyro"
     follows = "rate of turn"
+    noun = "nonlinearity of the gyroscope"
     sentence = "The gyroscope is nonlinear on {axes}."
     equation = "error = quadratic w^2 [+ cubic w^3], w the rate about the axis"
     look_alikes = ("gyro_saturation",)

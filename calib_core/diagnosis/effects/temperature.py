@@ -38,6 +38,7 @@ class BiasTemperature(BiasEffect):
 
     kind = "bias_temperature"
     says = "changes with temperature"
+    called_as = "change of {bias} with temperature"
     follows = "temperature"
     equation = "bias(T) = bias(T0) + slope (T - T0) [+ quadratic (T - T0)^2 + cubic (T - T0)^3]"
     remedy = "to correct it: stillcal store adopt-terms"
@@ -79,6 +80,7 @@ class ScaleTemperature(Effect):
         self.sensor, self.name = sensor, f"{sensor}_scale_temperature"
         self.in_turns = sensor == "gyro"
         self.follows = f"temperature x {'rate of turn' if self.in_turns else 'own force'}"
+        self.noun = f"change of the {NAME[sensor]}'s scale with temperature"
         self.sentence = f"The {NAME[sensor]}'s scale changes with temperature on {{axes}}."
         self.look_alikes = (f"{sensor}_bias_temperature",)
         self.decides = (

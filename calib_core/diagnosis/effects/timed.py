@@ -27,6 +27,7 @@ class Drift(BiasEffect):
 
     kind = "bias_drift"
     says = "drifts steadily"
+    called_as = "steady drift of {bias}"
     follows = "time"
     equation = "bias(t) = bias(0) + rate t"
     remedy = "calibrate more often"
@@ -49,6 +50,7 @@ class Charging(BiasEffect):
 
     kind = "charging_bias"
     says = "changes while charging"
+    called_as = "change of {bias} while charging"
     follows = "charging"
     equation = "bias = bias(unplugged) + step charging(t)"
     remedy = "calibrate with and without the charger"
@@ -74,6 +76,7 @@ class Step(BiasEffect):
 
     kind = "bias_step"
     says = "jumped once"
+    called_as = "step of {bias}"
     follows = "time"
     equation = "bias(t) = bias(0) + step (t >= t_start)"
     remedy = "calibrate more often"

@@ -38,6 +38,7 @@ class Warmup(BiasEffect):
 
     kind = "warmup"
     says = "settles after the start of the recording"
+    called_as = "settling of {bias} after the start"
     follows = "time since start"
     equation = "bias(t) = bias(0) + amplitude (1 - exp(-t / tau_s))"
     remedy = "let the phone warm up, or leave out the first minutes"
@@ -70,6 +71,7 @@ class LatentHeat(BiasEffect):
     """
 
     says = "follows the heat of charging and use, which was not recorded,"
+    called_as = "change of bias with heat from charging and use"
     kind = "latent"
     follows = "charging and use"
     equation = "tau_s z' = plug charging(t) + use active(t) - z, z(0) = start; bias = amplitude z / range(z)"

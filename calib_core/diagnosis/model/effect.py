@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.moments import Moments
+from stillcal.calib_core.diagnosis.model.records import NAME
 
 Grid = dict[str, float]
 """Parameters that an effect is not linear in: a time constant, the time of a step."""
@@ -63,7 +64,8 @@ class Effect:
     """An effect of one sensor. A subclass gives at least `name`, `follows`, `parameters` and `response`.
 
     name: as in findings; sensor: "accel" or "gyro"; follows: what drives it, in words; parameters: its linear
-    parameters, in the order of the response's columns; sentence: one plain sentence, `{axes}` is filled in.
+    parameters, in the order of the response's columns; sentence: one plain sentence, `{axes}` is filled in;
+    noun: what it is called within a sentence.
 
     equation: the physics as a formula; remedy: what a person can do; look_alikes: effects that can imitate
     it; decides: the recording that tells them apart; grid_units: units of the grid's parameters.
@@ -80,6 +82,7 @@ class Effect:
     follows: str
     parameters: tuple[Linear, ...]
     sentence: str = ""
+    noun: str = ""
     equation: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
     look_alikes: tuple[str, ...] = ()
@@ -91,6 +94,10 @@ class Effect:
     prior_penalty: float = 0.0
     rough: float = 0.0
     blind: tuple[str, ...] = ()
+
+    def called(self) -> str:
+        """Return the noun; for an effect without one, words made of its driver."""
+        return self.noun or f"effect of {self.follows} on the {NAME[self.sensor]}"
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return the grid points to try; none where the recording lacks what drives the effect."""

@@ -52,6 +52,7 @@ from stillcal.replay.phone.effects.on_settings import (
     TiltCreep,
     TimestampJitter,
 )
+from stillcal.replay.phone.effects.other_physics import OtherPhysics
 
 AnyEffect = (
     AccelBiasTemperature | GyroBiasTemperature | AccelScaleTemperature | GyroScaleTemperature
@@ -61,7 +62,7 @@ AnyEffect = (
     | GyroVibrationRectification | AccelThermalHysteresis | GyroThermalHysteresis | Spikes | LeverArm
     | VibrationTone | AccelSaturation | GyroSaturation | AccelQuantisation | GyroQuantisation | Bandwidth
     | HeldSamples | NoiseLevel | NoiseUnequalAxes | NoiseHeavyTailed | ClockSkew | TimestampJitter
-    | DroppedSamples | DoubledSamples | ArrivalBursts | AccelGyroTimeOffset | TiltCreep
+    | DroppedSamples | DoubledSamples | ArrivalBursts | AccelGyroTimeOffset | TiltCreep | OtherPhysics
 )  # fmt: skip
 
 EFFECTS: dict[str, type[Effect]] = {str(kind.__struct_config__.tag): kind for kind in get_args(AnyEffect)}
