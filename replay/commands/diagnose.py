@@ -28,7 +28,7 @@ from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.trace import read_all
-from stillcal.replay.phone.phone import Phone, load_phone
+from stillcal.replay.phone.phone import Phone, dump_phone, load_phone
 
 _path = click.Path(path_type=Path)
 
@@ -109,7 +109,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     """
     asked = _Asked(trace, phone, simulated, simulated_format, json_path, report, phone_out, fix_for, reading)
     _check(asked)
-    correction = None if fix_for is None else Correction(*fix_for)
+    correction = _correction(asked)
     try:
         with _stages(quiet) as show_stage:
             outputs = _table(asked) if reading.is_rest_table(trace) else _diagnosed(asked, show_stage)
@@ -125,6 +125,15 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
         click.echo("\n".join(summary(outputs.answer)))
     if outputs.answer["verdict"] in fail_on:
         sys.exit(VERDICT)
+
+
+def _correction(asked: _Asked) -> Correction | None:
+    """Return the configuration to be corrected; a new phone file begins with the phone that is judged."""
+    if asked.fix_for is None:
+        return None
+    tool, path = asked.fix_for
+    judged = asked.phone if tool == "phone" else None
+    return Correction(tool, path, None if judged is None else dump_phone(_loaded(judged)))
 
 
 def _check(asked: _Asked) -> None:

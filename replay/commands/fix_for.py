@@ -20,11 +20,12 @@ from stillcal.replay.export.target import MAX_BYTES, text_of
 class Correction:
     """One configuration that is to be corrected; it is read, and refused if it must be, before the diagnosis.
 
+    base: the configuration to begin with where `path` does not exist yet; None for one of an ideal sensor.
     Raises UserError where the file is not the tool's.
     """
 
-    def __init__(self, tool: str, path: Path) -> None:
-        self._tool, self._path = tool, path
+    def __init__(self, tool: str, path: Path, base: str | None = None) -> None:
+        self._tool, self._path, self._base = tool, path, base
         self._before = read_regular(path, MAX_BYTES) if path.exists() else None
         self._fixed({"findings": []})
 
@@ -46,7 +47,7 @@ class Correction:
 
     def _fixed(self, answer: Mapping[str, Any]) -> Fixed:
         try:
-            text = None if self._before is None else text_of(self._before)
+            text = self._base if self._before is None else text_of(self._before)
             return fixed_for(self._tool, text, answer)
         except UserError as error:
             raise UserError(f"{self._path}: {error}") from error

@@ -100,6 +100,13 @@ def common_ratio(finding: Finding, name: str) -> float:
     return float(np.sqrt(np.sum(np.square(one)) / np.sum(np.square(other))))
 
 
+def refuse_bends(finding: Finding) -> None:
+    """Raise CannotHold where a bias curves with temperature, after its slope has been put in."""
+    bends = [name for name in ("quadratic", "cubic") if name in finding["parameters"]]
+    if bends:
+        raise CannotHold(f"its slope is put in, but there is no setting for {' and '.join(bends)}")
+
+
 def is_lacking(finding: Finding) -> bool:
     """Whether the simulation has as good as nothing of the effect, so that there is nothing to multiply."""
     return bool(finding["relation"] == "lacking")

@@ -25,6 +25,7 @@ from stillcal.replay.export.fix.findings import (
     ratio,
     recorded,
     reference_c,
+    refuse_bends,
     rounded,
     walk_of,
 )
@@ -49,6 +50,7 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
             raise CannotHold("the finding does not say from which temperature its slope counts")
         _add(fixed, finding, "TemperatureBias", sign * delta)
         _add(fixed, finding, "ConstantBias", sign * delta * (REFERENCE_C - at))
+        refuse_bends(finding)
 
     def scale(finding: Finding) -> None:
         before = _get(fixed, finding, "AxesMisalignment", PERCENT * np.eye(3))

@@ -28,6 +28,7 @@ from stillcal.replay.export.fix.findings import (
     ratio,
     recorded,
     reference_c,
+    refuse_bends,
     rounded,
 )
 from stillcal.replay.export.fix.toml_text import edited
@@ -58,6 +59,7 @@ class _Phone:
         self._effect(finding, {"slope": delta})
         if at is not None:
             self._add_bias(finding, delta * (self.phone.heat.reference_c - at))
+        refuse_bends(finding)
 
     def scale(self, finding: Finding) -> None:
         self._multiply_gain(finding, gain_change(finding))
@@ -119,6 +121,9 @@ class _Phone:
                 values[name] = difference(finding, name) if value.ndim else float(recorded(finding, name))
         known = {k: v for k, v in finding.get("reference", {}).items() if k in kind.__struct_fields__}
         self._effect(finding, values | known)
+        unused = [name for name in finding["parameters"] if name not in kind.__struct_fields__]
+        if unused:
+            raise CannotHold(f"it is put in, but there is no setting for its {' and '.join(unused)}")
 
     def _effect(self, finding: Finding, values: dict[str, Any]) -> None:
         """Add vectors to those of the phone's effect of the same name and sensor; set its other numbers."""
