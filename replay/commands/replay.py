@@ -37,6 +37,7 @@ from stillcal.replay.commands.outputs import (
 )
 from stillcal.replay.commands.reading import Reading, reading_options
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.sources import STANDARD_INPUT_NAME
 from stillcal.replay.formats.trace import Chunk, Trace
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
@@ -110,15 +111,17 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
         engine = Engine(with_choices(settings.engine, gravity, watch, opened.claimed_gravity))
         outcome = _replayed(opened, engine, calibrations.append, quiet)
     calibrations = [*calibrated_by_faces(outcome, settings.engine)] if faces else full(calibrations)
+    name = STANDARD_INPUT_NAME if trace == STANDARD_OUTPUT else trace.name
     if store_path is not None and calibrations:
-        for note in keep_in_store(store_path, calibrations, trace.name, settings.store):
+        for note in keep_in_store(store_path, calibrations, name, settings.store):
             click.echo(f"stillcal: {note}", err=True)
     if json_path is not None:
         _write_json(json_path, outcome)
     if not quiet and json_path != STANDARD_OUTPUT:
-        _print_outcome(outcome, trace, store_path if calibrations else None)
+        _print_outcome(outcome, name, store_path if calibrations else None)
     if outcome.record is None or outcome.record.accelerometer is None:
-        click.echo(f"stillcal: {trace}: no calibration: {why_not(outcome)}", err=True)
+        shown = name if trace == STANDARD_OUTPUT else trace
+        click.echo(f"stillcal: {shown}: no calibration: {why_not(outcome)}", err=True)
         sys.exit(TOO_LITTLE)
 
 
@@ -207,12 +210,12 @@ def _writer(
         yield write
 
 
-def _print_outcome(outcome: Outcome, trace: Path, store: Path | None) -> None:
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0), title=trace.name, title_justify="left")
+def _print_outcome(outcome: Outcome, name: str, store: Path | None) -> None:
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0), title=name, title_justify="left")
     table.add_column(style="bold")
     table.add_column(overflow="fold")
-    for name, value in outcome_rows(outcome, store):
-        table.add_row(name, value)
+    for label, value in outcome_rows(outcome, store):
+        table.add_row(label, value)
     Console().print(table)
 
 

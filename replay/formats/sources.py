@@ -23,7 +23,7 @@ from typing import Any, BinaryIO
 
 from stillcal.replay.formats.errors import TraceError
 
-STANDARD_INPUT = "-"
+STANDARD_INPUT, STANDARD_INPUT_NAME = "-", "standard input"
 HEAD_BYTES = 1 << 16
 """Bytes by which a format is recognised."""
 
@@ -108,7 +108,7 @@ def source_of(path: Path | str) -> Source:
 
 
 def _standard_input() -> Source:
-    path = Path("standard input")
+    path = Path(STANDARD_INPUT_NAME)
     descriptor = sys.stdin.fileno()
     if os.isatty(descriptor):
         raise TraceError(path, "is a terminal", "pipe a CSV recording into it: stillcal ... - < walk.csv")

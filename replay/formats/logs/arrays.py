@@ -35,7 +35,7 @@ MOST_ARRAYS = 2000
 OWN = {"t", "ax", "ay", "az"}
 """Columns by which arrays are stillcal's own, in its units."""
 
-MOST_BYTES = 4 << 30
+MOST_BYTES = 2 << 30
 """Bytes of an array that is read whole into memory at most."""
 
 
@@ -205,7 +205,7 @@ def _matlab(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
     scipy_io = library("scipy.io", "matlab", stored.path, magic.MATLAB)
     listed = scipy_io.whosmat(str(stored.local))
     if sum(int(np.prod(shape)) * 8 for _, shape, _ in listed) > MOST_BYTES:
-        raise TraceError(stored.path, "holds more than 4 GiB of arrays", "save the sensors' arrays alone")
+        raise TraceError(stored.path, "holds more than 2 GiB of arrays", "save the sensors' arrays alone")
     content = scipy_io.loadmat(str(stored.local), squeeze_me=True, struct_as_record=False)
     groups: dict[str, dict[str, Any]] = {}
     _walk_struct("", {k: v for k, v in content.items() if not k.startswith("__")}, groups, 0)
@@ -234,7 +234,7 @@ def _numpy(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
     texts: dict[str, str] = {}
     names = archive.files[:MOST_ARRAYS]
     if sum(info.file_size for info in archive.zip.infolist()) > MOST_BYTES:
-        raise TraceError(stored.path, "holds more than 4 GiB of arrays", "save the sensors' arrays alone")
+        raise TraceError(stored.path, "holds more than 2 GiB of arrays", "save the sensors' arrays alone")
     for name in names:
         value = archive[name]
         if value.dtype.kind in "iuf":

@@ -26,6 +26,9 @@ from stillcal.replay.formats.tables.numbers import NumberTable
 
 _HEADER_BYTES, _BLOCK_BYTES = 1024, 512
 _BLOCKS_AT_A_TIME = 2048
+_MOST_BYTES = 2 << 30
+"""An AX6 has 1 GiB of memory, an AX3 0.5."""
+
 _NAMED = 12
 """Damaged blocks that are named one by one."""
 
@@ -106,6 +109,9 @@ def open_axivity(source: Source) -> Log:
 def _blocks(stored: Source) -> NDArray[np.void]:
     """Map the file's whole blocks into memory."""
     assert stored.local is not None
+    if stored.size > _MOST_BYTES:
+        what = f"{stored.size / (1 << 30):.3g} GiB are more than such a logger stores"
+        raise TraceError(stored.path, what, "copy it from the logger again")
     count = (stored.size - _HEADER_BYTES) // _BLOCK_BYTES
     if count < 1:
         raise TraceError(stored.path, "a CWA file without a block of data", "copy it from the logger again")

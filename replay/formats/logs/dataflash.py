@@ -39,8 +39,8 @@ _LETTERS = {
 _BOTH_IN_ONE = {"IMU", "IMU2", "IMU3"}
 _ACCELEROMETERS = {"ACC", "ACC1", "ACC2", "ACC3"}
 _PARAMETERS = "PARM"
-_MOST_DAMAGE = 0.5
-"""Share of a log that may be damaged; with more it is no such log."""
+_MOST_DAMAGE, _ENOUGH_DAMAGE = 0.5, 1 << 24
+"""Share of a log that may be damaged, and bytes from which on the rest is not read: it is no such log."""
 
 
 @dataclass(slots=True)
@@ -71,7 +71,7 @@ def open_dataflash(source: Source) -> Log:
         content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     scan = _scanned(content)
     if scan.damaged > _MOST_DAMAGE * len(content):
-        what = f"the log is damaged: {scan.damaged} of {len(content)} bytes are no messages"
+        what = "the log is damaged: more than half of what was read are no messages"
         raise TraceError(source.path, what, "download it from the vehicle again")
     reader = _Reader(source.path, content, scan)
     sensors = list(reader.sensors())
@@ -111,12 +111,18 @@ def _scanned(content: mmap.mmap) -> _Scan:
         kind = content[at + 2]
         length = lengths[kind] if content[at : at + 2] == _HEAD else 0
         if not length or at + length > end:
-            following = content.find(_HEAD, at + 1)
+            following = content.find(_HEAD, at + 1, at + _ENOUGH_DAMAGE)
+            following = (
+                min(at + _ENOUGH_DAMAGE, end) if following < 0 and at + _ENOUGH_DAMAGE < end else following
+            )
             if following < 0 or (length and at + length > end):
                 scan.damaged += end - at
                 break
             scan.damaged += following - at
             at = following
+            if scan.damaged > max(_ENOUGH_DAMAGE, at * _MOST_DAMAGE):
+                scan.damaged = end
+                break
             continue
         if kind == _FMT:
             made = _learn(scan, content, at)
