@@ -23,9 +23,14 @@ import msgspec
 from stillcal import calib_core, config, replay
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.formats.trace import read_all
+from stillcal.replay.phone.phone import load_phone
 
 SOLVERS = ("diagnosis", "affine_coloured_bic", "sparse_regression")
 """The solvers by name."""
+
+SIMULATION, PHONE, FRESH = ".sim.csv", ".phone.toml", ".fresh.csv"
+"""Ends of the names of what may lie beside NAME.csv: a simulation to be judged; or a phone file to be judged
+and written back, and the fresh day that the phone written back is compared with."""
 
 _MODULE = "stillcal.replay.blind_test.answer"
 
@@ -43,6 +48,10 @@ def answer_one(
     there is too little data, and `failed` where the solver raises another error.
     """
     try:
+        if (folder / f"{name}{SIMULATION}").is_file():
+            return _simulation_judged(folder, name)
+        if (folder / f"{name}{PHONE}").is_file():
+            return _phone_written_back(folder, name)
         recording = read_all(folder / f"{name}.csv")
         if solver == "diagnosis":
             from stillcal.replay.diagnosis.diagnose import diagnose_recording  # noqa: PLC0415 - baselines do without it
@@ -55,6 +64,38 @@ def answer_one(
         return _without_findings(name, "too_little_data", error)
     except Exception as error:  # a solver that breaks has answered wrongly; its other answers still count
         return _without_findings(name, "failed", error)
+
+
+def given_a_simulation(folder: Path, name: str) -> bool:
+    """Return whether a recording is to be compared with a simulation that lies beside it."""
+    return any((folder / f"{name}{end}").is_file() for end in (SIMULATION, PHONE))
+
+
+def _simulation_judged(folder: Path, name: str) -> dict[str, Any]:
+    """Return the answer to a recording and a simulation of it."""
+    from stillcal.replay.diagnosis.given_simulation import judge_simulation  # noqa: PLC0415 - only where one is given
+
+    real, simulation = read_all(folder / f"{name}.csv"), read_all(folder / f"{name}{SIMULATION}")
+    return judge_simulation(real, simulation).answer
+
+
+def _phone_written_back(folder: Path, name: str) -> dict[str, Any]:
+    """Return the answer to a fresh day and the phone file that the first day's diagnosis wrote back.
+
+    Its field `first` is the answer to the first day and the phone file as it was given.
+    """
+    from stillcal.replay.diagnosis.report.answer import Request, answer_for_recording  # noqa: PLC0415 - only here
+
+    given = load_phone(folder / f"{name}{PHONE}")
+    first = answer_for_recording(
+        read_all(folder / f"{name}.csv"), Request(given, f"{name}{PHONE}", phone_file=True)
+    )
+    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as written:
+        written.write(first.phone or "")
+        written.flush()
+        better = load_phone(written.name)
+    fresh = answer_for_recording(read_all(folder / f"{name}{FRESH}"), Request(better, "better.toml"))
+    return fresh.answer | {"first": first.answer}
 
 
 def _without_findings(name: str, verdict: str, error: Exception) -> dict[str, Any]:

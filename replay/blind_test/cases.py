@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -10,17 +10,22 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.blind_test import simulator_cases as simulated
+from stillcal.replay.blind_test.case import Case
 from stillcal.replay.blind_test.designs import HIDDEN, WITH_TURNS, Design
 from stillcal.replay.blind_test.hidden.kind import HiddenKind
 from stillcal.replay.blind_test.keys import Exam, Key, TrueEffect
 from stillcal.replay.blind_test.power import detectability as power
 from stillcal.replay.blind_test.power.misfit import left_by_names
 from stillcal.replay.blind_test.power.sizing import Stage, as_recorded, drawn_effect, put_in
+from stillcal.replay.blind_test.simulations.cases import make_simulated, make_written_back
 from stillcal.replay.blind_test.world import phones
 from stillcal.replay.blind_test.world.day import World, binned, over_bins
 from stillcal.replay.blind_test.world.days import Day, play
 from stillcal.replay.blind_test.world.noise import log_uniform
 from stillcal.replay.blind_test.world.phones import Additions, MadeRecording, Phone
+
+LENGTHS_S = (900.0, 1800.0)
+"""Shortest and longest recording, s; one in fifty is longer."""
 
 LARGEST = {"accel": 0.6, "gyro": 0.1}
 """Largest value that effects may add at rest, m/s^2 and rad/s: only a broken phone has more."""
@@ -29,34 +34,15 @@ LOCAL_GRAVITY = (9.764, 9.834)
 """Span of gravity over the Earth's surface, m/s^2 (Hirt et al. 2013, GGMplus: 9.7639 to 9.8337)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """A recording with its key.
-
-    simulation: what is to be judged against it, where that is a recording too. phone: where it is a phone
-    file, TOML; fresh: the fresh day that the phone written back is compared with.
-    """
-
-    recording: MadeRecording
-    key: Key
-    simulation: MadeRecording | None = None
-    phone: str | None = None
-    fresh: MadeRecording | None = None
-
-
-@dataclass(eq=False)
-class _Hidden:
-    """What is hidden so far: effects, what they add to the readings, and the phone file's entries of them."""
-
-    effects: list[TrueEffect] = field(default_factory=list)
-    misfit: float | None = None
-
-
 def make_case(design: Design, seed: int, index: int) -> Case:
     """Return a case; it depends only on the design, seed and index."""
     rng = np.random.default_rng([seed, 1, index])
+    if design.kind == "simulated":
+        return make_simulated(design, rng)
+    if design.kind == "phone_file":
+        return make_written_back(design, rng)
     rate = float(rng.choice([25.0, 50.0]))
-    duration = 3600.0 if design.full_length else log_uniform(rng, 900.0, 1800.0)
+    duration = 3600.0 if design.full_length else log_uniform(rng, *LENGTHS_S)
     if not design.full_length and duration > 1200.0:
         rate = 25.0
     make = _by_simulator if design.maker == "simulator" else _by_examiner

@@ -13,7 +13,8 @@ from typing import Any
 
 import msgspec
 
-KINDS = ("null", "decoy", "single", "pair", "near_shape", "off_catalogue", "reserve")
+KINDS = ("null", "decoy", "single", "pair", "near_shape", "off_catalogue", "reserve",
+         "simulated", "phone_file")  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,8 @@ class Key:
     kind: one of `KINDS`. family: of the noise. maker: who made motion and noise, examiner or simulator.
     variant: the decoy, or the hidden kind. ground: what the phone lies on. entailed: names that are true
     beside the effect. nearest: the names of which a near-shape is almost one; misfit: d' of what these, or of
-    what all names, leave of a hidden kind, None where that is not its measure.
+    what all names, leave of a hidden kind, None where that is not its measure. relation: of the recording's
+    effect to a given simulation, which has a `share` of it; can_tell: whether the two recordings can tell it.
     """
 
     kind: str
@@ -71,6 +73,9 @@ class Key:
     nearest: list[str] = field(default_factory=list)
     misfit: float | None = None
     ground: str = "firm"
+    relation: str | None = None
+    share: float | None = None
+    can_tell: bool = True
     exam: Exam | None = None
     schema: int = 1
 

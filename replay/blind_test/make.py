@@ -12,7 +12,9 @@ import msgspec
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.blind_test.cases import Case, make_case
+from stillcal.replay.blind_test.answer import FRESH, PHONE, SIMULATION
+from stillcal.replay.blind_test.case import Case
+from stillcal.replay.blind_test.cases import make_case
 from stillcal.replay.blind_test.designs import Design, planned
 from stillcal.replay.blind_test.keys import key_of, seal_of, sealed
 from stillcal.replay.blind_test.world.phones import MadeRecording
@@ -39,11 +41,13 @@ def make(
     *,
     jobs: int = 1,
     beside: Collection[str] = (),
+    trials_too: bool = True,
     tick: Callable[[int, int], None] = lambda done, of: None,
 ) -> Manifest:
     """Write `trials` cases, and those of kinds `beside` them, with their manifest, and their keys.
 
-    tick: is called after each with the number done and the number in all.
+    trials_too: whether the trials themselves are made. tick: is called after each with the number done and
+    the number in all.
 
     Raises ChallengeError where a folder holds something already.
     """
@@ -51,7 +55,7 @@ def make(
         if folder.exists() and any(folder.iterdir()):
             raise ChallengeError(f"{folder}: is not empty; name a new or an empty folder")
         folder.mkdir(parents=True, exist_ok=True)
-    designs, seals = planned(trials, seed, beside), {}
+    designs, seals = planned(trials, seed, beside, recordings=trials_too), {}
     work = [(design, seed, i, recordings, keys) for i, design in enumerate(designs)]
     with _case_mapper(jobs) as run:
         for name, seal in run(_write_case, work):
@@ -111,6 +115,11 @@ def _write_case(work: tuple[Design, int, int, Path, Path]) -> tuple[str, str]:
 
 def _write_files(folder: Path, name: str, case: Case) -> None:
     write_recording(folder / f"{name}.csv", case.recording)
+    if case.simulation is not None:
+        write_recording(folder / f"{name}{SIMULATION}", case.simulation)
+    if case.phone is not None and case.fresh is not None:
+        (folder / f"{name}{PHONE}").write_text(case.phone, encoding="utf-8")
+        write_recording(folder / f"{name}{FRESH}", case.fresh)
 
 
 def write_recording(path: Path, recording: MadeRecording) -> None:

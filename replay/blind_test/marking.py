@@ -32,6 +32,9 @@ SENSOR_IS_PART = ("noise_level", "noise_unequal_axes", "noise_heavy_tailed", "ba
 NOT_COMPARED = {"noise_heavy_tailed", "noise_unequal_axes"}
 """Effects whose `ratio` the documented layout leaves open (of what to what): intervals are not judged."""
 
+GIVEN_A_SIMULATION = ("simulated", "phone_file")
+"""Kinds of case in which a simulation is given; the baselines cannot answer these."""
+
 NAMELESS = ("near_shape", "off_catalogue", "reserve")
 """Kinds of case in which `unknown` is a right answer."""
 
@@ -72,11 +75,27 @@ class Claim:
 
 
 @dataclass(frozen=True, slots=True)
+class RelationMark:
+    """What was said of an effect that a given simulation has none, some, all or more of.
+
+    true, said: the relations; `nothing` where nothing was said. outcome: right, undecided, wrong or
+    wrong_sign. can_tell: whether the two recordings can tell it. others: names given besides.
+    """
+
+    true: str
+    said: str
+    outcome: str
+    can_tell: bool
+    others: list[str]
+
+
+@dataclass(frozen=True, slots=True)
 class Mark:
     """The result of one answer.
 
     alarmed: whether anything was found. unknown: whether an unknown effect was. false_names: names given that
     are not true. near: of a near-shape, what was made of it: stated, fitted, unknown, plain, other or missed.
+    relation: what was made of a given simulation.
     """
 
     name: str
@@ -94,19 +113,23 @@ class Mark:
     ground: str = "firm"
     misfit: float | None = None
     near: str | None = None
+    relation: RelationMark | None = None
 
     @property
     def right(self) -> bool:
         """Whether the whole answer is right."""
         if self.verdict == "failed":
             return False
-        if self.kind in ("null", "decoy"):
-            return not self.alarmed
-        if self.kind == "near_shape":
-            return self.near in ("stated", "fitted", "unknown")
-        if self.kind in NAMELESS:
-            return self.unknown and not self.false_names
-        return not self.false_names and all(e.named in ("alone", "set") for e in self.effects)
+        named = all(e.named in ("alone", "set") for e in self.effects)
+        by_kind = {
+            "null": not self.alarmed,
+            "decoy": not self.alarmed,
+            "near_shape": self.near in ("stated", "fitted", "unknown"),
+            "simulated": self.relation is not None and self.relation.outcome == "right",
+            "phone_file": self.verdict == "match",
+        }
+        nameless = self.unknown if self.kind in NAMELESS else named
+        return by_kind.get(self.kind, nameless and not self.false_names)
 
 
 def marked(name: str, key: Key, answer: dict[str, Any]) -> Mark:
@@ -130,6 +153,7 @@ def marked(name: str, key: Key, answer: dict[str, Any]) -> Mark:
         key.ground,
         key.misfit,
         _near(key, reading, bool(false)) if key.kind == "near_shape" else None,
+        _relation_marked(key, reading) if key.kind == "simulated" else None,
     )
 
 
@@ -173,6 +197,40 @@ def _left(key: Key, reading: Reading) -> float:
     true, colour = _truth_of(key.exam, sensor)
     left = true - _model(bins, reading, sensor)
     return power.d_prime(power.precision(bins, sensor, colour), left)
+
+
+SIGNS = {"lacking": 1, "too_small": 1, "agreed": 0, "too_large": -1, "superfluous": -1}
+"""Of which the recording has more: of the effect than its simulation 1, less -1."""
+
+
+def _relation_marked(key: Key, reading: Reading) -> RelationMark:
+    """Return what was made of an effect that a simulation has a share of.
+
+    Right where it agrees: it is listed as agreed, and no finding is about it.
+    """
+    assert key.relation is not None, "keys of this kind have a relation"
+    truth = key.effects[0]
+    stated = [s for s in reading.statements if _is_about(s, truth)]
+    others = [
+        s.effect for s in reading.statements if not _is_about(s, truth) and s.effect not in _true_names(key)
+    ]
+    if stated:
+        said = stated[0].relation or "none"
+        turned = SIGNS.get(said, 0) * SIGNS[key.relation] < 0
+        outcome = "right" if said == key.relation else "wrong_sign" if turned else "wrong"
+    elif key.relation == "agreed":
+        said = "agreed" if (truth.effect, truth.sensor) in reading.agreed else "nothing"
+        outcome = "right" if said == "agreed" else "undecided"
+    else:
+        said = "agreed" if (truth.effect, truth.sensor) in reading.agreed else "nothing"
+        outcome = "wrong" if said == "agreed" else "undecided"
+    return RelationMark(key.relation, said, outcome, key.can_tell, others)
+
+
+def _is_about(statement: Statement, truth: TrueEffect) -> bool:
+    return truth.effect in statement.members and (
+        truth.effect not in SENSOR_IS_PART or statement.sensor == truth.sensor
+    )
 
 
 def _effect_marked(truth: TrueEffect, key: Key, reading: Reading) -> EffectMark:

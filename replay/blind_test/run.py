@@ -8,12 +8,13 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillcal.replay.blind_test.answer import SOLVERS, answer_all, can_leave_out
+from stillcal.replay.blind_test.answer import SOLVERS, answer_all, can_leave_out, given_a_simulation
 from stillcal.replay.blind_test.keys import Key
 from stillcal.replay.blind_test.make import Manifest, make
-from stillcal.replay.blind_test.marking import Mark
+from stillcal.replay.blind_test.marking import GIVEN_A_SIMULATION, Mark
 from stillcal.replay.blind_test.reveal import open_keys, read_marks, to_leave_out
-from stillcal.replay.blind_test.scores import Line, Score, compared, scored
+from stillcal.replay.blind_test.score_lines import Line
+from stillcal.replay.blind_test.scores import Score, compared, scored
 
 LEFT_OUT_SHARE = 0.05
 """Share of the trials that are diagnosed again with their catalogue entry removed."""
@@ -39,6 +40,7 @@ def prove(
     *,
     jobs: int = 1,
     beside: Collection[str] = (),
+    trials_too: bool = True,
     tick: Tick = lambda stage, done, of: None,
 ) -> Verdict:
     """Run the blind test in `folder` (new or empty); keys are moved there only after all answers.
@@ -54,13 +56,14 @@ def prove(
             seed,
             jobs=jobs,
             beside=beside,
+            trials_too=trials_too,
             tick=lambda done, of: tick("making", done, of),
         )
         for solver in SOLVERS:
-            show_answers = _progress_of(tick, solver, len(manifest.seals))
-            answer_all(
-                recordings, folder / solver, list(manifest.seals), solver, jobs=jobs, tick=show_answers
-            )
+            first = solver == SOLVERS[0]
+            names = [n for n in manifest.seals if first or not given_a_simulation(recordings, n)]
+            show_answers = _progress_of(tick, solver, len(names))
+            answer_all(recordings, folder / solver, names, solver, jobs=jobs, tick=show_answers)
         shutil.move(Path(withheld) / "keys", sealed)
     keys = open_keys(manifest, sealed)
     left_out = _answers_without_entry(folder, manifest, keys, jobs, tick) if can_leave_out() else []
@@ -86,9 +89,11 @@ def _answers_without_entry(
 
 def judged(keys: dict[str, Key], answers: dict[str, Path], left_out: list[Mark] | None = None) -> Verdict:
     """Return the scores of folders of answers, by solver; the required scores are for the first one."""
-    marks = {solver: read_marks(keys, folder) for solver, folder in answers.items()}
-    first = next(iter(marks))
+    first = next(iter(answers))
+    alone = {name: key for name, key in keys.items() if key.kind not in GIVEN_A_SIMULATION}
+    marks = {s: read_marks(keys if s == first else alone, folder) for s, folder in answers.items()}
     scores = [scored(s, m, left_out if s == first else None) for s, m in marks.items()]
-    comparison = compared(scores)
+    # Where only given simulations were judged there is nothing that the baselines could have answered.
+    comparison = compared(scores) if alone else []
     bars = [line.holds for line in (*scores[0].lines, *comparison) if line.holds is not None]
     return Verdict(scores, comparison, all(bars), marks[first])

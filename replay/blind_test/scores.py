@@ -9,9 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from stillcal.replay.blind_test.confidence_bounds import Mean, Power, Rate, mean, power, rate
+from stillcal.replay.blind_test.confidence_bounds import Power, Rate, mean, power, rate
 from stillcal.replay.blind_test.designs import DECOYS
-from stillcal.replay.blind_test.marking import NAMELESS, EffectMark, Mark
+from stillcal.replay.blind_test.marking import GIVEN_A_SIMULATION, NAMELESS, EffectMark, Mark
+from stillcal.replay.blind_test.score_lines import Line, at_least, at_most, without_bar
+from stillcal.replay.blind_test.simulations.scores import simulation_lines
 from stillcal.replay.blind_test.world.grounds import GROUNDS
 from stillcal.replay.blind_test.world.noise import FAMILIES
 
@@ -22,23 +24,6 @@ COVERAGE_95, COVERAGE_90 = (0.93, 0.97), (0.87, 0.93)
 
 RELIABILITY = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 0.999, np.inf)
 """Bounds of the classes of stated probability."""
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One score.
-
-    low, high: 95 % bounds. n: cases. bar: the required value, '' for none. holds: whether it is reached, None
-    without a bar, False where nothing was tested.
-    """
-
-    what: str
-    value: float | None
-    low: float | None
-    high: float | None
-    n: int
-    bar: str = ""
-    holds: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,24 +39,12 @@ class Score:
 
 def scored(solver: str, marks: Sequence[Mark], left_out: Sequence[Mark] | None = None) -> Score:
     """Return a solver's scores. left_out: marks of clear effects with their catalogue entry removed."""
-    singles = [(m, e) for m in marks if m.kind == "single" for e in m.effects]
-    clear = [(m, e) for m, e in singles if e.d_prime is None or e.d_prime >= NAMING_D]
-    nulls = [m for m in marks if m.kind == "null"]
-    alarms = rate(sum(m.alarmed for m in nulls), len(nulls))
-    scaled = [(e.d_prime, m.alarmed) for m, e in singles if e.d_prime is not None]
-    curve = power([d for d, _ in scaled], [detected for _, detected in scaled], alarms.value or 0.0)
+    alone = [m for m in marks if m.kind not in GIVEN_A_SIMULATION]
+    clear = _clear(alone)
+    curve = _power(alone)
     lines = [
-        *_false_alarms(marks),
-        *_detection(scaled, curve),
-        *_naming(clear),
-        *_near_shapes(marks),
-        *_off_catalogue(marks, "off_catalogue", "off-catalogue"),
-        *_off_catalogue(marks, "reserve", "off-catalogue in reserve"),
-        *_models(marks, clear),
-        *_reliability(marks),
-        *_places(marks, clear),
-        _pairs(marks),
-        *_left_out(left_out),
+        *(_of_recordings(alone, clear, curve, left_out) if alone else []),
+        *simulation_lines(marks),
         _failures(marks),
     ]
     confusion: dict[str, Counter[str]] = {}
@@ -87,23 +60,50 @@ def scored(solver: str, marks: Sequence[Mark], left_out: Sequence[Mark] | None =
     )
 
 
+def _clear(marks: Sequence[Mark]) -> list[tuple[Mark, EffectMark]]:
+    """Return the single effects that are large enough to be named."""
+    singles = [(m, e) for m in marks if m.kind == "single" for e in m.effects]
+    return [(m, e) for m, e in singles if e.d_prime is None or e.d_prime >= NAMING_D]
+
+
+def _scaled(marks: Sequence[Mark]) -> list[tuple[float, bool]]:
+    """Return d' of single effects, and whether anything was found."""
+    singles = [(e.d_prime, m.alarmed) for m in marks if m.kind == "single" for e in m.effects]
+    return [(d, alarmed) for d, alarmed in singles if d is not None]
+
+
+def _power(marks: Sequence[Mark]) -> Power | None:
+    nulls, scaled = [m for m in marks if m.kind == "null"], _scaled(marks)
+    alarms = rate(sum(m.alarmed for m in nulls), len(nulls))
+    return power([d for d, _ in scaled], [detected for _, detected in scaled], alarms.value or 0.0)
+
+
+def _of_recordings(
+    marks: Sequence[Mark],
+    clear: list[tuple[Mark, EffectMark]],
+    curve: Power | None,
+    left_out: Sequence[Mark] | None,
+) -> list[Line]:
+    """Return the scores of recordings that are diagnosed alone."""
+    return [
+        *_false_alarms(marks),
+        *_detection(_scaled(marks), curve),
+        *_naming(clear),
+        *_near_shapes(marks),
+        *_off_catalogue(marks, "off_catalogue", "off-catalogue"),
+        *_off_catalogue(marks, "reserve", "off-catalogue in reserve"),
+        *_models(marks, clear),
+        *_reliability(marks),
+        *_places(marks, clear),
+        _pairs(marks),
+        *_left_out(left_out),
+    ]
+
+
 def _judged_marks(marks: Sequence[Mark]) -> list[Mark]:
     """Return the marks that can be right or wrong: all but those of effects too small to see."""
-    return [m for m in marks if m.kind != "single" or (m.effects[0].d_prime or NAMING_D) >= NAMING_D]
-
-
-def _at_most(what: str, share: Rate, bar: float) -> Line:
-    holds = share.value is not None and share.value <= bar
-    return Line(what, share.value, share.low, share.high, share.n, f"<= {bar:.0%}", holds)
-
-
-def _at_least(what: str, share: Rate | Mean, bar: float) -> Line:
-    holds = share.value is not None and share.value >= bar
-    return Line(what, share.value, share.low, share.high, share.n, f">= {bar:.0%}", holds)
-
-
-def _without_bar(what: str, share: Rate | Mean) -> Line:
-    return Line(what, share.value, share.low, share.high, share.n)
+    alone = [m for m in marks if m.kind not in GIVEN_A_SIMULATION]
+    return [m for m in alone if m.kind != "single" or (m.effects[0].d_prime or NAMING_D) >= NAMING_D]
 
 
 def _share(marks: Sequence[Mark], true: Callable[[Mark], bool]) -> Rate:
@@ -115,14 +115,14 @@ def _false_alarms(marks: Sequence[Mark]) -> list[Line]:
     nulls = [m for m in quiet if m.kind == "null"]
 
     def family(text: str, members: list[Mark]) -> Line:
-        return _at_most(f"false alarms, {text}", _share(members, lambda m: m.alarmed), FAMILY_ALARMS)
+        return at_most(f"false alarms, {text}", _share(members, lambda m: m.alarmed), FAMILY_ALARMS)
 
-    lines = [_at_most("false alarms, nulls and decoys", _share(quiet, lambda m: m.alarmed), FALSE_ALARMS)]
+    lines = [at_most("false alarms, nulls and decoys", _share(quiet, lambda m: m.alarmed), FALSE_ALARMS)]
     lines += [family(f"{f} noise", [m for m in nulls if m.family == f]) for f in FAMILIES]
     lines += [family(f"on {g}", [m for m in nulls if m.ground == g]) for g in GROUNDS]
     lines += [family(f"decoy: {d}", [m for m in quiet if m.variant == d]) for d in DECOYS]
     return lines + [
-        _without_bar(
+        without_bar(
             f"false alarms, made by the {k}", _share([m for m in quiet if m.maker == k], lambda m: m.alarmed)
         )
         for k in sorted({m.maker for m in quiet})
@@ -138,14 +138,14 @@ def _detection(scaled: list[tuple[float, bool]], curve: Power | None) -> list[Li
     for low_edge, high_edge in pairwise(edges):
         inside = [detected for d, detected in scaled if low_edge <= d < high_edge]
         span = f"{low_edge:g} to {high_edge:g}" if np.isfinite(high_edge) else f"over {low_edge:g}"
-        lines.append(_without_bar(f"detected, d' {span}", rate(sum(inside), len(inside))))
+        lines.append(without_bar(f"detected, d' {span}", rate(sum(inside), len(inside))))
     return lines
 
 
 def _naming(clear: list[tuple[Mark, EffectMark]]) -> list[Line]:
     right = [m.right for m, _ in clear]
     lines = [
-        _at_least(
+        at_least(
             f"named right and nothing false beside, d' >= {NAMING_D:g}", rate(sum(right), len(right)), NAMED
         )
     ]
@@ -156,9 +156,9 @@ def _naming(clear: list[tuple[Mark, EffectMark]]) -> list[Line]:
         ("other", "given another name"),
         ("missed", "missed"),
     ):
-        lines.append(_without_bar(f"  {text}", rate(sum(e.named == named for _, e in clear), len(clear))))
+        lines.append(without_bar(f"  {text}", rate(sum(e.named == named for _, e in clear), len(clear))))
     lines.append(
-        _without_bar(
+        without_bar(
             "  with a false name beside", rate(sum(bool(m.false_names) for m, _ in clear), len(clear))
         )
     )
@@ -170,12 +170,12 @@ def _off_catalogue(marks: Sequence[Mark], kind: str, text: str) -> list[Line]:
     if kind == "reserve" and not chosen:
         return []
     lines = [
-        _at_least(f"{text} called unknown", _share(chosen, lambda m: m.unknown), UNKNOWN),
-        _at_most(f"{text} misnamed", _share(chosen, lambda m: bool(m.false_names)), MISNAMED),
+        at_least(f"{text} called unknown", _share(chosen, lambda m: m.unknown), UNKNOWN),
+        at_most(f"{text} misnamed", _share(chosen, lambda m: bool(m.false_names)), MISNAMED),
     ]
     for variant in sorted({m.variant or "" for m in chosen}):
         of_it = [m for m in chosen if m.variant == variant]
-        lines.append(_without_bar(f"  {variant}: unknown", _share(of_it, lambda m: m.unknown)))
+        lines.append(without_bar(f"  {variant}: unknown", _share(of_it, lambda m: m.unknown)))
     return lines
 
 
@@ -196,10 +196,10 @@ def _near_shapes(marks: Sequence[Mark]) -> list[Line]:
         "missed": "missed",
     }
     return [
-        _at_most("near-shapes plainly identified", _share(near, lambda m: m.near == "plain"), MISNAMED),
-        _at_most("near-shapes misnamed", _share(near, lambda m: m.near == "other"), MISNAMED),
+        at_most("near-shapes plainly identified", _share(near, lambda m: m.near == "plain"), MISNAMED),
+        at_most("near-shapes misnamed", _share(near, lambda m: m.near == "other"), MISNAMED),
         *(
-            _without_bar(f"  {text}", _share(near, lambda m, o=outcome: m.near == o))  # type: ignore[misc]
+            without_bar(f"  {text}", _share(near, lambda m, o=outcome: m.near == o))  # type: ignore[misc]
             for outcome, text in outcomes.items()
         ),
     ]
@@ -212,7 +212,7 @@ def _models(marks: Sequence[Mark], clear: list[tuple[Mark, EffectMark]]) -> list
     return [
         _coverage("95 % intervals that hold the truth", [e.covered for e in judged], COVERAGE_95),
         _coverage("90 % intervals that hold the truth", [e.covered_90 for e in judged], COVERAGE_90),
-        _without_bar("held-out gain, of the oracle's", mean(ratios)),
+        without_bar("held-out gain, of the oracle's", mean(ratios)),
     ]
 
 
@@ -234,7 +234,7 @@ def _reliability(marks: Sequence[Mark]) -> list[Line]:
         stated = float(np.mean([c.probability for c in chosen])) if chosen else None
         what = f"findings of probability {low:g} to {min(high, 1.0):g} that are true"
         if stated is None:
-            lines.append(_without_bar(what, share))
+            lines.append(without_bar(what, share))
         else:
             holds = share.low <= stated <= share.high
             lines.append(
@@ -247,21 +247,21 @@ def _reliability(marks: Sequence[Mark]) -> list[Line]:
 def _places(marks: Sequence[Mark], clear: list[tuple[Mark, EffectMark]]) -> list[Line]:
     off_catalogue = [e for m in marks if m.kind in NAMELESS for e in m.effects]
     lines = [
-        _without_bar("overlap of time spans", mean([e.overlap for _, e in clear if e.overlap is not None])),
-        _without_bar(
+        without_bar("overlap of time spans", mean([e.overlap for _, e in clear if e.overlap is not None])),
+        without_bar(
             "overlap of time spans, without a name",
             mean([e.overlap for e in off_catalogue if e.overlap is not None]),
         ),
-        _without_bar("overlap of axes", mean([e.axes for _, e in clear if e.axes is not None])),
+        without_bar("overlap of axes", mean([e.axes for _, e in clear if e.axes is not None])),
     ]
     time_errors = [e.apart_s for _, e in clear if e.apart_s is not None]
-    return [*lines, _without_bar("steps' time off by, s", mean(time_errors))]
+    return [*lines, without_bar("steps' time off by, s", mean(time_errors))]
 
 
 def _pairs(marks: Sequence[Mark]) -> Line:
     pairs = [m for m in marks if m.kind == "pair"]
     both = _share(pairs, lambda m: all(e.named in ("alone", "set") for e in m.effects))
-    return _at_least("both effects of a pair found", both, PAIRS)
+    return at_least("both effects of a pair found", both, PAIRS)
 
 
 def _left_out(marks: Sequence[Mark] | None) -> list[Line]:
@@ -270,8 +270,8 @@ def _left_out(marks: Sequence[Mark] | None) -> list[Line]:
     true = {m.name: {e.effect for e in m.effects} for m in marks}
     misnamed = [m for m in marks if set(m.false_names) - true[m.name]]
     return [
-        _at_least("entry removed: called unknown", _share(marks, lambda m: m.unknown), UNKNOWN),
-        _at_most("entry removed: given a neighbour's name", rate(len(misnamed), len(marks)), MISNAMED),
+        at_least("entry removed: called unknown", _share(marks, lambda m: m.unknown), UNKNOWN),
+        at_most("entry removed: given a neighbour's name", rate(len(misnamed), len(marks)), MISNAMED),
     ]
 
 

@@ -23,7 +23,8 @@ from stillcal.replay.blind_test import reveal as revealing
 from stillcal.replay.blind_test import run as proof
 from stillcal.replay.blind_test.keys import SealError
 from stillcal.replay.blind_test.make import ChallengeError, commit, make, read_manifest
-from stillcal.replay.blind_test.scores import Line, Score
+from stillcal.replay.blind_test.score_lines import Line
+from stillcal.replay.blind_test.scores import Score
 
 _folder = click.Path(path_type=Path)
 _trials = click.option(
@@ -34,6 +35,16 @@ _seed = click.option(
 )
 _jobs = click.option(
     "--jobs", default=1, show_default=True, type=click.IntRange(1), help="Number of processes."
+)
+STAGES = {"recordings": None, "simulations": "simulated", "phone-files": "phone_file"}
+"""Stages of the proof, with the kind of case that each has beside the trials."""
+
+_stages = click.option(
+    "--stage",
+    "stages",
+    type=click.Choice(list(STAGES)),
+    multiple=True,
+    help="Only this stage; may be given several times. Simulations are 30, phone files 4 for 100 trials.",
 )
 _reserve = click.option(
     "--reserve", is_flag=True, help="Also draw the effects in reserve, 12 for 100 trials; scored apart."
@@ -62,19 +73,26 @@ def challenge_group() -> None:
 @_seed
 @_jobs
 @_reserve
+@_stages
 def make_command(  # noqa: PLR0917 - click hands every option over by name
-    recordings: Path, keys: Path, trials: int, seed: int, jobs: int, reserve: bool
+    recordings: Path,
+    keys: Path,
+    trials: int,
+    seed: int,
+    jobs: int,
+    reserve: bool,
+    stages: tuple[str, ...],
 ) -> None:
     """Write recordings with hidden effects and the manifest of seals into RECORDINGS, the keys elsewhere."""
     with _refusals(), _progress() as tick:
-        beside = _beside(reserve)
         manifest = make(
             recordings,
             keys,
             trials,
             seed,
             jobs=jobs,
-            beside=beside,
+            beside=_beside(stages, reserve),
+            trials_too=_asked(stages, "recordings"),
             tick=lambda done, of: tick("making", done, of),
         )
     click.echo(f"{recordings}: {len(manifest.seals)} recordings and their manifest; keys in {keys}")
@@ -147,8 +165,15 @@ def reveal_command(recordings: Path, keys: Path, answers: tuple[Path, ...], json
 @_json
 @click.option("--keep", type=_folder, help="Keep recordings, keys and answers in this new folder.")
 @_reserve
+@_stages
 def prove_command(  # noqa: PLR0917 - click hands every option over by name
-    trials: int, seed: int, jobs: int, json_path: Path | None, keep: Path | None, reserve: bool
+    trials: int,
+    seed: int,
+    jobs: int,
+    json_path: Path | None,
+    keep: Path | None,
+    reserve: bool,
+    stages: tuple[str, ...],
 ) -> None:
     """Run the whole blind test: hide effects, seal the keys, diagnose, reveal, score.
 
@@ -156,12 +181,25 @@ def prove_command(  # noqa: PLR0917 - click hands every option over by name
     and 3 MB of disk a recording.
     """
     with _refusals(), _working_folder(keep) as folder, _progress() as tick:
-        verdict = proof.prove(folder, trials, seed, jobs=jobs, beside=_beside(reserve), tick=tick)
+        verdict = proof.prove(
+            folder,
+            trials,
+            seed,
+            jobs=jobs,
+            beside=_beside(stages, reserve),
+            trials_too=_asked(stages, "recordings"),
+            tick=tick,
+        )
     _show_verdict(verdict, json_path)
 
 
-def _beside(reserve: bool) -> tuple[str, ...]:
-    return ("reserve",) if reserve else ()
+def _beside(stages: tuple[str, ...], reserve: bool) -> list[str]:
+    """Return the kinds of case that are made beside the trials. stages: those asked for, none for all."""
+    return ["reserve"] * reserve + [kind for stage, kind in STAGES.items() if kind and _asked(stages, stage)]
+
+
+def _asked(stages: tuple[str, ...], stage: str) -> bool:
+    return not stages or stage in stages
 
 
 @contextmanager
@@ -203,8 +241,9 @@ def _show_verdict(verdict: proof.Verdict, json_path: Path | None) -> None:
     """Print the table, write the JSON, and leave with the exit code."""
     console = Console(stderr=json_path == Path("-"), width=None if sys.stdout.isatty() else 150)
     console.print(_table(verdict.scores))
-    console.print(_comparison(verdict.comparison))
-    console.print(_confusion(verdict.scores[0]))
+    if verdict.comparison:
+        console.print(_comparison(verdict.comparison))
+        console.print(_confusion(verdict.scores[0]))
     console.print(
         "All required scores are reached." if verdict.holds else "Not all required scores are reached."
     )

@@ -1,0 +1,1 @@
+"""Judging given simulations: recordings of them, and phone files that are written back."""
