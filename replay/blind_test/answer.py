@@ -8,7 +8,6 @@ that could make or open a key.
 
 from __future__ import annotations
 
-import inspect
 import os
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from typing import IO, Any
 import msgspec
 
 from stillcal import calib_core, config, replay
+from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.phone.phone import load_phone
@@ -73,41 +73,37 @@ def given_a_simulation(folder: Path, name: str) -> bool:
 
 def _simulation_judged(folder: Path, name: str) -> dict[str, Any]:
     """Return the answer to a recording and a simulation of it."""
-    from stillcal.replay.diagnosis.given_simulation import judge_simulation  # noqa: PLC0415 - only where one is given
+    from stillcal.replay.diagnosis.diagnose import Request, diagnose  # noqa: PLC0415 - baselines do without it
 
     real, simulation = read_all(folder / f"{name}.csv"), read_all(folder / f"{name}{SIMULATION}")
-    return judge_simulation(real, simulation).answer
+    return diagnose(real, Request(simulated=simulation)).judged.answer
 
 
 def _phone_written_back(folder: Path, name: str) -> dict[str, Any]:
     """Return the answer to a fresh day and the phone file that the first day's diagnosis wrote back.
 
-    Its field `first` is the answer to the first day and the phone file as it was given.
+    Its field `first` is the answer to the first day and the phone file as it was given. A first day whose
+    diagnosis writes no phone file leaves the phone as it was.
     """
-    from stillcal.replay.diagnosis.report.answer import Request, answer_for_recording  # noqa: PLC0415 - only here
+    from stillcal.replay.diagnosis.diagnose import Request, diagnose  # noqa: PLC0415 - baselines do without it
 
     given = load_phone(folder / f"{name}{PHONE}")
-    first = answer_for_recording(
-        read_all(folder / f"{name}.csv"), Request(given, f"{name}{PHONE}", phone_file=True)
+    first = diagnose(
+        read_all(folder / f"{name}.csv"), Request(phone=given, phone_name="given", phone_file=True)
     )
-    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as written:
-        written.write(first.phone or "")
-        written.flush()
-        better = load_phone(written.name)
-    fresh = answer_for_recording(read_all(folder / f"{name}{FRESH}"), Request(better, "better.toml"))
-    return fresh.answer | {"first": first.answer}
+    better = given
+    if first.phone_text is not None:
+        with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as written:
+            written.write(first.phone_text)
+            written.flush()
+            better = load_phone(written.name)
+    fresh = diagnose(read_all(folder / f"{name}{FRESH}"), Request(phone=better, phone_name="written back"))
+    return fresh.judged.answer | {"first": first.judged.answer}
 
 
 def _without_findings(name: str, verdict: str, error: Exception) -> dict[str, Any]:
     why = f"{type(error).__name__}: {error}"
     return {"schema": 2, "recording": f"{name}.csv", "verdict": verdict, "findings": [], "why": why}
-
-
-def can_leave_out() -> bool:
-    """Return whether the diagnosis lets entries of its catalogue be removed (its keyword `without`)."""
-    from stillcal.calib_core.diagnosis import diagnose as diagnosis  # noqa: PLC0415 - asked once, before a proof
-
-    return "without" in inspect.signature(diagnosis.diagnose).parameters
 
 
 def _confine(folders: Sequence[Path]) -> None:
@@ -136,7 +132,8 @@ def run(solver: str, out: Path, names: Sequence[str]) -> None:
     for item in names:
         name, _, without = item.partition("=")
         temporary = out / f".{name}.part"
-        temporary.write_bytes(msgspec.json.encode(answer_one(Path(), name, solver, without or None)))
+        answer = answer_one(Path(), name, solver, without or None)
+        temporary.write_bytes(msgspec.json.encode(jsonable(answer)))
         temporary.replace(out / f"{name}.json")
 
 

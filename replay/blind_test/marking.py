@@ -199,6 +199,12 @@ def _left(key: Key, reading: Reading) -> float:
     return power.d_prime(power.precision(bins, sensor, colour), left)
 
 
+ALWAYS_THERE = (
+    "accel_bias", "gyro_bias", "accel_scale", "gyro_scale", "noise_level", "noise_unequal_axes",
+    "accel_bias_random_walk", "gyro_bias_random_walk",
+)  # fmt: skip
+"""Of these every sensor has some: a simulation that lacks it has too little of it, and both are right."""
+
 SIGNS = {"lacking": 1, "too_small": 1, "agreed": 0, "too_large": -1, "superfluous": -1}
 """Of which the recording has more: of the effect than its simulation 1, less -1."""
 
@@ -217,7 +223,10 @@ def _relation_marked(key: Key, reading: Reading) -> RelationMark:
     if stated:
         said = stated[0].relation or "none"
         turned = SIGNS.get(said, 0) * SIGNS[key.relation] < 0
-        outcome = "right" if said == key.relation else "wrong_sign" if turned else "wrong"
+        same = said == key.relation or (
+            truth.effect in ALWAYS_THERE and SIGNS.get(said, 0) == SIGNS[key.relation]
+        )
+        outcome = "right" if same else "wrong_sign" if turned else "wrong"
     elif key.relation == "agreed":
         said = "agreed" if (truth.effect, truth.sensor) in reading.agreed else "nothing"
         outcome = "right" if said == "agreed" else "undecided"

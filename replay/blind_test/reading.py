@@ -1,7 +1,4 @@
-"""Reading an answer: the JSON of `stillcal diagnose`, schema 2, as plain records that the marking works on.
-
-Schema 1, which the baselines of before and other tools may write, is translated here and nowhere else.
-"""
+"""Reading an answer: the JSON of `stillcal diagnose`, schema 2, as plain records for the marking."""
 
 from __future__ import annotations
 
@@ -12,14 +9,6 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-
-VERDICTS_1 = {
-    "adequate": "match",
-    "explained": "identified",
-    "partly_explained": "partly_identified",
-    "unexplained": "unidentified",
-}
-"""Verdicts of schema 1 in the words of schema 2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,11 +68,10 @@ class Reading:
 
 def read(answer: Mapping[str, Any]) -> Reading:
     """Read an answer; findings without the documented layout are left out."""
-    verdict = str(answer.get("verdict", "failed"))
     findings = [f for f in answer.get("findings") or [] if isinstance(f, dict) and "effect" in f]
     agreed = [a for a in answer.get("agreed") or [] if isinstance(a, dict)]
     return Reading(
-        VERDICTS_1.get(verdict, verdict),
+        str(answer.get("verdict", "failed")),
         tuple(_statement(f) for f in findings),
         tuple((str(a.get("effect")), str(a.get("sensor"))) for a in agreed),
     )

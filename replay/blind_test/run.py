@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillcal.replay.blind_test.answer import SOLVERS, answer_all, can_leave_out, given_a_simulation
+from stillcal.replay.blind_test.answer import SOLVERS, answer_all, given_a_simulation
 from stillcal.replay.blind_test.keys import Key
 from stillcal.replay.blind_test.make import Manifest, make
 from stillcal.replay.blind_test.marking import GIVEN_A_SIMULATION, Mark
@@ -66,7 +66,7 @@ def prove(
             answer_all(recordings, folder / solver, names, solver, jobs=jobs, tick=show_answers)
         shutil.move(Path(withheld) / "keys", sealed)
     keys = open_keys(manifest, sealed)
-    left_out = _answers_without_entry(folder, manifest, keys, jobs, tick) if can_leave_out() else []
+    left_out = _answers_without_entry(folder, manifest, keys, jobs, tick)
     return judged(keys, {solver: folder / solver for solver in SOLVERS}, left_out)
 
 

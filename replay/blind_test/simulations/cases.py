@@ -43,7 +43,8 @@ def make_simulated(design: Design, rng: np.random.Generator) -> Case:
     The maker is that of the recording; the simulation is always the simulated phone's.
     """
     days, name = _drawn_days(rng), design.names[0]
-    base = without_own(_phone(design, days.rates[0], rng), name)
+    # A phone whose jitter is usual at the higher rate is usual at both.
+    base = without_own(_phone(design, max(days.rates), rng), name)
     stages = _stages(design, base, days, rng)
     full = drawn(stages[0], name, design.d_prime)
     assert design.share is not None, "the plan draws a share for every case of this kind"

@@ -13,7 +13,6 @@ from stillcal.replay.blind_test.cases import make_case
 from stillcal.replay.blind_test.designs import DECOYS, Design
 from stillcal.replay.blind_test.keys import Key, TrueEffect
 from stillcal.replay.blind_test.marking import marked
-from stillcal.replay.blind_test.reading import read
 from stillcal.replay.blind_test.scores import Score, compared, scored
 from stillcal.replay.blind_test.world.grounds import GROUNDS
 from stillcal.replay.blind_test.world.noise import FAMILIES
@@ -178,12 +177,6 @@ def test_ninety_per_cent_intervals_are_narrower() -> None:
     }
     mark = marked("r0001", single(), answer(stated)).effects[0]
     assert mark.covered == [True, True, False] and mark.covered_90 == [True, False, False]
-
-
-def test_the_older_schema_reads_the_same() -> None:
-    old = {"schema": 1, "verdict": "partly_explained", "findings": [finding(SLOPE)]}
-    assert read(old).verdict == "partly_identified" and read({}).verdict == "failed"
-    assert read(old).statements[0].effect == SLOPE.effect
 
 
 @pytest.mark.parametrize(

@@ -117,6 +117,14 @@ def test_relations_are_marked(relation: str, given: dict[str, Any], outcome: str
     assert mark.right == (outcome == "right") and mark.relation.others == []
 
 
+def test_a_bias_is_lacking_where_there_is_too_little_of_it() -> None:
+    bias = TrueEffect("gyro_bias", "gyro", ["x"], {"size": [0.01, 0.0, 0.0]}, None, 0.0, 900.0)
+    lacking = Key("simulated", "white", "examiner", variant="gyro_bias", effects=[bias], relation="lacking")
+    said = {"effect": "gyro_bias", "sensor": "gyro", "relation": "too_small"}
+    mark = marked("r1", lacking, {"verdict": "identified", "findings": [said]})
+    assert mark.relation is not None and mark.relation.outcome == "right"
+
+
 def test_what_is_stated_besides_is_counted() -> None:
     mark = marked("r1", key("lacking"), answer("lacking", other=True))
     assert mark.relation is not None and mark.relation.others == ["accel_scale"]
