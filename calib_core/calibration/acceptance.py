@@ -13,16 +13,30 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stillcal.calib_core.accelerometer.parameters import BIAS, basis, norm_rows
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.candidate import ASSUMED_SCATTER, Candidate, fit_accelerometer
 from stillcal.calib_core.calibration.drift_check import QualitySettings, norm_residuals
-from stillcal.calib_core.calibration.record import Acceptance, CalibrationRecord, Evidence
+from stillcal.calib_core.calibration.record import (
+    AccelerometerRecord,
+    Acceptance,
+    CalibrationRecord,
+    Evidence,
+)
+from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.model import SensorModel
 
 _ALL_SIGN_PATTERNS = 12
 """Up to this many attitudes all 2^n sign patterns are tried, 4096 at most; beyond it 4096 are drawn, which
 leaves a standard error of 0.0024 on a chance of 0.025."""
+
+
+CLEARLY = 0.7
+"""A stated uncertainty below this share of another one is clearly smaller: half the variance."""
+
+_DIRECTIONS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z])
+_DIRECTIONS = _DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +58,8 @@ class Comparison:
 
     rests: attitudes compared, one value each. gain: mean log score per attitude that the new calibration
     gains, nats. chance: probability that swapping the two at random gains as much. rms_old, rms_new: m/s^2,
-    root mean square of the held-out residuals. better: the gain is more than chance.
+    root mean square of the held-out residuals. better: the gain is more than chance. chance_worse:
+    probability that swapping the two at random loses as much.
     """
 
     rests: int
@@ -53,6 +68,7 @@ class Comparison:
     rms_old: float
     rms_new: float
     better: bool
+    chance_worse: float = 1.0
 
 
 def decide(
@@ -61,11 +77,12 @@ def decide(
     """Decide whether `new` replaces `old`: only if it explains held-out rests better, by more than chance.
 
     degraded: the old calibration has failed its check. The rests that it failed on are then the evidence
-    against it, and the new one only has to be no worse. A first calibration is always accepted.
+    against it, and the new one only has to be no worse. A first calibration is always accepted. One that is
+    not worse by more than chance is accepted too where its stated uncertainty is clearly smaller.
     """
     if old is None or old.accelerometer is None:
         return Decision(True, "the first calibration", {"rms_residual": new.accelerometer.rms_residual})
-    comparison = compare_on_held_out_rests(new, old.accelerometer.model, old.fitted_at, settings)
+    comparison = compare_on_held_out_rests(new, old.accelerometer.model, old.fitted_at, settings, old)
     evidence: Evidence = {f"held_out_{name}": value for name, value in asdict(comparison).items()}
     figures = (
         f"held-out rms {comparison.rms_new:.2g} after {comparison.rms_old:.2g} m/s^2"
@@ -76,7 +93,33 @@ def decide(
     if degraded and comparison.rests and comparison.rms_new < comparison.rms_old:
         return Decision(True, f"the old one failed its check: {figures}", evidence)
     enough = comparison.rests >= settings.held_out_rests
+    as_good = enough and comparison.chance_worse > settings.chance
+    if as_good and new.record.accelerometer and clearly_smaller(new.record.accelerometer, old.accelerometer):
+        return Decision(True, f"as good and less uncertain: {figures}", evidence)
     return Decision(False, f"not better by more than chance: {figures}", evidence, settled=enough)
+
+
+def clearly_smaller(new: AccelerometerRecord, old: AccelerometerRecord) -> bool:
+    """Tell whether a calibration's stated uncertainty, over all directions, is clearly below another's.
+
+    Each step of a chain of such calibrations must shrink the stated uncertainty by CLEARLY, so that all of
+    them together cannot lead further than a few times the first one's: the chain cannot creep.
+    """
+    ours, theirs = stated_uncertainty(new), stated_uncertainty(old)
+    return ours is not None and theirs is not None and ours < CLEARLY * theirs
+
+
+def stated_uncertainty(part: AccelerometerRecord) -> float | None:
+    """Return the root mean square over all directions of a norm's stated uncertainty, m/s^2, None if unknown.
+
+    A direction's is that of the calibrated norm of a force of gravity's size, by the parameters' covariance.
+    """
+    if part.covariance is None or not np.isfinite(part.covariance).all():
+        return None
+    rows = norm_rows(_DIRECTIONS, basis(part.parameters)) * np.where(
+        np.isin(part.names, BIAS), 1.0, part.gravity
+    )
+    return float(np.sqrt(np.mean(np.einsum("ni,ij,nj->n", rows, part.covariance, rows))))
 
 
 def with_decision(new: Candidate, decision: Decision, occasion: str) -> CalibrationRecord:
@@ -96,18 +139,25 @@ def with_decision(new: Candidate, decision: Decision, occasion: str) -> Calibrat
 
 
 def compare_on_held_out_rests(
-    new: Candidate, old: SensorModel, since: float | None, settings: QualitySettings
+    new: Candidate,
+    old: SensorModel,
+    since: float | None,
+    settings: QualitySettings,
+    known: CalibrationRecord | None = None,
 ) -> Comparison:
     """Compare a candidate with an old model on the attitudes taken from `since` (s) on; None takes all.
 
     The old model took no part in those rests, and the candidate is refitted without each attitude. Rests
-    that share an attitude are not independent, so each attitude enters as one mean.
+    that share an attitude are not independent, so each attitude enters as one mean. known: the old
+    calibration with its terms; each calibration corrects the rests by its own.
     """
     held = new.pool.held
     fresh = np.array([since is None or h.rest.t_start >= since for h in held])
     refitted = _cross_validated(new, fresh)
     fresh &= np.isfinite(refitted)
-    old_residuals, own = norm_residuals(old, held)
+    old_residuals, own = norm_residuals(
+        old, (new.pool if known is None else compensated(new.pool, known)).held
+    )
     sd = np.hypot(own, new.accelerometer.rms_residual)
     attitudes = [fresh & (new.labels == k) for k in np.unique(new.labels[fresh])]
     old_means, new_means, sd_means = (
@@ -129,7 +179,8 @@ def compare_residuals(old: Array, new: Array, sd: Array, settings: QualitySettin
     chance = flipped_share(gains) if n else 1.0
     rms_old, rms_new = (float(np.sqrt(np.mean(r**2))) if n else 0.0 for r in (old, new))
     better = n >= settings.held_out_rests and chance <= settings.chance
-    return Comparison(n, float(gains.mean()) if n else 0.0, chance, rms_old, rms_new, better)
+    worse = flipped_share(-gains) if n else 1.0
+    return Comparison(n, float(gains.mean()) if n else 0.0, chance, rms_old, rms_new, better, worse)
 
 
 def _cross_validated(new: Candidate, asked: NDArray[np.bool_]) -> Array:
@@ -137,7 +188,8 @@ def _cross_validated(new: Candidate, asked: NDArray[np.bool_]) -> Array:
 
     NaN where the other attitudes do not support a fit, and for rests that were not asked for.
     """
-    held, residuals = new.pool.held, np.full(len(new.pool.held), np.nan)
+    held = compensated(new.pool, new.record).held
+    residuals = np.full(len(held), np.nan)
     folds = new.labels % new.settings.folds
     for fold in np.unique(folds[asked]):
         out = folds == fold

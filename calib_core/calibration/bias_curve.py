@@ -17,7 +17,6 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.acceptance import flipped_share
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.record import (
-    Acceptance,
     CalibrationRecord,
     Evidence,
     Term,
@@ -56,31 +55,41 @@ EFFECTS = {
 }
 PRIORS = {Sensor.ACCELEROMETER: ACCELEROMETER, Sensor.GYROSCOPE: GYROSCOPE}
 TAKEN_UP, DROPPED = "taken up", "dropped"
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Row and column of the scale's entries, in the order of a record's nine parameters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learnt:
     """The result of learning one sensor's bias.
 
-    bias: (3,) at the reference temperature now. scale: (3, 3) or None where it was not learnt. forecast: the
-    bias' uncertainty. term: the curve to correct by, None for none. change: "taken up", "dropped" or empty.
-    evidence: the figures of that decision.
+    bias: (3,) at the reference temperature now, and scale_change (3, 3), to be added. forecast: of this bias
+    with this term. term: the curve to correct by, None for none. change: "taken up", "dropped" or empty.
+    evidence: the figures of that decision. covariance: (9, 9) of bias and scale, as an accelerometer's record
+    has it, else None. t, errors, errors_sd: (n,) times of the rests, s, errors of predicting each from those
+    before it, and standard uncertainties of the predictions.
     """
 
     sensor: Sensor
     bias: Array
+    scale_change: Array
     forecast: Forecast
     term: Term | None
-    change: str = ""
-    evidence: Evidence | None = None
+    change: str
+    evidence: Evidence
+    covariance: Array | None
+    t: Array
+    errors: Array
+    errors_sd: Array
 
+    @property
     def reason(self) -> str:
-        """Return the decision on the curve in a sentence."""
-        figures = self.evidence or {}
+        """The decision on the curve in a sentence."""
+        figures, unit = self.evidence, EFFECTS[self.sensor][1]
         return (
-            f"{self.sensor}: bias by temperature {self.change}: over {figures.get('hours')} hours, its rests "
-            f"are predicted with rms {figures.get('rms_with'):.2g} with it, {figures.get('rms_without'):.2g} "
-            f"{EFFECTS[self.sensor][1]} without"
+            f"{self.sensor}: bias by temperature {self.change}: over {figures['hours']} hours, rests "
+            f"are predicted with rms {figures['rms_with']:.2g} {unit} with it, "
+            f"{figures['rms_without']:.2g} without"
         )
 
 
@@ -121,8 +130,7 @@ def learn_accelerometer(
     norm = np.linalg.norm(calibrated, axis=1)
     up = calibrated / norm[:, None]
     towards = -up @ model.scale
-    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
-    by_scale = [up[:, a] * shifted[:, b] + (up[:, b] * shifted[:, a] if a != b else 0.0) for a, b in pairs]
+    by_scale = [up[:, a] * shifted[:, b] + (up[:, b] * shifted[:, a] if a != b else 0.0) for a, b in _PAIRS]
     level = np.column_stack((towards, *by_scale))
     level_sd = np.array([_FORCE_SPREAD] * 3 + [_SCALE_SPREAD] * 6)
     sd = np.linalg.norm(towards * memory.force_sd, axis=1)
@@ -163,10 +171,18 @@ def _learn(
     curved = learn(seen, replace(model, with_curve=True), t, start)
     change, evidence = _change(curved, without, seen.t, term is not None, settings)
     applied = change == TAKEN_UP or (term is not None and change != DROPPED)
-    fit = curved if applied else without
-    forecast = _forecast(fit, curved, seen.celsius, t, applied)
+    forecast = _forecast(curved if applied else without, curved, seen.celsius, t)
     held = _term(sensor, forecast) if applied else None
-    return Learnt(sensor, frozen(middle + fit.coefficients[0]), forecast, held, change, evidence)
+    return _learnt(
+        sensor,
+        curved if applied else without,
+        t=seen.t,
+        middle=middle,
+        forecast=forecast,
+        term=held,
+        change=change,
+        evidence=evidence,
+    )
 
 
 def _without_evidence(
@@ -185,8 +201,8 @@ def _without_evidence(
         along = offset if seen.towards is None else (offset * seen.towards).sum(axis=1)[:, None]
         seen = replace(seen, value=seen.value - along)
     fit = learn(seen, model, t, start)
-    forecast = _forecast(fit, None, seen.celsius, t, term is not None)
-    return Learnt(sensor, frozen(middle + fit.coefficients[0]), forecast, term)
+    forecast = _forecast(fit, fit, seen.celsius, t)
+    return _learnt(sensor, fit, t=seen.t, middle=middle, forecast=forecast, term=term, change="", evidence={})
 
 
 def _change(
@@ -217,19 +233,53 @@ def _change(
     return (TAKEN_UP if better <= limit else ""), evidence | {"chance": better}
 
 
-def _forecast(fit: Fit, curved: Fit | None, celsius: Array, t: float, applied: bool) -> Forecast:
+def _learnt(
+    sensor: Sensor,
+    fit: Fit,
+    *,
+    t: Array,
+    middle: Array,
+    forecast: Forecast,
+    term: Term | None,
+    change: str,
+    evidence: Evidence,
+) -> Learnt:
+    one_by_one = fit.level.shape[1] == 3
+    scale = np.zeros((3, 3))
+    if not one_by_one:
+        for (a, b), value in zip(_PAIRS, fit.level[3:, 0], strict=True):
+            scale[a, b] = scale[b, a] = value
+    covariance = None if one_by_one else frozen(fit.covariance[:9, :9])
+    return Learnt(
+        sensor,
+        frozen(middle + fit.bias),
+        frozen(scale),
+        forecast,
+        term,
+        change,
+        evidence,
+        covariance,
+        t,
+        frozen(np.sqrt((fit.errors**2).mean(axis=1))),
+        fit.errors_sd,
+    )
+
+
+def _forecast(fit: Fit, curved: Fit, celsius: Array, t: float) -> Forecast:
     """Return the uncertainty of a fit's bias, with that of the curve where it is not corrected."""
     known = celsius[np.isfinite(celsius)]
-    source = fit if curved is None else curved
+    error = np.zeros((4, 3))
+    if fit is not curved:
+        error = np.vstack((curved.bias - fit.bias, curved.curve))
     return Forecast(
         at=t,
         reference=fit.model.reference,
-        curve=frozen(source.coefficients[1:]),
-        covariance=source.covariance,
+        curve=curved.curve,
+        error=frozen(error),
+        covariance=curved.bias_covariance,
         white=fit.wander.white,
-        flicker=source.wander.flicker,
-        walk=source.wander.walk,
-        applied=applied,
+        flicker=curved.wander.flicker,
+        walk=curved.wander.walk,
         temperature_min=float(known.min()) if known.size else None,
         temperature_max=float(known.max()) if known.size else None,
         thermometer_sd=thermometer_step(celsius) / np.sqrt(12.0),
@@ -254,33 +304,3 @@ def _term(sensor: Sensor, forecast: Forecast) -> Term:
             "temperature_max": forecast.temperature_max,
         }
     return Term(effect=effect, sensor=sensor, parameters=parameters, reference=reference)
-
-
-def with_learnt_gyroscope(record: CalibrationRecord, learnt: Learnt, t: float) -> CalibrationRecord:
-    """Return a record with the gyroscope's bias, curve and forecast as learnt at t (s).
-
-    The uncertainty of the bias allows for the wander until the next check.
-    """
-    part = record.gyroscope
-    assert part is not None
-    covariance = part.covariance
-    if covariance is not None and covariance.shape == (12, 12):
-        wandering = np.array(covariance)
-        wandering[9:, 9:] = np.diag(
-            learnt.forecast.bias_uncertainty(t + BLOCK_S, learnt.forecast.reference) ** 2
-        )
-        covariance = frozen(wandering)
-    updated = replace(record, gyroscope=replace(part, bias=learnt.bias, covariance=covariance, zeroed_at=t))
-    return with_learnt_term(updated, learnt)
-
-
-def with_learnt_term(record: CalibrationRecord, learnt: Learnt) -> CalibrationRecord:
-    """Return a record with a sensor's curve and forecast as learnt; a decision on the curve is its reason."""
-    others = tuple(term for term in record.terms if term.effect != EFFECTS[learnt.sensor][0])
-    terms = others if learnt.term is None else (*others, learnt.term)
-    forecast = record.forecast | {str(learnt.sensor): learnt.forecast}
-    record = replace(record, terms=terms, forecast=forecast)
-    if not learnt.change:
-        return record
-    acceptance = Acceptance(how="terms", reason=learnt.reason(), evidence=learnt.evidence or {})
-    return replace(record, acceptance=acceptance)

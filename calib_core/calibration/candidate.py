@@ -28,13 +28,15 @@ from stillcal.calib_core.calibration.record import (
     Validity,
 )
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
+from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.gyroscope import fit as gyroscope
-from stillcal.calib_core.gyroscope.bias import BiasEstimate, update_bias
+from stillcal.calib_core.gyroscope.bias import BiasEstimate, bias_from_rests, update_bias
 from stillcal.calib_core.gyroscope.fit import GyroscopeFit, GyroscopeSettings, Parameters
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState, attitude_labels, force_uncertainties, forces
+from stillcal.calib_core.streams.samples import Sensor
 
 _PARAMETER_COUNT = {Parameters.BIAS: 3, Parameters.SCALE3: 6, Parameters.FULL9: 12}
 _GYRO_NAMES = (*(f"S_{a}{b}" for a in "xyz" for b in "xyz"), "b_x", "b_y", "b_z")
@@ -80,19 +82,30 @@ class Candidate:
         return self.record.gravity or Gravity()
 
 
-def fit_candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSettings) -> Candidate:
+def fit_candidate(
+    pool: Pool,
+    gravity: Gravity,
+    t: float,
+    settings: CalibrateSettings,
+    known: CalibrationRecord | None = None,
+) -> Candidate:
     """Fit both sensors to a pool of rests at sample time t (s), under the present local gravity.
+
+    known: the calibration whose terms the new one keeps. The rests are corrected by them first, so that its
+    biases are those at the terms' reference temperature.
 
     Raises NotSupported where the rests do not support an accelerometer fit. Where they do not support a
     gyroscope fit, the record has the gyroscope's bias alone, or no gyroscope part.
     """
-    fit = fit_accelerometer(pool.held, gravity, settings.accelerometer)
-    change = find_change(fit, pool.held)
+    known = _usable(known, pool)
+    steady = pool if known is None else compensated(pool, known)
+    fit = fit_accelerometer(steady.held, gravity, settings.accelerometer)
+    change = find_change(fit, steady.held)
     gyro = fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
     labels = attitude_labels(forces(pool.rests), settings.accelerometer.attitude_angle)
     record = CalibrationRecord(
-        accelerometer=_accelerometer_record(fit, change, forces(pool.rests)),
-        gyroscope=None if gyro is None else gyroscope_record(gyro, t),
+        accelerometer=_accelerometer_record(fit, change, forces(steady.rests)),
+        gyroscope=None if gyro is None else _at_reference(gyroscope_record(gyro, t), steady, known),
         gravity=gravity,
         fitted_at=t,
         validity=validity_of(pool.rests),
@@ -101,8 +114,24 @@ def fit_candidate(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSet
             StateRecord.of(rest, float(residual), int(label))
             for rest, residual, label in zip(pool.rests, fit.residuals, labels, strict=True)
         ),
+        terms=() if known is None else known.terms,
     )
     return Candidate(record, fit, gyro, pool, settings, labels, change)
+
+
+def _usable(known: CalibrationRecord | None, pool: Pool) -> CalibrationRecord | None:
+    """Return a record without the terms that need a temperature where no rest has one."""
+    if known is None or any(rest.temperature is not None for rest in pool.rests):
+        return known
+    return replace(known, terms=tuple(term for term in known.terms if "temperature" not in term.reference))
+
+
+def _at_reference(part: GyroscopeRecord, steady: Pool, known: CalibrationRecord | None) -> GyroscopeRecord:
+    """Return a gyroscope's record with the bias at its temperature term's reference, where it has one."""
+    terms = () if known is None else known.terms
+    if not any(term.sensor == Sensor.GYROSCOPE and "slope" in term.parameters for term in terms):
+        return part
+    return replace(part, bias=bias_from_rests(steady.rests).bias)
 
 
 def fit_accelerometer(

@@ -50,16 +50,6 @@ def with_terms(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]])
     return replace(record, terms=(*others, *fresh.values()))
 
 
-def inherit_terms(old: CalibrationRecord | None, new: CalibrationRecord) -> CalibrationRecord:
-    """Return a new calibration with the terms of the old one, counted from the new one's temperature.
-
-    A term that needs a temperature is dropped where the new calibration has none.
-    """
-    reference = None if old is None else mean_temperature(new)
-    terms = [] if old is None else [_counted_from(term, reference) for term in old.terms]
-    return replace(new, terms=tuple(term for term in terms if term is not None))
-
-
 def correct(record: CalibrationRecord, samples: Samples, force: Array | None = None) -> Samples:
     """Correct a run of samples by the model and by those terms whose temperature or force is known.
 
@@ -205,10 +195,3 @@ def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
         reference = {"temperature": t}
     parameter = TermParameter(value=frozen(value), unit=str(given.get("unit", "")), ci95=ci95)
     return Term(effect=effect, sensor=sensor, parameters={name: parameter}, reference=reference)
-
-
-def _counted_from(term: Term, temperature: float | None) -> Term | None:
-    """Return a term counted from another temperature; None where it needs one and there is none."""
-    if "temperature" not in term.reference:
-        return term
-    return None if temperature is None else replace(term, reference={"temperature": temperature})

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit
 from stillcal.calib_core.calibration.acceptance import decide, with_decision
-from stillcal.calib_core.calibration.bias_curve import learn_gyroscope, with_learnt_gyroscope
+from stillcal.calib_core.calibration.bias_curve import learn_gyroscope
 from stillcal.calib_core.calibration.candidate import (
     CalibrateSettings,
     Candidate,
@@ -22,11 +22,12 @@ from stillcal.calib_core.calibration.candidate import (
 )
 from stillcal.calib_core.calibration.constancy import Shape
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
+from stillcal.calib_core.calibration.following import follow_accelerometer, with_learnt_gyroscope
 from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed_up
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
-from stillcal.calib_core.calibration.terms import compensated, inherit_terms
+from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.engine.actions import Action, Diagnose, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.schedule import CalibrationStatus, Occasion, calibration_due
 from stillcal.calib_core.engine.settings import EngineSettings
@@ -34,6 +35,7 @@ from stillcal.calib_core.engine.state import EngineState, Refusal, Trouble
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.detector import StationaryDetector
+from stillcal.calib_core.streams.samples import Sensor
 
 LEAST_UNSEEN_S = 300.0
 """A recording that ends so long after its last rest, s, may have become another phone's."""
@@ -87,8 +89,7 @@ def fit_and_decide(task: FitTask) -> FitOutcome:
     if isinstance(candidate, NotSupported):
         return FitOutcome(None, False, candidate.reason, candidate.missing)
     decision = decide(candidate, task.current, task.degraded, task.quality)
-    record = inherit_terms(task.current, with_decision(candidate, decision, task.occasion))
-    record = inherit_rotation(task.current, record)
+    record = inherit_rotation(task.current, with_decision(candidate, decision, task.occasion))
     if since is not None and not task.degraded:
         record = _remarked(record, f"the sensor changed: only its rests from {since:.0f} s on are used")
     if (unseen := _unseen(task)) is not None:
@@ -163,7 +164,7 @@ def _fit(pool: Pool, confirmed: dict[int, bool], task: FitTask) -> Candidate | N
 
 def _candidate_or_refusal(pool: Pool, task: FitTask) -> Candidate | NotSupported:
     try:
-        return fit_candidate(pool, task.gravity, task.t, task.settings)
+        return fit_candidate(pool, task.gravity, task.t, task.settings, task.current)
     except NotSupported as refusal:
         return refusal
 
@@ -215,6 +216,7 @@ class CalibrationPolicy:
             self._degrade(t, since if check.off_since is None else check.off_since)
         else:
             state.trouble = None
+        self._follow(t)
 
     def notice_change(self, t: float) -> None:
         """Check at t (s) before a check is due where the rests since the last one already show a change."""
@@ -232,7 +234,8 @@ class CalibrationPolicy:
             self.measure_gyroscope_alone(t)
         else:
             recent = compensated(self._rests_since(since), record)
-            self._publish_bias(self._learnt(with_updated_bias(record, recent, t), t), t)
+            updated = with_updated_bias(record, recent, t)
+            self._publish_bias(None if updated is None else self._learnt(updated, t), t)
 
     def measure_gyroscope_alone(self, t: float) -> None:
         """Before the first full calibration, publish the gyroscope's bias, or confirm the one published.
@@ -275,12 +278,50 @@ class CalibrationPolicy:
             self._state.counters.zeroings += 1
             self._actions.append(Publish(t, updated, updated.acceptance.reason))
 
-    def _learnt(self, record: CalibrationRecord | None, t: float) -> CalibrationRecord | None:
+    def _learnt(self, record: CalibrationRecord, t: float) -> CalibrationRecord:
         """Return a record with the gyroscope's bias by temperature and time as all rests kept show it."""
-        if record is None or not self._settings.schedule.learn_temperature:
+        if not self._settings.schedule.learn_temperature:
             return record
         learnt = learn_gyroscope(self._state.memory, record, t, self._settings.quality)
         return record if learnt is None else with_learnt_gyroscope(record, learnt, t)
+
+    def _follow(self, t: float) -> None:
+        """Renew what is known of the accelerometer at t (s); replace its calibration where that is allowed.
+
+        One that failed its check stays degraded until its stated uncertainty is below what a check notices.
+        """
+        state, limit = self._state, self._settings.quality.accel_limit
+        if not self._followed(t, fresh=False) or state.record is None:
+            return
+        uncertainty = state.record.bias_uncertainty_at(Sensor.ACCELEROMETER, t, None)
+        if uncertainty is not None and uncertainty.max() < limit:
+            state.degraded = False
+        state.checked = t
+        state.counters.calibrations += 1
+        reason = state.record.acceptance.reason
+        self._actions.append(Publish(t, state.record, reason))
+        self._actions.append(Log(t, Level.INFO, "calibrated", reason, {"occasion": "check"}))
+
+    def _followed(self, t: float, fresh: bool) -> bool:
+        """Learn the accelerometer's calibration at t (s); tell whether the one in use was replaced.
+
+        fresh: it was fitted just now.
+        """
+        state = self._state
+        if state.record is None or not self._settings.schedule.learn_temperature:
+            return False
+        followed = follow_accelerometer(
+            state.record,
+            state.memory,
+            t,
+            self._settings.quality,
+            degraded=state.degraded,
+            fresh=fresh,
+        )
+        if followed is None:
+            return False
+        state.record = followed.record
+        return followed.accepted
 
     def _rests_since(self, t: float | None) -> Pool:
         """Return the rests from t (s) on, None for all, that the noise floor known now confirms."""
@@ -342,8 +383,12 @@ class CalibrationPolicy:
             return
         state.record, state.checked, state.degraded, state.refusal = outcome.record, t, False, None
         state.counters.calibrations += 1
-        self._actions.append(Publish(t, outcome.record, outcome.reason))
-        self._actions.append(Log(t, Level.INFO, "calibrated", outcome.reason, fields))
+        record = self._learnt(outcome.record, t) if outcome.record.gyroscope is not None else outcome.record
+        state.record = replace(record, acceptance=outcome.record.acceptance)
+        self._followed(t, fresh=True)
+        reason = state.record.acceptance.reason
+        self._actions.append(Publish(t, state.record, reason))
+        self._actions.append(Log(t, Level.INFO, "calibrated", reason, fields))
 
     def _report_refusal(self, t: float, outcome: FitOutcome, occasion: Occasion) -> None:
         """Report why there is no fit; one that asks for the same rests again goes to the debug log."""

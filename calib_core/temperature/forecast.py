@@ -18,21 +18,21 @@ class Forecast:
 
     at: s, time that the bias holds for. reference: degC, temperature that it holds for. temperature_min,
     temperature_max: degC, span of the rests, None without a thermometer. curve: (3, 3) coefficients of
-    u, u^2, u^3 by axis, u = (T - reference) / 10 K. applied: whether the calibration's terms correct the
-    curve; else it is an error that is expected. covariance: (12, 12) of the bias and the coefficients, axes
-    innermost. white, flicker, walk: the wander
-    measured on this phone (regression.Wander). thermometer_sd: K,
-    standard uncertainty of a temperature for the thermometer's steps.
+    u, u^2, u^3 by axis, u = (T - reference) / 10 K. error: (4, 3) what is expected of the true bias beyond
+    the bias and the terms of the calibration: at the reference, and coefficients; not zero where the evidence
+    does not suffice to correct it. covariance: (12, 12) of the bias and the coefficients, axes innermost.
+    white, flicker, walk: the wander measured on this phone (regression.Wander). thermometer_sd: K, standard
+    uncertainty of a temperature for the thermometer's steps.
     """
 
     at: float
     reference: float
     curve: Array
+    error: Array
     covariance: Array
     white: float
     flicker: float
     walk: float
-    applied: bool = False
     temperature_min: float | None = None
     temperature_max: float | None = None
     thermometer_sd: float = 0.0
@@ -49,13 +49,10 @@ class Forecast:
         """
         grown = self.wander.growth(t - self.at)
         if celsius is not None and np.isfinite(celsius):
-            return np.sqrt(self._variance(celsius, self.thermometer_sd) + grown)
-        low, high = self._span()
-        at = np.linspace(low, high, 7)
-        unknown = np.mean([self._variance(float(c), 0.0) for c in at], axis=0)
-        if self.applied:
-            unknown = unknown + np.mean((curve_basis(at, self.reference) @ self.curve) ** 2, axis=0)
-        total: Array = np.sqrt(unknown + grown)
+            return np.sqrt(self._variance(celsius, self.error, self.thermometer_sd) + grown)
+        error = np.vstack((self.error[:1], self.curve))
+        unknown = [self._variance(float(c), error, 0.0) for c in np.linspace(*self._span(), 7)]
+        total: Array = np.sqrt(np.mean(unknown, axis=0) + grown)
         return total
 
     def _span(self) -> tuple[float, float]:
@@ -63,18 +60,16 @@ class Forecast:
             return self.reference - _LEAST_SPAN_K, self.reference + _LEAST_SPAN_K
         return self.temperature_min, self.temperature_max
 
-    def _variance(self, celsius: float, thermometer_sd: float) -> Array:
-        """Return the variance (3,) of the bias at a temperature, the curve that is not corrected included."""
+    def _variance(self, celsius: float, error: Array, thermometer_sd: float) -> Array:
+        """Return the mean square error (3,) of the bias at a temperature, with an expected error (4, 3)."""
         at = np.array([celsius])
         basis = np.concatenate(([1.0], curve_basis(at, self.reference)[0]))
         rows = np.kron(basis, np.eye(3))
-        variance = np.diag(rows @ self.covariance @ rows.T)
         slope = (curve_basis(at + 0.5, self.reference) - curve_basis(at - 0.5, self.reference))[
             0
         ] @ self.curve
-        variance = variance + (slope * thermometer_sd) ** 2
-        total: Array = variance if self.applied else variance + (basis[1:] @ self.curve) ** 2
-        return total
+        total: Array = np.diag(rows @ self.covariance @ rows.T) + (slope * thermometer_sd) ** 2
+        return total + (basis @ error) ** 2
 
 
 def thermometer_step(celsius: Array) -> float:

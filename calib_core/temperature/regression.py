@@ -115,10 +115,10 @@ class Fit:
     """A regression's result.
 
     model: what was fitted. wander: that of greatest likelihood. log_likelihood: of it, prior included.
-    errors: (n, k), of predicting each rest from those before it, and errors_sd (n,). coefficients: (4, 3),
-    the bias at the reference temperature now and c1, c2, c3, by axis. covariance: (12, 12) of these, axes
-    innermost. steps: s, where the bias stepped. doubted: rows of rests that disagree with those before and
-    after them.
+    errors: (n, k), of predicting each rest from those before it, and errors_sd (n,). level: (p, k) what is
+    unknown besides the curve, its bias as it is now; curve: (3, 3) c1, c2, c3 by axis. covariance: of level
+    and then the curve, axes innermost. steps: s, where the bias stepped. doubted: rows of rests that disagree
+    with those before and after them.
     """
 
     model: Model
@@ -126,10 +126,25 @@ class Fit:
     log_likelihood: float
     errors: Array
     errors_sd: Array
-    coefficients: Array
+    level: Array
+    curve: Array
     covariance: Array
     steps: tuple[float, ...] = ()
     doubted: tuple[int, ...] = ()
+
+    @property
+    def bias(self) -> Array:
+        """The bias at the reference temperature now, (3,), in excess of what the values count from."""
+        return frozen(self.level[0] if self.level.shape[1] == 3 else self.level[:3, 0])
+
+    @property
+    def bias_covariance(self) -> Array:
+        """The covariance (12, 12) of bias and curve, axes innermost."""
+        if self.level.shape[1] == 3:
+            return frozen(np.kron(self.covariance, np.eye(3)))
+        p = len(self.level)
+        rows = np.r_[0:3, p : len(self.covariance)]
+        return frozen(self.covariance[np.ix_(rows, rows)])
 
 
 def curve_basis(celsius: Array, reference: float) -> Array:
@@ -163,19 +178,34 @@ class Regression:
         self._walk = np.minimum(since[:, None], since) * self._shared
         self._axes = axes
 
-    def fit(self, now: float, steps: tuple[float, ...] = (), start: Wander | None = None) -> Fit:
-        """Fit, with the bias stepping at times `steps`; now: s, the time that the bias is wanted for."""
-        wander, score = self._likeliest(steps, start)
+    def fit(
+        self,
+        now: float,
+        steps: tuple[float, ...] = (),
+        start: Wander | None = None,
+        search: bool = True,
+    ) -> Fit:
+        """Fit, with the bias stepping at times `steps`.
+
+        now: s, the time that the bias is wanted for. start: where the search for the wander begins; without
+        a search, that is the wander.
+        """
+        if search or start is None:
+            wander, score = self._likeliest(steps, start)
+        else:
+            wander, score = start, self._score(start, steps)
         factor, whitened = self._factor(wander, steps)
         diagonal = np.diag(factor)
         mean, covariance = self._present(wander, factor, whitened, now, steps)
+        p = self._seen.level.shape[1]
         return Fit(
             self._model,
             wander,
             score,
             frozen(whitened * diagonal[:, None]),
             frozen(diagonal),
-            frozen(mean),
+            frozen(mean[:p]),
+            frozen(mean[p:].reshape(-1, 3)),
             frozen(covariance),
             steps,
         )
@@ -220,8 +250,8 @@ class Regression:
         p = self._priors
         best = start or Wander(p.white, p.flicker, p.walk / np.sqrt(86400.0))
         score = self._score(best, steps)
-        for factor in (4.0, 2.0, 1.4):
-            for _ in range(4):
+        for factor in (2.0, 1.4) if start else (4.0, 2.0, 1.4):
+            for _ in range(3):
                 before = score
                 for name in ("white", "flicker", "walk"):
                     for by in (factor, 1 / factor):
@@ -236,28 +266,19 @@ class Regression:
     def _present(
         self, wander: Wander, factor: Array, whitened: Array, now: float, steps: tuple[float, ...]
     ) -> tuple[Array, Array]:
-        """Return bias now and curve, (4, 3), and their covariance, (12, 12)."""
-        seen, axes = self._seen, self._axes
-        p = seen.level.shape[1]
-        along = wander.covariance(np.array([now - self._start]), seen.t - self._start)[0]
+        """Return level now and curve, and their covariance."""
+        seen, axes, at = self._seen, self._axes, np.array([now - self._start])
+        along = wander.covariance(at, seen.t - self._start)[0]
+        own = float(wander.covariance(at, at)[0, 0]) + len(steps) * self._priors.step**2
         for step in steps:
             along = along + self._priors.step**2 * (seen.t >= step)
-        own = float(wander.covariance(np.array([now - self._start]), np.array([now - self._start]))[0, 0])
-        own += len(steps) * self._priors.step**2
-        bias = np.zeros((axes, len(self._prior)))
-        bias[:, :axes] = np.eye(axes)
-        curve = np.hstack((np.zeros((axes * POWERS, p)), np.eye(axes * POWERS)))
-        pick = np.vstack((bias, curve))
-        cross = (pick * self._prior) @ self._design.T
+        cross = self._prior[:, None] * self._design.T
         cross[:axes] += along if seen.towards is None else along * seen.towards.T
-        prior = (pick * self._prior) @ pick.T
+        prior = np.diag(self._prior)
         prior[:axes, :axes] += own * np.eye(axes)
         gain = np.linalg.solve(factor, cross.T)
-        mean = gain.T @ whitened
         covariance: Array = prior - gain.T @ gain
-        if seen.towards is None:
-            return mean, np.asarray(np.kron(covariance, np.eye(3)), dtype=np.float64)
-        return mean.reshape(-1, 3), covariance
+        return gain.T @ whitened, covariance
 
 
 MOST_BREAKS = 8
@@ -282,7 +303,7 @@ def learn(seen: Observations, model: Model, now: float, start: Wander | None = N
         raise ValueError("no rests to learn from")
     steps: tuple[float, ...] = ()
     doubted: tuple[int, ...] = ()
-    fit = Regression(seen, model).fit(now, start=start)
+    first = fit = Regression(seen, model).fit(now, start=start)
     for _ in range(MOST_BREAKS):
         missed = np.abs(fit.errors).max(axis=1) / fit.errors_sd
         missed[0] = 0.0
@@ -290,11 +311,13 @@ def learn(seen: Observations, model: Model, now: float, start: Wander | None = N
         if missed[row] <= BREAK:
             break
         doubting = seen.doubting(row, model.priors.step)
-        in_doubt = Regression(doubting, model).fit(now, steps, fit.wander)
+        in_doubt = Regression(doubting, model).fit(now, steps, fit.wander, search=False)
         at_step = (*steps, float(seen.t[row]))
-        stepped = Regression(seen, model).fit(now, at_step, fit.wander)
+        stepped = Regression(seen, model).fit(now, at_step, fit.wander, search=False)
         if in_doubt.log_likelihood > stepped.log_likelihood + _LIKELIER:
             seen, doubted, fit = doubting, (*doubted, row), in_doubt
         else:
             steps, fit = at_step, stepped
-    return replace(fit, steps=steps, doubted=doubted)
+    if fit is not first:
+        fit = Regression(seen, model).fit(now, steps, fit.wander)
+    return replace(fit, doubted=doubted)

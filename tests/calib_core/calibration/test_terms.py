@@ -16,7 +16,7 @@ from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_can
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
-from stillcal.calib_core.calibration.terms import compensated, correct, inherit_terms, with_terms
+from stillcal.calib_core.calibration.terms import compensated, correct, with_terms
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
@@ -90,12 +90,25 @@ def test_without_a_temperature_nothing_changes(record: CalibrationRecord) -> Non
 def test_it_counts_from_where_the_calibration_stands(record: CalibrationRecord) -> None:
     term = with_terms(record, [finding(SLOPE)]).terms[0]
     assert 20.0 < term.reference["temperature"] < 24.0
+    known = with_terms(record, [finding(SLOPE)])
     pool, _ = warm_rests(3, 34.0, 38.0)
-    new = fit_candidate(pool, pool.held[0].gravity, 2e5, CalibrateSettings()).record
-    moved = inherit_terms(with_terms(record, [finding(SLOPE)]), new)
-    assert 34.0 < moved.terms[0].reference["temperature"] < 38.0
-    assert norm_error(moved, True) < norm_error(new, True)
-    assert inherit_terms(None, new).terms == ()
+    new = fit_candidate(pool, pool.held[0].gravity, 2e5, CalibrateSettings(), known).record
+    assert new.terms == known.terms
+    assert new.accelerometer is not None and record.accelerometer is not None
+    assert new.accelerometer.bias == pytest.approx(record.accelerometer.bias, abs=5e-3)
+    assert norm_error(new, True) < norm_error(record, True) / 10
+
+
+def test_a_term_is_followed_only_a_little_beyond_its_temperatures(record: CalibrationRecord) -> None:
+    """Held: 20 to 24 degC; beyond, by a quarter of that span and 1 K, so to 26 degC."""
+    term = with_terms(record, [finding(SLOPE)]).terms[0]
+    span = {"temperature": 22.0, "temperature_min": 20.0, "temperature_max": 24.0}
+    known = replace(record, terms=(replace(term, reference=span),))
+    pool, _ = warm_rests(3, 60.0, 61.0)
+    moved = compensated(pool, known).rests[0].specific_force - pool.rests[0].specific_force
+    assert moved == pytest.approx(-4.0 * SLOPE)
+    free = compensated(pool, with_terms(record, [finding(SLOPE)])).rests[0].specific_force
+    assert np.abs(free - pool.rests[0].specific_force).max() > 30 * np.abs(SLOPE).max()
 
 
 def test_a_gyroscope_that_feels_force_is_corrected(record: CalibrationRecord) -> None:

@@ -1,0 +1,218 @@
+"""The calibration in use brought up to the present: by temperature and time, as all rests kept show it.
+
+The gyroscope's bias is taken as learnt at every check (4.7 of Grammenos et al. 2018 asks for a new one
+then). The accelerometer's calibration is replaced by the learnt one under the rules of acceptance.py. The
+rests since the old one was fitted are held out from it, and the learnt one predicts each of them from those
+before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.accelerometer.parameters import names
+from stillcal.calib_core.accelerometer.six_faces import common_rotation
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.acceptance import clearly_smaller, flipped_share
+from stillcal.calib_core.calibration.bias_curve import BLOCK_S, EFFECTS, Learnt, learn_accelerometer
+from stillcal.calib_core.calibration.drift_check import QualitySettings
+from stillcal.calib_core.calibration.known_faces import inherit_rotation
+from stillcal.calib_core.calibration.record import (
+    AccelerometerRecord,
+    Acceptance,
+    CalibrationRecord,
+    Evidence,
+    Validity,
+)
+from stillcal.calib_core.calibration.terms import polynomial
+from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.temperature.forecast import Forecast
+from stillcal.calib_core.temperature.memory import Memory
+from stillcal.calib_core.temperature.regression import UNIT_K
+
+_ALL = 12
+"""Parameters of a calibration that holds a rotation common to all axes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """A record with its forecast renewed. accepted: whether its calibration is a new one."""
+
+    record: CalibrationRecord
+    accepted: bool
+
+
+def with_learnt_gyroscope(record: CalibrationRecord, learnt: Learnt, t: float) -> CalibrationRecord:
+    """Return a record with the gyroscope's bias, curve and forecast as learnt at t (s).
+
+    The uncertainty of the bias allows for the wander until the next check.
+    """
+    part, forecast = record.gyroscope, learnt.forecast
+    assert part is not None
+    covariance = part.covariance
+    if covariance is not None and covariance.shape == (12, 12):
+        wandering = np.array(covariance)
+        wandering[9:, 9:] = np.diag(forecast.bias_uncertainty(t + BLOCK_S, forecast.reference) ** 2)
+        covariance = frozen(wandering)
+    updated = replace(record, gyroscope=replace(part, bias=learnt.bias, covariance=covariance, zeroed_at=t))
+    updated = _with_term(updated, learnt)
+    if not learnt.change:
+        return updated
+    acceptance = Acceptance(how="terms", reason=learnt.reason, evidence=learnt.evidence)
+    return replace(updated, acceptance=acceptance)
+
+
+def follow_accelerometer(
+    record: CalibrationRecord,
+    memory: Memory,
+    t: float,
+    settings: QualitySettings,
+    *,
+    degraded: bool = False,
+    fresh: bool = False,
+) -> Followed | None:
+    """Learn the accelerometer's calibration at t (s), and replace the one in use where the rules allow it.
+
+    degraded: the one in use has failed its check. fresh: it was fitted just now; the learnt one refines it
+    where there is evidence that the bias follows temperature, which the fit knows nothing of. None where
+    there are too few rests to learn from.
+    """
+    part = record.accelerometer
+    if part is None:
+        return None
+    part = _unturned(part)
+    learnt = learn_accelerometer(memory, part.model, record, t, settings)
+    if learnt is None or learnt.covariance is None:
+        return None
+    reason, evidence = _accepted(record, part, learnt, memory, settings, degraded=degraded, fresh=fresh)
+    if not reason:
+        forecast = replace(learnt.forecast, error=frozen(_error_of(record, part, learnt)))
+        return Followed(_with_forecast(record, Sensor.ACCELEROMETER, forecast), False)
+    acceptance = Acceptance(reason=reason, evidence=evidence)
+    new = _replaced(record, part, learnt=learnt, memory=memory, t=t, acceptance=acceptance)
+    return Followed(new, True)
+
+
+def _accepted(
+    record: CalibrationRecord,
+    part: AccelerometerRecord,
+    learnt: Learnt,
+    memory: Memory,
+    settings: QualitySettings,
+    *,
+    degraded: bool,
+    fresh: bool,
+) -> tuple[str, Evidence]:
+    """Return why the learnt calibration replaces the one in use, empty where it does not, and the figures."""
+    if fresh:
+        kept = record.acceptance
+        return (kept.reason, kept.evidence) if learnt.term is not None else ("", {})
+    since = -np.inf if record.fitted_at is None else record.fitted_at
+    held_out = learnt.t > since
+    old, new = np.abs(_residuals(record, part, memory))[held_out], learnt.errors[held_out]
+    gains = (old**2 - new**2) / (2 * learnt.errors_sd[held_out] ** 2)
+    _, block = np.unique(np.floor(learnt.t[held_out] / BLOCK_S), return_inverse=True)
+    by_hour: Array = np.bincount(block, gains).astype(np.float64) if gains.size else np.zeros(0)
+    if by_hour.size < settings.held_out_rests:
+        return "", {}
+    rms_old, rms_new = (float(np.sqrt(np.mean(values**2))) for values in (old, new))
+    chance = flipped_share(by_hour)
+    evidence: Evidence = {"hours": by_hour.size, "chance": chance, "rms_old": rms_old, "rms_new": rms_new}
+    figures = f"held-out rms {rms_new:.2g} after {rms_old:.2g} m/s^2 over {by_hour.size} hours"
+    if chance <= settings.chance:
+        return f"better by more than chance: {figures}", evidence
+    if degraded and rms_new < rms_old:
+        return f"the old one failed its check: {figures}", evidence
+    not_worse = flipped_share(-by_hour) > settings.chance
+    if not_worse and clearly_smaller(_part(part, learnt, memory), part):
+        return f"as good and less uncertain: {figures}", evidence
+    return "", evidence
+
+
+def _residuals(record: CalibrationRecord, part: AccelerometerRecord, memory: Memory) -> Array:
+    """Return the calibrated norm of every rest less local gravity, (n,) m/s^2, terms included."""
+    force = memory.force
+    for term in record.terms:
+        if term.effect == EFFECTS[Sensor.ACCELEROMETER][0]:
+            force = force - polynomial(term, memory.celsius)
+    norm = np.linalg.norm(part.model.apply(force), axis=1)
+    return np.asarray(norm - memory.gravity)
+
+
+def _error_of(record: CalibrationRecord, part: AccelerometerRecord, learnt: Learnt) -> Array:
+    """Return what is expected of the true bias beyond a calibration's own, (4, 3), as a forecast has it."""
+    forecast = learnt.forecast
+    error = np.vstack((learnt.bias + forecast.error[0] - part.bias, forecast.curve))
+    for term in record.terms:
+        if term.effect == EFFECTS[Sensor.ACCELEROMETER][0]:
+            u = np.array([-1.0, 0.0, 0.5, 1.0])
+            told = polynomial(term, forecast.reference + UNIT_K * u)
+            error = error - np.linalg.solve(np.vander(u, 4, increasing=True), told)
+    return error
+
+
+def _replaced(
+    record: CalibrationRecord,
+    part: AccelerometerRecord,
+    *,
+    learnt: Learnt,
+    memory: Memory,
+    t: float,
+    acceptance: Acceptance,
+) -> CalibrationRecord:
+    """Return the record with the learnt calibration of the accelerometer; a decision on its curve is said."""
+    if learnt.change:
+        acceptance = replace(acceptance, reason=f"{acceptance.reason}; {learnt.reason}")
+    low, high = learnt.forecast.temperature_min, learnt.forecast.temperature_max
+    updated = replace(
+        record,
+        accelerometer=_part(part, learnt, memory),
+        fitted_at=t,
+        validity=Validity(temperature_min=low, temperature_max=high),
+        acceptance=acceptance,
+    )
+    turned = inherit_rotation(record, updated).accelerometer
+    return _with_term(replace(updated, accelerometer=turned), learnt)
+
+
+def _unturned(part: AccelerometerRecord) -> AccelerometerRecord:
+    """Return a calibration without the rotation common to all axes, which rests alone do not show."""
+    if part.parameters != _ALL:
+        return part
+    return replace(part, scale=common_rotation(part.scale).T @ part.scale)
+
+
+def _part(part: AccelerometerRecord, learnt: Learnt, memory: Memory) -> AccelerometerRecord:
+    """Return the accelerometer's record as learnt: nine parameters, from all rests kept."""
+    newest = learnt.errors[len(learnt.errors) // 2 :]
+    labels = attitude_labels(memory.force, ATTITUDE_ANGLE)
+    nine = part.parameters == 9
+    return replace(
+        part,
+        scale=frozen(part.scale + learnt.scale_change),
+        bias=learnt.bias,
+        parameters=9,
+        names=names(9),
+        covariance=learnt.covariance,
+        rms_residual=float(np.sqrt(np.mean(newest**2))),
+        n_rests=len(memory),
+        n_states=int(labels.max()) + 1,
+        observability=part.observability if nine else None,
+        unobservable=part.unobservable,
+        n_dropped=0,
+        iterations=None,
+    )
+
+
+def _with_term(record: CalibrationRecord, learnt: Learnt) -> CalibrationRecord:
+    """Return a record with a sensor's curve and forecast as learnt."""
+    others = tuple(term for term in record.terms if term.effect != EFFECTS[learnt.sensor][0])
+    terms = others if learnt.term is None else (*others, learnt.term)
+    return _with_forecast(replace(record, terms=terms), learnt.sensor, learnt.forecast)
+
+
+def _with_forecast(record: CalibrationRecord, sensor: Sensor, forecast: Forecast) -> CalibrationRecord:
+    return replace(record, forecast=record.forecast | {str(sensor): forecast})
