@@ -22,10 +22,10 @@ from stillcal.replay.commands.fix_for import Correction
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
 from stillcal.replay.commands.reading import Reading, reading_options
 from stillcal.replay.diagnosis.diagnose import Request, diagnose
-from stillcal.replay.diagnosis.relation_text import VERDICTS, summary
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
+from stillcal.replay.diagnosis.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.phone.phone import Phone, dump_phone, load_phone

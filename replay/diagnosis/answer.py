@@ -18,7 +18,8 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quanti
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
 from stillcal.replay.diagnosis.correction_code import to_paste
-from stillcal.replay.diagnosis.relation_text import BUILT_IN, statement
+from stillcal.replay.diagnosis.names import BUILT_IN
+from stillcal.replay.diagnosis.relation_text import statement
 
 SCHEMA = 2
 

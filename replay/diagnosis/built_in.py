@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.case import Case, case_of
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent, without_left_out
-from stillcal.replay.diagnosis.relation_text import BUILT_IN
+from stillcal.replay.diagnosis.names import BUILT_IN
 from stillcal.replay.formats.trace import Recording
 
 
@@ -39,7 +39,7 @@ def judge_built_in(
     if before.discrepancies:
         fit, after, corrected = _played(case, recorded, before, names, show_stage)
     answer = answer_of(before, names, fit, {}, recorded.bins.temperature)
-    return Judged(recorded, None, before, after, corrected, answer, case)
+    return Judged(recording, recorded, None, before, after, corrected, answer, case)
 
 
 def _played(

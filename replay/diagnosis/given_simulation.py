@@ -15,14 +15,14 @@ from stillcal.replay.formats.trace import Recording
 
 def judge_simulation(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
     """Compare a recording with a simulation's. Raises NotSupported where either has too little data."""
-    return judge_examined(examined(recording, show_stage), recording.name, simulation, show_stage)
+    return judge_examined(recording, examined(recording, show_stage), simulation, show_stage)
 
 
 def judge_examined(
-    recorded: Examination, name: str, simulation: Recording, show_stage: ShowStage = silent
+    recording: Recording, recorded: Examination, simulation: Recording, show_stage: ShowStage = silent
 ) -> Judged:
-    """Compare a recording that was examined, under its name, with a simulation's."""
-    names = (name, simulation.name)
+    """Compare a recording that was examined with a simulation's."""
+    names = (recording.name, simulation.name)
     simulated = examined(simulation, show_stage)
     show_stage("comparing")
     before = compare(recorded, simulated, names)
@@ -38,7 +38,7 @@ def judge_examined(
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
     answer = answer_of(before, names, fit, stated)
     played = None if corrected is None else corrected.recording
-    return Judged(recorded, simulated, before, after, played, answer)
+    return Judged(recording, recorded, simulated, before, after, played, answer)
 
 
 def _corrected(simulation: Recording, before: Comparison) -> Corrected:

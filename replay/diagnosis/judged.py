@@ -35,6 +35,7 @@ class Judged:
     None where a simulator's recording was judged.
     """
 
+    recording: Recording
     recorded: Examination
     simulated: Examination | None
     before: Comparison

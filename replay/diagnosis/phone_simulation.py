@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
+
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.replay.diagnosis.case import case_of
 from stillcal.replay.diagnosis.given_simulation import judge_examined
@@ -24,4 +26,7 @@ def judge_phone(
     show_stage(f"simulating {phone_name} with the recording's motion")
     conditions = replace(case.conditions, reference_c=phone.heat.reference_c)
     simulation = named(case.played(phone, conditions), phone_name)
-    return replace(judge_examined(recorded, recording.name, simulation, show_stage), case=case)
+    # Its stamps are those of its own rate, whatever the recording's maker says of the recording's.
+    claims = msgspec.structs.replace(simulation.claims, nominal_rate_hz=phone.accel.rate_hz)
+    simulation = replace(simulation, claims=claims)
+    return replace(judge_examined(recording, recorded, simulation, show_stage), case=case)

@@ -22,8 +22,8 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.answer import Fit, answer_of
+from stillcal.replay.diagnosis.names import BUILT_IN
 from stillcal.replay.diagnosis.phone_effects import map_findings
-from stillcal.replay.diagnosis.relation_text import BUILT_IN
 from stillcal.replay.diagnosis.twin import conditions_of, fit_affine
 
 LEAST_UNCERTAINTY = 1e-4

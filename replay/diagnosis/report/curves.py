@@ -218,7 +218,7 @@ def _driver(finding: Finding, bins: Bins, axis: int, affine: AffinePhone) -> tup
     """Return the name and the values (n,) of what a finding is drawn against."""
     follows = finding.where.driver
     if "temperature" in follows and bins.temperature is not None:
-        return "temperature, degC", bins.temperature
+        return "temperature, °C", bins.temperature
     if follows in ("own force", "attitude", "attitude, nonlinearly"):
         other = axis if finding.sensor == "accel" else _strongest_axis(finding, axis)
         return f"gravity along {'xyz'[other]}, m/s^2", np.asarray(STANDARD * affine.baseline.up[:, other])

@@ -1,4 +1,4 @@
-"""The report's pictures, as SVG text: the map, curves, spectra, values, intervals.
+"""The report's pictures, as SVG text: curves, spectra, values, intervals, numbers.
 
 Small and alike, so that they read on a phone: one width, one set of colours, labels with units. Needs
 matplotlib (the extra `report`).
@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct.low_pass import quiet, spectra
+from stillcal.calib_core.diagnosis.direct.low_pass import LEAST_PIECES, quiet, spectra
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.curves import Curve, running_median
-from stillcal.replay.diagnosis.report.departure_map import DepartureMap
-from stillcal.replay.diagnosis.wording import readable
+from stillcal.replay.diagnosis.units import pretty, shown_in
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,10 +29,10 @@ if TYPE_CHECKING:
 WIDTH, HEIGHT = 5.0, 3.1
 """Size of a picture, inches: two stand side by side on a page at a desk, one on a phone."""
 
-INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", "#c65a11", "#0b6e99"
-CLIP = 8.0
-"""Differences beyond this many units of noise have the same colour."""
+ROW_INCHES = 0.45
+"""Height of one number's row."""
 
+INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", "#c65a11", "#0b6e99"
 SHADED_BELOW = 0.9
 """A finding in less than this share of the recording is shaded in time."""
 
@@ -94,29 +93,9 @@ def drawing(height: float = HEIGHT) -> Iterator[tuple[Figure, Axes, list[str]]]:
     out.append(text.getvalue())
 
 
-def map_figure(departure_map: DepartureMap) -> str:
-    """Draw when and in which channel the recording differs from the simulation."""
-    rows = departure_map.channels
-    with drawing(0.9 + 0.27 * len(rows)) as (figure, axes, out):
-        minutes = (departure_map.edges - departure_map.edges[0]) / 60.0
-        values = np.ma.masked_invalid(np.array([r.departure for r in rows]))
-        colours = axes.pcolormesh(
-            minutes, np.arange(len(rows) + 1), values, cmap="PuOr_r", vmin=-CLIP, vmax=CLIP, rasterized=True
-        )
-        axes.set_facecolor("#e9e9e9")
-        axes.set_yticks(np.arange(len(rows)) + 0.5, [r.name for r in rows])
-        axes.tick_params(axis="y", length=0)
-        axes.invert_yaxis()
-        axes.set_xlabel("time, min")
-        bar = figure.colorbar(colours, ax=axes, location="top", shrink=0.8, aspect=40, extend="both")
-        bar.set_ticks([-CLIP, -CLIP / 2, 0.0, CLIP / 2, CLIP])
-        bar.set_label("difference, in units of each channel's noise")
-    return out[0]
-
-
 def curve_figures(curve: Curve) -> list[str]:
     """Draw a finding on one axis: against its driver, and in time with the cross-validated prediction."""
-    scale, unit = prefixed(curve.point, curve.unit)
+    scale, unit = shown_in(curve.point, curve.unit)
     pictures = [_in_time(curve, scale, unit)]
     if not curve.x_name.startswith("time"):
         pictures.insert(0, _against(curve, scale, unit))
@@ -135,8 +114,8 @@ def _against(curve: Curve, scale: float, unit: str) -> str:
             axes.plot(
                 curve.x[order], curve.partial_component[order] * scale, color=AFTER, lw=1.8, label="fitted"
             )
-        axes.set_xlabel(readable(curve.x_name))
-        axes.set_ylabel(f"{curve.y_name} {curve.axis}, {readable(unit)}")
+        axes.set_xlabel(pretty(curve.x_name))
+        axes.set_ylabel(f"{curve.y_name} {curve.axis}, {pretty(unit)}")
     return out[0]
 
 
@@ -160,60 +139,49 @@ def _in_time(curve: Curve, scale: float, unit: str) -> str:
         axes.set_xlabel(
             "time, min (dotted: parts left out in turn)" if curve.held_out is not None else "time, min"
         )
-        axes.set_ylabel(f"bias {curve.axis}, {readable(unit)}")
+        axes.set_ylabel(f"bias {curve.axis}, {pretty(unit)}")
     return out[0]
-
-
-def prefixed(values: Array, unit: str) -> tuple[float, str]:
-    """Return the factor and unit in which values are easily read: milli or micro where they are small."""
-    size = float(np.quantile(np.abs(values), 0.95)) if values.size else 0.0
-    if size >= 0.2 or size == 0.0:
-        return 1.0, unit
-    return (1e3, f"10⁻³ {unit}") if size >= 2e-4 else (1e6, f"10⁻⁶ {unit}")
 
 
 RecordedAndSimulated = Sequence[tuple[str, str, Samples, Bins]]
 """Label, colour, samples and static bins of the recording, the simulation, and the corrected simulation."""
 
 
-def spectrum_figure(
-    recorded_and_simulated: RecordedAndSimulated, unit: str, axis: int, mark: float | None
-) -> str:
+def spectrum_figure(sources: RecordedAndSimulated, unit: str, axis: int, mark: float | None) -> str:
     """Draw the noise densities of one axis at rest. mark: Hz."""
-    with drawing() as (_, axes, out):
-        for label, colour, samples, bins in recorded_and_simulated:
-            still = quiet(samples, bins)
-            if len(still.pieces) < 3:
-                continue
+    lines = []
+    for label, colour, samples, bins in sources:
+        still = quiet(samples, bins)
+        if len(still.pieces) >= LEAST_PIECES:
             f, power = spectra(still)
-            density = np.sqrt(np.median(power[:, :, axis], axis=0))
-            dash = (
-                "--" if colour == AFTER else "-"
-            )  # a simulation that matches lies on the recording: both must be visible
-            axes.loglog(f[1:], density[1:], dash, color=colour, lw=1.5, label=label)
+            lines.append((label, colour, f[1:], np.sqrt(np.median(power[:, 1:, axis], axis=0))))
+    typical = float(np.median(lines[0][3])) if lines else 0.0
+    scale, name = shown_in(typical, f"{unit}/sqrt(Hz)")
+    with drawing() as (_, axes, out):
+        for label, colour, f, density in lines:
+            # A simulation that matches lies on the recording: both must be visible.
+            dash = "--" if colour == AFTER else "-"
+            axes.loglog(f, density * scale, dash, color=colour, lw=1.5, label=label)
         if mark is not None:
             axes.axvline(mark, color="#999999", lw=1.0, ls=":")
         axes.set_xlabel("frequency, Hz" if mark is None else f"frequency, Hz (dotted: {mark:.4g} Hz)")
-        axes.set_ylabel(f"density {'xyz'[axis]}, {readable(unit)}/√Hz")
+        axes.set_ylabel(f"noise density {'xyz'[axis]}, {name}")
     return out[0]
 
 
-def values_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, axis: int) -> str:
+def values_figure(sources: RecordedAndSimulated, unit: str, axis: int) -> str:
     """Draw a histogram of single samples at rest about their bin's mean."""
     with drawing() as (_, axes, out):
-        parts = [
-            (label, colour, _pooled(samples, bins, axis))
-            for label, colour, samples, bins in recorded_and_simulated
-        ]
+        parts = [(label, colour, _pooled(samples, bins, axis)) for label, colour, samples, bins in sources]
         spread = max(float(np.abs(p).max(initial=1e-9)) for _, _, p in parts)
         wide = min(spread, 8.0 * max(float(p.std()) if p.size else 1e-9 for _, _, p in parts))
         edges = np.linspace(-wide, wide, 122)
-        scale, name = prefixed(np.array([wide]), unit)
+        scale, name = shown_in(wide, unit)
         for label, colour, p in parts:
             share = np.histogram(p, edges)[0] / max(p.size, 1)
             axes.stairs(share, edges * scale, color=colour, lw=1.3, label=label)
         axes.set_yscale("log")
-        axes.set_xlabel(f"sample minus the interval's mean, {'xyz'[axis]}, {readable(name)}")
+        axes.set_xlabel(f"sample minus the interval's mean, {'xyz'[axis]}, {pretty(name)}")
         axes.set_ylabel("share of samples")
     return out[0]
 
@@ -223,12 +191,12 @@ def _pooled(samples: Samples, bins: Bins, axis: int) -> Array:
     return np.concatenate([p[:, axis] for p in pieces]) if pieces else np.empty(0)
 
 
-def intervals_figure(recorded_and_simulated: RecordedAndSimulated, *, arrival: bool) -> str:
+def intervals_figure(sources: RecordedAndSimulated, *, arrival: bool) -> str:
     """Draw the intervals between stamps, or between arrivals."""
     with drawing() as (_, axes, out):
-        period = float(np.median(np.diff(recorded_and_simulated[0][2].t)))
+        period = float(np.median(np.diff(sources[0][2].t)))
         edges = np.linspace(0.0, 4.0 * period, 162) * 1e3
-        for label, colour, samples, _bins in recorded_and_simulated:
+        for label, colour, samples, _bins in sources:
             t = samples.t_arrival if arrival else samples.t
             if t is None:
                 continue
@@ -240,15 +208,38 @@ def intervals_figure(recorded_and_simulated: RecordedAndSimulated, *, arrival: b
     return out[0]
 
 
-def extremes_figure(recorded_and_simulated: RecordedAndSimulated, unit: str, limit: float) -> str:
-    """Draw a histogram of the largest axis value of each sample. limit: is marked."""
+def extremes_figure(sources: RecordedAndSimulated, unit: str, axis: int, limit: float) -> str:
+    """Draw a histogram of the values of one axis, without their signs. limit: is marked."""
+    scale, name = shown_in(limit, unit)
     with drawing() as (_, axes, out):
         edges = np.linspace(0.0, 1.3 * limit, 131)
-        for label, colour, samples, _bins in recorded_and_simulated:
-            share = np.histogram(np.abs(samples.xyz).max(axis=1), edges)[0] / max(len(samples), 1)
-            axes.stairs(share, edges, color=colour, lw=1.3, label=label)
-        axes.axvline(limit, color="#999999", lw=1.0, ls=":")
+        for label, colour, samples, _bins in sources:
+            share = np.histogram(np.abs(samples.xyz[:, axis]), edges)[0] / max(len(samples), 1)
+            axes.stairs(share, edges * scale, color=colour, lw=1.3, label=label)
+        axes.axvline(limit * scale, color="#999999", lw=1.0, ls=":")
         axes.set_yscale("log")
-        axes.set_xlabel(f"largest value of a sample, {readable(unit)} (dotted: {limit:.4g})")
+        axes.set_xlabel(f"size of {'xyz'[axis]}, {name} (dotted: {limit * scale:.4g})")
         axes.set_ylabel("share of samples")
+    return out[0]
+
+
+Numbers = tuple[str, str, Array, Array]
+"""Label, colour, values (k,) and their intervals (k, 2) of one side."""
+
+
+def numbers_figure(sides: Sequence[Numbers], labels: Sequence[str], unit: str, name: str) -> str:
+    """Draw the numbers of one parameter with their intervals, one row each. name: of the parameter."""
+    largest = max((float(np.abs(value).max(initial=0.0)) for _, _, value, _ in sides), default=0.0)
+    scale, shown = shown_in(largest, unit, name)
+    count = len(labels)
+    with drawing(ROW_INCHES * count + 0.8) as (_, axes, out):
+        for place, (label, colour, value, ends) in enumerate(sides):
+            rows = np.arange(count)[::-1] + 0.12 * (1.0 - 2.0 * place)
+            errors = np.maximum(np.abs(ends.T - value), 0.0) * scale
+            axes.errorbar(value * scale, rows, xerr=errors, fmt="o", color=colour, label=label, capsize=3)
+        axes.axvline(0.0, color="#bbbbbb", lw=0.8)
+        axes.set_yticks(np.arange(count)[::-1], labels)
+        axes.set_ylim(-0.6, count - 0.4)
+        axes.set_xlabel(f"{name.replace('_', ' ')}{', ' if shown else ''}{shown}")
+        axes.grid(axis="x", color="#dddddd", linewidth=0.6)
     return out[0]

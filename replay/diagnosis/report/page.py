@@ -1,4 +1,7 @@
-"""The page of a recording against a simulation: what differs, drawn as numbers with their intervals."""
+"""The report: one HTML page that loads no other file, for every kind of simulation.
+
+All text that comes from files or names is escaped; pictures are data in the page itself.
+"""
 
 from __future__ import annotations
 
@@ -10,24 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.judged import Judged
-from stillcal.replay.diagnosis.relation_text import (
-    headline,
-    labels_of,
-    noun,
-    outcome,
-    probability_text,
-    readable,
-    reasons,
-    shown_of,
-    simulation_text,
-    with_interval,
-)
-from stillcal.replay.diagnosis.report import figures, tables
-from stillcal.replay.diagnosis.report.pictures import Album
-from stillcal.replay.diagnosis.wording import EQUATIONS, ending, to_record
+from stillcal.replay.diagnosis.names import BUILT_IN, THE_BUILT_IN, capital, noun, simulation_text
+from stillcal.replay.diagnosis.next_recording import to_record
+from stillcal.replay.diagnosis.relation_text import probability_text, shown_of, with_interval
+from stillcal.replay.diagnosis.report import tables
+from stillcal.replay.diagnosis.report.pictures import Album, Picture
+from stillcal.replay.diagnosis.summary import headline, outcome, reasons
+from stillcal.replay.diagnosis.units import pretty, shown_in
 
 STYLE = """
 :root{color-scheme:light}
@@ -35,45 +30,50 @@ body{font:16px/1.5 system-ui,sans-serif;color:#222;background:#fff;margin:0 auto
  padding:1rem;overflow-wrap:anywhere}
 h1{font-size:1.5rem;line-height:1.25}h2{font-size:1.2rem;margin-top:2.2rem;border-top:1px solid #ccc;
  padding-top:1rem}h3{font-size:1.05rem;margin-top:1.8rem}
-.verdict{font-size:1.15rem;padding:.8rem 1rem;border-left:.4rem solid #0b6e99;background:#f1f6f8}
+.verdict{font-size:1.15rem;padding:.8rem 1rem;border-left:.4rem solid #c65a11;background:#fbf3ec}
 .verdict.match{border-color:#2e7d32;background:#f0f7f0}
-.verdict.unidentified,.verdict.partly_identified,
-.verdict.not_judged{border-color:#c65a11;background:#fbf3ec}
+.verdict.identified{border-color:#0b6e99;background:#f1f6f8}
+.verdict.not_judged{border-color:#777;background:#f4f4f4}
+nav ul{columns:2 20rem;padding-left:1.2rem}
 .pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,27rem),1fr));gap:1rem}
-figure{margin:.6rem 0;max-width:31rem}figure.wide{max-width:46rem}
+figure{margin:.6rem 0;max-width:31rem}
 img{width:100%;height:auto;display:block}figcaption{font-size:.9rem;color:#444}
 code,.equation{font-family:ui-monospace,monospace;font-size:.92rem}
-.equation{background:#f6f6f6;padding:.5rem .7rem}
-.no{color:#8a3c00;font-weight:600}footer{margin-top:2.5rem;font-size:.85rem;color:#555}
+.equation{background:#f6f6f6;padding:.5rem .7rem;white-space:pre-wrap}
+footer{margin-top:2.5rem;font-size:.85rem;color:#555}
+@media print{h2,h3{break-after:avoid}figure,tr,.verdict{break-inside:avoid}nav{display:none}}
 """
 
-ROW_INCHES = 0.55
-"""Height of one axis' row in a figure of two values."""
-
 RELATIONS = {
-    "lacking": "the simulation lacks it",
-    "too_small": "smaller in the simulation, all numbers together",
-    "too_large": "larger in the simulation, all numbers together",
-    "superfluous": "only the simulation has it",
+    "lacking": "{} lacks it",
+    "too_small": "it is smaller in {}",
+    "too_large": "it is larger in {}",
+    "superfluous": "only {} has it",
 }
+
+CONTENTS_FROM = 3
+"""Findings from which the page has a list of its contents."""
 
 
 def page(judged: Judged) -> str:
     """Return the page's HTML."""
     answer = judged.answer
-    names = escape(answer["recording"]), escape(simulation_text(answer["simulation"]))
+    recording, simulation = escape(answer["recording"]), escape(simulation_text(answer["simulation"]))
+    strong, _, rest = headline(answer).partition(" (")
     parts = [
-        f"<h1>{names[0]} against {names[1]}</h1>",
-        f'<p class="verdict {escape(answer["verdict"])}">{escape(_verdict(answer))}</p>',
-        _header(judged),
+        f"<h1>{recording} against {simulation}</h1>",
+        f'<p class="verdict {escape(answer["verdict"])}"><strong>{escape(strong)}</strong>'
+        f" ({escape(rest)}. {escape(outcome(answer))}</p>",
+        _files(judged),
+        _contents(answer["findings"]),
         *_findings(judged),
         *_agreed(answer),
         *_not_compared(answer),
         *_sensitivity(answer),
-        "<footer>Made by <code>stillcal diagnose</code>. Intervals are 95 %. docs/comparison.md describes the"
-        " method and this page.</footer>",
+        f"<footer>Made by <code>stillcal diagnose</code>, version {escape(version('stillcal'))}. Intervals"
+        " are 95 %. docs/comparison.md describes the method, docs/report.md this page.</footer>",
     ]
-    return document(f"{names[0]} against {names[1]}", parts)
+    return document(f"{recording} against {simulation}: {escape(strong)}", parts)
 
 
 def document(title: str, parts: Iterable[str]) -> str:
@@ -86,49 +86,59 @@ def document(title: str, parts: Iterable[str]) -> str:
     )
 
 
-def figure_html(svg: str, alt: str, caption: str, *, wide: bool = False) -> str:
+def _figure(picture: Picture) -> str:
     """Return a picture with its caption, held in the page itself."""
-    data = base64.b64encode(svg.encode()).decode()
-    kind = ' class="wide"' if wide else ""
+    data = base64.b64encode(picture.svg.encode()).decode()
     return (
-        f'<figure{kind}><img alt="{escape(alt)}" src="data:image/svg+xml;base64,{data}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
+        f'<figure><img alt="{escape(picture.alt)}" src="data:image/svg+xml;base64,{data}">'
+        f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
     )
 
 
-def _verdict(answer: Mapping[str, Any]) -> str:
-    return " ".join(f"{headline(answer)}. {outcome(answer)}".split())
-
-
-def _header(judged: Judged) -> str:
-    rows = []
-    for name, exam in (
-        (judged.answer["recording"], judged.recorded),
-        (judged.answer["simulation"], judged.simulated),
-    ):
-        if exam is None:
-            continue
-        accel, gyro = exam.accelerometer, exam.gyroscope
-        rows.append(
-            (
-                escape(name),
-                _length(accel),
-                _rate(accel),
-                "none" if gyro is None else _rate(gyro),
-                "no" if exam.bins.temperature is None else "yes",
-                f"{float(exam.bins.duration.sum()) / 60.0:.1f} min",
-            )
-        )
+def _files(judged: Judged) -> str:
+    """Return what was compared: length, rates, sensors and rest of both."""
+    rows = [_file(judged.answer["recording"], judged.recorded)]
+    if judged.simulated is not None:
+        rows.append(_file(judged.answer["simulation"], judged.simulated))
     heads = ("file", "length", "accelerometer", "gyroscope", "thermometer", "at rest")
-    return f"<p>stillcal {escape(version('stillcal'))}</p>" + tables.table(heads, rows)
+    text = tables.table(heads, rows)
+    if judged.answer["simulation"] == BUILT_IN:
+        text += (
+            f"<p>{capital(THE_BUILT_IN)} is an ideal sensor moved as the recording moved: constant bias,"
+            " scale and misalignment as measured here, and plain noise.</p>"
+        )
+    return text
 
 
-def _length(samples: Samples) -> str:
-    return f"{float(samples.t[-1] - samples.t[0]) / 60.0:.1f} min"
+def _file(name: str, exam: Examination) -> tuple[str, ...]:
+    accel, gyro = exam.accelerometer, exam.gyroscope
+    still = float(exam.bins.duration.sum()) / 60.0
+    return (
+        escape(name),
+        f"{float(accel.t[-1] - accel.t[0]) / 60.0:.1f} min",
+        _rate(accel),
+        "none" if gyro is None else _rate(gyro),
+        "none" if accel.temperature is None else "yes",
+        f"{still:.1f} min",
+    )
 
 
 def _rate(samples: Samples) -> str:
+    if len(samples) < 2:
+        return "no samples"
     return f"{(len(samples) - 1) / float(samples.t[-1] - samples.t[0]):.4g} Hz"
+
+
+def _contents(findings: Sequence[Mapping[str, Any]]) -> str:
+    if len(findings) < CONTENTS_FROM:
+        return ""
+    items = "".join(f'<li><a href="#f{i}">{escape(_title(f))}</a></li>' for i, f in enumerate(findings))
+    return f"<nav><ul>{items}</ul></nav>"
+
+
+def _title(finding: Mapping[str, Any]) -> str:
+    axes = ", ".join(finding["axes"])
+    return capital(noun(finding["effect"], finding["sensor"])) + (f" on {axes}" if axes else "")
 
 
 def _findings(judged: Judged) -> Iterator[str]:
@@ -136,97 +146,80 @@ def _findings(judged: Judged) -> Iterator[str]:
     if not answer["findings"]:
         return
     yield "<h2>What differs</h2>"
-    album = Album.of(judged)
-    for finding in answer["findings"]:
-        axes = ", ".join(finding["axes"])
-        what = noun(finding["effect"], finding["sensor"])
-        yield f"<h3>{escape(what[0].upper() + what[1:])}{' on ' + axes if axes else ''}</h3>"
-        yield f"<p>{escape(finding['statement'])}</p>"
-        share = probability_text(finding["probability"])
-        yield f"<p>{RELATIONS[finding['relation']].capitalize()}. Probability of a difference: {share}.</p>"
-        if equation := ending(finding["effect"], EQUATIONS):
-            yield f'<p class="equation">{equation}</p>'
-        yield _to_paste(finding)
+    album, start = Album.of(judged), float(judged.recorded.accelerometer.t[0])
+    for i, finding in enumerate(answer["findings"]):
+        yield f'<h3 id="f{i}">{escape(_title(finding))}</h3><p>{escape(finding["statement"])}</p>'
         yield _table(finding)
-        drawn = [figure_html(p.svg, p.alt, p.caption) for p in album.pictures(finding)]
-        if judged.simulated is not None:
-            drawn += [_picture(finding, name) for name in finding["difference"] if name != "ratio"]
-        if drawn:
-            yield f'<div class="pictures">{"".join(drawn)}</div>'
+        yield _equation(finding)
+        drawn = "".join(_figure(p) for p in album.pictures(finding))
+        yield f'<div class="pictures">{drawn}</div>' if drawn else ""
+        yield f"<p>{escape(_sure(finding, start, simulation_text(answer['simulation'])))}</p>"
+        yield _alternatives(finding)
         if following := to_record(finding["effect"], finding["sensor"]):
             yield f"<p>What to record next: {escape(following)}.</p>"
 
 
-def _to_paste(finding: Mapping[str, Any]) -> str:
-    """Return the temperature that a finding counts from, and its NumPy function folded up."""
+def _equation(finding: Mapping[str, Any]) -> str:
+    """Return the physics as a formula, and the NumPy function that takes it out folded up."""
+    equation = finding.get("equation", "")
     at = finding.get("reference", {}).get("temperature_c")
-    counted = "" if at is None else f"<p>T₀ = {at:.4g} °C.</p>"
-    if "numpy" not in finding:
-        return counted
-    code = f'<pre class="equation">{escape(finding["numpy"])}</pre>'
-    return f"{counted}<details><summary>NumPy function that takes it out</summary>{code}</details>"
+    if at is not None:
+        equation += f", T0 = {at:.4g} °C"
+    text = f'<p class="equation">{escape(pretty(equation))}</p>' if equation else ""
+    if "numpy" in finding:
+        code = f'<pre class="equation">{escape(finding["numpy"])}</pre>'
+        text += f"<details><summary>NumPy function that takes it out of samples</summary>{code}</details>"
+    return text
+
+
+def _sure(finding: Mapping[str, Any], start: float, simulation: str) -> str:
+    """Return how sure a finding is. start: s, the recording's first stamp."""
+    where, evidence = finding["where"], finding["evidence"]
+    relation = RELATIONS[finding["relation"]].format(simulation)
+    text = (
+        f"Probability {probability_text(finding['probability'])} that {relation}. Seen from"
+        f" {where['t_start'] - start:.0f} to {where['t_end'] - start:.0f} s, following {where['driver']}."
+    )
+    if "heldout_log_score_gain" in evidence:
+        gain = evidence["heldout_log_score_gain"]
+        text += f" What was left out of the fit is predicted better with it, by {gain:.3g} nats"
+        text += f" in {evidence['folds']} parts." if "folds" in evidence else "."
+    return text
 
 
 def _table(finding: Mapping[str, Any]) -> str:
-    names = list(dict.fromkeys([*finding["parameters"], *finding["simulated"], *finding["difference"]]))
+    sides = ("parameters", "simulated", "difference")
+    names = list(dict.fromkeys(name for side in sides for name in finding[side]))
     rows = [
-        (
-            escape(name.replace("_", " ")),
-            *(_cell(finding, side, name) for side in ("parameters", "simulated", "difference")),
-        )
-        for name in names
+        (escape(name.replace("_", " ")), *(_cell(finding, side, name) for side in sides)) for name in names
     ]
-    heads = ("parameter", "recorded", "simulated", "add to the simulation")
-    return tables.table(heads, rows)
+    return tables.table(("parameter", "recorded", "simulated", "add to the simulation"), rows)
 
 
 def _cell(finding: Mapping[str, Any], side: str, name: str) -> str:
     if name not in finding[side]:
         return ""
     parameter = finding[side][name]
-    labels = labels_of(name, np.size(parameter["value"]))
-    return escape(with_interval(parameter, labels, shown_of(finding, name, "xyz")))
+    shown = shown_of(finding, name, "xyz")
+    text = escape(with_interval(name, parameter, shown))
+    more = np.size(parameter["value"]) - len(shown)
+    return f"{text} (the largest of {more + len(shown)})" if more else text
 
 
-def _picture(finding: Mapping[str, Any], name: str) -> str:
-    sides = [finding["parameters"].get(name), finding["simulated"].get(name)]
-    what = noun(finding["effect"], finding["sensor"])
-    what = f"{what[0].upper() + what[1:]}: {name.replace('_', ' ')}"
-    caption = f"{what}, recorded and simulated, with 95 % intervals."
-    return figure_html(_two_values(name, sides), caption, caption)
-
-
-def _two_values(name: str, sides: Sequence[Mapping[str, Any] | None]) -> str:
-    """Draw one parameter's numbers row by row, the recorded above the simulated."""
-    known = [s for s in sides if s is not None]
-    count = np.asarray(known[0]["value"], dtype=np.float64).size
-    labels = labels_of(name, count)
-    with figures.drawing(0.8 + ROW_INCHES * count) as (_, axes, out):
-        unit = ""
-        for side, label, colour, shift in (
-            (sides[0], "recorded", figures.INK, 0.12),
-            (sides[1], "simulated", figures.BEFORE, -0.12),
-        ):
-            if side is None:
-                continue
-            value, low, high, unit = _shown(side)
-            rows = np.arange(count)[::-1] + shift
-            axes.errorbar(
-                value, rows, xerr=[value - low, high - value], fmt="o", color=colour, label=label, capsize=3
-            )
-        axes.set_yticks(np.arange(count)[::-1], labels)
-        axes.set_ylim(-0.6, count - 0.4)
-        axes.set_xlabel(unit.replace("^2", "²"))
-        axes.grid(axis="x", color="#dddddd", linewidth=0.6)
-    return out[0]
-
-
-def _shown(side: Mapping[str, Any]) -> tuple[Array, Array, Array, str]:
-    """Return values and the ends of their intervals in the unit that people read."""
-    value = np.asarray(side["value"], dtype=np.float64).ravel()
-    ends = np.asarray(side.get("ci95", np.stack([value, value], axis=-1)), dtype=np.float64).reshape(-1, 2)
-    factor, unit = readable(1.0, side["unit"])
-    return value * factor, ends[:, 0] * factor, ends[:, 1] * factor, unit
+def _alternatives(finding: Mapping[str, Any]) -> str:
+    if not finding["alternatives"]:
+        return ""
+    rows = [
+        (
+            escape(noun(a["effect"], finding["sensor"])),
+            f"{a['heldout_log_score_gain']:.3g} nats",
+            "cannot be told from it here" if a["indistinguishable"] else "explains it less well",
+        )
+        for a in finding["alternatives"]
+    ]
+    return "<p>Other explanations that were tried:</p>" + tables.table(
+        ("effect", "held-out gain", "how it compares"), rows
+    )
 
 
 def _agreed(answer: Mapping[str, Any]) -> Iterator[str]:
@@ -235,7 +228,7 @@ def _agreed(answer: Mapping[str, Any]) -> Iterator[str]:
     yield "<h2>What agrees</h2>"
     rows = [
         (
-            escape(noun(a["effect"], a["sensor"])),
+            escape(capital(noun(a["effect"], a["sensor"]))),
             "; ".join(f"{escape(k.replace('_', ' '))}: {_cell(a, 'parameters', k)}" for k in a["parameters"]),
         )
         for a in answer["agreed"]
@@ -246,17 +239,20 @@ def _agreed(answer: Mapping[str, Any]) -> Iterator[str]:
 def _not_compared(answer: Mapping[str, Any]) -> Iterator[str]:
     if answer["not_compared"]:
         yield "<h2>What could not be compared</h2>"
-        rows = [(escape(why), escape(", ".join(what))) for why, what in reasons(answer).items()]
+        rows = [(escape(why), escape("; ".join(what))) for why, what in reasons(answer).items()]
         yield tables.table(("why", "effects"), rows)
 
 
 def _sensitivity(answer: Mapping[str, Any]) -> Iterator[str]:
-    if answer["sensitivity"]:
-        yield "<h2>How small a difference would have been seen</h2>"
-        yield "<p>A difference of this size on one axis would have been stated nine times in ten.</p>"
-        rows = []
-        for s in answer["sensitivity"]:
-            value, unit = readable(s["smallest_seen_90"], s["unit"])
-            what = f"{noun(s['effect'], s['sensor'])}: {s['parameter'].replace('_', ' ')}"
-            rows.append((escape(what), f"{value:.2g} {escape(unit)}"))
-        yield tables.table(("quantity", "smallest difference"), rows)
+    if not answer["sensitivity"]:
+        return
+    yield "<h2>How small a difference would have been seen</h2>"
+    yield "<p>A difference of this size on one axis is found nine times in ten.</p>"
+    rows = []
+    for s in answer["sensitivity"]:
+        factor, unit = shown_in(s["smallest_seen_90"], s["unit"], s["parameter"])
+        at = "".join(f" ({k.removesuffix('_s')} {v:.0f} s)" for k, v in s.get("reference", {}).items())
+        what = capital(noun(s["effect"], s["sensor"]))
+        size = f"{s['smallest_seen_90'] * factor:.2g} {unit}"
+        rows.append((escape(what), escape(s["parameter"].replace("_", " ") + at), escape(size)))
+    yield tables.table(("effect", "parameter", "smallest size"), rows)

@@ -6,10 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.replay.diagnosis.case import Case, case_of
 from stillcal.replay.diagnosis.judged import Judged, bins_of
-from stillcal.replay.diagnosis.relation_text import noun, simulation_text
+from stillcal.replay.diagnosis.names import capital, noun, simulation_text
+from stillcal.replay.diagnosis.relation_text import labels_of
 from stillcal.replay.diagnosis.report import figures
 from stillcal.replay.diagnosis.report.curves import Curve, curves_of
 
@@ -32,9 +37,12 @@ Sources = figures.RecordedAndSimulated
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Album:
-    """What pictures are made of: the recording's case and, by sensor, the samples that are drawn together."""
+    """What pictures are made of: the recording's case and, by sensor, the samples that are drawn together.
 
-    judged: Judged
+    case: the recording's own effects, which the curves are of; None where nothing is at rest.
+    """
+
+    case: Case | None
     samples: Mapping[str, Sources]
 
     @classmethod
@@ -51,7 +59,8 @@ class Album:
             sides.append((made.accelerometer, made.gyroscope, bins_of(made), "corrected", figures.AFTER))
         force = [(label, colour, accel, bins) for accel, _, bins, label, colour in sides]
         rate = [(label, colour, gyro, bins) for _, gyro, bins, label, colour in sides if gyro is not None]
-        return cls(judged, {"accel": force, "timing": force, "gyro": rate})
+        case = judged.case or case_of(judged.recording, recorded, compare_with_ideal(recorded))
+        return cls(case if len(case.bins) else None, {"accel": force, "timing": force, "gyro": rate})
 
     def pictures(self, answered: Mapping[str, Any]) -> list[Picture]:
         """Return the pictures of one finding of the answer."""
@@ -59,11 +68,10 @@ class Album:
         for finding, curves in self._curves(key):
             if curves:
                 return [p for curve in curves for p in _of_curve(finding, curve)]
-        return _of_samples(answered, self.samples[answered["sensor"]])
+        return _of_samples(answered, self.samples[answered["sensor"]]) or _of_numbers(answered)
 
     def _curves(self, key: tuple[str, str]) -> list[tuple[Finding, list[Curve]]]:
-        case = self.judged.case
-        if case is None:
+        if (case := self.case) is None:
             return []
         return [
             (m.finding, curves_of(m, case.bins, case.conditions, case.affine, case.gravity))
@@ -91,6 +99,31 @@ def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
     return [in_time] if len(svgs) == 1 else [against, in_time]
 
 
+def _of_numbers(finding: Mapping[str, Any]) -> list[Picture]:
+    """Return a picture for each parameter that both the recording and the simulation have."""
+    found = []
+    for name, recorded in finding["parameters"].items():
+        simulated = finding["simulated"].get(name)
+        if simulated is None or "ci95" not in recorded:
+            continue
+        sides = [
+            _numbers("recorded", figures.RECORDED, recorded),
+            _numbers("simulated", figures.BEFORE, simulated),
+        ]
+        labels = labels_of(name, sides[0][2].size)
+        what = capital(noun(finding["effect"], finding["sensor"]))
+        caption = f"{what}: {name.replace('_', ' ')}, recorded and simulated, with 95 % intervals."
+        svg = figures.numbers_figure(sides, labels, recorded["unit"], name)
+        found.append(Picture(svg, caption, caption))
+    return found
+
+
+def _numbers(label: str, colour: str, parameter: Mapping[str, Any]) -> figures.Numbers:
+    value = np.asarray(parameter["value"], dtype=np.float64).ravel()
+    ends = np.asarray(parameter.get("ci95", np.stack([value, value], axis=-1)), dtype=np.float64)
+    return label, colour, value, ends.reshape(-1, 2)
+
+
 Draw = Callable[[Sources, str], str]
 
 
@@ -115,9 +148,9 @@ def _kind(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
     if effect in LIMITED:
         limit = _number(finding, "limit") or 1.0
         return (
-            lambda three, unit: figures.extremes_figure(three, unit, limit),
-            "Histogram of largest values",
-            "Histogram of the largest axis value of each sample.",
+            lambda three, unit: figures.extremes_figure(three, unit, axis, limit),
+            "Histogram of values",
+            f"How often axis {'xyz'[axis]} reads how much, whatever the sign (log scale).",
         )
     if finding["sensor"] == "timing":
         late = effect == "arrival_bursts"

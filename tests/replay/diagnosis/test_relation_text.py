@@ -50,7 +50,7 @@ def test_the_word_holds_for_every_number_shown(
 def test_of_a_matrix_the_same_element_is_shown_of_both() -> None:
     recorded, simulated = np.diag([-0.2, 0.0, 3.0]), np.diag([-1.0, 0.0, 0.5])
     text = told("gyro_scale", "too_small", ["z"], scale=(recorded.tolist(), simulated.tolist(), "1"))
-    assert "z by z 0.5" in text and "z by z 3" in text and "x by x" not in text
+    assert "z by z 50 " in text and "z by z 300 " in text and "x by x" not in text
 
 
 def test_the_part_that_differs_is_shown_with_its_pairs_of_axes() -> None:

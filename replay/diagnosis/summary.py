@@ -1,0 +1,75 @@
+"""The answer in some lines for a terminal: the verdict, what differs, what was not compared and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from stillcal.calib_core.diagnosis.comparison.compare import LEVEL
+from stillcal.replay.diagnosis.names import capital, noun, simulation_text
+from stillcal.replay.diagnosis.relation_text import probability_text
+
+VERDICTS = {
+    "match": "No difference found",
+    "identified": "Differences found, all identified",
+    "partly_identified": "Differences found, some identified",
+    "unidentified": "Differences found, of unknown cause",
+    "not_judged": "Not judged: too few of the checks could be made",
+}
+
+
+LINES = 14
+"""Longest summary; it is to be read at a glance."""
+
+
+def headline(answer: Mapping[str, Any]) -> str:
+    """Return the verdict in a sentence, with how many of the checks this recording allows."""
+    text, made, of = VERDICTS[answer["verdict"]], answer["checks"]["made"], answer["checks"]["of"]
+    checks = f"{made} of {of} checks possible"
+    return f"{text} ({checks})"
+
+
+def outcome(answer: Mapping[str, Any]) -> str:
+    """Return how the simulation fits with what was found put into it; "" where nothing was found."""
+    if not answer["findings"]:
+        return ""
+    simulation, fit = simulation_text(answer["simulation"]), answer["fit"]
+    if "p_after" not in fit:
+        return f"{capital(simulation)} could not be played with what was found: the phone is never at rest."
+    passes = "passes" if fit["p_after"] >= LEVEL else "still fails"
+    numbers = f"p = {fit['p_after']:.2g}; before {fit['p_before']:.2g}"
+    # One effect on both sensors is named once.
+    left = ", ".join(dict.fromkeys(noun(effect, "") for effect in fit["not_put_in"]))
+    but = f" These could not be put in and are left out of it: {left}." if left else ""
+    return f"With what was found put in, {simulation} {passes} the same comparison ({numbers}).{but}"
+
+
+def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
+    """Return the answer in some lines for a terminal, the verdict first."""
+    simulation = simulation_text(answer["simulation"])
+    out = [f"{answer['recording']} against {simulation}: {headline(answer)}"]
+    out += [
+        f"  {f['statement']} (probability {probability_text(f['probability'])})" for f in answer["findings"]
+    ]
+    out += [f"  {text}" for text in [outcome(answer)] if text]
+    agreed = ", ".join(noun(a["effect"], a["sensor"]) for a in answer["agreed"])
+    if agreed:
+        out.append(f"  agreed: {agreed}")
+    out += [f"  not compared: {_some(what)} - {why}" for why, what in reasons(answer).items()]
+    if len(out) > lines:
+        out = [*out[: lines - 1], f"  and {len(out) - lines + 1} more lines in --json and --report"]
+    return out
+
+
+def _some(what: Sequence[str], most: int = 3) -> str:
+    """Return the first few of a list, and how many there are besides."""
+    shown = ", ".join(what[:most])
+    return shown if len(what) <= most else f"{shown} and {len(what) - most} more"
+
+
+def reasons(answer: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return what could not be compared, by the reason why not."""
+    out: dict[str, list[str]] = {}
+    for one in answer["not_compared"]:
+        out.setdefault(one["reason"], []).append(noun(one["effect"], one["sensor"]))
+    return out
