@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.segments.merged_rests import merged
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.findings import Stated, statements_of
 from stillcal.calib_core.diagnosis.slow.search import forward
@@ -41,7 +42,7 @@ def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None 
     if len(rests) < LEAST_ROWS:
         raise NotSupported(f"{len(rests)} rests", (f"at least {LEAST_ROWS}, in different attitudes",))
     claims, timed = claims or Claims(), _timed(rests)
-    exam = _examined(rest_bins(rests), claims, timed=timed)
+    exam = _examined(merged(rest_bins(rests)), claims, timed=timed)
     before = compare_with_ideal(exam)
     fit = Fit(before.p, before.p)
     if before.discrepancies:
