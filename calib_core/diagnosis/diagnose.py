@@ -17,7 +17,8 @@ from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.direct.missing_codes import beside, dead_bits, dead_zone
 from stillcal.calib_core.diagnosis.direct.noise_changes import changing
-from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, saturation, steps
+from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, steps
+from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model import settings as thresholds
@@ -25,6 +26,7 @@ from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.records import NAME, Claims, Diagnosis, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones, usual
 from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
@@ -40,10 +42,6 @@ LEAST_SAMPLES = 200
 LEAST_SECONDS = 10.0
 CLEAR = 4.0
 """Standard deviations of the noise that a mean must be below a limit."""
-
-COARSEST = 1.6
-"""Steps, in standard deviations of the noise, up to which single samples show its tails: the fourth moment of
-normal noise is then off by 0.001 (the first harmonic, exp(-2 pi^2 / 1.6^2))."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,13 +84,17 @@ def diagnose(
     recording: str = "",
     *,
     without: Collection[str] = (),
+    sound: SoundPhones | None = None,
 ) -> Diagnosis:
     """Find where a recording differs from a simulated ideal sensor, and what physics was left out.
 
     without: effects of which the catalogue knows nothing, to try what their cases are then called.
+    sound: what sound phones commonly show, by default the populations that come with the package.
     Raises NotSupported where not even the stamps can be judged (fewer than 200 samples, less than 10 s).
     """
-    return examine(accelerometer, gyroscope, events, claims, without=without).diagnosis(recording)
+    return examine(accelerometer, gyroscope, events, claims, without=without, sound=sound).diagnosis(
+        recording
+    )
 
 
 def examine(
@@ -102,10 +104,11 @@ def examine(
     claims: Claims | None = None,
     *,
     without: Collection[str] = (),
+    sound: SoundPhones | None = None,
 ) -> Examination:
     """Measure a recording and find its effects; parameters and errors are those of `diagnose`."""
     _refuse_too_little(accelerometer)
-    claims = claims or Claims()
+    claims, sound = claims or Claims(), sound or sound_phones()
     accelerometer, twice = repeats.without_doubles(accelerometer)
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
     bins = still_bins(accelerometer, gyroscope, events)
@@ -118,7 +121,7 @@ def examine(
     clear = _outside(bins, gone)
     streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
     doubled = repeats.doubled(accelerometer, twice)
-    direct = [*gone, *([doubled] if doubled else []), *direct_findings(streams, claims)]
+    direct = [*gone, *([doubled] if doubled else []), *direct_findings(streams, claims, sound)]
     slow = _roughened(_unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     residuals = scenes(slow, claims.gravity) if len(slow) else []
     stated = [Stated(f) for f in direct]
@@ -131,7 +134,10 @@ def examine(
         affine = aligned(gyroscope, slow, claims.gravity, most) if len(slow) else None
         windows = [f.where for f in gone]
         stated += [
-            Stated(f) for f in motion_findings(accelerometer, gyroscope, affine, claims.gravity, windows)
+            Stated(f)
+            for f in motion_findings(
+                accelerometer, gyroscope, affine, claims.gravity, sound["time_offset"], spoiled=windows
+            )
         ]
         if affine is not None and spoiled is None:
             turns = turn_scene(affine, slow, claims.gravity)
@@ -221,35 +227,39 @@ class Stream:
         )
 
 
-def direct_findings(streams: Sequence[Stream], claims: Claims) -> list[Finding]:
+def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhones) -> list[Finding]:
     """Return what stamps, values and spectra at rest show."""
-    found = timing_findings(streams[0].samples, claims)
+    found = timing_findings(streams[0].samples, claims, sound)
     levels = {s.sensor: s.levels for s in streams if s.levels is not None}
     factor = noise.convention(levels, claims)
     for stream in streams:
         if len(stream.samples) >= LEAST_SAMPLES:
-            found += _of_stream(stream, claims, factor)
+            found += _of_stream(stream, claims, factor, sound)
     return _one_tone(found)
 
 
-def _of_stream(stream: Stream, claims: Claims, factor: float) -> list[Finding]:
+def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) -> list[Finding]:
     """Return what one sensor's samples show; factor: between the claims' densities and one-sided ones."""
     sensor, samples = stream.sensor, stream.samples
     lsb, declared = (
         (claims.accel_lsb, claims.accel_range) if sensor == "accel" else (claims.gyro_lsb, claims.gyro_range)
     )
-    held, share = repeats.held(samples, sensor)
-    comb = quantisation(samples, sensor, stream.steps, lsb) if len(stream.still.pieces) >= 3 else None
+    held, share = repeats.held(samples, sensor, usual(sound, "held_samples", claims.nominal_rate_hz))
+    comb = (
+        quantisation(samples, sensor, stream.steps, lsb, sound["step_over_noise"])
+        if len(stream.still.pieces) >= 3
+        else None
+    )
     found = [held, comb, saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)]
     if not stream.steps.hides_noise():
         found.append(tone(samples, sensor))
         if share < repeats.MANY:
-            found += _at_rest(stream, claims, factor)
+            found += _at_rest(stream, claims, factor, sound)
     lost = [dead_bits(samples, sensor), dead_zone(samples, sensor)]
     return beside([f for f in found if f is not None], lost)
 
 
-def _at_rest(stream: Stream, claims: Claims, factor: float) -> list[Finding | None]:
+def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) -> list[Finding | None]:
     """Return what the noise at rest shows."""
     if stream.spectra is None or stream.levels is None:
         return []
@@ -257,16 +267,18 @@ def _at_rest(stream: Stream, claims: Claims, factor: float) -> list[Finding | No
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, stream.still.rate / 2.0), "noise at rest")
     fine = not stream.steps.blurs_level()
     other = changing(stream.spectra, stream.levels, sensor, stream.bins) if fine else None
-    least = float(stream.steps.sd.min())
-    dithered = least > 0.0 and stream.steps.largest < COARSEST * least
-    wide = tails(stream.still, sensor, where, stream.steps.largest) if dithered else None
+    wide = (
+        tails(stream.still, sensor, sound["excess_kurtosis"], where, stream.steps.largest)
+        if stream.steps.dithered()
+        else None
+    )
     claim = noise.claimed(sensor, claims)
     claim = None if claim is None else factor * claim
     found: list[Finding | None] = [other, wide]
     if noise.suppressed(stream.levels, claim):
-        found.append(bandwidth(stream.spectra, sensor, where))
+        found.append(bandwidth(stream.spectra, sensor, usual(sound, "bandwidth", claim), where))
     if wide is None and other is None and fine:
-        found += noise.noise_findings(sensor, stream.levels, claim, where)
+        found += noise.noise_findings(sensor, stream.levels, claim, sound, where)
     return found
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.samples import Samples, Sensor
 
 _BATCHES = 10
 """A mean's uncertainty is the scatter of so many parts of the recording, so that slow drift is in it."""
@@ -61,3 +62,40 @@ def _device_recordings(device: str, model: str, blocks: list[Array]) -> DeviceRe
         np.array([b.std(axis=0) for b in blocks]),
         np.array([p.std(axis=0, ddof=1) / np.sqrt(_BATCHES) for p in parts]),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StillRecording:
+    """One recording of the still experiment. position: the folder's label, as published."""
+
+    device: str
+    model: str
+    position: str
+    samples: Samples
+
+
+def recordings(folder: Path) -> list[StillRecording]:
+    """Read every recording in `folder` with its own stamps, s from the first, and times of arrival.
+
+    The stamps' unit differs by device; it is the power of ten s that fits the arrivals best.
+    Raises OSError or KeyError where a file or column is missing.
+    """
+    with np.load(folder / "still_accel.npz") as data:
+        columns = [np.asarray(data[name], dtype=np.float64) for name in ("acc", "arrival_ms", "creation")]
+    out = []
+    with (folder / "index.csv").open(newline="") as lines:
+        for row in csv.DictReader(lines):
+            start = int(row["start"])
+            force, arrival_ms, creation = (c[start : start + int(row["count"])] for c in columns)
+            model = row["model"].removesuffix("_locked").removesuffix("_unlocked")
+            arrival = np.maximum.accumulate(arrival_ms - arrival_ms[0]) / 1e3
+            t = (creation - creation[0]) * _unit(np.diff(creation), np.diff(arrival))
+            samples = Samples.checked(Sensor.ACCELEROMETER, t, force, None, arrival)
+            out.append(StillRecording(row["device"], model, row["position"], samples))
+    return out
+
+
+def _unit(stamps: Array, arrivals: Array) -> float:
+    """Return the s that one unit of the stamps stands for, by mean intervals, pauses left out."""
+    typical, waits = float(np.median(stamps)), stamps < 10.0 * float(np.median(stamps))
+    return float(10.0 ** np.rint(np.log10(arrivals[waits].mean() / typical)))

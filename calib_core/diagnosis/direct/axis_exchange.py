@@ -15,13 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import Seen, unknown
+from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import cuts
+from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples
+
+EXCHANGED = Words(
+    "axis_exchange",
+    "raw = <b>exchange</b>·(…) for a while, a matrix of 0 and ±1",
+    "repeat the motion while logging which driver or mapping is active",
+)
 
 LEAST_TURNS = 8
 LEAST_BAD = 3
@@ -30,6 +37,8 @@ TIMES = 8.0
 MOST_BAD = 0.6
 DENSE = 0.6
 MENDED = 0.75
+LEAST_MISS, STRAY = 0.02, 0.05
+"""rad, least scatter of a turn (a hand is no bench), and part of the turns that something else spoils."""
 AXES = "xyz"
 
 
@@ -116,7 +125,21 @@ def _explained(
     share, sensor, change = best
     if share < MENDED:
         return None
-    return _stated(found, size, span, sensor, change)
+    mends = (change, same) if sensor == "accel" else (same, change)
+    misses = np.array([min(found[i].miss(*mends, e) for e in _edges(i, span)) for i in rows])
+    seen = Seen(_nats(misses[1:-1], size[~bad], 2.0 * len(_exchanges()) * 0.5 * size.size**2))
+    return _stated(found, size, span, (sensor, change), seen)
+
+
+def _nats(misses: Array, sound: Array, tries: float) -> float:
+    """Return the evidence for an exchange that leaves `misses` (k,), rad, in turns that fitted nothing.
+
+    With it they are those of the other turns, `sound` (n,), Rayleigh distributed, but one in `1 / STRAY`;
+    without it gravity goes anywhere on the sphere. tries: exchanges of both sensors, times spans of turns.
+    """
+    scale = max(float(np.mean(sound**2)) / 2.0, LEAST_MISS**2) if sound.size else FAR**2
+    ratio = 2.0 / scale * np.exp(-0.5 * misses**2 / scale)
+    return float(np.log((1.0 - STRAY) * ratio + STRAY).sum()) - float(np.log(tries))
 
 
 def _edges(i: int, span: tuple[int, int]) -> list[tuple[bool, bool, bool]]:
@@ -132,8 +155,10 @@ def _edges(i: int, span: tuple[int, int]) -> list[tuple[bool, bool, bool]]:
     ]
 
 
-def _stated(found: list[Step], size: Array, span: tuple[int, int], sensor: str, change: Array) -> Finding:
-    first, last = span
+def _stated(
+    found: list[Step], size: Array, span: tuple[int, int], exchange: tuple[str, Array], seen: Seen
+) -> Finding | None:
+    (first, last), (sensor, change) = span, exchange
     start, end = found[first].start, found[last].end
     inside = np.zeros(size.size, dtype=bool)
     inside[first : last + 1] = True
@@ -144,11 +169,9 @@ def _stated(found: list[Step], size: Array, span: tuple[int, int], sensor: str, 
     )
     say = f"From {start:.0f} to {end:.0f} s the {NAME[sensor]}'s axes are exchanged: {told}."
     before = float(np.sqrt(np.mean(size[inside] ** 2)))
-    usual = float(np.sqrt(np.mean(size[~inside] ** 2))) if (~inside).any() else 0.0
-    gain = float(inside.sum() * 2.0 * np.log(max(before / max(usual, 1e-3), 1.0)))
     where = Where(start, end, (0.0, 10.0), "rate of turn")
-    sizes = {"miss": (before, "rad"), "exchange": (change.tolist(), "1")}
-    return unknown(sensor, axes, where, sizes, statement=say, seen=Seen(30.0, gain, before, usual))
+    sizes = sized({"miss": (before, "rad"), "exchange": (change.tolist(), "1")})
+    return direct_finding(EXCHANGED.effect, sensor, axes, where, sizes, statement=say, seen=seen)
 
 
 def outside(bins: Bins, t_start: float, t_end: float) -> Bins:

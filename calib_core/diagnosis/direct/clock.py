@@ -6,43 +6,69 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct import timestamps as stamps
-from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.left_out import blocks, of_counts, rms
+from stillcal.calib_core.diagnosis.model.left_out import blocks, of_shares, rms
 from stillcal.calib_core.diagnosis.model.measurement import (
-    SIGNIFICANT,
+    HeldOut,
     Measured,
     Seen,
     direct_finding,
     mean_of,
+    of_measured,
+    share_of,
 )
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
+from stillcal.calib_core.diagnosis.model.words import Words
+from stillcal.calib_core.diagnosis.segments.sample_period import HEELS as ON_HEELS
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.streams.samples import Samples
+
+SKEW = Words(
+    "clock_skew",
+    "t<sub>stamp</sub> = (1 + <b>relative</b>)·t",
+    "record with arrival times, on a host with a synchronised clock, for some hours",
+)
+BURSTS = Words(
+    "arrival_bursts",
+    "a <b>fraction</b> of the samples arrives late and at once",
+    "record with a shorter batch length",
+)
 
 PIECES = 40
 HEELS = 0.2
+"""Part of the period after another within which a sample arrives on its heels."""
+
 LEAST_GROUP = 3
+"""Samples in a burst: two may come together where delivery is merely uneven."""
+
+LEAST_SHARE = 1e-3
+"""Share of samples in bursts that is none, on the logarithmic scale of populations."""
+
+LEAST_SAMPLES = 200
 
 
-def timing_findings(samples: Samples, claims: Claims) -> list[Finding]:
+def timing_findings(samples: Samples, claims: Claims, sound: SoundPhones) -> list[Finding]:
     """Return what the stamps of one stream show. Needs 200 samples."""
-    if len(samples) < 200:
-        return []
-    period = stamps.typical_period(samples.t)
-    if period <= 0.0:
+    period = sample_period(samples.t)
+    if len(samples) < LEAST_SAMPLES or period <= 0.0:
         return []
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.5 / period), "time stamps")
-    arrived = _arrived(samples)
-    grid = stamps.Grid.of(samples.t, period)
-    found = (
-        _skew(samples.t, arrived, claims, period, where),
-        stamps.jitter(grid, where),
-        stamps.drops(grid, where),
-        None if arrived is None else _bursts(samples.t, arrived, period, where),
-    )
+    arrived = arrivals(samples)
+    found = [_skew(samples.t, arrived, claims, sound, where)]
+    nominal = claims.nominal_rate_hz
+    if bunched(samples.t):
+        found.append(_stamped_in_bursts(samples.t, period, sound["arrival_bursts"], where))
+    else:
+        grid = stamps.Grid.of(samples.t, period)
+        found.append(stamps.jitter(grid, usual(sound, "timestamp_jitter", nominal), where))
+        found.append(stamps.drops(grid, usual(sound, "dropped_samples", nominal), where))
+        if arrived is not None:
+            common = usual(sound, "arrival_bursts", nominal)
+            found.append(_bursts(waited(samples.t, arrived, period), common, where))
     return [f for f in found if f is not None]
 
 
-def _arrived(samples: Samples) -> Array | None:
+def arrivals(samples: Samples) -> Array | None:
     """Return the times of arrival, None unless nearly all are known.
 
     The others lie between their neighbours.
@@ -75,36 +101,41 @@ def clock_rate(t: Array, arrival: Array) -> tuple[Measured, Array]:
     return rate, np.column_stack([x, y])
 
 
-def _skew(t: Array, arrived: Array | None, claims: Claims, period: float, where: Where) -> Finding | None:
+def nominal_rate_error(t: Array, nominal_rate_hz: float) -> tuple[Measured, Array]:
+    """Return the true rate over the nominal one, less 1, and what it makes of the stamps (PIECES, 2) s."""
+    mean = np.array([stamps.mean_period(p) for p in np.array_split(t, PIECES)])
+    off = 1.0 / (mean * nominal_rate_hz) - 1.0
+    x = t[0] + (np.arange(PIECES) + 0.5) * (t[-1] - t[0]) / PIECES
+    return mean_of(off, 1e-6), np.column_stack([x, np.cumsum(off) * (t[-1] - t[0]) / PIECES])
+
+
+def _skew(
+    t: Array, arrived: Array | None, claims: Claims, sound: SoundPhones, where: Where
+) -> Finding | None:
     """Find a clock that is fast or slow against the host's, or a sample rate that is not the nominal one.
 
     A sensor stamped by its own clock shows the first, one stamped by the host's the second; both are the true
     rate over the nominal one, less 1.
     """
-    parts: list[tuple[Measured, float, Array]] = []
+    parts: list[tuple[Measured, Seen]] = []
     if arrived is not None:
         rate, leads = clock_rate(t, arrived)
-        parts.append((rate, thresholds.CLOCK_TOLERANCE, leads))
-    if claims.nominal_rate_hz:
-        mean = np.array([stamps.mean_period(p) for p in np.array_split(t, PIECES)])
-        relative = mean_of(1.0 / (mean * claims.nominal_rate_hz) - 1.0, 1e-6)
-        x = t[0] + (np.arange(PIECES) + 0.5) * (t[-1] - t[0]) / PIECES
-        lead = np.cumsum(1.0 / (mean * claims.nominal_rate_hz) - 1.0) * (t[-1] - t[0]) / PIECES
-        parts.append((relative, thresholds.RATE_TOLERANCE, np.column_stack([x, lead])))
-    beyond = [(m.beyond(-tolerance, tolerance), m, leads) for m, tolerance, leads in parts]
-    sure = [b for b in beyond if b[0] >= SIGNIFICANT]
+        parts.append((rate, of_measured(rate, sound["clock_skew"], _of_line(leads))))
+    if claims.nominal_rate_hz and not bunched(t):
+        rate, leads = nominal_rate_error(t, claims.nominal_rate_hz)
+        parts.append((rate, of_measured(rate, sound["nominal_rate"], _of_line(leads))))
+    sure = [(rate, seen) for rate, seen in parts if seen.stated]
     if not sure:
         return None
-    total = _product([m for _, m, _ in sure])
-    if len(sure) == 2 and total.beyond(-thresholds.CLOCK_TOLERANCE, thresholds.CLOCK_TOLERANCE) < SIGNIFICANT:
+    total = _product([rate for rate, _ in sure])
+    if len(sure) == 2 and not of_measured(total, sound["clock_skew"]).stated:
         # Samples come at the nominal rate; it is the stamps alone that run fast or slow.
-        total = sure[0][1]
+        total = sure[0][0]
     value = total.value
-    sigmas, _, leads = max(sure, key=lambda b: b[0])
     say = f"The sensor's clock runs {abs(value) * 1e6:.0f} ppm {'fast' if value > 0.0 else 'slow'}."
     parameter = {"relative": total.parameter("1")}
-    seen = _of_line(leads, sigmas)
-    return direct_finding("clock_skew", "timing", [], where, parameter, statement=say, seen=seen)
+    seen = max((s for _, s in sure), key=lambda s: s.log_bayes_factor)
+    return direct_finding(SKEW.effect, "timing", [], where, parameter, statement=say, seen=seen)
 
 
 def _product(rates: list[Measured]) -> Measured:
@@ -113,7 +144,7 @@ def _product(rates: list[Measured]) -> Measured:
     return Measured(value, float(np.sqrt(sum(m.error**2 for m in rates))))
 
 
-def _of_line(leads: Array, sigmas: float) -> Seen:
+def _of_line(leads: Array) -> HeldOut:
     """Predict leads (n, 2) left out by a line through the others, and by their mean; before, after in s."""
     x, y = leads.T
     fold, gain = blocks(x.size), 0.0
@@ -127,13 +158,13 @@ def _of_line(leads: Array, sigmas: float) -> Seen:
             (np.log(null / own) + 0.5 * (flat[test] / null) ** 2 - 0.5 * (off[test] / own) ** 2).sum()
         )
         before[test], after[test] = flat[test], off[test]
-    return Seen(sigmas, gain, rms(before), rms(after))
+    return HeldOut(gain, rms(before), rms(after))
 
 
-def _bursts(t: Array, arrived: Array, period: float, where: Where) -> Finding | None:
-    """Find samples that waited and were delivered together, three at a time or more.
+def waited(t: Array, arrived: Array, period: float) -> tuple[Array, float]:
+    """Return which samples waited (n,), as numbers, and how many wait together on average.
 
-    Two may come together where delivery is merely uneven. The device's own spacing must be as ever.
+    They were delivered together, three at a time or more, though the device's own spacing was as ever.
     """
     heels = (np.diff(arrived) < HEELS * period) & (np.diff(t) > 0.5 * period)
     edges = np.diff(np.concatenate([[False], heels, [False]]).astype(np.int8))
@@ -143,19 +174,37 @@ def _bursts(t: Array, arrived: Array, period: float, where: Where) -> Finding | 
     waited = np.zeros(t.size)
     # Of a group, the last came as it should as often as the threshold has it.
     np.add.at(waited, first[many], size[many] - HEELS)
-    pieces = np.array_split(waited, PIECES)
+    return waited, float(size[many].mean()) if many.any() else 1.0
+
+
+def burst_share(waiting: tuple[Array, float]) -> Measured:
+    """Return the share of samples that wait. waiting: from `waited`."""
+    hits, together = waiting
+    return share_of(float(hits.sum()), float(hits.size), together)
+
+
+def _bursts(waiting: tuple[Array, float], common: Usual, where: Where) -> Finding | None:
+    """Find samples that waited and were delivered together. common: of log10 of their share plus 1e-3."""
+    fraction = burst_share(waiting)
+    pieces = np.array_split(waiting[0], PIECES)
     hits, of = np.array([p.sum() for p in pieces]), np.array([float(p.size) for p in pieces])
-    fraction = float(hits.sum() / of.sum())
-    if fraction < thresholds.BURST_TOLERANCE or many.sum() < thresholds.LEAST_GAPS:
-        return None
-    error = max(
-        float((hits / of).std(ddof=1)) / np.sqrt(PIECES), 0.3 / float(size[many].mean()) * fraction / 2.0
+    held_out = of_shares(np.minimum(hits, of), of, min(10.0**common.highest, 0.9))
+    seen = of_measured(fraction.log(LEAST_SHARE), common, held_out)
+    share = f"{fraction.value:.1%}"
+    say = f"{share} of the samples arrive in bursts; use the sensor's time stamps, not the arrivals."
+    parameter = {"fraction": fraction.parameter("1")}
+    return direct_finding(BURSTS.effect, "timing", [], where, parameter, statement=say, seen=seen)
+
+
+def _stamped_in_bursts(t: Array, period: float, common: Usual, where: Where) -> Finding | None:
+    """State stamps that are times of delivery: most samples are stamped on the heels of another."""
+    heels = np.diff(t) < ON_HEELS * period
+    runs = int((heels[1:] & ~heels[:-1]).sum()) + 1
+    fraction = share_of(float(heels.sum()), float(heels.size), float(heels.sum()) / runs)
+    seen = of_measured(fraction.log(LEAST_SHARE), common)
+    say = (
+        f"{fraction.value:.0%} of the samples are stamped in bursts, within {ON_HEELS:.0%} of the mean"
+        f" interval after another: the stamps are times of delivery. The rate is {1.0 / period:.4g} Hz."
     )
-    measured = Measured(fraction, error)
-    sigmas = measured.beyond(0.0, thresholds.BURST_TOLERANCE)
-    if sigmas < SIGNIFICANT - 2.0:
-        return None
-    say = f"{fraction:.1%} of the samples arrive in bursts; use the sensor's time stamps, not the arrivals."
-    seen = of_counts(np.minimum(hits, of), of, thresholds.BURST_TOLERANCE, sigmas)
-    parameter = {"fraction": measured.parameter("1")}
-    return direct_finding("arrival_bursts", "timing", [], where, parameter, statement=say, seen=seen)
+    parameter = {"fraction": fraction.parameter("1")}
+    return direct_finding(BURSTS.effect, "timing", [], where, parameter, statement=say, seen=seen)

@@ -16,13 +16,22 @@ from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model.measurement import (
-    SIGNIFICANT,
+    HeldOut,
     Measured,
     Seen,
     direct_finding,
-    unknown,
+    of_measured,
+    sized,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.model.words import Words
+
+TAILED = Words(
+    "noise_heavy_tailed",
+    "a <b>fraction</b> of the white noise is <b>ratio</b> times larger",
+    "record one hour at rest on another support: knocks show in both sensors, noise in one",
+)
 
 AXES = [0, 1, 2]
 FAR = 4.0
@@ -47,6 +56,9 @@ CHANCE = 4.0
 """Standard errors of a spread by which a quiet piece may seem louder."""
 
 FEWEST_QUIET = 6
+LEAST_LEVELS = 6
+"""Levels that a rest must take on every axis: fewer than one a standard deviation have no tails to show."""
+
 EDGES = 400
 FARTHEST = 60.0
 MODEL = 0.01
@@ -97,20 +109,32 @@ def standardised(pieces: Sequence[Array]) -> tuple[list[Array], Array]:
     return [q / unit for q, unit in zip(quick, units, strict=True)], typical
 
 
-def tails(still: Quiet, sensor: str, where: Where, step: float) -> Finding | None:
+def excess_kurtosis(still: Quiet) -> Measured | None:
+    """Return the excess kurtosis of single samples on all axes, those beyond `BOUND` spreads held there.
+
+    None where large samples come together: something shook the phone.
+    """
+    scaled, _ = standardised(still.pieces)
+    everything = np.concatenate(scaled)
+    if _few_levels(still) or _clustered(everything) or _together(everything):
+        return None
+    return _kurtosis([np.clip(z, -BOUND, BOUND) for z in scaled], AXES)
+
+
+def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) -> Finding | None:
     """Find far samples that come alone: not with others in time, nor on the other axes.
 
-    step: of the values; its share of the variance is taken off.
+    usual: of the excess kurtosis. step: of the values; its share of the variance is taken off.
     """
     scaled, spread = standardised(still.pieces)
     kurtosis = [_kurtosis(scaled, [a]) for a in range(3)]
     bounded = [np.clip(z, -BOUND, BOUND) for z in scaled]
     held = [_kurtosis(bounded, [a]) for a in range(3)]
     every = (*kurtosis, *held, _kurtosis(scaled, AXES), _kurtosis(bounded, AXES))
-    sigmas = max(k.beyond(-np.inf, thresholds.KURTOSIS_TOLERANCE) for k in every)
-    axes = [a for a in AXES if sigmas >= SIGNIFICANT and (_heavy(kurtosis[a]) or _heavy(held[a]))]
+    best = max((of_measured(k, usual) for k in every), key=lambda s: s.log_bayes_factor)
+    axes = [a for a in AXES if best.stated and (_heavy(kurtosis[a], usual) or _heavy(held[a], usual))]
     everything = np.concatenate(scaled)
-    if not axes or _clustered(everything[:, axes]) or _together(everything):
+    if not axes or _few_levels(still) or _clustered(everything[:, axes]) or _together(everything):
         return None
     values = np.abs(everything[:, axes]).ravel()
     fit = contaminated(values, (step / float(spread[axes].mean())) ** 2 / 12.0)
@@ -127,10 +151,11 @@ def tails(still: Quiet, sensor: str, where: Where, step: float) -> Finding | Non
             "1",
         ),
     }
-    seen = _left_out([z[:, axes] for z in scaled], sigmas)
+    gain = best.log_bayes_factor - float(np.log(len(every)))
+    seen = Seen(gain, _left_out([z[:, axes] for z in scaled]), best.unusual)
     if fit.ratio.value > SPIKE and share < RARE * fit.ratio.value / SPIKE:
         return _spikes(sensor, axes, everything, where, seen)
-    return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
+    return direct_finding(TAILED.effect, sensor, axes, where, parameters, statement=say, seen=seen)
 
 
 def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) -> Finding | None:
@@ -140,13 +165,13 @@ def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) ->
     size = float(np.median(np.abs(z[:, axes])[far]))
     n = int(far.sum())
     say = f"{n} single {NAME[sensor]} samples at rest are outliers, of about {size:.0f} times the noise."
-    sizes = {"count": (float(far.sum()), "1"), "size": (size, "of the noise")}
-    return unknown(sensor, axes, where, sizes, statement=say, seen=seen)
+    sizes = sized({"count": (float(far.sum()), "1"), "size": (size, "of the noise")})
+    return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
 
 
-def _heavy(kurtosis: Measured) -> bool:
+def _heavy(kurtosis: Measured, usual: Usual) -> bool:
     """Whether an axis, once far samples are sure on one or all together, is among those that have them."""
-    return kurtosis.value > max(thresholds.KURTOSIS_TOLERANCE, thresholds.AXIS_SIGMA * kurtosis.error)
+    return kurtosis.value > max(usual.middle, thresholds.AXIS_SIGMA * kurtosis.error)
 
 
 def _kurtosis(scaled: list[Array], axes: list[int]) -> Measured:
@@ -167,6 +192,12 @@ def _kurtosis(scaled: list[Array], axes: list[int]) -> Measured:
     left = np.array([of(part != k) for k in np.unique(part)])
     spread = float(np.sqrt((left.size - 1) / left.size * ((left - left.mean()) ** 2).sum()))
     return Measured(whole, max(spread, float(np.sqrt(24.0 / (len(axes) * count.sum())))))
+
+
+def _few_levels(still: Quiet) -> bool:
+    """Whether values at rest take so few levels on an axis that single samples show no tails."""
+    typical = still.pieces[len(still.pieces) // 2]
+    return min(np.unique(typical[:, a]).size for a in AXES) < LEAST_LEVELS
 
 
 def _together(z: Array) -> bool:
@@ -252,7 +283,7 @@ def _curvature(cost: object, x: Array, h: float = 0.02) -> Array:
     return out
 
 
-def _left_out(scaled: list[Array], sigmas: float) -> Seen:
+def _left_out(scaled: list[Array]) -> HeldOut:
     """Predict the samples of rests left out by the mixture fitted to the others, and by one normal."""
     fold = blocks(len(scaled))
     gain, before, after = 0.0, [], []
@@ -270,4 +301,4 @@ def _left_out(scaled: list[Array], sigmas: float) -> Seen:
         )
         before.append(seen / 3.0 - 1.0)
         after.append((seen - model) / 3.0)
-    return Seen(sigmas, gain, rms(np.array(before)), rms(np.array(after)))
+    return HeldOut(gain, rms(np.array(before)), rms(np.array(after)))

@@ -14,10 +14,19 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
-from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.measurement import HeldOut, Measured, direct_finding, of_measured
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.model.words import Words
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.samples import Samples
+
+BANDWIDTH = Words(
+    "bandwidth",
+    "raw = low-pass at <b>cutoff</b> of (…)",
+    "record at the highest rate available: its noise shows the filter's shape",
+)
 
 SEGMENT = 256
 SHORTEST = 64
@@ -46,7 +55,7 @@ def quiet(samples: Samples, bins: Bins) -> Quiet:
     """Cut the bins' samples out of a stream."""
     first = np.searchsorted(samples.t, bins.t - bins.duration / 2)
     last = np.searchsorted(samples.t, bins.t + bins.duration / 2)
-    period = float(np.median(np.diff(samples.t)))
+    period = sample_period(samples.t)
     keep = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST]
     pieces = tuple(samples.xyz[a:b] - samples.xyz[a:b].mean(axis=0) for a, b in keep)
     return Quiet(pieces, tuple(float(samples.t[a]) for a, _ in keep), 1.0 / max(period, 1e-9))
@@ -176,18 +185,28 @@ def _between(cutoffs: Array, misfit: Array, k: int) -> float:
     return float(cutoffs[k] * (cutoffs[k + 1] / cutoffs[k]) ** shift)
 
 
-def bandwidth(spectrum: Spectra, sensor: str, where: Where) -> Finding | None:
-    """State a low-pass, with the spectra of rests left out."""
+def relative_cutoff(spectrum: Spectra) -> Measured:
+    """Return the natural logarithm of the cutoff over the sample rate; of half the rate where it is flat."""
+    found = spectrum.low_pass
+    if found is None:
+        return Measured(float(np.log(0.5)), MODEL)
+    return Measured(
+        float(np.log(found.cutoff.value / spectrum.rate)), found.cutoff.error / found.cutoff.value
+    )
+
+
+def bandwidth(spectrum: Spectra, sensor: str, usual: Usual, where: Where) -> Finding | None:
+    """State a low-pass, with the spectra of rests left out. usual: of the log of cutoff over rate."""
     found = spectrum.low_pass
     if found is None:
         return None
     say = f"The {NAME[sensor]}'s output is low-pass filtered at {found.cutoff.value:.2g} Hz."
-    seen = _left_out(spectrum, found)
+    seen = of_measured(relative_cutoff(spectrum), usual, _left_out(spectrum, found))
     parameters = {"cutoff": found.cutoff.parameter("Hz")}
-    return direct_finding("bandwidth", sensor, [0, 1, 2], where, parameters, statement=say, seen=seen)
+    return direct_finding(BANDWIDTH.effect, sensor, [0, 1, 2], where, parameters, statement=say, seen=seen)
 
 
-def _left_out(spectrum: Spectra, found: LowPass) -> Seen:
+def _left_out(spectrum: Spectra, found: LowPass) -> HeldOut:
     """Predict spectra of rests by the filter and by flat noise.
 
     Each of the others' level (Whittle's likelihood).
@@ -205,4 +224,4 @@ def _left_out(spectrum: Spectra, found: LowPass) -> Seen:
         mean = np.log(test.mean(axis=0))
         before.append(rms(mean - np.log(flat[0])))
         after.append(rms(mean - np.log(bent[0])))
-    return Seen(float(np.sqrt(found.gain)), gain, rms(np.array(before)), rms(np.array(after)))
+    return HeldOut(gain, rms(np.array(before)), rms(np.array(after)))

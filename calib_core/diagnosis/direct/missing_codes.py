@@ -14,14 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.left_out import of_counts
-from stillcal.calib_core.diagnosis.model.measurement import Index, unknown
+from stillcal.calib_core.diagnosis.model.measurement import Index, Seen, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Number, Where
+from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
 
+MISSING = Words(
+    "missing_codes",
+    "raw never takes some values: those with one <b>bit</b>, or those within <b>width</b> of one",
+    "read the sensor's registers directly, to tell its converter from the driver",
+)
+
 BITS = 14
-BY_CHANCE = 1e-6
+"""Bits that are looked at: those of a 16-bit converter but the lowest and the sign."""
+
 SPOILED = ("noise_heavy_tailed", "noise_unequal_axes", "accel_quantisation", "gyro_quantisation")
 LEAST_VALUES = 8
 """Different values that occur just beyond a dead zone, which is wider than steps then."""
@@ -42,11 +49,19 @@ def dead_bits(samples: Samples, sensor: str) -> Finding | None:
     told = ", ".join(f"{bit} of {AXES[a]}" for a, (bit, _) in found.items())
     say = f"One bit of the {NAME[sensor]}'s values never changes ({told}), so half of the values never occur."
     pairs = float(min(pairs for _, pairs in found.values()))
-    one = np.full(10, pairs / 10.0)
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")
     bits: Number = [float(bit) for bit, _ in found.values()]
-    sizes = {"bit": (bits, "1"), "pairs": (pairs, "1")}
-    return unknown(sensor, axes, where, sizes, statement=say, seen=of_counts(one, one, 0.5, 30.0))
+    sizes = sized({"bit": (bits, "1"), "pairs": (pairs, "1")})
+    seen = Seen(max(_nats(bit, pairs) for bit, pairs in found.values()))
+    return direct_finding(MISSING.effect, sensor, axes, where, sizes, statement=say, seen=seen)
+
+
+def _nats(bit: int, pairs: int) -> float:
+    """Return the evidence for a dead bit: of each pair of runs a sound axis shows one by chance 1/2.
+
+    Both halves, three axes, `BITS` bits and every place where a run may begin were tried.
+    """
+    return of_chance(-pairs * float(np.log(2.0)), 6.0 * BITS * 2.0 * 2.0**bit)
 
 
 def _dead_bit(values: Array) -> tuple[int, int] | None:
@@ -67,7 +82,7 @@ def _dead_bit(values: Array) -> tuple[int, int] | None:
         if start is None:
             continue
         pairs = int(np.unique((codes - start) // (2 * run)).size)
-        if np.log(2.0) * pairs > np.log(6.0 * BITS * 2.0 * run / BY_CHANCE):
+        if Seen(_nats(bit, pairs)).stated:
             return bit, pairs
     return None
 
@@ -90,10 +105,11 @@ def dead_zone(samples: Samples, sensor: str) -> Finding | None:
     named, size = ", ".join(AXES[a] for a in axes), f"{width:.2g} {UNIT[sensor]}"
     say = f"Dead zone: the {NAME[sensor]} reads one constant value on {named} for inputs within {size} of it."
     visits = float(min(visits for _, visits in zones.values()))
-    one = np.full(10, visits / 10.0)
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")
-    sizes = {"width": (width, UNIT[sensor]), "visits": (visits, "1")}
-    return unknown(sensor, axes, where, sizes, statement=say, seen=of_counts(one, one, 0.5, 30.0))
+    sizes = sized({"width": (width, UNIT[sensor]), "visits": (visits, "1")})
+    # A sound axis would have been met in the zone as often as beside it: never, by chance e^-visits.
+    seen = Seen(of_chance(-max(float(v) for _, v in zones.values()), 6.0))
+    return direct_finding(MISSING.effect, sensor, axes, where, sizes, statement=say, seen=seen)
 
 
 def _zone(values: Array) -> tuple[float, int] | None:
@@ -114,7 +130,7 @@ def _zone(values: Array) -> tuple[float, int] | None:
     visits = [_visits(near) for _, near in beyond]
     rich = all(np.unique(values[near]).size >= LEAST_VALUES for _, near in beyond)
     replaced = _visits(values == distinct[k]) >= 0.5 * min(visits)
-    if not rich or not replaced or min(visits) < LEAST_VISITS or sum(visits) <= np.log(6.0 / BY_CHANCE):
+    if not rich or not replaced or min(visits) < LEAST_VISITS:
         return None
     return min(gap for gap, _ in beyond), sum(visits)
 

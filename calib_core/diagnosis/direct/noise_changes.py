@@ -16,13 +16,20 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Spectra
 from stillcal.calib_core.diagnosis.direct.noise_level import Levels
 from stillcal.calib_core.diagnosis.model.left_out import rms
-from stillcal.calib_core.diagnosis.model.measurement import FOLDS, Index, Seen, unknown
+from stillcal.calib_core.diagnosis.model.measurement import (
+    FOLDS,
+    HeldOut,
+    Index,
+    Seen,
+    direct_finding,
+    of_fit,
+    sized,
+)
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
 LEAST_PIECES = 5
 LEAST_CHANGE = 0.22
-LEAST_SIGMAS = 8.0
 EVEN = 2.0
 NINE_IN_TEN = 1.645
 WHITE = 0.25
@@ -50,7 +57,6 @@ class _Fit:
     fitted: Array
     high: NDArray[np.bool_]
     change: float
-    sigmas: float
     seen: Seen
 
 
@@ -68,7 +74,7 @@ def changing(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
     ]
     if not fits:
         return None
-    best = max(fits, key=lambda fit: fit.seen.gain - float(np.log(fit.course.tries)))
+    best = max(fits, key=lambda fit: fit.seen.log_bayes_factor)
     return _stated(best, measured, sensor, spectrum.rate)
 
 
@@ -105,11 +111,11 @@ def _fitted(level: Array, course: Course, spectrum: Spectra, rest: Index) -> _Fi
         return None
     spread = max(max(pair) for pair in spreads)
     gained = 0.5 * float(((level - level.mean()) ** 2).sum() - (left**2).sum()) / spread**2
-    sigmas = float(np.sqrt(max(2.0 * (gained - np.log(course.tries)), 0.0)))
-    seen = _left_out(level, course, rest, sigmas)
-    if sigmas < LEAST_SIGMAS or seen.gain < np.log(course.tries):
+    held_out = _left_out(level, course, rest)
+    seen = Seen(of_fit(gained, course.design.shape[1], level.size, course.tries), held_out)
+    if not seen.stated or held_out.gain < np.log(course.tries):
         return None
-    return _Fit(course, fitted, high, change, sigmas, seen)
+    return _Fit(course, fitted, high, change, seen)
 
 
 def _chance(spectrum: Spectra, rows: NDArray[np.bool_]) -> float:
@@ -178,7 +184,7 @@ def _rise(course: Array) -> float:
     return float((course - np.minimum.accumulate(course)).max())
 
 
-def _stated(fit: _Fit, measured: Levels, sensor: str, rate: float) -> Finding:
+def _stated(fit: _Fit, measured: Levels, sensor: str, rate: float) -> Finding | None:
     ratio, (start, end) = float(np.exp(fit.change)), fit.course.span
     by_axis = np.log(measured.pieces)
     changes = np.median(by_axis[fit.high], axis=0) - np.median(by_axis[~fit.high], axis=0)
@@ -192,10 +198,11 @@ def _stated(fit: _Fit, measured: Levels, sensor: str, rate: float) -> Finding:
         change = f"{ratio:.2f} times between low and high"
         say = f"The {NAME[sensor]}'s noise changes with {fit.course.driver}: {change}."
     where = Where(start, end, (0.0, rate / 2.0), fit.course.driver)
-    return unknown(sensor, axes, where, {"ratio": (ratio, "1")}, statement=say, seen=fit.seen)
+    sizes = sized({"ratio": (ratio, "1")})
+    return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=fit.seen)
 
 
-def _left_out(level: Array, course: Course, rest: Index, sigmas: float) -> Seen:
+def _left_out(level: Array, course: Course, rest: Index) -> HeldOut:
     """Predict the level of pieces left out by the course fitted to the others, and by their mean.
 
     Rests are left out whole, but of a stretch of time every fifth piece: a rest may hold all of it.
@@ -205,7 +212,7 @@ def _left_out(level: Array, course: Course, rest: Index, sigmas: float) -> Seen:
     for k in np.unique(fold):
         train, test = fold != k, fold == k
         if not train.any():
-            return Seen(sigmas, 0.0, rms(level - level.mean()), 0.0)
+            return HeldOut(0.0, rms(level - level.mean()), 0.0)
         before[test] = level[test] - level[train].mean()
         parameters = _least_squares(course.design[train], level[train])
         after[test] = level[test] - course.design[test] @ parameters
@@ -214,4 +221,4 @@ def _left_out(level: Array, course: Course, rest: Index, sigmas: float) -> Seen:
         gain += float(
             (np.log(s0 / s1) + 0.5 * (before[test] / s0) ** 2 - 0.5 * (after[test] / s1) ** 2).sum()
         )
-    return Seen(sigmas, gain, rms(before), rms(after))
+    return HeldOut(gain, rms(before), rms(after))

@@ -11,13 +11,27 @@ from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Quiet, Spectra
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.left_out import of_means
 from stillcal.calib_core.diagnosis.model.measurement import (
-    SIGNIFICANT,
     Measured,
+    Seen,
     direct_finding,
     mean_of,
+    of_measured,
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Claims, Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual
+from stillcal.calib_core.diagnosis.model.words import Words
+
+UNEQUAL = Words(
+    "noise_unequal_axes",
+    "white noise = <b>ratio</b> &times; that of the other axes, axis by axis",
+    "record one hour at rest in three attitudes: the sensor's own noise stays with its axis",
+)
+LEVEL = Words(
+    "noise_level",
+    "white noise = <b>ratio</b> &times; what is declared",
+    "record one hour at rest in another mode or at another rate",
+)
 
 LINE = 1.5
 USABLE = 0.3
@@ -122,15 +136,16 @@ def convention(measured: dict[str, Levels], claims: Claims) -> float:
     return TWO_SIDED if two_sided.any() and not (np.abs(np.log(ratios)) < np.log(near)).any() else 1.0
 
 
-def noise_findings(sensor: str, measured: Levels, claim: float | None, where: Where) -> list[Finding]:
+def noise_findings(
+    sensor: str, measured: Levels, claim: float | None, sound: SoundPhones, where: Where
+) -> list[Finding]:
     """Return what densities show. claim: of the same convention as the measured ones.
 
     Where something shakes the phone, the quietest rests bound the sensor's own noise from above, and no more.
     """
-    base, others = _base(measured, claim)
-    found = [_unequal(sensor, measured, base, others, where)] if measured.own else []
-    if claim is not None and (measured.own or measured.values()[base].max() < claim):
-        found.append(_level(sensor, measured, base, claim, where))
+    found = [_unequal(sensor, measured, sound, where)] if measured.own else []
+    if claim is not None and (measured.own or measured.values()[_base(measured, claim)].max() < claim):
+        found.append(_level(sensor, measured, sound["noise_level_declared"], claim, where))
     return [f for f in found if f is not None]
 
 
@@ -142,18 +157,14 @@ def suppressed(measured: Levels, claim: float | None) -> bool:
     return claim is None or bool((measured.least < SUPPRESSED * claim).all())
 
 
-def _base(measured: Levels, claim: float | None) -> tuple[list[int], list[int]]:
-    """Return the axes that have the sensor's own level, and the others.
-
-    Its own are those near the claim; else two or three that agree with the middle one.
-    """
+def _base(measured: Levels, claim: float) -> list[int]:
+    """Return the axes that have the sensor's own level: those near the claim, else near the middle one."""
     values = measured.values()
     near = np.log(1.0 + thresholds.LEVEL_TOLERANCE)
-    middle = float(np.sort(values)[1])
-    own = np.flatnonzero(np.abs(np.log(values / (claim or middle))) < near)
+    own = np.flatnonzero(np.abs(np.log(values / claim)) < near)
     if own.size == 0:
-        own = np.flatnonzero(np.abs(np.log(values / middle)) < near)
-    return [int(a) for a in own], [a for a in range(3) if a not in own]
+        own = np.flatnonzero(np.abs(np.log(values / float(np.sort(values)[1]))) < near)
+    return [int(a) for a in own]
 
 
 def _reference(measured: Levels, base: list[int]) -> Measured:
@@ -166,37 +177,80 @@ def _reference(measured: Levels, base: list[int]) -> Measured:
     return Measured(mean, mean * float(np.hypot(chance, beyond / np.sqrt(len(base)))))
 
 
-def _unequal(
-    sensor: str, measured: Levels, base: list[int], others: list[int], where: Where
-) -> Finding | None:
-    """Find axes whose density differs from that of the others."""
-    if not others:
-        return None
+def imbalance(measured: Levels) -> dict[str, Measured]:
+    """Return how unequal the axes' densities are, as natural logarithms of ratios.
+
+    plane: x over y. upright: z over the geometric mean of x and y.
+    """
+    x, y, z = np.log(np.maximum(measured.values(), 1e-300))
+    ex, ey, ez = measured.errors()
+    return {
+        "plane": Measured(x - y, float(np.hypot(ex, ey))),
+        "upright": Measured(z - 0.5 * (x + y), float(np.sqrt(ez**2 + 0.25 * (ex**2 + ey**2)))),
+    }
+
+
+def _odd_one_out(measured: Levels, axis: int) -> Measured:
+    """Return the ratio of an axis to the geometric mean of the others, as a natural logarithm."""
+    logs, errors = np.log(np.maximum(measured.values(), 1e-300)), measured.errors()
+    weight = np.where(np.arange(3) == axis, 1.0, -0.5)
+    return Measured(float(weight @ logs), float(np.sqrt((weight**2) @ errors**2)))
+
+
+def _unequal(sensor: str, measured: Levels, sound: SoundPhones, where: Where) -> Finding | None:
+    """Find the axis whose density stands to that of the others as in no sound phone.
+
+    Sound phones have a usual x over y and a usual z over both. With one axis odd, its own ratio is anything
+    and only what the other two are to each other is usual.
+    """
+    ratios = imbalance(measured)
+    usual = {name: sound[f"{sensor}_noise_{name}"] for name in ratios}
+    sound_log = sum(usual[name].log_sound(m.value, m.error) for name, m in ratios.items())
+    # Of z and one of x and y, the ratio is usual as z over both is.
+    x, y, z = (_odd_one_out(measured, a) for a in range(3))
+    pair = {
+        0: (usual["upright"], ratios["upright"].value + 0.5 * ratios["plane"].value),
+        1: (usual["upright"], ratios["upright"].value - 0.5 * ratios["plane"].value),
+        2: (usual["plane"], ratios["plane"].value),
+    }
+    gains = [
+        usual["upright"].log_faulty(own.value, own.error) + pair[a][0].log_sound(pair[a][1], own.error)
+        for a, own in enumerate((x, y, z))
+    ]
+    axis = int(np.argmax(gains))
+    own, others = (x, y, z)[axis], [a for a in range(3) if a != axis]
+    reference = float(np.exp(np.log(measured.values()[others]).mean()))
+    ratio = measured.values() / reference
+    relative = np.log(measured.pieces[:, axis] / np.sqrt(measured.pieces[:, others].prod(axis=1)))
+    typical = usual["upright"].middle * (1.0 if axis == 2 else -0.5)
+    seen = Seen(
+        float(gains[axis] - sound_log) - float(np.log(3.0)),
+        of_means(relative, np.array([typical])),
+        usual["upright" if axis == 2 else "plane"].rarity(own.value if axis == 2 else ratios["plane"].value),
+    )
+    say = (
+        f"{NAME[sensor].capitalize()} noise differs between axes: {AXES[axis]} is"
+        f" {ratio[axis]:.2f} times as noisy as the other two."
+    )
+    parameters = {"ratio": vector(ratio, ratio * np.hypot(measured.errors(), own.error), "1")}
+    return direct_finding(UNEQUAL.effect, sensor, [axis], where, parameters, statement=say, seen=seen)
+
+
+def level_ratio(measured: Levels, claim: float) -> tuple[Measured, list[int]]:
+    """Return the natural logarithm of the level over the claimed one, and the axes that it is of."""
+    base = _base(measured, claim)
     reference = _reference(measured, base)
-    ratio = measured.values() / reference.value
-    error = ratio * np.hypot(measured.errors(), reference.error / reference.value)
-    top = 1.0 + thresholds.LEVEL_TOLERANCE
-    sigmas = [Measured(float(r), float(e)).beyond(1.0 / top, top) for r, e in zip(ratio, error, strict=True)]
-    axes = [a for a in others if sigmas[a] >= SIGNIFICANT]
-    if not axes:
-        return None
-    text = ", ".join(f"{AXES[a]} is {ratio[a]:.2f} times as noisy as the sensor's own level" for a in axes)
-    say = f"{NAME[sensor].capitalize()} noise differs between axes: {text}."
-    relative = measured.pieces[:, axes] / measured.pieces[:, base].mean(axis=1, keepdims=True)
-    seen = of_means(relative, (1.0 / top, top), max(sigmas))
-    parameters = {"ratio": vector(ratio, error, "1")}
-    return direct_finding("noise_unequal_axes", sensor, axes, where, parameters, statement=say, seen=seen)
+    return Measured(float(np.log(reference.value / claim)), reference.error / reference.value), base
 
 
-def _level(sensor: str, measured: Levels, base: list[int], claim: float, where: Where) -> Finding | None:
+def _level(sensor: str, measured: Levels, usual: Usual, claim: float, where: Where) -> Finding | None:
     """Find a level that is not the claimed one."""
-    reference = _reference(measured, base)
-    ratio = Measured(reference.value / claim, reference.error / claim)
-    top = 1.0 + thresholds.LEVEL_TOLERANCE
-    sigmas = ratio.beyond(1.0 / top, top)
-    if sigmas < SIGNIFICANT:
-        return None
-    say = f"{NAME[sensor].capitalize()} white noise is {ratio.value:.2f} times the datasheet value."
-    seen = of_means(measured.pieces[:, base].mean(axis=1) / claim, (1.0 / top, top), sigmas)
-    parameters = {"ratio": ratio.parameter("1")}
-    return direct_finding("noise_level", sensor, base, where, parameters, statement=say, seen=seen)
+    ratio, base = level_ratio(measured, claim)
+    pieces = np.log(measured.pieces[:, base].mean(axis=1) / claim)
+    held_out = of_means(pieces, np.clip(np.array([ratio.value]), *usual.between))
+    value = float(np.exp(ratio.value))
+    say = f"{NAME[sensor].capitalize()} white noise is {value:.2f} times the datasheet value."
+    parameters = {"ratio": Measured(value, value * ratio.error).parameter("1")}
+    return direct_finding(
+        LEVEL.effect, sensor, base, where, parameters, statement=say, seen=of_measured(ratio, usual, held_out)
+    )

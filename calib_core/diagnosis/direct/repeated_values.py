@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.model.left_out import of_counts
-from stillcal.calib_core.diagnosis.model.measurement import unknown
-from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.model.left_out import of_shares
+from stillcal.calib_core.diagnosis.model.measurement import (
+    Measured,
+    Seen,
+    direct_finding,
+    of_counts,
+    of_measured,
+    share_of,
+)
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.model.words import Words
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 
+HELD = Words(
+    "held_samples",
+    "raw repeats its last value for a <b>fraction</b> of the samples, up to <b>longest</b> in a row",
+    "read the sensor at its own rate, or by its data-ready interrupt",
+)
+
 BLOCK_S = 1.0
-SIGNIFICANT = 6.0
 ALLOWED = 0.3
-LEAST_SHARE = 0.002
-LEAST_COUNT = 20
+"""Part of the repeats that chance expects by which they may exceed it: axes are not quite independent."""
+
+LEAST_SHARE = 1e-3
+"""Share of samples held that is none, on the logarithmic scale of populations."""
+
 ALONE = 1.02
 """Times the repeats on all axes that one axis has, above which axes repeat by themselves too."""
 
@@ -49,13 +69,13 @@ def without_doubles(samples: Samples) -> tuple[Samples, int]:
 
 def doubled(samples: Samples, count: int) -> Finding | None:
     """State samples that were delivered twice; samples: without them."""
-    share = count / (len(samples) + count)
-    if count < LEAST_COUNT or share < LEAST_SHARE:
-        return None
+    total = float(len(samples) + count)
+    share = share_of(float(count), total)
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "delivery")
-    say = f"{share:.2%} of the samples were delivered twice, with the same time stamp."
-    seen = of_counts(np.full(40, count / 40.0), np.full(40, len(samples) / 40.0), LEAST_SHARE, 30.0)
-    return unknown("timing", [], where, {"fraction": (share, "1")}, statement=say, seen=seen)
+    say = f"{share.value:.2%} of the samples were delivered twice, with the same time stamp."
+    seen = Seen(of_counts(float(count), total, LEAST_SHARE))
+    sizes = {"fraction": share.parameter("1")}
+    return direct_finding("unknown", "timing", [], where, sizes, statement=say, seen=seen)
 
 
 def at_limits(xyz: Array) -> NDArray[np.bool_]:
@@ -77,50 +97,80 @@ def _at_highest(x: Array) -> NDArray[np.bool_]:
     return stays if below.size == LEVELS and on.sum() > below.max() else np.zeros_like(stays)
 
 
-def held(samples: Samples, sensor: str) -> tuple[Finding | None, float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Repeats:
+    """Samples that repeat the one before on all axes. n: samples a block.
+
+    together, chance: (B,) a block, how many there are and how many steps would make; longest: in a row.
+    """
+
+    n: int
+    together: Array
+    chance: Array
+    longest: int
+    mixed: bool
+
+    @classmethod
+    def of(cls, samples: Samples) -> Repeats | None:
+        """Count the repeats of one sensor; None where it is too short. What lies at a limit is left out."""
+        n = max(int(BLOCK_S / max(sample_period(samples.t), 1e-6)), 10)
+        count = (len(samples) - 1) // n
+        if count < 2:
+            return None
+        free = ~np.asarray(at_limits(samples.xyz).any(axis=1))[: count * n].reshape(count, n)
+        same = np.asarray(np.diff(samples.xyz, axis=0)[: count * n].reshape(count, n, 3) == 0.0)
+        same &= free[:, :, None]
+        judged = np.maximum(free.sum(axis=1), 1)
+        every = same.all(axis=2)
+        together = every.sum(axis=1).astype(np.float64)
+        chance = judged * (same.sum(axis=1) / judged[:, None]).prod(axis=1)
+        mixed = _mixed_steps(samples.xyz, same, float(together.sum()))
+        return cls(n, together, chance, _longest(every.ravel()), mixed)
+
+    @property
+    def excess(self) -> float:
+        """Repeats above those that chance expects."""
+        return float(self.together.sum() - self.chance.sum())
+
+    def share(self) -> Measured:
+        """Return the part of the samples that is held; nothing where steps alone may make as many."""
+        total, expected = float(self.n * self.together.size), float(self.chance.sum())
+        if self.mixed or self.excess < ALLOWED * expected:
+            return Measured(0.0, 1.0 / total)
+        held = share_of(float(self.together.sum()), total)
+        return Measured(
+            max(self.excess, 0.0) / total, float(np.hypot(held.error, ALLOWED * expected / total))
+        )
+
+
+def held(samples: Samples, sensor: str, usual: Usual) -> tuple[Finding | None, float]:
     """Find values held: all axes repeat at once far oftener than each does by itself. Also their share.
 
-    Coarse steps repeat on each axis, but not on all together more than chance has it. What lies at a limit
-    repeats for that, and is left out.
+    Coarse steps repeat on each axis, but not on all together more than chance has it. usual: of log10 of the
+    share plus `LEAST_SHARE`.
     """
-    n = max(int(BLOCK_S / max(float(np.median(np.diff(samples.t))), 1e-6)), 10)
-    count = (len(samples) - 1) // n
-    if count < 2:
+    seen = Repeats.of(samples)
+    if seen is None:
         return None, 0.0
-    free = ~np.asarray(at_limits(samples.xyz).any(axis=1))[: count * n].reshape(count, n)
-    same = np.asarray(np.diff(samples.xyz, axis=0)[: count * n].reshape(count, n, 3) == 0.0)
-    same &= free[:, :, None]
-    judged = np.maximum(free.sum(axis=1), 1)
-    together = same.all(axis=2).sum(axis=1)
-    chance = judged * (same.sum(axis=1) / judged[:, None]).prod(axis=1)
-    expected = float(chance.sum())
-    excess = float(together.sum()) - expected
-    share = max(excess, 0.0) / (count * n)
-    sigmas = excess / np.sqrt(expected + 1.0)
-    if excess < max(LEAST_COUNT, ALLOWED * expected) or share < LEAST_SHARE or sigmas < SIGNIFICANT:
-        return None, share
-    if _mixed_steps(samples.xyz, same, float(together.sum())):
-        return None, share
-    first, last = _bulk(np.maximum(together - chance, 0.0))
-    where = Where(
-        float(samples.t[first * n]),
-        float(samples.t[min((last + 1) * n, len(samples) - 1)]),
-        (0.0, 0.0),
-        "values",
-    )
-    longest = _longest(same.all(axis=2).ravel())
+    share = seen.share()
+    if share.value <= 0.0:
+        return None, 0.0
+    first, last = _bulk(np.maximum(seen.together - seen.chance, 0.0))
+    end = min((last + 1) * seen.n, len(samples) - 1)
+    where = Where(float(samples.t[first * seen.n]), float(samples.t[end]), (0.0, 0.0), "values")
     say = (
-        f"{share:.2%} of the {NAME[sensor]}'s samples repeat the previous one on all axes, up to {longest}"
-        " in a row: the driver repeats values."
+        f"{share.value:.2%} of the {NAME[sensor]}'s samples repeat the previous one on all axes, up to"
+        f" {seen.longest} in a row: the driver repeats values."
     )
-    seen = of_counts(
-        together.astype(np.float64),
-        np.full(count, float(n)),
-        max(LEAST_SHARE, expected / (count * n)),
-        sigmas,
-    )
-    sizes = {"fraction": (share, "1"), "longest": (float(longest), "samples")}
-    return unknown(sensor, [0, 1, 2], where, sizes, statement=say, seen=seen), share
+    of = np.full(seen.together.size, float(seen.n))
+    held_out = of_shares(seen.together, of, min(10.0**usual.highest, 0.9))
+    judged = of_measured(share.log(LEAST_SHARE), usual, held_out)
+    sizes = {
+        "fraction": share.parameter("1"),
+        "longest": Parameter(float(seen.longest), None, "samples"),
+    }
+    found = direct_finding(HELD.effect, sensor, [0, 1, 2], where, sizes, statement=say, seen=judged)
+    return found, share.value
 
 
 def _mixed_steps(xyz: Array, same: NDArray[np.bool_], together: float) -> bool:

@@ -11,21 +11,35 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.steady_segments import INDEPENDENT, NEIGHBOURS, Stretches, stretches
 from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
-from stillcal.calib_core.diagnosis.model.measurement import SIGNIFICANT, Index, Seen, direct_finding, vector
+from stillcal.calib_core.diagnosis.model.measurement import (
+    HeldOut,
+    Index,
+    Seen,
+    direct_finding,
+    of_fit,
+    vector,
+)
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.streams.samples import Samples
+
+TONE = Words(
+    "vibration_tone",
+    "true = … + <b>amplitude</b>·sin(2π·<b>frequency</b>·t)",
+    "record once on another support, and once with fans and motors nearby switched off",
+)
 
 BRIEF, SHORT, LONG = 8.0, 20.0, 60.0
 """s of a stretch: short ones tell when a line comes and goes, long ones, or as long as a rest and no shorter
 than short ones, show faint lines, brief ones are for rests that hold no others."""
 
-PLAIN = 1e-20
-"""Probability of a line by chance below which short stretches show it well enough."""
+PLAIN = 46.0
+"""Nats for a line from which short stretches show it well enough (a chance of 1e-20)."""
 
 LEAST_LINE_HZ = 4.0
-BODY_HZ, SURE = 6.0, 1e-30
-"""Below this frequency a line must be as sure: overtones of hearts and hands reach so far."""
+BODY_HZ, SURE = 6.0, 69.0
+"""Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far."""
 
 LINE_P = 1e-5
 LEAST_STRETCHES = 4.5
@@ -52,15 +66,19 @@ CONTRAST = 5.0
 def tone(samples: Samples, sensor: str) -> Finding | None:
     """Find the strongest line of one sensor above `LEAST_LINE_HZ`, or None."""
     found = _of_any_length(samples, sensor)
-    if found is None or found.where.band_hz[0] > BODY_HZ or found.evidence.p_value < SURE:
+    if found is None or found.where.band_hz[0] > BODY_HZ or _nats(found) > SURE:
         return found
     return None
+
+
+def _nats(found: Finding) -> float:
+    return found.evidence.log_bayes_factor or 0.0
 
 
 def _of_any_length(samples: Samples, sensor: str) -> Finding | None:
     short = stretches(samples, sensor, SHORT)
     found = _tone(samples, sensor, short)
-    if found is not None and found.evidence.p_value < PLAIN:
+    if found is not None and _nats(found) > PLAIN:
         return found
     found = _tone(samples, sensor, stretches(samples, sensor, LONG, SHORT)) or found
     if found is None and (short is None or float(short.share.sum()) < LEAST_STACK):
@@ -216,9 +234,7 @@ def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle:
         a for a in range(3) if amplitude[a] > NAMED * amplitude.max() and power[a] > 3.0 * spread[a] - 1e-30
     ]
     axes = axes or [int(np.argmax(amplitude))]
-    evidence = _left_out(line, noise)
-    if evidence.sigmas < SIGNIFICANT:
-        return None
+    evidence = _seen(line, noise, seen.f.size)
     first, last = int(seen.first[rows[0]]), int(seen.first[rows[-1]] + seen.length[rows[-1]]) - 1
     half = 1.96 * error
     parameters = {
@@ -234,11 +250,14 @@ def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle:
         f" {amplitude.max():.3g} {UNIT[sensor]} (could be an alias of {rate - frequency:.1f} or"
         f" {rate + frequency:.1f} Hz)."
     )
-    return direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, seen=evidence)
+    return direct_finding(TONE.effect, sensor, axes, where, parameters, statement=say, seen=evidence)
 
 
-def _left_out(line: Array, noise: Array) -> Seen:
-    """Predict powers (S, 3) of stretches left out: exponential about noise, with and without a line."""
+def _seen(line: Array, noise: Array, frequencies: int) -> Seen:
+    """Return what powers (S, 3) say of a line: exponential about the noise, or about more, axis by axis.
+
+    frequencies: how many were looked at. Powers of stretches left out are predicted by the others.
+    """
     floor = np.maximum(noise.mean(axis=0), 1e-300)
     ratio = line / floor
     fold, gain = blocks(len(ratio)), 0.0
@@ -251,4 +270,5 @@ def _left_out(line: Array, noise: Array) -> Seen:
         after.append(rms(seen - np.sqrt(line[fold != k].mean(axis=0))))
     more = np.maximum(ratio.mean(axis=0), 1.0)
     whole = float(len(ratio) * (more - 1.0 - np.log(more)).sum())
-    return Seen(float(np.sqrt(2.0 * whole)), gain, rms(np.array(before)), rms(np.array(after)))
+    held_out = HeldOut(gain, rms(np.array(before)), rms(np.array(after)))
+    return Seen(of_fit(whole, 3.0, float(len(ratio)), float(frequencies)), held_out)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 
 STEADY = {"accel": 0.1, "gyro": 0.03}
@@ -56,7 +57,7 @@ def stretches(samples: Samples, sensor: str, seconds: float, least: float | None
 
     They are `seconds` long, and down to `least` (s) where there is no room for longer ones.
     """
-    rate = 1.0 / float(np.median(np.diff(samples.t)))
+    rate = 1.0 / sample_period(samples.t)
     longest, shortest = int(seconds * rate), int((least or seconds) * rate)
     if shortest < LEAST_SAMPLES or len(samples) < 3 * shortest:
         return None

@@ -1,7 +1,7 @@
 """An axis that gives one value for a while, exactly, when the others go on: it is stuck.
 
-Values of coarse steps repeat by chance, the oftener the coarser. A run is stuck that chance would not make
-once in a million recordings, from how often the axis repeats otherwise. An axis at the limit of its range,
+Values of coarse steps repeat by chance, the oftener the coarser. Evidence is the chance of a run as long,
+from how often the axis repeats otherwise. An axis at the limit of its range,
 where motion brings it again and again, is not stuck.
 """
 
@@ -11,14 +11,13 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.repeated_values import at_limits
-from stillcal.calib_core.diagnosis.model.left_out import of_counts
-from stillcal.calib_core.diagnosis.model.measurement import unknown
+from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.streams.samples import Samples
 
 BLOCK_S = 1.0
 LEAST_S = 3.0
-BY_CHANCE = 1e-6
 MOVES = 0.5
 """Part of the samples of a run in which another axis must change; else the sample is held as a whole."""
 
@@ -45,16 +44,14 @@ def stuck(samples: Samples, sensor: str) -> Finding | None:
     chance = max(float(np.quantile(_shares(elsewhere, block), 0.9)), 1e-9)
     if chance > MOST_REPEATS or others.mean(axis=0).min() > 1.0 - MOVES:
         return None
-    if length * np.log(chance) > np.log(BY_CHANCE / t.size):
-        return None
     where = Where(float(t[first]), float(t[last]), (0.0, 0.0), "values")
     value = float(samples.xyz[first, axis])
     span = f"From {t[first]:.0f} to {t[last]:.0f} s"
     say = f"{span} the {NAME[sensor]}'s {AXES[axis]} axis is stuck at {value:.4g}."
-    of = np.full(10, length / 10.0)
-    seen = of_counts(of, of, chance, 30.0)
-    sizes = {"value": (value, "m/s^2" if sensor == "accel" else "rad/s"), "samples": (float(length + 1), "1")}
-    return unknown(sensor, [axis], where, sizes, statement=say, seen=seen)
+    # As many repeats in a row, each with the chance of one elsewhere, on any axis, from any sample on.
+    seen = Seen(of_chance(length * float(np.log(chance)), 3.0 * t.size))
+    sizes = sized({"value": (value, UNIT[sensor]), "samples": (float(length + 1), "1")})
+    return direct_finding("unknown", sensor, [axis], where, sizes, statement=say, seen=seen)
 
 
 def _longest(same: Array) -> tuple[int, int]:

@@ -1,4 +1,7 @@
-"""What the stamps alone say: how they scatter about an even grid, and which of its places are empty."""
+"""What the stamps alone say: jitter about an even grid, and places of the grid that are empty.
+
+Stamps that come in bursts have no grid: they say when samples were delivered, and neither is judged.
+"""
 
 from __future__ import annotations
 
@@ -8,37 +11,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.left_out import of_counts, of_spread
-from stillcal.calib_core.diagnosis.model.measurement import SIGNIFICANT, Measured, direct_finding, mean_of
-from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.left_out import of_shares, of_spread
+from stillcal.calib_core.diagnosis.model.measurement import (
+    Measured,
+    direct_finding,
+    mean_of,
+    of_measured,
+    share_of,
+)
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.model.words import Words
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+
+JITTER = Words(
+    "timestamp_jitter",
+    "t<sub>stamp</sub> = t + noise of standard deviation <b>sigma</b>",
+    "record at another rate, and with the processor idle",
+)
+DROPPED = Words(
+    "dropped_samples",
+    "each sample is lost with chance <b>fraction</b>",
+    "record with other applications closed",
+)
 
 PIECES = 40
+"""Parts of a recording that errors are taken from: enough for a standard error known to a tenth."""
+
 LONGEST_GAP = 50
+"""Periods: a longer gap is a pause, in which nothing was recorded."""
+
 SHARP = 0.08
+"""Scatter, in periods, up to which intervals tell by rounding how many periods they hold."""
+
 SPAN = 8
+"""Stamps on either side whose mean shows a shift of the grid by a gap, where stamps scatter much."""
+
 LOCAL = 0.75
+"""Periods by which an interval of neighbours may be off."""
+
 WANDERING = -0.25
+"""Correlation of neighbouring intervals half way between independent stamps (-1/2) and intervals (0)."""
+
 PEAK = 1.5
-COUNTED = 3.0
-"""Standard errors beyond the tolerance that will do for what is simply counted."""
+"""Times as many intervals at two periods than between one and two, for the former to be gaps."""
+
 DECIMALS = (3, 4, 5, 6)
 
+LEAST_JITTER = 1e-4
+"""Periods: jitter below this is none, on the logarithmic scale of populations."""
 
-def typical_period(t: Array) -> float:
-    """Return the usual interval of stamps, s.
-
-    The mean of those near the median, which rounding does not move.
-    """
-    steps = np.diff(t)
-    middle = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    near = steps[np.abs(steps - middle) <= 0.5 * middle]
-    return float(near.mean()) if near.size else middle
+LEAST_SHARE = 1e-4
+"""The same of a share of samples."""
 
 
 def mean_period(t: Array) -> float:
     """Return the mean interval of a stretch, its gaps counted as the samples that are missing."""
-    period = typical_period(t)
+    period = sample_period(t)
     return (
         float((t[-1] - t[0]) / max(np.rint(np.diff(t) / period).sum(), 1.0)) if period > 0.0 else float("nan")
     )
@@ -59,9 +88,7 @@ def resolution(t: Array) -> float:
 class Grid:
     """Stamps t (n,) s, the period s, how many periods (n - 1,) lie between them, their step s.
 
-    Sigma of one s.
-
-    apart: (m,) second differences of neighbours in place, whose variance is six times that of one stamp.
+    apart: (m,) second differences of neighbours in place, whose variance is `factor` times that of one stamp.
     """
 
     t: Array
@@ -87,10 +114,34 @@ class Grid:
         second = np.diff(steps)[even[1:] & even[:-1]]
         return cls(t, period, multiples, resolution(t), second, factor)
 
-    def sigmas(self) -> Array:
-        """Return the scatter (PIECES,) of single stamps in pieces of the recording, s."""
+    @property
+    def rounding(self) -> float:
+        """Variance that the stamps' own step makes, s^2."""
+        return self.step**2 / 12.0
+
+    def jitter(self) -> Measured | None:
+        """Return the scatter of single stamps, s, what rounding does taken off; None with too few."""
+        if self.apart.size < 100:
+            return None
         parts = np.array_split(self.apart, PIECES)
-        return np.array([float(np.sqrt(np.mean(p**2) / self.factor)) for p in parts])
+        own = np.array([float(np.mean(p**2) / self.factor) for p in parts])
+        pieces = np.sqrt(np.maximum(own - self.rounding, 0.0))
+        sigma = mean_of(pieces, 1e-3 * self.period / np.sqrt(self.apart.size))
+        # Stamps that scatter by a fifth of the period and more are put in order, or held apart, by somebody.
+        sorted_by = 0.15 * max(sigma.value / self.period - 0.2, 0.0) * sigma.value
+        return Measured(sigma.value, float(np.hypot(sigma.error, sorted_by)))
+
+    def lost(self) -> Array:
+        """Return how many samples (n - 1,) are missing between stamps."""
+        inside = (self.multiples >= 2.0) & (self.multiples <= LONGEST_GAP)
+        return np.where(inside, self.multiples - 1.0, 0.0)
+
+    def missing(self) -> Measured:
+        """Return the part of the samples that is missing; losses of several at once count as one event."""
+        lost = self.lost()
+        total = float(lost.sum())
+        together = float((lost**2).sum()) / total if total else 1.0
+        return share_of(total, self.t.size + total, together)
 
 
 def _factor(steps: Array, even: NDArray[np.bool_]) -> float:
@@ -134,45 +185,26 @@ def _peaked(ratio: Array) -> Array:
     return np.asarray(np.rint(ratio) if at_two > PEAK * (between + 1) else np.ones(ratio.size))
 
 
-def jitter(grid: Grid, where: Where) -> Finding | None:
-    """Find stamps that scatter by more than a sound phone's; what rounding does is taken off."""
-    if grid.apart.size < 100:
+def jitter(grid: Grid, usual: Usual, where: Where) -> Finding | None:
+    """Find stamps that scatter by more than a sound phone's. usual: of log10 of sigma in periods."""
+    sigma = grid.jitter()
+    if sigma is None or sigma.value <= 1.5 * np.sqrt(grid.rounding):
         return None
-    rounding = grid.step**2 / 12.0
-    pieces = np.sqrt(np.maximum(grid.sigmas() ** 2 - rounding, 0.0))
-    sigma = mean_of(pieces, 1e-3 * grid.period / np.sqrt(grid.apart.size))
-    # Stamps that scatter by a fifth of the period and more are put in order, or held apart, by somebody.
-    sorted_by = 0.15 * max(sigma.value / grid.period - 0.2, 0.0) * sigma.value
-    sigma = Measured(sigma.value, float(np.hypot(sigma.error, sorted_by)))
-    allowed = thresholds.JITTER_TOLERANCE * grid.period
-    sigmas = sigma.beyond(0.0, max(allowed, 1.5 * np.sqrt(rounding)))
-    if sigmas < SIGNIFICANT:
-        return None
+    relative = Measured(sigma.value / grid.period, sigma.error / grid.period).log(LEAST_JITTER)
+    sound = grid.period * 10.0**usual.highest
+    seen = of_measured(relative, usual, of_spread(grid.apart / np.sqrt(grid.factor), sound))
     say = f"Time stamps jitter by {sigma.value * 1e3:.2f} ms about an even rate."
     parameter = {"sigma": sigma.parameter("s")}
-    seen = of_spread(grid.apart / np.sqrt(grid.factor), allowed, sigmas)
-    return direct_finding("timestamp_jitter", "timing", [], where, parameter, statement=say, seen=seen)
+    return direct_finding(JITTER.effect, "timing", [], where, parameter, statement=say, seen=seen)
 
 
-def drops(grid: Grid, where: Where) -> Finding | None:
-    """Find places of the grid that are empty, in gaps of up to `LONGEST_GAP` periods.
-
-    Longer ones are pauses.
-    """
-    multiples = grid.multiples
-    lost = np.where((multiples >= 2.0) & (multiples <= LONGEST_GAP), multiples - 1.0, 0.0)
-    gaps, missing = int((lost > 0).sum()), float(lost.sum())
-    total = grid.t.size + missing
-    fraction = missing / total
-    error = float(np.sqrt((lost**2).sum())) / total
-    sigmas = Measured(fraction, error).beyond(0.0, thresholds.DROP_TOLERANCE)
-    if gaps < thresholds.LEAST_GAPS or sigmas < COUNTED:
-        return None
-    low, high = max(fraction - 1.96 * error, 0.0), fraction + 1.96 * error
-    say = f"{fraction:.2%} of the samples are missing, in {gaps} gaps."
+def drops(grid: Grid, usual: Usual, where: Where) -> Finding | None:
+    """Find places of the grid that are empty. usual: of log10 of the part missing plus `LEAST_SHARE`."""
+    lost, fraction = grid.lost(), grid.missing()
     parts = np.array_split(lost, PIECES)
     hits = np.array([float(p.sum()) for p in parts])
     of = np.array([float(p.size) for p in parts]) + hits
-    seen = of_counts(hits, of, thresholds.DROP_TOLERANCE, sigmas)
-    parameter = {"fraction": Parameter(fraction, [low, high], "1")}
-    return direct_finding("dropped_samples", "timing", [], where, parameter, statement=say, seen=seen)
+    seen = of_measured(fraction.log(LEAST_SHARE), usual, of_shares(hits, of, 10.0**usual.highest))
+    say = f"{fraction.value:.2%} of the samples are missing, in {np.count_nonzero(lost)} gaps."
+    parameter = {"fraction": fraction.parameter("1")}
+    return direct_finding(DROPPED.effect, "timing", [], where, parameter, statement=say, seen=seen)

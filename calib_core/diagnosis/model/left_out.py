@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import FOLDS, Index, Seen
+from stillcal.calib_core.diagnosis.model.measurement import FOLDS, HeldOut, Index
 
 
 def blocks(n: int) -> Index:
@@ -23,11 +23,8 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-def of_means(pieces: Array, sound: tuple[float, float], sigmas: float) -> Seen:
-    """Predict pieces (n,) or (n, k) normally about the others' mean.
-
-    And about its nearest in `sound` (low, high).
-    """
+def of_means(pieces: Array, sound: Array) -> HeldOut:
+    """Predict pieces (n,) or (n, k) normally about the others' mean, and about `sound` (k,) or a number."""
     pieces = pieces.reshape(len(pieces), -1)
     fold, gain = blocks(len(pieces)), 0.0
     before, after = np.zeros_like(pieces), np.zeros_like(pieces)
@@ -36,10 +33,9 @@ def of_means(pieces: Array, sound: tuple[float, float], sigmas: float) -> Seen:
         if len(train) < 2:
             continue
         mean = train.mean(axis=0)
-        null = np.clip(mean, *sound)
-        gain += _normal(train, test, mean) - _normal(train, test, null)
-        before[fold == k], after[fold == k] = test - null, test - mean
-    return Seen(sigmas, gain, rms(before), rms(after))
+        gain += _normal(train, test, mean) - _normal(train, test, sound)
+        before[fold == k], after[fold == k] = test - sound, test - mean
+    return HeldOut(gain, rms(before), rms(after))
 
 
 def _normal(train: Array, test: Array, about: Array) -> float:
@@ -47,7 +43,21 @@ def _normal(train: Array, test: Array, about: Array) -> float:
     return float(-0.5 * (((test - about) ** 2 / variance) + np.log(variance)).sum())
 
 
-def of_counts(hits: Array, of: Array, sound: float, sigmas: float) -> Seen:
+def of_spread(values: Array, sound: float) -> HeldOut:
+    """Predict the spread of zero-mean values (n,) from the others', against a spread of at most `sound`."""
+    fold, gain, before, after = blocks(values.size), 0.0, [], []
+    for k in np.unique(fold):
+        test = values[fold == k]
+        own = rms(values[fold != k])
+        null, power = min(own, sound), float((test**2).sum())
+        gain += test.size * np.log(null / own) + 0.5 * power * (1.0 / null**2 - 1.0 / own**2)
+        seen = float(np.sqrt(power / test.size))
+        before.append(seen - null)
+        after.append(seen - own)
+    return HeldOut(gain, rms(np.array(before)), rms(np.array(after)))
+
+
+def of_shares(hits: Array, of: Array, sound: float) -> HeldOut:
     """Predict hits (n,) among `of` (n,) by their share in the others, against a share of at most `sound`."""
     fold, gain = blocks(hits.size), 0.0
     before, after = np.zeros(hits.size), np.zeros(hits.size)
@@ -59,18 +69,4 @@ def of_counts(hits: Array, of: Array, sound: float, sigmas: float) -> Seen:
         gain += yes * np.log(share / null) + no * np.log((1.0 - share) / (1.0 - null))
         rate = hits[test] / np.maximum(of[test], 1.0)
         before[test], after[test] = rate - null, rate - share
-    return Seen(sigmas, gain, rms(before), rms(after))
-
-
-def of_spread(values: Array, sound: float, sigmas: float) -> Seen:
-    """Predict the spread of zero-mean values (n,) from the others', against a spread of at most `sound`."""
-    fold, gain, before, after = blocks(values.size), 0.0, [], []
-    for k in np.unique(fold):
-        test = values[fold == k]
-        own = rms(values[fold != k])
-        null, power = min(own, sound), float((test**2).sum())
-        gain += test.size * np.log(null / own) + 0.5 * power * (1.0 / null**2 - 1.0 / own**2)
-        seen = float(np.sqrt(power / test.size))
-        before.append(seen - null)
-        after.append(seen - own)
-    return Seen(sigmas, gain, rms(np.array(before)), rms(np.array(after)))
+    return HeldOut(gain, rms(before), rms(after))

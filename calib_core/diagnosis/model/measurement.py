@@ -1,7 +1,16 @@
-"""Findings that single samples and stamps give directly: a shared way to state them.
+"""What single samples, values and stamps show: how likely an effect is, and how it is stated.
 
-These effects have a measured number, its standard error from independent pieces, and a tolerance below which
-the twin already allows for it. They are found where the number is outside its tolerance by many errors.
+An effect is a choice between two models of the same data: a sound phone, and one that has the effect. Each
+function below returns the logarithm of their Bayes factor, in nats, by a likelihood that it states:
+
+- `of_measured`: a number with a normal error, against what real phones commonly show (`sound_phones`);
+- `of_counts`: successes among trials, binomial with a Beta prior;
+- `of_chance`: something that a sound phone does with a known small chance, certain with the effect;
+- `of_vector`: a vector with a normal error, against nothing;
+- `of_fit`: a gain in log likelihood by fitted parameters, by Schwarz's approximation.
+
+A finding needs a posterior probability of `STATED`, and, where parts of the recording were predicted from the
+others, that they were predicted better with the effect than without.
 """
 
 from __future__ import annotations
@@ -22,16 +31,14 @@ from stillcal.calib_core.diagnosis.model.records import (
     Parameter,
     Where,
 )
+from stillcal.calib_core.diagnosis.model.settings import DIRECT_CHECKS, STATED
+from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 
 Index = NDArray[np.int64]
 
-SIGNIFICANT = 5.0
-"""Standard errors that a direct measurement must be from its tolerance: 6e-7 two-sided."""
-
-TRIALS = 80
-"""How many direct measurements a diagnosis makes: two sensors, three axes, some dozen effects."""
-
 FOLDS = 5
+NORMAL_95 = 1.96
+"""Half the width of a 95 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +55,13 @@ class Measured:
 
     def parameter(self, unit: str) -> Parameter:
         """Return value and 95 % interval."""
-        return Parameter(self.value, [self.value - 1.96 * self.error, self.value + 1.96 * self.error], unit)
+        half = NORMAL_95 * self.error
+        return Parameter(self.value, [self.value - half, self.value + half], unit)
+
+    def log(self, floor: float = 0.0) -> Measured:
+        """Return the common logarithm of a value of 0 or more, plus `floor`, with its error."""
+        shifted = max(self.value, 0.0) + floor
+        return Measured(float(np.log10(shifted)), self.error / shifted / float(np.log(10.0)))
 
 
 def mean_of(pieces: Array, floor: float = 0.0) -> Measured:
@@ -61,6 +74,16 @@ def mean_of(pieces: Array, floor: float = 0.0) -> Measured:
     return Measured(float(kept.mean()), max(error, floor))
 
 
+def share_of(hits: float, trials: float, alike: float = 1.0) -> Measured:
+    """Return the share of successes with the standard deviation of its posterior, Beta(1/2, 1/2) before.
+
+    alike: how many successes come together, so that so many fewer are independent.
+    """
+    a, b = hits / alike + 0.5, (trials - hits) / alike + 0.5
+    mean = a / (a + b)
+    return Measured(hits / max(trials, 1.0), float(np.sqrt(mean * (1.0 - mean) / (a + b + 1.0))))
+
+
 def tail(sigmas: float) -> float:
     """Return the two-sided normal probability of a deviation."""
     from scipy.special import erfc  # noqa: PLC0415 - the daemon stays light
@@ -70,22 +93,109 @@ def tail(sigmas: float) -> float:
 
 def vector(values: Array, errors: Array, unit: str) -> Parameter:
     """Return values (k,) with 95 % intervals."""
-    ci = np.stack([values - 1.96 * errors, values + 1.96 * errors], axis=1)
+    ci = np.stack([values - NORMAL_95 * errors, values + NORMAL_95 * errors], axis=1)
     return Parameter(values.tolist(), ci.tolist(), unit)
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """What parts of the recording say that took no part in the fit.
+
+    gain: log score with the effect less without it, nats; before, after: rms of what is left there.
+    """
+
+    gain: float
+    before: float
+    after: float
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
     """What speaks for a direct finding.
 
-    sigmas: standard errors outside its tolerance. gain: log score of pieces left out, with the effect less
-    without it, nats; before, after: rms of what is left there, in the unit of what is predicted.
+    log_bayes_factor: nats for the effect against a sound phone. held_out: None where nothing is predicted.
+    unusual: how rare this is among real phones, as a sentence; "" where that is not known.
     """
 
-    sigmas: float
-    gain: float
-    before: float
-    after: float
+    log_bayes_factor: float
+    held_out: HeldOut | None = None
+    unusual: str = ""
+
+    @property
+    def probability(self) -> float:
+        """The posterior probability of the effect."""
+        return posterior(self.log_bayes_factor)
+
+    @property
+    def stated(self) -> bool:
+        """Whether this is enough for a finding."""
+        return self.probability >= STATED and (self.held_out is None or self.held_out.gain > 0.0)
+
+
+def posterior(log_bayes_factor: float) -> float:
+    """Return the probability of an effect; before the data, one of `DIRECT_CHECKS` is expected."""
+    return float(1.0 / (1.0 + np.exp(-np.clip(log_bayes_factor - np.log(DIRECT_CHECKS), -700.0, 700.0))))
+
+
+def of_measured(measured: Measured, usual: Usual, held_out: HeldOut | None = None) -> Seen:
+    """Compare a measured number, normal about the phone's own, with what sound phones show.
+
+    Sound: the number is one of the population's (`Usual.log_sound`). Faulty: it is anywhere in the range in
+    which faults are, with equal probability (`Usual.log_faulty`).
+    """
+    value, error = measured.value, max(measured.error, 1e-12)
+    gain = usual.log_faulty(value, error) - usual.log_sound(value, error)
+    return Seen(gain, held_out, usual.rarity(value))
+
+
+def of_counts(hits: float, trials: float, sound: float) -> float:
+    """Return nats for a share of successes above `sound`, uniform up to 1, against one of `sound` at most.
+
+    Binomial counts; both shares have a uniform prior over their ranges, so that the marginal likelihoods are
+    incomplete Beta functions (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
+    """
+    from scipy.special import betainc  # noqa: PLC0415 - the daemon stays light
+
+    a, b = hits + 1.0, trials - hits + 1.0
+    below = float(betainc(a, b, sound))
+    above = float(betainc(b, a, 1.0 - sound))
+    low = np.log(below) if below > 1e-290 else _log_tail(a, b, sound)
+    return float(np.log(max(above, 1e-300)) - np.log1p(-sound) - low + np.log(sound))
+
+
+def _log_tail(a: float, b: float, x: float) -> float:
+    """Return the logarithm of the regularised incomplete Beta function far in its lower tail (first term)."""
+    from scipy.special import betaln  # noqa: PLC0415 - the daemon stays light
+
+    return float(a * np.log(x) + b * np.log1p(-x) - np.log(a) - betaln(a, b))
+
+
+def of_vector(value: Array, covariance: Array, size: float) -> float:
+    """Return nats for a vector (k,) of prior standard deviation `size` on each axis, against nothing.
+
+    Normal densities: log N(value; 0, covariance + size^2) - log N(value; 0, covariance).
+    """
+    both = covariance + size**2 * np.eye(value.size)
+    room = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(both)[1]
+    return float(
+        0.5 * (room + value @ np.linalg.solve(covariance, value) - value @ np.linalg.solve(both, value))
+    )
+
+
+def of_chance(log_chance: float, tries: float = 1.0) -> float:
+    """Return nats for what the effect makes certain and a sound phone does with chance exp(log_chance).
+
+    tries: in how many places or ways it was looked for; the effect is in one of them.
+    """
+    return -log_chance - float(np.log(tries))
+
+
+def of_fit(gain: float, parameters: float, pieces: float, tries: float = 1.0) -> float:
+    """Return nats for a fitted effect: its gain in log likelihood less parameters / 2 ln(pieces).
+
+    Schwarz's approximation to the Bayes factor (Ann. Statist. 6, 1978). tries: places it was looked for in.
+    """
+    return gain - 0.5 * parameters * float(np.log(max(pieces, 2.0))) - float(np.log(tries))
 
 
 def direct_finding(
@@ -98,25 +208,33 @@ def direct_finding(
     statement: str,
     seen: Seen,
     alternatives: Sequence[Alternative] = (),
-) -> Finding:
-    """Build a finding of a direct measurement."""
-    evidence = Evidence(min(1.0, TRIALS * tail(seen.sigmas)), seen.before, seen.after, seen.gain, FOLDS)
+) -> Finding | None:
+    """Build a finding of a direct measurement; None where the evidence does not carry it.
+
+    p_value: the inverse of the Bayes factor, times the checks that were made. Under no effect a Bayes factor
+    exceeds k with probability 1 / k at most (Vovk and Wang, Ann. Statist. 49, 2021).
+    """
+    if not seen.stated:
+        return None
+    p = float(np.exp(np.clip(np.log(DIRECT_CHECKS) - seen.log_bayes_factor, -690.0, 0.0)))
+    held = seen.held_out
+    evidence = (
+        Evidence(p, log_bayes_factor=seen.log_bayes_factor)
+        if held is None
+        else Evidence(p, held.before, held.after, held.gain, FOLDS, seen.log_bayes_factor)
+    )
     names = [AXES[a] for a in axes]
-    return Finding(effect, sensor, names, where, parameters, evidence, list(alternatives), statement)
+    said = f"{statement} {seen.unusual}".strip()
+    return Finding(effect, sensor, names, where, parameters, evidence, list(alternatives), said)
 
 
-def unknown(
-    sensor: str,
-    axes: Sequence[int],
-    where: Where,
-    sizes: Mapping[str, tuple[Number, str]],
-    *,
-    statement: str,
-    seen: Seen,
-) -> Finding:
-    """Build a finding that the catalogue has no name for. sizes: numbers, with units, that say how large."""
-    parameters = {
-        name: Parameter(value, np.stack([value, value], axis=-1).tolist(), unit)
-        for name, (value, unit) in sizes.items()
-    }
-    return direct_finding("unknown", sensor, axes, where, parameters, statement=statement, seen=seen)
+def sized(sizes: Mapping[str, tuple[Number, str]]) -> dict[str, Parameter]:
+    """Return parameters without an interval, from numbers with their units."""
+    return {name: Parameter(value, None, unit) for name, (value, unit) in sizes.items()}
+
+
+__all__ = [
+    "FOLDS", "HeldOut", "Index", "Measured", "Seen", "direct_finding", "mean_of", "of_chance",
+    "of_counts", "of_fit", "of_measured", "of_vector", "posterior", "share_of", "sized", "tail",
+    "vector",
+]  # fmt: skip

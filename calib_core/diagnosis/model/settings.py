@@ -43,30 +43,28 @@ WANDER_MIDDLE, WANDER_DECADES, WANDER_TAIL = 0.8, 1.5, 0.03
 """Prior of how much a bias' bins scatter by wander over white noise (log10 of variances): flicker floors of
 0.03 to 3 times the white noise of a second are what phones have; the tail is for those that do not."""
 
-CLOCK_TOLERANCE = 2e-4
-"""Relative error of a crystal that is no finding: 200 ppm, twice what cheap ones are sold with."""
-
 RATE_TOLERANCE = 2e-3
-"""The same against a nominal rate only, which is a round number."""
+"""Relative difference of a rate from the nominal one, a round number."""
 
 JITTER_TOLERANCE = 0.03
 """Part of the period that stamps may scatter by (Android compatibility definition, 7.3)."""
 
-LEAST_GAPS = 10
 DROP_TOLERANCE = 5e-4
-"""Gaps, and part of the samples missing, below which drops are no finding."""
+"""Part of the samples missing that two recordings of one phone may differ by."""
 
 BURST_TOLERANCE = 0.01
-"""Part of the samples that may arrive on the heels of another."""
+"""The same of the samples that arrive on the heels of another."""
 
-LEAST_PILE = 8
-"""Samples that must lie on a limit."""
+DIRECT_CHECKS = 40
+"""How many checks of samples, values and stamps a diagnosis makes: of the two sensors' values and noise some
+seventeen each, of stamps and motion six. Before the data, one of them is expected to find something."""
+
+STATED = 0.999
+"""Posterior probability from which what samples, values and stamps show is stated: of a thousand such
+findings one may be false."""
 
 LEVEL_TOLERANCE = 0.12
 """Relative difference of noise densities, from the claim or between axes, that is no finding."""
-
-KURTOSIS_TOLERANCE = 0.3
-"""Excess kurtosis of single samples that is no finding."""
 
 RANDOM_WALK = {"accel": 30e-6 * 9.80665, "gyro": 1.745e-5}
 """Bias random walk that Android allows (7.3): 30 ug sqrt(Hz), 0.001 deg/s sqrt(Hz); per sqrt(s)."""
@@ -77,9 +75,6 @@ the Earth's own rate, of whose latitude and heading nothing is known."""
 
 CERTAIN_JUMP = 0.999
 """Posterior probability of jumps beyond that which makes them a finding."""
-
-DELAY_TOLERANCE = 2.5e-3
-"""s between the sensors that Android allows for high fidelity (7.3)."""
 
 BANDWIDTH_LIMIT = 0.38
 """Part of the sample rate below which a low-pass is a finding: parts come with 0.40 to 0.44 (BMI270)."""
@@ -92,6 +87,3 @@ BANDWIDTH_GAIN = 60.0
 
 LEVER_GAIN = 0.008
 """Part of the motion's power, whitened, in windows left out of the fit, that a lever arm must explain."""
-
-OUTSIDE = 2.0
-"""Standard errors that a delay must be outside its tolerance, once it is surely not nothing."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
-from stillcal.calib_core.diagnosis.model.measurement import Seen
+from stillcal.calib_core.diagnosis.model.measurement import HeldOut
 
 PARTS = 40
 """Groups of pieces that are left out in turn."""
@@ -85,7 +85,7 @@ class Regression:
         covariance = (n - 1) / n * away.T @ away + 1e-12 * np.eye(others.shape[1])
         return self.fitted(), covariance, explained / float(self.power.sum())
 
-    def seen(self, sigmas: float, free: Array | None = None) -> Seen:
+    def held_out(self, free: Array | None = None) -> HeldOut:
         """Predict pieces left out with the others' parameters, and with those of `free` (k,) bool alone."""
         fold, gain = blocks(len(self.power)), 0.0
         kept = np.zeros(self.target.shape[1], dtype=bool) if free is None else free
@@ -98,7 +98,7 @@ class Regression:
             ratios = before[test].sum() / null[0] - after[test].sum() / own[0]
             gain += float(1.5 * independent * (np.log(null[0] / own[0]) + ratios / self.count[test].sum()))
         level = [np.sqrt(np.maximum(x, 0.0) / self.count) for x in (before, after)]
-        return Seen(sigmas, gain, rms(level[0]), rms(level[1]))
+        return HeldOut(gain, rms(level[0]), rms(level[1]))
 
     def _spread(self, train: Array, use: Array) -> tuple[float, Array]:
         """Return what parameters `use` leave: power a sample in `train`, and the sums (K,) of all."""

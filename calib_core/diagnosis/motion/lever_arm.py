@@ -9,12 +9,22 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.measurement import direct_finding, vector
+from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_vector, vector
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
 
-SURE = 5.0
-"""Normal deviations from nothing, a walker's steps being no pure chance."""
+ARM = Words(
+    "lever_arm",
+    "raw = force + ω &times; (ω &times; <b>position</b>) + dω/dt &times; <b>position</b>",
+    "rotate the phone about another point: the estimated position should shift by the same distance",
+)
+
+SIZE = 0.1
+"""m: prior standard deviation of an arm on each axis, half a phone and what holds it."""
+
+LEAST_ARM = 3e-3
+"""m, per axis: hands and joints turn about no point that is fixed to less."""
 
 ALIKE = 0.4
 """Standard error, as a part of the arm, by which frequencies and directions may disagree."""
@@ -27,27 +37,19 @@ def lever_arm(sums: Regression, apart: float, where: Where) -> Finding | None:
     its walker steps is no arm: it looks like another one at each.
     """
     arm, covariance, gain = sums.jackknifed(PARTS)
-    square = float(arm @ np.linalg.solve(covariance, arm))
-    sigmas = _sigmas(square, min(PARTS, len(sums.power)))
-    error = np.sqrt(covariance.diagonal())
-    # A covariance from few windows may be far too narrow in some direction, hardly along an axis.
-    if min(sigmas, float(np.abs(arm / error).max())) < SURE or gain < thresholds.LEVER_GAIN or apart > ALIKE:
+    if gain < thresholds.LEVER_GAIN or apart > ALIKE:
         return None
-    error = np.hypot(error, apart * arm)
+    # A covariance from few windows may be far too narrow in some direction, hardly along an axis.
+    within = np.diag(covariance.diagonal() * _widened(min(PARTS, len(sums.power))) + LEAST_ARM**2)
+    error = np.hypot(np.sqrt(within.diagonal()), apart * arm)
     axes = [a for a in range(3) if abs(arm[a]) > thresholds.AXIS_SIGMA * error[a]]
     text = ", ".join(f"{100.0 * x:.1f}" for x in arm)
     say = f"The accelerometer is {text} cm (x, y, z) away from the point about which the phone turns."
     parameters = {"position": vector(arm, error, "m")}
-    seen = sums.seen(sigmas)
-    return direct_finding("lever_arm", "accel", axes, where, parameters, statement=say, seen=seen)
+    seen = Seen(of_vector(arm, within, SIZE), sums.held_out())
+    return direct_finding(ARM.effect, "accel", axes, where, parameters, statement=say, seen=seen)
 
 
-def _sigmas(square: float, parts: int) -> float:
-    """Return how sure a vector of three is with a covariance from `parts` parts, as a normal deviation.
-
-    Hotelling's T^2 is F with 3 and parts - 3 degrees of freedom (Hotelling, Ann. Math. Statist. 2, 1931).
-    """
-    from scipy.special import fdtrc, ndtri  # noqa: PLC0415 - the daemon stays light
-
-    chance = fdtrc(3.0, parts - 3.0, square * (parts - 3.0) / (3.0 * (parts - 1.0)))
-    return float(-ndtri(max(chance, 1e-300) / 2.0))
+def _widened(parts: int) -> float:
+    """Return the factor on a variance from `parts` parts for a normal to have the variance of Student's t."""
+    return (parts - 1.0) / (parts - 3.0)

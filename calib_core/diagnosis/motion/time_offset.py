@@ -13,15 +13,24 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.measurement import Measured, direct_finding
+from stillcal.calib_core.diagnosis.model.measurement import Measured, direct_finding, of_measured
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import Baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
+from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression, of_arm
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples
+
+OFFSET = Words(
+    "accel_gyro_time_offset",
+    "rate<sub>raw</sub>(t) = rate(t &minus; <b>delay</b>)",
+    "rotate the phone by hand, quickly, for some minutes",
+)
 
 WINDOW = 8.0
 """s over which gravity is carried; what the gyroscope's scale does meanwhile is nearly steady in time."""
@@ -39,9 +48,6 @@ REWEIGHTED = 3
 SMOOTHED = 1.25
 """Factor of frequency over which the power of what is left is averaged to weigh by."""
 
-SURE = 4.0
-"""Standard errors from nothing: 6e-5 two-sided, one number a recording."""
-
 LEAST_ERROR = 2e-4
 ARM = np.array([True, True, True, False])
 """The columns of an arm; the fourth is the delay's."""
@@ -52,11 +58,14 @@ def motion_findings(
     gyroscope: Samples,
     affine: Aligned | None,
     gravity: float,
+    usual: Usual,
+    *,
     spoiled: Sequence[Where] = (),
 ) -> list[Finding]:
     """Return what motion shows; nothing where there is too little.
 
-    affine: what rests and turns say of the sensors, None without rests; spoiled: when not to look.
+    affine: what rests and turns say of the sensors, None without rests; usual: of the delay, s;
+    spoiled: when not to look.
     """
     if len(gyroscope) < 200:
         return []
@@ -65,7 +74,7 @@ def motion_findings(
     parts = cut if affine is None else [(t, rate @ affine.mapping.T) for t, rate in cut]
     if len(parts) < LEAST_WINDOWS:
         return []
-    interval = float(np.median(np.diff(gyroscope.t)))
+    interval = sample_period(gyroscope.t)
     total, sums = 0.0, []
     for _ in range(LINEARISED):
         made = [_equations(_force(accelerometer, baseline, t - total), t, w, gravity) for t, w in parts]
@@ -76,7 +85,10 @@ def motion_findings(
     error = float(np.hypot(np.sqrt(sums[-1].jackknifed(PARTS)[1][3, 3]), apart))
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
     delay = Measured(total, max(error * (1.0 + 6.0 / len(parts)), LEAST_ERROR))
-    found = [_delayed(delay, sums[0], where, interval), lever_arm(sums[-1].only(ARM), arm_apart, where)]
+    found = [
+        _delayed(delay, sums[0], usual, where, interval),
+        lever_arm(sums[-1].only(ARM), arm_apart, where),
+    ]
     return [f for f in found if f]
 
 
@@ -86,7 +98,7 @@ def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Ar
     Slow turns of a hand tell little, and its own acceleration is the louder beside them.
     """
     bias = np.zeros(3) if affine is None else affine.bias
-    n = round(WINDOW / float(np.median(np.diff(gyroscope.t))))
+    n = round(WINDOW / sample_period(gyroscope.t))
     found, size = [], []
     for first in range(0, len(gyroscope) - n, n):
         t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
@@ -163,28 +175,25 @@ def _parts(values: Spectrum, weight: Array) -> Array:
     return np.concatenate([shaped.real, shaped.imag])
 
 
-def _delayed(delay: Measured, sums: Regression, where: Where, interval: float) -> Finding | None:
-    """State a delay that is surely not nothing and outside its tolerance; interval: of samples, s."""
-    sigmas, tolerance = delay.beyond(0.0, 0.0), thresholds.DELAY_TOLERANCE
-    if (
-        abs(delay.value) >= LONGEST
-        or sigmas < SURE
-        or delay.beyond(-tolerance, tolerance) <= thresholds.OUTSIDE
-    ):
+def _delayed(
+    delay: Measured, sums: Regression, usual: Usual, where: Where, interval: float
+) -> Finding | None:
+    """State a delay that no sound phone has; interval: of samples, s."""
+    if abs(delay.value) >= LONGEST:
         return None
     side = "behind" if delay.value > 0 else "ahead of"
     say = f"The gyroscope is {abs(delay.value) * 1e3:.1f} ms {side} the accelerometer; shift its time stamps."
-    seen = sums.seen(sigmas, ARM)
+    seen = of_measured(delay, usual, sums.held_out(ARM))
     # A second-order low-pass of this cutoff delays as much; beyond the band no noise would show it.
     cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))
     hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / interval)
     return direct_finding(
-        "accel_gyro_time_offset",
+        OFFSET.effect,
         "timing",
         [],
         where,
         {"delay": delay.parameter("s")},
         statement=say,
         seen=seen,
-        alternatives=[Alternative("bandwidth", seen.gain, indistinguishable=hidden)],
+        alternatives=[Alternative("bandwidth", sums.held_out(ARM).gain, indistinguishable=hidden)],
     )

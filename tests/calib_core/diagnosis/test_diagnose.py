@@ -23,7 +23,7 @@ def diagnosed(*effects: dict[str, object], minutes: float = 20.0, rate: float = 
     phone = msgspec.convert(table | {"effect": list(effects)}, type=Phone)
     day = msgspec.structs.replace(load_scenario("tables"), duration_s=60.0 * minutes)
     made = simulate(day, phone, 3).whole()
-    told = {k: v for k, v in base.claimed().items() if k in Claims.__slots__ and k != "nominal_rate_hz"}
+    told = {k: v for k, v in base.claimed().items() if k in Claims.__slots__} | {"nominal_rate_hz": rate}
     return diagnose(made.accelerometer, made.gyroscope, (), Claims(**told), "made")
 
 

@@ -8,13 +8,20 @@ import pytest
 from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 
 WHERE = Where(0.0, 4000.0, (0.0, 12.5), "noise at rest")
 
 
 def said(values: np.ndarray) -> Finding | None:
     pieces = tuple(values.reshape(100, 500, 3))
-    return tails(Quiet(pieces, tuple(np.arange(100) * 20.0), 25.0), "accel", WHERE, 0.0)
+    return tails(
+        Quiet(pieces, tuple(np.arange(100) * 20.0), 25.0),
+        "accel",
+        sound_phones()["excess_kurtosis"],
+        WHERE,
+        0.0,
+    )
 
 
 @pytest.mark.parametrize("freedom", [2.5, 3.5, 4.5])

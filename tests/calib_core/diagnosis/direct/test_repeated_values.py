@@ -8,10 +8,14 @@ import pytest
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.direct.repeated_values import held
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE, SECONDS = 50.0, 900
 LIMIT, STEP = 2.18, 1.3e-4
+
+
+NONE_HELD = sound_phones()["held_samples_declared"]
 
 
 def turned(seed: int, axes: list[int], seconds: float, turns: int = 30) -> np.ndarray:
@@ -41,19 +45,19 @@ def test_all_axes_at_their_limits_are_not_held(seed: int) -> None:
     samples = recorded(turned(seed, [0, 1, 2], 2.0))
     at_limit = np.abs(samples.xyz) > LIMIT - STEP
     assert at_limit.all(axis=1).mean() > 0.02
-    found, share = held(samples, "gyro")
+    found, share = held(samples, "gyro", NONE_HELD)
     assert found is None and share < 1e-3
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_values_held_elsewhere_are_found_beside_a_limit(seed: int) -> None:
-    found, share = held(with_holds(recorded(turned(seed, [0, 1, 2], 2.0))), "gyro")
-    assert found is not None and found.effect == "unknown"
+    found, share = held(with_holds(recorded(turned(seed, [0, 1, 2], 2.0))), "gyro", NONE_HELD)
+    assert found is not None and found.effect == "held_samples"
     assert share == pytest.approx(0.02, abs=0.003)
 
 
 def test_values_held_are_found_where_no_limit_is_met() -> None:
-    found, share = held(with_holds(recorded(turned(0, [], 2.0))), "gyro")
+    found, share = held(with_holds(recorded(turned(0, [], 2.0))), "gyro", NONE_HELD)
     assert found is not None and share == pytest.approx(0.02, abs=0.001)
 
 

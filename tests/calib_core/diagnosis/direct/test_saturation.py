@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.direct.quantisation import saturation
+from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 NOISE = np.full(3, 0.01)

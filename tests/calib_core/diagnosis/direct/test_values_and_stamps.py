@@ -9,14 +9,18 @@ from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.clock import clock_rate, timing_findings
 from stillcal.calib_core.diagnosis.direct.heavy_tails import contaminated, tails
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
-from stillcal.calib_core.diagnosis.direct.quantisation import quantisation, saturation, steps
+from stillcal.calib_core.diagnosis.direct.quantisation import quantisation, steps
+from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 N = 20000
+SOUND = sound_phones()
+FIFTY = Claims(nominal_rate_hz=50.0)
 
 
 def stream(t: np.ndarray, xyz: np.ndarray | None = None, arrival: np.ndarray | None = None) -> Samples:
@@ -34,7 +38,10 @@ def latency(seed: int = 1) -> np.ndarray:
 
 
 def effects(samples: Samples, claims: Claims | None = None) -> dict[str, object]:
-    return {f.effect: next(iter(f.parameters.values())) for f in timing_findings(samples, claims or Claims())}
+    return {
+        f.effect: next(iter(f.parameters.values()))
+        for f in timing_findings(samples, claims or Claims(), SOUND)
+    }
 
 
 def test_an_even_clock_is_silent() -> None:
@@ -55,12 +62,12 @@ def test_clock_rate_from_the_quickest_deliveries(skew: float) -> None:
 def test_jitter_drops_and_bursts() -> None:
     rng = np.random.default_rng(3)
     jittered = np.sort(even() + rng.normal(0, 0.002, N))
-    assert effects(stream(jittered))["timestamp_jitter"].value == pytest.approx(0.002, rel=0.05)  # type: ignore[attr-defined]
+    assert effects(stream(jittered), FIFTY)["timestamp_jitter"].value == pytest.approx(0.002, rel=0.05)  # type: ignore[attr-defined]
     kept = even()[rng.random(N) > 0.02]
-    assert effects(stream(kept))["dropped_samples"].value == pytest.approx(0.02, rel=0.15)  # type: ignore[attr-defined]
+    assert effects(stream(kept), FIFTY)["dropped_samples"].value == pytest.approx(0.02, rel=0.15)  # type: ignore[attr-defined]
     t = even()
     held = np.where((t % 5.0) < 0.5, np.ceil(t / 5.0) * 5.0 - 4.5, t) + 0.002
-    assert effects(stream(t, arrival=held))["arrival_bursts"].value == pytest.approx(0.1, abs=0.02)  # type: ignore[attr-defined]
+    assert effects(stream(t, arrival=held), FIFTY)["arrival_bursts"].value == pytest.approx(0.1, abs=0.02)  # type: ignore[attr-defined]
 
 
 def test_steps_of_the_values() -> None:
@@ -74,9 +81,9 @@ def test_steps_of_the_values() -> None:
     fine = np.rint(raw / 0.001) * 0.001
     declared = stream(even(), fine)
     sd = np.full(3, 0.02)
-    assert quantisation(declared, "accel", steps(declared, sd), 0.001) is None
+    assert quantisation(declared, "accel", steps(declared, sd), 0.001, SOUND["step_over_noise"]) is None
     coarser = stream(even(), np.column_stack([walk] * 3))
-    assert quantisation(coarser, "accel", steps(coarser, sd), 0.001) is not None
+    assert quantisation(coarser, "accel", steps(coarser, sd), 0.001, SOUND["step_over_noise"]) is not None
 
 
 def test_a_flat_top_is_a_limit_and_a_sine_is_not() -> None:
@@ -121,7 +128,13 @@ def test_far_samples_too_few_for_one_axis_are_sure_on_three() -> None:
 
     def heavy(factor: np.ndarray) -> Finding | None:
         still = Quiet(tuple(np.split(noise * factor, 56)), tuple(10.0 * np.arange(56)), 25.0)
-        return tails(still, "accel", Where(0.0, 560.0, (0.0, 12.5), "noise at rest"), 0.0)
+        return tails(
+            still,
+            "accel",
+            SOUND["excess_kurtosis"],
+            Where(0.0, 560.0, (0.0, 12.5), "noise at rest"),
+            0.0,
+        )
 
     found = heavy(wide)
     assert found is not None and found.effect == "noise_heavy_tailed" and found.axes == ["x", "y", "z"]
@@ -147,16 +160,19 @@ def test_a_faint_line_is_found_in_long_stretches() -> None:
 
 
 @pytest.mark.parametrize(
-    ("step", "coarse"), [(1000.0 / 32768.0, False), (0.0333, True), (2000.0 / 32768.0, True)]
+    ("step", "coarse"), [(1000.0 / 32768.0, False), (0.0333, False), (2000.0 / 32768.0, True)]
 )
 def test_sixteen_bits_at_a_usual_range_are_no_finding_while_they_are_dithered(
     step: float, coarse: bool
 ) -> None:
-    """Steps of 1.2, 1.3 and 2.5 times the noise; only the first is a part's own and well dithered."""
+    """Steps of 1.2, 1.3 and 2.5 times the noise; real phones have steps up to 1.2 times theirs."""
     step = float(np.deg2rad(step))
     noise = np.random.default_rng(12).normal(0, np.deg2rad(0.0245), (N, 3))
     values = stream(even(), step * np.round(noise / step))
-    assert (quantisation(values, "gyro", steps(values, values.xyz.std(axis=0)), None) is not None) == coarse
+    found = quantisation(
+        values, "gyro", steps(values, values.xyz.std(axis=0)), None, SOUND["step_over_noise"]
+    )
+    assert (found is not None) == coarse
 
 
 def test_a_line_near_the_limit_of_what_can_be_seen_has_its_frequency() -> None:
@@ -217,8 +233,10 @@ def test_coarse_values_that_were_calibrated_are_not_held() -> None:
     rng = np.random.default_rng(10)
     mixing = np.eye(3) + rng.normal(0, 0.02, (3, 3))
     coarse = np.round(rng.normal(0, 0.01, (N, 3)) / 0.02) * 0.02
-    assert repeats.held(stream(even(), coarse @ mixing.T), "gyro")[0] is None
+    assert repeats.held(stream(even(), coarse @ mixing.T), "gyro", SOUND["held_samples_declared"])[0] is None
     fine = rng.normal(0, 0.01, (N, 3))
     late = np.flatnonzero(rng.random(N) < 0.1)[1:]
     fine[late] = fine[late - 1]
-    assert repeats.held(stream(even(), fine @ mixing.T), "gyro")[0] is not None
+    assert (
+        repeats.held(stream(even(), fine @ mixing.T), "gyro", SOUND["held_samples_declared"])[0] is not None
+    )

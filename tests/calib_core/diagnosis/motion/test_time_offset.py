@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -42,7 +43,9 @@ def diagnosed(
     accelerometer = Samples.checked(Sensor.ACCELEROMETER, t, force)
     gyroscope = Samples.checked(Sensor.GYROSCOPE, t, spin)
     bins = cut(accelerometer, gyroscope)
-    return motion_findings(accelerometer, gyroscope, aligned(gyroscope, bins, G), G)
+    return motion_findings(
+        accelerometer, gyroscope, aligned(gyroscope, bins, G), G, sound_phones()["time_offset"]
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))

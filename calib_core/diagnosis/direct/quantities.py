@@ -1,0 +1,57 @@
+"""What a recording's stamps, values and noise measure, on the scales of the populations of sound phones."""
+
+from __future__ import annotations
+
+from stillcal.calib_core.diagnosis.direct import clock, heavy_tails, low_pass, noise_level, quantisation
+from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
+from stillcal.calib_core.diagnosis.direct import timestamps as stamps
+from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
+from stillcal.calib_core.streams.samples import Samples
+
+
+def of_stamps(samples: Samples) -> dict[str, Measured]:
+    """Return jitter, missing samples and bursts of one stream; what cannot be told is absent."""
+    period = sample_period(samples.t)
+    if len(samples) < clock.LEAST_SAMPLES or period <= 0.0 or bunched(samples.t):
+        return {}
+    grid = stamps.Grid.of(samples.t, period)
+    out = {"dropped_samples": grid.missing().log(stamps.LEAST_SHARE)}
+    sigma = grid.jitter()
+    if sigma is not None:
+        out["timestamp_jitter"] = Measured(sigma.value / period, sigma.error / period).log(
+            stamps.LEAST_JITTER
+        )
+    arrived = clock.arrivals(samples)
+    if arrived is not None:
+        share = clock.burst_share(clock.waited(samples.t, arrived, period))
+        out["arrival_bursts"] = share.log(clock.LEAST_SHARE)
+    return out
+
+
+def of_values(samples: Samples) -> dict[str, Measured]:
+    """Return the share of held samples of one sensor."""
+    seen = repeats.Repeats.of(samples)
+    return {} if seen is None else {"held_samples": seen.share().log(repeats.LEAST_SHARE)}
+
+
+def of_noise(
+    sensor: str,
+    still: low_pass.Quiet,
+    steps: quantisation.Steps,
+    spectra: low_pass.Spectra | None,
+    levels: noise_level.Levels | None,
+) -> dict[str, Measured]:
+    """Return step, bandwidth, tails and inequality of one sensor's noise at rest, as far as it shows them."""
+    out = {}
+    if len(still.pieces) >= low_pass.LEAST_PIECES:
+        out["step_over_noise"] = quantisation.relative_step(steps)
+    if spectra is None or levels is None or steps.blurs_level():
+        return out
+    out["bandwidth"] = low_pass.relative_cutoff(spectra)
+    tails = heavy_tails.excess_kurtosis(still) if steps.dithered() else None
+    if tails is not None:
+        out["excess_kurtosis"] = tails
+    if levels.own:
+        out |= {f"{sensor}_noise_{k}": v for k, v in noise_level.imbalance(levels).items()}
+    return out

@@ -1,0 +1,167 @@
+"""Where values stop: a limit that nothing exceeds and on which samples pile up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.measurement import (
+    Measured,
+    Seen,
+    direct_finding,
+    of_chance,
+    of_counts,
+)
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.model.words import Words
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
+from stillcal.calib_core.streams.samples import Samples
+
+SATURATED = Words(
+    "saturation",
+    "raw = clip(…, &minus;<b>limit</b>, +<b>limit</b>)",
+    "set a larger range, or move the phone more gently",
+)
+
+LEAST_LIMIT = {"accel": 11.3, "gyro": 0.5}
+"""m/s^2 and rad/s: below, an axis piles up at rest where gravity or nothing holds it."""
+
+SHORT_OF_RANGE = 0.97
+"""Part of the declared range from which a limit is that range."""
+
+LEAST_PILE = 8
+"""Samples that must lie on a limit."""
+
+MOST_PILED = 0.5
+"""Part of the samples above which what they lie on is no limit, but a width taken from what was no rest."""
+
+LEAST_LEVELS = 5
+"""Different values that must lie within three standard deviations below a limit."""
+
+LEAST_VISITS = 3
+"""Times that values must come to a limit."""
+
+REACH, WIDTHS = 0.1, 6.0
+"""Part of a limit below it in which excursions end elsewhere, and so many widths at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A limit of one axis with its standard error, and nats for it."""
+
+    value: float
+    error: float
+    nats: float
+
+
+def saturation(samples: Samples, sensor: str, noise: Array, declared: float | None) -> Finding | None:
+    """Find a value short of the declared range that nothing exceeds and on which samples pile up.
+
+    noise: (3,) standard deviation at rest.
+    """
+    limits = {
+        a: limit
+        for a in range(3)
+        if (limit := _limit(samples.xyz[:, a], float(noise[a]), LEAST_LIMIT[sensor])) is not None
+        and (not declared or limit.value < SHORT_OF_RANGE * declared)
+    }
+    if not limits:
+        return None
+    axes = list(limits)
+    value = float(np.median([one.value for one in limits.values()]))
+    error = max([1e-4 * value, *(one.error for one in limits.values())])
+    width = 4.0 * error + 4.0 * noise[axes]
+    rows = np.flatnonzero((np.abs(samples.xyz[:, axes]) > value - width).any(axis=1))
+    where = Where(float(samples.t[rows[0]]), float(samples.t[rows[-1]]), (0.0, 0.0), "own input")
+    faster = "larger acceleration" if sensor == "accel" else "faster rotation"
+    say = (
+        f"The {NAME[sensor]} saturates at {value:.4g} {UNIT[sensor]} ({rows.size} samples,"
+        f" {rows.size / len(samples):.2%}); {faster} is clipped."
+    )
+    return direct_finding(
+        f"{sensor}_{SATURATED.effect}",
+        sensor,
+        axes,
+        where,
+        {"limit": Measured(value, error).parameter(UNIT[sensor])},
+        statement=say,
+        seen=Seen(sum(one.nats for one in limits.values())),
+    )
+
+
+def _limit(values: Array, noise: float, least: float) -> Limit | None:
+    """Return the limit of one axis, of values clipped after their noise or before it."""
+    return _hard_stop(values, noise) or _flat_top(values, noise, least)
+
+
+def _hard_stop(values: Array, noise: float) -> Limit | None:
+    """Return where samples lie on the very largest value, of either sign, time and again.
+
+    Clipped after its noise, a sensor returns one value; noise would have spread over the steps below it. Only
+    where steps are finer than the noise, so that no rest ends on the largest value by itself. Evidence is the
+    number of visits to that value, binomial among those and the samples just below.
+    """
+    step = comb_step(values) or 0.0
+    if step > noise:
+        return None
+    found, nats = [], 0.0
+    for signed in (values, -values):
+        top = float(signed.max())
+        width = max(1e-6 * abs(top), 0.1 * step)
+        on = signed >= top - width
+        under = signed[(signed > top - 3.0 * noise) & ~on]
+        visits = int((on[1:] & ~on[:-1]).sum())
+        # Values of few levels end on their highest by themselves, evenly spaced or not.
+        if np.unique(under).size < LEAST_LEVELS or on.sum() < LEAST_PILE or visits < LEAST_VISITS:
+            continue
+        # By chance on the top step, or, where there are no steps, within `width` of the top of a sine.
+        share = step / (3.0 * noise) if step else float(np.sqrt(width / (3.0 * noise)))
+        if on.sum() >= 5.0 * (under.size * share + 1.0):
+            found.append(abs(top))
+            nats += of_counts(float(visits), float(visits + under.size), min(share, 0.5))
+    if not found:
+        return None
+    return Limit(max(found), max(step / np.sqrt(12.0), 1e-6 * max(found)), nats)
+
+
+def _flat_top(values: Array, noise: float, least: float) -> Limit | None:
+    """Return where the largest values pile up as no motion would make them."""
+    size = np.abs(values)
+    top = float(size.max())
+    width = max(4.0 * noise, 1e-4 * top)
+    if top < least:
+        return None
+    pile = size > top - 2.0 * width
+    below = int(((size > top - 6.0 * width) & ~pile).sum())
+    runs = int((pile[1:] & pile[:-1]).sum())
+    few = pile.sum() < LEAST_PILE or runs < LEAST_VISITS or pile.sum() < 3.0 * (below + 1)
+    if few or pile.mean() > MOST_PILED:
+        return None
+    on = size[pile]
+    nats = sum(_by_excursions(signed, top, width) for signed in (values, -values))
+    return Limit(float(np.median(on)), float(on.std() / np.sqrt(on.size)), nats)
+
+
+def _by_excursions(signed: Array, limit: float, width: float) -> float:
+    """Return nats for a limit of one sign: of the excursions near it too many end at one value.
+
+    Without a limit their largest values lie anywhere within reach of it, evenly. An excursion is one trial
+    however long it stays there. Six limits, of three axes and two signs, were tried.
+    """
+    reach = max(REACH * limit, WIDTHS * width)
+    above = signed > limit - reach
+    starts = np.flatnonzero(above & ~np.concatenate([[False], above[:-1]]))
+    if starts.size < 2:
+        return 0.0
+    peaks = np.maximum.reduceat(np.where(above, signed, -np.inf), starts)
+    at = int((peaks > peaks.max() - width).sum())
+    chance = (at - 1) * float(np.log(width / reach)) + _log_choose(peaks.size - 1, at - 1)
+    return max(of_chance(min(chance, 0.0), 6.0), 0.0)
+
+
+def _log_choose(n: int, k: int) -> float:
+    from scipy.special import gammaln  # noqa: PLC0415 - the daemon stays light
+
+    return float(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1))

@@ -1,0 +1,47 @@
+"""The time from one sample to the next: of even stamps, of stamps with gaps, of stamps in bursts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+
+HEELS = 0.5
+"""Part of the mean interval below which a sample comes on the heels of the one before."""
+
+ON_GRID = 0.15
+"""Periods by which the intervals of stamps with gaps may be off a multiple of the period, rms."""
+
+
+def bunched(t: Array) -> bool:
+    """Whether stamps t (n,) come in bursts, so that the usual interval says nothing of the rate.
+
+    Most samples then come on the heels of another, and the waits between bursts are no multiples of that
+    interval. Where samples are missing they are.
+    """
+    steps = np.diff(t)
+    if steps.size == 0:
+        return False
+    middle = float(np.median(steps))
+    mean = float(t[-1] - t[0]) / steps.size
+    if middle >= HEELS * mean:
+        return False
+    waits = steps[steps > 1.5 * middle] / max(middle, 1e-12)
+    off = waits - np.rint(waits)
+    return middle <= 0.0 or waits.size == 0 or float(np.sqrt(np.mean(off**2))) > ON_GRID
+
+
+def sample_period(t: Array) -> float:
+    """Return the interval of stamps t (n,), s; 0 with fewer than two.
+
+    It is the mean of the intervals near the median, which rounding and missing samples do not move; of
+    stamps in bursts it is the mean of all.
+    """
+    steps = np.diff(t)
+    if not (steps > 0.0).any():
+        return 0.0
+    if bunched(t):
+        return float(t[-1] - t[0]) / steps.size
+    middle = float(np.median(steps[steps > 0.0]))
+    near = steps[np.abs(steps - middle) <= 0.5 * middle]
+    return float(near.mean()) if near.size else middle
