@@ -88,14 +88,17 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         self._daemon = daemon
 
     @varlinkmethod(return_parameter="calibration")
-    def GetCalibration(self) -> api.Calibration:
-        """Return the current calibration, its age and whether later checks confirmed it."""
+    def GetCalibration(self, *, temperature_c: float | None = None) -> api.Calibration:
+        """Return the current calibration, its age and whether later checks confirmed it.
+
+        temperature_c: of the sensor now, for which bias_now and bias_uncertainty_now are returned.
+        """
         record = self._daemon.view.record
         if record is None:
             refusal = self._daemon.view.refusal
             reason = refusal.reason if refusal else "too few rests so far"
             raise NotCalibrated(reason=reason, missing=list(refusal.missing) if refusal else [])
-        return views.calibration(record, self._daemon)
+        return views.calibration(record, self._daemon, temperature_c)
 
     @varlinkmethod(return_parameter="status")
     def GetStatus(self) -> api.Status:

@@ -19,7 +19,11 @@ class SensorCalibration:
     most_helpful_attitude: how to lay the phone so that the accelerometer's would gain most. provisional: the
     bias was measured right after the start, and no later rest has confirmed it. slow_rotation_deg_per_h:
     of the gyroscope, per axis, how large a bias error slow rotation in the rests may have caused unseen;
-    absent where nothing bounds it.
+    absent where nothing bounds it. bias_now, bias_uncertainty_now (1 sd): at the temperature asked for, at
+    this moment, by what was learnt of temperature and of the wander of this phone's bias; where no
+    temperature is told the uncertainty is larger. learnt_min_c, learnt_max_c: the span of temperatures
+    learnt from; beyond it the uncertainty grows. follows_temperature: whether a term for temperature is in
+    use. wander_per_day: standard deviation by which the bias changes within a day at one temperature.
     """
 
     scale: list[list[float]]
@@ -34,6 +38,12 @@ class SensorCalibration:
     most_helpful_attitude: str | None = None
     provisional: bool = False
     slow_rotation_deg_per_h: list[float] | None = None
+    bias_now: list[float] | None = None
+    bias_uncertainty_now: list[float] | None = None
+    learnt_min_c: float | None = None
+    learnt_max_c: float | None = None
+    follows_temperature: bool = False
+    wander_per_day: float | None = None
 
 
 @dataclass(frozen=True)

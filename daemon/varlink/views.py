@@ -24,6 +24,8 @@ from stillcal.daemon.sources.base import Source
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument
 from stillcal.daemon.varlink import types as api
 
+DAY_S = 86400.0
+
 
 class Daemon(Protocol):
     """The daemon as the socket sees it."""
@@ -82,11 +84,16 @@ def identity(record: CalibrationRecord) -> str:
     return record.id
 
 
-def calibration(record: CalibrationRecord, daemon: Daemon) -> api.Calibration:
-    """Return a calibration with its age and what is known of its soundness."""
+def calibration(
+    record: CalibrationRecord, daemon: Daemon, temperature_c: float | None = None
+) -> api.Calibration:
+    """Return a calibration with its age, what is known of its soundness, and its biases now."""
     view, now, gravity, validity = daemon.view, daemon.now, record.gravity, record.validity
     current = daemon.document.current
+    accelerometer = _sensor(record.accelerometer, None)
     gyroscope = _sensor(record.gyroscope, _age(getattr(record.gyroscope, "zeroed_at", None), now))
+    accelerometer = _at_present(record, Sensor.ACCELEROMETER, accelerometer, now, temperature_c)
+    gyroscope = _at_present(record, Sensor.GYROSCOPE, gyroscope, now, temperature_c)
     if gyroscope is not None and record.provisional:
         gyroscope = dataclasses.replace(gyroscope, provisional=True)
     return api.Calibration(
@@ -102,8 +109,37 @@ def calibration(record: CalibrationRecord, daemon: Daemon) -> api.Calibration:
         checked_age_s=_age(view.checked, now),
         temperature_min_c=validity.temperature_min,
         temperature_max_c=validity.temperature_max,
-        accelerometer=_sensor(record.accelerometer, None),
+        accelerometer=accelerometer,
         gyroscope=gyroscope,
+    )
+
+
+def _at_present(
+    record: CalibrationRecord,
+    sensor: Sensor,
+    part: api.SensorCalibration | None,
+    now: float | None,
+    temperature_c: float | None,
+) -> api.SensorCalibration | None:
+    """Add a sensor's bias now (s) at a temperature, and what was learnt of its temperature and wander."""
+    if part is None:
+        return None
+    at = None if temperature_c is None else np.array([temperature_c])
+    bias = np.array(part.bias) + np.ravel(bias_terms(record, sensor, at))
+    forecast = record.forecast.get(str(sensor))
+    told = dataclasses.replace(
+        part,
+        bias_now=_finite(bias),
+        bias_uncertainty_now=_finite(record.bias_uncertainty_at(sensor, now, temperature_c)),
+        follows_temperature=any("slope" in t.parameters and t.sensor == sensor for t in record.terms),
+    )
+    if forecast is None:
+        return told
+    return dataclasses.replace(
+        told,
+        learnt_min_c=forecast.temperature_min,
+        learnt_max_c=forecast.temperature_max,
+        wander_per_day=float(np.sqrt(forecast.wander.growth(DAY_S))),
     )
 
 
