@@ -73,7 +73,10 @@ def _parameters(imu: ImuParameters) -> Iterator[tuple[str, float | int]]:
     sloped = [(NAMES[name], part) for name, part in imu.parts() if part.slope is not None]
     if not sloped:
         return
+    # Both temperatures of the correction are held within the range, so CALTEMP must lie in it.
+    known = [part.reference_c for _, part in sloped if part.reference_c is not None]
     low, high = imu.temperatures or WIDE
+    low, high = min([low, *known]), max([high, *known])
     yield from (("INS_TCAL1_ENABLE", 1), ("INS_TCAL1_TMIN", low), ("INS_TCAL1_TMAX", high))
     for (calibrated, thermal), part in sloped:
         assert part.slope is not None and part.reference_c is not None, "a slope counts from a temperature"

@@ -13,15 +13,18 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.errors import UserError
-from stillcal.replay.export.airsim import KEYS, TAUS
+from stillcal.replay.export.airsim import KEYS, TAUS, stability
 from stillcal.replay.export.fix.findings import (
     SENSORS,
     Finding,
     Fixed,
     apply_findings,
-    common_ratio,
+    common_level,
     note_change,
+    recorded,
+    walk_of,
 )
+from stillcal.replay.export.imu import root_mean_square
 
 IMU = 2
 """SensorType of an IMU (AirSim, docs/sensors.md)."""
@@ -42,11 +45,18 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     imus = list(_imus(settings))
 
     def white(finding: Finding) -> None:
-        _multiply(imus, KEYS[SENSORS[finding["sensor"]]][0], common_ratio(finding, "density"), fixed)
+        key, unit, *_ = KEYS[SENSORS[finding["sensor"]]]
+        own = root_mean_square(recorded(finding, "density")) / float(np.sqrt(2.0)) / unit
+        for imu in imus:
+            _set(imu, key, common_level(_get(imu, key), finding, "density", own), fixed)
 
     def slow(finding: Finding) -> None:
-        factor = common_ratio(finding, "allan_deviation_100s")
-        _multiply(imus, KEYS[SENSORS[finding["sensor"]]][2], factor, fixed)
+        sensor, name = SENSORS[finding["sensor"]], "allan_deviation_100s"
+        walk = root_mean_square(walk_of(recorded(finding, name)))
+        for imu in imus:
+            key = KEYS[sensor][2]
+            own = stability(sensor, walk, imu.get(TAUS[sensor]))[key]
+            _set(imu, key, common_level(_get(imu, key), finding, name, own), fixed)
 
     handlers = {"noise_level": white, "accel_slow_noise": slow, "gyro_slow_noise": slow}
     apply_findings(findings, handlers, fixed)
@@ -89,10 +99,14 @@ def _imus(settings: dict[str, Any]) -> Iterator[dict[str, Any]]:
     yield from found
 
 
-def _multiply(imus: Sequence[dict[str, Any]], key: str, factor: float, fixed: Fixed) -> None:
-    for imu in imus:
-        before = imu.get(key, OWN[key])
-        if not isinstance(before, int | float):
-            raise UserError(f"{key}: expected a number")
-        imu[key] = float(f"{before * factor:.10g}")
-        note_change(fixed, key, float(before), np.float64(imu[key]))
+def _get(imu: dict[str, Any], key: str) -> float:
+    value = imu.get(key, OWN[key])
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise UserError(f"{key}: expected a number")
+    return float(value)
+
+
+def _set(imu: dict[str, Any], key: str, value: float, fixed: Fixed) -> None:
+    before = _get(imu, key)
+    imu[key] = float(f"{value:.10g}")
+    note_change(fixed, key, before, imu[key])

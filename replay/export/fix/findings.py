@@ -107,9 +107,22 @@ def refuse_bends(finding: Finding) -> None:
         raise CannotHold(f"its slope is put in, but there is no setting for {' and '.join(bends)}")
 
 
-def is_lacking(finding: Finding) -> bool:
-    """Whether the simulation has as good as nothing of the effect, so that there is nothing to multiply."""
-    return bool(finding["relation"] == "lacking")
+def level(before: Array, finding: Finding, name: str, own: Array) -> Array:
+    """Return a configured level (3,) of noise as it must be.
+
+    It is multiplied by the ratio of what was recorded to what was simulated. Where the simulation has as good
+    as nothing there is nothing to multiply: it becomes the recording's own, in the configuration's units.
+    """
+    if finding["relation"] == "lacking":
+        return np.broadcast_to(own, 3).copy()
+    return np.where(before == 0.0, own, before * ratio(finding, name))
+
+
+def common_level(before: float, finding: Finding, name: str, own: float) -> float:
+    """Return the same for a configuration with one number for all axes."""
+    if finding["relation"] == "lacking" or before == 0.0:
+        return own
+    return before * common_ratio(finding, name)
 
 
 def reference_c(finding: Finding) -> float | None:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.fix.findings import (
     AXES,
@@ -19,7 +18,7 @@ from stillcal.replay.export.fix.findings import (
     apply_findings,
     changed_axes,
     difference,
-    is_lacking,
+    level,
     note_change,
     ratio,
     recorded,
@@ -103,28 +102,21 @@ class Gazebo:
 
     def _white(self, finding: Finding) -> None:
         element = ELEMENTS[finding["sensor"]]
-        factors = np.ones(3) if is_lacking(finding) else ratio(finding, "density")
         rate = self._update_rate()
-        for axis in range(3):
-            before = self._value(element, axis, "stddev")
-            if before == 0.0 and rate is None:
-                raise CannotHold("its sensor has no update_rate, on which stddev depends")
-            if before == 0.0:
-                assert rate is not None, "refused above"
-                after = float(recorded(finding, "density")[axis] * np.sqrt(rate / 2.0))
-            else:
-                after = before * float(factors[axis])
-            if after != before:
-                self._set(element, axis, "stddev", after)
+        before = np.array([self._value(element, axis, "stddev") for axis in range(3)])
+        if rate is None and (finding["relation"] == "lacking" or not before.all()):
+            raise CannotHold("its sensor has no update_rate, on which stddev depends")
+        own = recorded(finding, "density") * np.sqrt((rate or 0.0) / 2.0)
+        after = level(before, finding, "density", own)
+        for axis in changed_axes(after - before):
+            self._set(element, axis, "stddev", float(after[axis]))
 
     def _slow(self, finding: Finding) -> None:
         element, name = ELEMENTS[finding["sensor"]], "allan_deviation_100s"
-        walks = np.broadcast_to(walk_of(recorded(finding, name)), 3)
-        factors: Array = np.broadcast_to(ratio(finding, name), 3)
-        for axis in range(3):
-            before = self._value(element, axis, "dynamic_bias_stddev")
-            after = float(walks[axis] if before == 0.0 else before * factors[axis])
-            self._set(element, axis, "dynamic_bias_stddev", after)
+        before = np.array([self._value(element, axis, "dynamic_bias_stddev") for axis in range(3)])
+        after = level(before, finding, name, walk_of(recorded(finding, name)))
+        for axis in changed_axes(after - before):
+            self._set(element, axis, "dynamic_bias_stddev", float(after[axis]))
             if self._value(element, axis, "dynamic_bias_correlation_time") == 0.0:
                 self._set(element, axis, "dynamic_bias_correlation_time", LONG_S)
 

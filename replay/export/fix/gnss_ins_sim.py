@@ -23,6 +23,7 @@ from stillcal.replay.export.fix.findings import (
     Fixed,
     apply_findings,
     difference,
+    level,
     note_change,
     ratio,
     recorded,
@@ -60,15 +61,16 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
 
     def white(finding: Finding) -> None:
         key, unit = WALK[finding["sensor"]]
-        before = _get(fixed, key)
-        fresh = recorded(finding, "density") / np.sqrt(2.0) / unit
-        _set(fixed, key, np.where(before == 0.0, fresh, before * ratio(finding, "density")))
+        own = recorded(finding, "density") / np.sqrt(2.0) / unit
+        _set(fixed, key, level(_get(fixed, key), finding, "density", own))
 
     def slow(finding: Finding) -> None:
         key = STABILITY[finding["sensor"]]
         before = _get(fixed, key)
-        if not before.all():
-            raise CannotHold(f"{key} is 0, and what it must be depends on the sample rate of the run")
+        if not before.all() or finding["relation"] == "lacking":
+            raise CannotHold(
+                f"the simulation has none, and what {key} must be depends on the run's sample rate"
+            )
         _set(fixed, key, before * ratio(finding, "allan_deviation_100s"))
 
     handlers = {

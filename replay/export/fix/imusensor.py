@@ -21,8 +21,8 @@ from stillcal.replay.export.fix.findings import (
     common_ratio,
     difference,
     gain_change,
+    level,
     note_change,
-    ratio,
     recorded,
     reference_c,
     refuse_bends,
@@ -63,20 +63,14 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
 
     def white(finding: Finding) -> None:
         before = _get(fixed, finding, "NoiseDensity", np.zeros(3))
-        after = np.where(before == 0.0, recorded(finding, "density"), before * ratio(finding, "density"))
+        after = level(before, finding, "density", recorded(finding, "density"))
         _set(fixed, finding, "NoiseDensity", before, after)
 
     def slow(finding: Finding) -> None:
         name = "allan_deviation_100s"
         before = _get(fixed, finding, "RandomWalk", np.zeros(3))
-        fresh = np.broadcast_to(walk_of(recorded(finding, name)), 3) / np.sqrt(2.0)
-        _set(
-            fixed,
-            finding,
-            "RandomWalk",
-            before,
-            np.where(before == 0.0, fresh, before * ratio(finding, name)),
-        )
+        own = walk_of(recorded(finding, name)) / np.sqrt(2.0)
+        _set(fixed, finding, "RandomWalk", before, level(before, finding, name, own))
 
     def rate(finding: Finding) -> None:
         _sample_rate(fixed, common_ratio(finding, "rate"))

@@ -18,7 +18,7 @@ from stillcal.replay.export.fix.findings import (
     Finding,
     Fixed,
     apply_findings,
-    common_ratio,
+    common_level,
     note_change,
     recorded,
     walk_of,
@@ -30,50 +30,42 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     """Return the file with the differences in it; a new one with what was found where there is none."""
     fixed = Fixed("rostopic: /imu0\n" if text is None else text)
 
+    def change(key: str, finding: Finding, name: str, own: float) -> None:
+        """Change the number after `key:` wherever it stands; in a new file put the recording's own."""
+
+        def changed(found: re.Match[str]) -> str:
+            before = _number(found[2], key)
+            after = common_level(before, finding, name, own)
+            note_change(fixed, key, before, after)
+            return f"{found[1]}{after:.10g}"
+
+        line = re.compile(rf"^([ \t]*{key}[ \t]*:[ \t]*)([^\s#]+)", re.MULTILINE)
+        if line.search(fixed.text):
+            fixed.text = line.sub(changed, fixed.text)
+        elif text is None:
+            fixed.text += f"{key}: {own:.10g}\n"
+            note_change(fixed, key, np.nan, own)
+        else:
+            raise CannotHold(f"there is no {key} in it")
+
     def rate(finding: Finding) -> None:
-        _multiply(
-            fixed,
-            "update_rate",
-            common_ratio(finding, "rate"),
-            float(recorded(finding, "rate")),
-            text is None,
-        )
+        change("update_rate", finding, "rate", float(recorded(finding, "rate")))
 
     def white(finding: Finding) -> None:
-        key = f"{SENSORS[finding['sensor']]}_noise_density"
         own = root_mean_square(recorded(finding, "density")) / float(np.sqrt(2.0))
-        _multiply(fixed, key, common_ratio(finding, "density"), own, text is None)
+        change(f"{SENSORS[finding['sensor']]}_noise_density", finding, "density", own)
 
     def slow(finding: Finding) -> None:
-        name = "allan_deviation_100s"
-        own = root_mean_square(walk_of(recorded(finding, name)))
-        _multiply(
-            fixed, f"{SENSORS[finding['sensor']]}_random_walk", common_ratio(finding, name), own, text is None
-        )
+        own = root_mean_square(walk_of(recorded(finding, "allan_deviation_100s")))
+        change(f"{SENSORS[finding['sensor']]}_random_walk", finding, "allan_deviation_100s", own)
 
     handlers = {"sample_rate": rate, "noise_level": white, "accel_slow_noise": slow, "gyro_slow_noise": slow}
     apply_findings(findings, handlers, fixed)
     return fixed
 
 
-def _multiply(fixed: Fixed, key: str, factor: float, own: float, new: bool) -> None:
-    """Multiply the number after `key:` wherever it stands; where it is missing, put the recording's own."""
-    line = re.compile(rf"^([ \t]*{key}[ \t]*:[ \t]*)([^\s#]+)", re.MULTILINE)
-    found = line.findall(fixed.text)
-    if not found and not new:
-        raise CannotHold(f"there is no {key} in it")
-    if not found:
-        fixed.text += f"{key}: {own:.10g}\n"
-        note_change(fixed, key, np.nan, own)
-        return
-
-    def replaced(match: re.Match[str]) -> str:
-        try:
-            before = float(match[2])
-        except ValueError as error:
-            raise UserError(f"{key}: {match[2]!r} is not a number") from error
-        after = before * factor
-        note_change(fixed, key, before, after)
-        return f"{match[1]}{after:.10g}"
-
-    fixed.text = line.sub(replaced, fixed.text)
+def _number(text: str, key: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise UserError(f"{key}: {text!r} is not a number") from error

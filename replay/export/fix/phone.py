@@ -23,7 +23,7 @@ from stillcal.replay.export.fix.findings import (
     apply_findings,
     difference,
     gain_change,
-    is_lacking,
+    level,
     note_change,
     ratio,
     recorded,
@@ -73,16 +73,14 @@ class _Phone:
     def white(self, finding: Finding) -> None:
         noise = self._sensor(finding).noise
         before = per_axis(noise.white)
-        fresh = recorded(finding, "density")
-        after = np.where(
-            before == 0.0, fresh, before if is_lacking(finding) else before * ratio(finding, "density")
-        )
+        after = level(before, finding, "density", recorded(finding, "density"))
         self._set_noise(finding, white=_vector(after))
         note_change(self._fixed, f"{finding['sensor']}.noise.white", before, after)
 
     def slow(self, finding: Finding) -> None:
         noise, name = self._sensor(finding).noise, "allan_deviation_100s"
-        if not (per_axis(noise.flicker).any() or per_axis(noise.random_walk).any() or noise.gauss_markov):
+        none = not (per_axis(noise.flicker).any() or per_axis(noise.random_walk).any() or noise.gauss_markov)
+        if none or finding["relation"] == "lacking":
             flicker = np.broadcast_to(recorded(finding, name), 3) / FLOOR
             self._set_noise(finding, flicker=_vector(flicker))
             note_change(self._fixed, f"{finding['sensor']}.noise.flicker", 0.0, flicker)

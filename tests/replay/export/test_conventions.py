@@ -9,6 +9,7 @@ import json
 import subprocess
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -218,3 +219,25 @@ def test_slow_noise_of_any_kind_becomes_the_walk_of_the_same_allan_deviation() -
     _, measured, _, _ = allantools.oadev(values, rate=1.0 / dt, data_type="freq", taus=[100.0])
     noise = SensorNoise(white=np.zeros(3), rate_hz=1.0, gauss_markov=((np.full(3, sigma), tau),))
     assert noise.walk_alike()[0] * np.sqrt(100.0 / 3.0) == pytest.approx(measured[0], rel=0.05)
+
+
+def test_mavproxy_s_own_parser_reads_ardupilot_s_file(tmp_path: Path) -> None:
+    mavparm = pytest.importorskip("pymavlink.mavparm", reason="pip install pymavlink")
+    path = tmp_path / "imu.param"
+    path.write_text(written("ardupilot", random_imu(3)))
+    read = mavparm.MAVParmDict()
+    assert read.load(str(path))
+    assert dict(read) == parameters(path.read_text(), 0, 1)
+
+
+def test_openvins_own_parser_reads_kalibr_s_file(tmp_path: Path) -> None:
+    """It reads with OpenCV, kalibr with PyYAML."""
+    cv2 = pytest.importorskip("cv2", reason="pip install opencv-python-headless")
+    path = tmp_path / "imu.yaml"
+    path.write_text(written("kalibr", random_imu(3)))
+    chain = yaml.safe_load(path.read_text())["imu0"]
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    node = storage.getNode("imu0")
+    for key in ("Ta", "Tw", "Tg", "R_IMUtoACC", "R_IMUtoGYRO", "T_i_b"):
+        rows = [[node.getNode(key).at(r).at(c).real() for c in range(3)] for r in range(3)]
+        np.testing.assert_array_equal(rows, np.array(chain[key])[:3, :3])

@@ -217,3 +217,22 @@ def test_what_is_not_the_tool_s_is_refused(tool: str, text: str) -> None:
         return  # an empty phone file is an ideal phone
     with pytest.raises(UserError):
         fixed(tool, text, BIAS)
+
+
+SILENT = finding("noise_level", "accel", {"density": ([2e-3] * 3, [1e-12] * 3)}, "lacking")
+
+
+@pytest.mark.parametrize(
+    ("tool", "text", "wanted"),
+    [
+        ("phone", "[accel.noise]\nwhite = 1e-9\n", "white = [0.002, 0.002, 0.002]"),
+        ("gazebo", SDF, f"<stddev>{2e-3 * np.sqrt(50.0):.10g}</stddev></noise></x>"),
+        ("airsim", "{}", f'"VelocityRandomWalk": {2e-3 / np.sqrt(2.0) / 9.80665e-3:.10g}'),
+        ("gnss-ins-sim", None, f"'accel_vrw': np.array([{2e-3 / np.sqrt(2.0) * 60.0:.10g}"),
+        ("imusensor", None, "imu.Accelerometer.NoiseDensity = [0.002 0.002 0.002];"),
+        ("kalibr", "accelerometer_noise_density: 1e-9\n", f"{2e-3 / np.sqrt(2.0):.10g}\n"),
+    ],
+)
+def test_a_simulation_without_noise_gets_the_recordings_own(tool: str, text: str | None, wanted: str) -> None:
+    """There is nothing to multiply, and each tool states a density in its own way."""
+    assert wanted in fixed(tool, text, SILENT).text
