@@ -42,7 +42,7 @@ LADDER = (2.0, 4.0, 6.0, 8.0, 12.0, 20.0)
 CLEAR = (10.0, 16.0, 25.0)
 """Values of d' for pairs and for effects outside the catalogue: of what names leave of these."""
 
-GIVEN = (25.0, 50.0, 100.0)
+GIVEN = (40.0, 60.0, 80.0)
 """Values of d' where a simulation is given, which is to be told apart from half of it."""
 
 WRITTEN_BACK = (

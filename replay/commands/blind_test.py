@@ -223,10 +223,13 @@ def _refusals() -> Iterator[None]:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show one bar a stage of the work on a terminal, nothing elsewhere."""
+    """Show one bar a stage of the work on a terminal; elsewhere a line for each tenth of a stage."""
     console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _lines()
+        return
     columns = (TextColumn("{task.description:20}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+    with Progress(*columns, console=console) as bars:
         tasks = {}
 
         def tick(stage: str, done: int, of: int) -> None:
@@ -235,6 +238,18 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
             bars.update(tasks[stage], completed=done)
 
         yield tick
+
+
+def _lines() -> Callable[[str, int, int], None]:
+    tenths: dict[str, int] = {}
+
+    def tick(stage: str, done: int, of: int) -> None:
+        tenth = 10 * done // max(of, 1)
+        if tenth > tenths.get(stage, 0):
+            tenths[stage] = tenth
+            click.echo(f"{stage}: {done} of {of}", err=True)
+
+    return tick
 
 
 def _show_verdict(verdict: proof.Verdict, json_path: Path | None) -> None:

@@ -220,7 +220,7 @@ OFF_CATALOGUE: dict[str, HiddenKind] = {
     "range_register_reset": HiddenKind("accel", altered=_range_register_reset),
     "torn_bytes": HiddenKind("accel", altered=_torn_bytes, entailed=NOISE),
     "reversed_fifo": HiddenKind("accel", altered=_reversed_fifo),
-    "axis_skew": HiddenKind("accel", _axis_skew),
+    "axis_skew": HiddenKind("accel", _axis_skew, entailed=("accel_gyro_time_offset",)),
     "dead_zone": HiddenKind("gyro", altered=_dead_zone, entailed=(*NOISE, "held_samples")),
     "stamps_by_arrival": HiddenKind("timing", altered=_stamps_by_arrival, entailed=("timestamp_jitter",)),
 }  # fmt: skip

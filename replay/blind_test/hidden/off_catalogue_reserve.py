@@ -156,7 +156,7 @@ RESERVE: dict[str, HiddenKind] = {
     "idle_tones": HiddenKind("accel", _idle_tones, entailed=("noise_level",)),
     "self_tests": HiddenKind("accel", altered=_self_tests, entailed=("noise_heavy_tailed",)),
     "stale_blocks": HiddenKind("gyro", altered=_stale_blocks),
-    "clock_set": HiddenKind("timing", altered=_clock_set),
+    "clock_set": HiddenKind("timing", altered=_clock_set, entailed=("clock_skew",)),
     "folded_readings": HiddenKind("accel", altered=_folded, vivid=True),
     "low_power_mode": HiddenKind("accel", altered=_low_power, entailed=NOISE),
 }

@@ -23,7 +23,7 @@ CONSTANTS = {
 }
 """Constant parameters: the sensor, and a usual size (SI, relative)."""
 
-MOST_D = 20.0
+MOST_D = 25.0
 """Largest d' of effects on noise and stamps: at twice of it a phone would be ten times too noisy."""
 
 SHAPES = ("tau_s", "at_s", "frequency")
