@@ -88,7 +88,8 @@ def load(
 
     A table: `load(frame)`, a pandas data frame or anything else with named columns (a mapping, a structured
     array): t, ax, ay, az; optionally gx, gy, gz, temperature, t_arrival. NaN stands for an empty cell; a row
-    whose three cells of a sensor are NaN has no sample of that sensor.
+    whose three cells of a sensor are NaN has no sample of that sensor. Columns of other usual names are found
+    as in a file, and `notes` says what was read as what.
 
     Arrays: `load(t=t, accelerometer=force, gyroscope=rate)`. t: (n,) s, never decreasing. accelerometer:
     (n, 3) m/s^2, body axes. gyroscope: (n, 3) rad/s, or (m, 3) with times of its own in gyroscope_t (m,) s.

@@ -17,8 +17,8 @@ _NAMES = "hhar, imu_tk, mikoff, imucal, phyphox, sensorlogger, sensorlogger_ios,
 def format_option(what: str = "TRACE", *, rests: bool) -> Option[Any]:
     """Return the option --format for `what`. rests: whether a rest table is accepted too."""
     known = f"csv, rest, {_NAMES}" if rests else f"csv, {_NAMES}"
-    text = f"Format of {what}: {known}, or the path of a column map (.toml)."
-    return click.option("--format", "format_", default="csv", show_default=True, help=text)
+    text = f"Format of {what}: {known}, or a column map (.toml); auto: by the content of each."
+    return click.option("--format", "format_", default="auto", show_default=True, help=text)
 
 
 config_option: Option[Any] = click.option(

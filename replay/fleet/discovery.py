@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stillcal.replay.formats.claims import beside
-from stillcal.replay.formats.columns import load_map
-from stillcal.replay.formats.recognition.opened import other_file
+from stillcal.replay.formats.columns import builtin_formats, load_map
+from stillcal.replay.formats.recognition.opened import AUTO, other_file
 
 PLAIN = (".csv", ".csv.gz")
 """How recordings end whose format does not say otherwise."""
@@ -71,6 +71,9 @@ def find(where: str, format: str = "csv") -> list[FoundRecording]:
 
 
 def _rules(format: str) -> tuple[tuple[str, str], ...]:
+    """Return how names of accelerometers' files lead to those of gyroscopes; "auto": in any format."""
+    if format == AUTO:
+        return tuple(dict.fromkeys(rule for name in builtin_formats() for rule in _rules(name)))
     gyroscope = load_map(format).gyroscope
     return gyroscope.other_file if gyroscope else ()
 

@@ -18,11 +18,11 @@ from stillcal.calib_core.calibration.record import SensorRecord
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported
-from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.diagnose import diagnose_recording
 from stillcal.replay.fleet.discovery import FoundRecording
+from stillcal.replay.formats.recognition.opened import is_rest_table
 from stillcal.replay.formats.rest_table import read_rest_table
-from stillcal.replay.formats.trace import Recording, Trace, open_trace
+from stillcal.replay.formats.trace import Recording, Trace, open_trace, whole
 from stillcal.replay.runner import Outcome, replay, replay_rests, with_choices
 
 CALIBRATED, REFUSED, ERROR, LOST = "calibrated", "refused", "error", "lost"
@@ -80,20 +80,20 @@ def content(recording: FoundRecording) -> str:
 
 def _examine(task: Task, outcome: Examined) -> None:
     row, began = outcome.row, time.perf_counter()
-    if task.format == "rest":
+    if is_rest_table(task.recording.path, task.format):
         row |= _calibration(replay_rests(read_rest_table(task.recording.path), _engine(task, None), _ignore))
         row["calibrate_s"] = time.perf_counter() - began
         return
     trace = open_trace(task.recording.path, task.format)
     row["model"], row["device"] = task.recording.owner(trace.claims.device)
     chunks = list(trace.chunks())
-    row |= _stamps(Samples.joined(c.accelerometer for c in chunks).t)
+    row |= _stamps(whole([c.accelerometer for c in chunks]).t)
     row |= _calibration(replay(chunks, _engine(task, trace), _ignore))
     row["calibrate_s"] = time.perf_counter() - began
     if task.diagnose:
         began = time.perf_counter()
-        gyroscope = Samples.joined(c.gyroscope for c in chunks) if trace.has_gyroscope else None
-        accelerometer = Samples.joined(c.accelerometer for c in chunks)
+        gyroscope = whole([c.gyroscope for c in chunks]) if trace.has_gyroscope else None
+        accelerometer = whole([c.accelerometer for c in chunks])
         recording = Recording(accelerometer, gyroscope, trace.events, trace.claims, trace.notes)
         _diagnosis(recording, outcome)
         row["diagnose_s"] = time.perf_counter() - began

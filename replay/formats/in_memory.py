@@ -6,7 +6,8 @@ in a file is refused here too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,14 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event
+from stillcal.replay.formats.columns import load_map
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.recognition.log import Log
+from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.stream import filled_forward
+from stillcal.replay.formats.tables.numbers import in_arrays
 from stillcal.replay.formats.tables.table import EMPTY
-from stillcal.replay.formats.trace import Chunk, Recording
+from stillcal.replay.formats.trace import Chunk, Recording, Trace, whole
 
 AXES = {Sensor.ACCELEROMETER: ("ax", "ay", "az"), Sensor.GYROSCOPE: ("gx", "gy", "gz")}
 
@@ -44,6 +49,10 @@ def of_table(table: Any, name: str, events: Iterable[Any], claims: Any) -> Recor
     """Return the recording that a table of columns holds. Raises TraceError where it cannot be used."""
     names = column_names(table) or []
     wanted = ["t", *AXES[Sensor.ACCELEROMETER]]
+    if not set(wanted) <= set(names):
+        by_names = _by_names(table, names, name)
+        if by_names is not None:
+            return checked(by_names.accelerometer, by_names.gyroscope, name, events, claims, notes=by_names.notes)
     if any(axis in names for axis in AXES[Sensor.GYROSCOPE]):
         wanted += AXES[Sensor.GYROSCOPE]
     for column in wanted:
@@ -58,6 +67,25 @@ def of_table(table: Any, name: str, events: Iterable[Any], claims: Any) -> Recor
     accelerometer = parts[Sensor.ACCELEROMETER]
     assert accelerometer is not None, "its columns are among those that must be there"
     return checked(accelerometer, parts[Sensor.GYROSCOPE], name, events, claims)
+
+
+def _by_names(table: Any, names: list[str], name: str) -> Recording | None:
+    """Return what a table of other columns holds by their names, None where they say nothing.
+
+    Raises TraceError where they say what it holds, and it cannot be used.
+    """
+    columns = {}
+    for column in names:
+        with suppress(TypeError, ValueError):  # texts, dates
+            columns[column] = np.asarray(table[column], dtype=np.float64)
+    numbers = in_arrays(Path(name), {k: v for k, v in columns.items() if v.ndim == 1}, 0)
+    sensors = settled(numbers, load_map("csv"))
+    if not sensors:
+        return None
+    trace = Trace(Log(Path(name), "table", sensors))
+    chunks = list(trace.chunks())
+    gyroscope = whole([c.gyroscope for c in chunks]) if trace.has_gyroscope else None
+    return Recording(whole([c.accelerometer for c in chunks]), gyroscope, [], Claims(), trace.notes, name)
 
 
 def of_arrays(
@@ -91,7 +119,13 @@ def of_arrays(
 
 
 def checked(
-    accelerometer: Samples, gyroscope: Samples | None, name: str, events: Iterable[Any], claims: Any
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    name: str,
+    events: Iterable[Any],
+    claims: Any,
+    *,
+    notes: Sequence[str] = (),
 ) -> Recording:
     """Return a recording whose units have been looked at as those of a file are.
 
@@ -108,7 +142,7 @@ def checked(
         maker = Claims() if claims is None else msgspec.convert(claims, Claims, from_attributes=True)
     except msgspec.ValidationError as error:
         raise TraceError(name, f"not an event, or not a claim: {error}", "see docs/formats.md") from None
-    recording = Recording(accelerometer, gyroscope, ordered_events, maker, [], name)
+    recording = Recording(accelerometer, gyroscope, ordered_events, maker, list(notes), name)
     units = UnitCheck(Path(name))
     chunk: Chunk
     for chunk in recording.chunks():

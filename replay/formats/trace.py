@@ -6,7 +6,7 @@ together: two files into one run of time, events beside samples, first checks of
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -248,13 +248,13 @@ def read_all(
     """
     trace = open_trace(path, format, gyro, sensor=sensor, start=start, stop=stop)
     chunks = list(trace.chunks())
-    gyroscope = _whole([c.gyroscope for c in chunks]) if trace.has_gyroscope else None
-    accelerometer = _whole([c.accelerometer for c in chunks])
+    gyroscope = whole([c.gyroscope for c in chunks]) if trace.has_gyroscope else None
+    accelerometer = whole([c.accelerometer for c in chunks])
     events = [event for chunk in chunks for event in chunk.events]
     name = trace.path.name if str(path) == STANDARD_INPUT else Path(path).name
     return Recording(accelerometer, gyroscope, events, trace.claims, trace.notes, name)
 
 
-def _whole(runs: list[Samples]) -> Samples:
-    """Join runs; an empty one has no temperatures, which must not take those of the others away."""
-    return Samples.joined([run for run in runs if len(run)] or runs[:1])
+def whole(runs: Sequence[Samples]) -> Samples:
+    """Join runs of one sensor; an empty one, which has no temperatures, takes none of the others away."""
+    return Samples.joined([run for run in runs if len(run)] or list(runs[:1]))

@@ -178,16 +178,23 @@ def _hdf5(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
     by_group: dict[str, dict[str, Any]] = {}
     scalars: dict[str, float] = {}
 
-    def visit(name: str, item: Any) -> None:
+    seen = 0
+
+    def visit(name: str, item: Any) -> bool | None:
+        nonlocal seen
+        seen += 1
+        if seen > MOST_ARRAYS:
+            return True  # ends the visit
         if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf":
-            return
+            return None
         group, _, last = name.rpartition("/")
         if item.size == 1:
             scalars[last] = float(np.ravel(item[()])[0])
-        elif len(by_group) < MOST_ARRAYS:
+        else:
             by_group.setdefault(group, {})[last] = item
         for attribute, value in item.attrs.items():
             _note_rate(scalars, attribute, value)
+        return None
 
     file.visititems(visit)
     for attribute, value in file.attrs.items():

@@ -36,6 +36,9 @@ _DOUBLES = 37
 _RATE, _FORCE = 4 + 9, 4 + 9 + 3 + 9
 _BLOCK = 4096
 _PROBED = 200
+_NEAR_ONE = 0.3
+"""g: a driver that publishes g against REP 145 shows gravity as one, with bias, scale and motion."""
+
 _NS = 1e-9
 _NAMES = ["stamp", "logged", "gx", "gy", "gz", "ax", "ay", "az", "temperature"]
 _MOST_TEMPERATURES = 1_000_000
@@ -61,6 +64,7 @@ class _Topic:
     has_force: bool
     has_rate: bool
     stamped: bool
+    in_g: bool
 
 
 Message = tuple[int, bytes]
@@ -230,7 +234,9 @@ class _Bag:
         rate = bool(values[:, 2:5].any()) and not (doubles[:, _RATE + 3] == -1).all()
         span = (values[-1, 1] - values[0, 1]) * _NS
         rate_hz = (len(rows) - 1) / span if span > 0 else 0.0
-        return _Topic(name, count, rate_hz, force, rate, bool(values[-1, 0] > 0))
+        norm = float(np.median(np.linalg.norm(values[:, 5:8], axis=1)))
+        in_g = force and abs(norm - 1) < _NEAR_ONE
+        return _Topic(name, count, rate_hz, force, rate, bool(values[-1, 0] > 0), in_g)
 
     def _refuse_other_layout(self, topic: str, layout: str, raw: bytes) -> None:
         """Check that a message has the length that its layout gives it, with its frame's name."""
@@ -271,6 +277,8 @@ class _Bag:
             for t in topics
             if not t.stamped
         ]
+        if topics[0].in_g:
+            notes.append(f"{self._path.name}: {topics[0].name} is in g, by the size of gravity, not in m/s^2")
         return LoggedSensor.of(topics[0].name, parts, about, notes)
 
     def _table(self, topic: _Topic) -> NumberTable:
@@ -332,7 +340,7 @@ def _map(topic: _Topic, *, warm: bool) -> ColumnMap:
     )
     return ColumnMap(
         time=time,
-        accelerometer=SensorMap(columns=("ax", "ay", "az"), unit="m/s^2"),
+        accelerometer=SensorMap(columns=("ax", "ay", "az"), unit="g" if topic.in_g else "m/s^2"),
         gyroscope=SensorMap(columns=("gx", "gy", "gz"), unit="rad/s"),
         temperature=TemperatureMap(column="temperature") if warm else None,
         reorder=64,

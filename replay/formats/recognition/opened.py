@@ -30,6 +30,9 @@ from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.text import TextTable
 
+AUTO = "auto"
+"""The format of a recording whose content is to decide, as None is."""
+
 _BINARY_LOGS = {
     magic.AXIVITY: open_axivity,
     magic.DATAFLASH: open_dataflash,
@@ -43,6 +46,7 @@ class RestTableGivenError(TraceError):
 
 def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | None = None) -> Log:
     """Recognise a recording; format: as `open_trace` takes it. Raises TraceError."""
+    format = None if str(format) == AUTO else format
     if str(format) == REST:
         raise RestTableGivenError(path, "a rest table holds no samples", "give a recording of samples")
     column_map = None if format is None else load_map(format)
@@ -57,6 +61,7 @@ def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | No
 
 def is_rest_table(path: Path | str, format: str | Path | None = None) -> bool:
     """Whether a file is a rest table: so named, or recognised as one. Raises TraceError."""
+    format = None if str(format) == AUTO else format
     if format is not None or str(path) == STANDARD_INPUT:
         return str(format) == REST
     found = located(path)
@@ -77,6 +82,9 @@ def _log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -> Log
         return _archive(source.path, members, column_map)
     if kind in (magic.PARQUET, magic.HDF5, magic.MATLAB):
         return open_arrays(source, kind, column_map)
+    if column_map is not None:
+        what = f"is {kind}, which says itself what is in it"
+        raise TraceError(source.path, what, "leave --format out")
     if kind in (magic.ROS1, magic.ROS2, magic.MCAP):
         return open_ros(source, kind)
     if kind in _BINARY_LOGS:

@@ -263,3 +263,20 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(extras.importlib, "import_module", absent)
     with pytest.raises(TraceError, match=r"rosbags, .* is not installed; pip install 'stillcal\[ros\]'"):
         read_all(path)
+
+
+def test_a_bag_in_g_is_noticed_by_the_size_of_gravity(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_g = DATA.copy()
+    in_g[:, 1:4] /= 9.80665
+    monkeypatch.setattr("tests.replay.formats.test_logs.DATA", in_g)
+    recording = read_all(ros1_bag(tmp_path))
+    np.testing.assert_allclose(recording.accelerometer.xyz, in_g[:, 1:4] * 9.80665)
+    assert any("is in g, by the size of gravity" in note for note in recording.notes)
+
+
+def test_a_format_that_is_not_the_logs_own_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(TraceError, match=r"is ArduPilot DataFlash, .*leave --format out"):
+        open_trace(dataflash_file(tmp_path), "csv")
+    assert open_trace(dataflash_file(tmp_path), "auto").kind == "ArduPilot DataFlash"

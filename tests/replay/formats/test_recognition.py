@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import stillcal
 from stillcal.replay.formats import sources
 from stillcal.replay.formats.trace import TraceError, open_trace, read_all
 
@@ -303,3 +304,19 @@ def test_a_bad_row_of_a_gnss_logger_file_is_named(tmp_path: Path) -> None:
     path.write_text("\n".join(text))
     with pytest.raises(TraceError, match=rf"gnss_log.txt:{row + 1}: the UncalGyro row is not like the first"):
         read_all(path)
+
+
+def test_a_data_frame_of_other_columns_is_read_by_their_names() -> None:
+    pandas = pytest.importorskip("pandas")
+    data = rows(3000)
+    names = ["timestamp", *(f"acc_{a}" for a in "xyz"), *(f"gyr_{a}" for a in "xyz")]
+    frame = pandas.DataFrame(data * [1e6, *[1 / 9.80665] * 3, *[DEGREES] * 3], columns=names).assign(
+        label="walk"
+    )
+    recording = stillcal.load(frame)
+    np.testing.assert_allclose(recording.accelerometer.xyz, data[:, 1:4])
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.gyroscope.xyz, data[:, 4:])
+    assert "in g (by the size of gravity)" in recording.notes[0]
+    with pytest.raises(stillcal.UserError, match="no column 't'"):
+        stillcal.load(frame[["label"]])
