@@ -50,9 +50,9 @@ def of_table(table: Any, name: str, events: Iterable[Any], claims: Any) -> Recor
     names = column_names(table) or []
     wanted = ["t", *AXES[Sensor.ACCELEROMETER]]
     if not set(wanted) <= set(names):
-        by_names = _by_names(table, names, name)
-        if by_names is not None:
-            return checked(by_names.accelerometer, by_names.gyroscope, name, events, claims, notes=by_names.notes)
+        found = _by_names(table, names, name)
+        if found is not None:
+            return checked(found.accelerometer, found.gyroscope, name, events, claims, notes=found.notes)
     if any(axis in names for axis in AXES[Sensor.GYROSCOPE]):
         wanted += AXES[Sensor.GYROSCOPE]
     for column in wanted:
