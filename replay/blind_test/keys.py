@@ -17,6 +17,10 @@ KINDS = ("null", "decoy", "single", "pair", "near_shape", "off_catalogue", "rese
          "simulated", "phone_file")  # fmt: skip
 
 
+SIGNS = {"lacking": 1, "too_small": 1, "agreed": 0, "too_large": -1, "superfluous": -1}
+"""Relations of a recording's effect to a simulation's: 1 where it has more of it, -1 where less."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrueEffect:
     """A hidden effect. d_prime: None where it has no d'. t_start, t_end: s."""
@@ -109,4 +113,10 @@ def key_of(text: bytes, name: str) -> Key:
         raise SealError(f"{name}: not a key ({error}); see docs/proof.md for its layout") from None
     if key.kind not in KINDS:
         raise SealError(f"{name}: kind = {key.kind}: must be one of {', '.join(KINDS)}")
+    if key.kind not in ("null", "decoy") and not key.effects:
+        raise SealError(f"{name}: effects: a key of kind {key.kind} names at least one effect")
+    if key.kind == "near_shape" and not key.nearest:
+        raise SealError(f"{name}: nearest: a near-shape names the effects that it is almost one of")
+    if key.kind == "simulated" and key.relation not in SIGNS:
+        raise SealError(f"{name}: relation = {key.relation}: must be one of {', '.join(SIGNS)}")
     return key

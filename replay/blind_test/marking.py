@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.blind_test.keys import Exam, Key, TrueEffect
+from stillcal.replay.blind_test.keys import SIGNS, Exam, Key, TrueEffect
 from stillcal.replay.blind_test.power import detectability as power
 from stillcal.replay.blind_test.reading import Reading, Statement, read
 from stillcal.replay.blind_test.world.day import Bins
@@ -204,9 +204,6 @@ ALWAYS_THERE = (
     "accel_bias_random_walk", "gyro_bias_random_walk",
 )  # fmt: skip
 """Of these every sensor has some: a simulation that lacks it has too little of it, and both are right."""
-
-SIGNS = {"lacking": 1, "too_small": 1, "agreed": 0, "too_large": -1, "superfluous": -1}
-"""Of which the recording has more: of the effect than its simulation 1, less -1."""
 
 
 def _relation_marked(key: Key, reading: Reading) -> RelationMark:

@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -17,7 +18,7 @@ from stillcal.replay.blind_test.designs import DECOYS, HIDDEN, SHARES, VARIANTS,
 from stillcal.replay.blind_test.hidden.near_shapes import NEAR_SHAPES
 from stillcal.replay.blind_test.hidden.off_catalogue import OFF_CATALOGUE
 from stillcal.replay.blind_test.hidden.off_catalogue_reserve import RESERVE
-from stillcal.replay.blind_test.keys import SealError, TrueEffect, opened, seal_of, sealed
+from stillcal.replay.blind_test.keys import SealError, TrueEffect, key_of, opened, seal_of, sealed
 from stillcal.replay.blind_test.make import ChallengeError, make, read_manifest
 from stillcal.replay.blind_test.power import detectability as power
 from stillcal.replay.blind_test.power import direct as sizes
@@ -229,6 +230,23 @@ def test_a_key_of_another_kind_is_refused() -> None:
     file = b'00\n{"kind":"guess"}\n'
     with pytest.raises(SealError, match="kind = guess"):
         opened(file, seal_of(file), "r0001.key")
+
+
+@pytest.mark.parametrize(
+    ("key", "field"),
+    [
+        ({"kind": "single"}, "effects"),
+        ({"kind": "near_shape", "effects": [{}]}, "nearest"),
+        ({"kind": "simulated", "effects": [{}]}, "relation = None"),
+    ],
+)
+def test_a_key_that_lacks_what_its_kind_needs_is_refused(key: dict[str, object], field: str) -> None:
+    step = {"effect": "accel_bias_step", "sensor": "accel", "axes": ["x"], "parameters": {}, "d_prime": None,
+            "t_start": 0.0, "t_end": 9.0}  # fmt: skip
+    if "effects" in key:
+        key = {**key, "effects": [step]}
+    with pytest.raises(SealError, match=f"mine: {field}"):
+        key_of(msgspec.json.encode(key), "mine")
 
 
 def test_recordings_tell_nothing_of_what_is_in_them(tmp_path: Path) -> None:

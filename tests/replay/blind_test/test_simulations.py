@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from stillcal.replay.blind_test import answer as answering
 from stillcal.replay.blind_test.cases import make_case
 from stillcal.replay.blind_test.designs import WRITTEN_BACK, Design, planned
 from stillcal.replay.blind_test.keys import Key, TrueEffect
-from stillcal.replay.blind_test.make import make
+from stillcal.replay.blind_test.make import read_manifest
 from stillcal.replay.blind_test.marking import marked
 from stillcal.replay.blind_test.scores import scored
 from stillcal.replay.blind_test.simulations import cases as making
 from stillcal.replay.blind_test.simulations.scaled import CONSTANTS, EFFECTS, SHARES, scaled
+from stillcal.replay.commands.blind_test import challenge_group
 from stillcal.replay.phone.phone import load_phone
 
 SLOPE = TrueEffect(
@@ -143,7 +145,10 @@ def test_only_what_can_be_told_is_required_and_a_wrong_sign_never_passes() -> No
 
 def test_files_of_a_given_simulation_and_of_a_phone_lie_beside_their_recordings(tmp_path: Path) -> None:
     folder = tmp_path / "recordings"
-    manifest = make(folder, tmp_path / "keys", 5, 5, beside=["phone_file", "simulated"], trials_too=False)
+    asked = ["make", str(folder), "--keys", str(tmp_path / "keys"), "--trials", "5", "--seed", "5"]
+    done = CliRunner().invoke(challenge_group, [*asked, "--stage", "simulations", "--stage", "phone-files"])
+    assert done.exit_code == 0 and "making: 3 of 3" in done.output
+    manifest = read_manifest(folder)
     assert all(answering.given_a_simulation(folder, name) for name in manifest.seals)
     phone = next(folder.glob(f"*{answering.PHONE}"))
     assert load_phone(phone).effects == ()
