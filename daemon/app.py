@@ -11,8 +11,10 @@ import contextlib
 import copy
 import os
 import signal
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Publish, Reject
@@ -20,10 +22,15 @@ from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.daemon.app_launch import LaunchOptions, needs_restart, serial_settings
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
-from stillcal.daemon.service.phone_session import PhoneSession
+from stillcal.daemon.service.phone_session import PhoneSession, Recorded
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.service.storage import Storage, with_provenance
-from stillcal.daemon.service.subscribers import Notification, Subscribers
+from stillcal.daemon.service.subscribers import (
+    CalibrationSubscribers,
+    Notification,
+    Subscriber,
+    Subscribers,
+)
 from stillcal.daemon.settings import Settings, SettingsError, store_path
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.sources.open import source_of
@@ -51,7 +58,7 @@ STOP_TIMEOUT_S = 0.5
 HEARTBEAT_S = 10.0
 """Time between two status messages to systemd, s, unless its watchdog wants them more often."""
 
-REMEDY = "record a day with temperature and run `stillcal diagnose RECORDING`"
+REMEDY = "run `stillcal record day.csv.gz --hours 24`, then `stillcal diagnose day.csv.gz`"
 """Advice where recalibrating does not help."""
 
 STUCK_SHARE = 0.5
@@ -76,7 +83,9 @@ class Service:
         store = Store(store_path(settings.store, os.environ), settings.store)
         self.storage = Storage(store, lambda note: say("warning", "store", note))
         self.saved = SavedState(EngineState())
-        self.subscribers = Subscribers()
+        self.subscribers = CalibrationSubscribers()
+        self.recorders = Subscribers[Recorded]()
+        self._keeping_on = 0
         self._started_at = self._clock()
         self._stop = asyncio.Event()
         self._unsaved = asyncio.Event()
@@ -352,7 +361,37 @@ class Service:
     def _new_session(self) -> PhoneSession:
         source = source_of(self.settings.source.kind, serial_settings(self.settings))
         rate_hz = self.settings.source.rate_hz
-        return PhoneSession(source, self.engine_thread, self.saved, rate_hz, self.act, clock=self._clock)
+        return PhoneSession(
+            source,
+            self.engine_thread,
+            self.saved,
+            rate_hz,
+            self.act,
+            recorders=self.recorders,
+            keep_on=lambda: self._keeping_on > 0,
+            clock=self._clock,
+        )
+
+    @contextlib.contextmanager
+    def recording(self, sparing: bool) -> Iterator[Subscriber[Recorded]]:
+        """Subscribe to samples and events while the block lasts.
+
+        sparing: leave the sensors to the engine; otherwise they stay on meanwhile.
+        """
+        subscriber, unsubscribe = self.recorders.subscribe()
+        self._keeping_on += not sparing
+        self.session.send_commands()
+        try:
+            yield subscriber
+        finally:
+            unsubscribe()
+            self._keeping_on -= not sparing
+            self.session.send_commands()
+
+    @property
+    def claims(self) -> Mapping[str, Any]:
+        """What the phone's maker claims of it, by the names of a recording's NAME.json."""
+        return {} if self.session.hello is None else self.session.hello.claims
 
     def describe(self) -> str:
         """Return the daemon's state in one line, for systemctl status."""

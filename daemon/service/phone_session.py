@@ -16,13 +16,15 @@ import numpy as np
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.engine.actions import Action
 from stillcal.calib_core.engine.settings import Watch
-from stillcal.calib_core.static.settings import Sleep
+from stillcal.calib_core.static.settings import Sense, Sleep
 from stillcal.calib_core.streams.events import Charging, End, Event, Location, Tick
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.duty_commands import DutyCommands, credit
 from stillcal.daemon.service.engine_thread import EngineThread
+from stillcal.daemon.service.phone_clock import Timed
 from stillcal.daemon.service.saved_state import SavedState
+from stillcal.daemon.service.subscribers import Subscribers
 from stillcal.daemon.sources.base import LinkDown, LinkUp, Record, Source
 from stillcal.daemon.system.clock import Clock, host_time
 from stillcal.daemon.system.log import say
@@ -41,12 +43,19 @@ LATE_S = 0.3
 DEVICE_CHARACTERS = 200
 """Of a phone's name that are looked at."""
 
+Recorded = Timed | Hello
+"""What a recording of the phone is made of."""
+
 SILENCE_S = 10.0
 """A phone that should be sensing is asked to identify itself after this much silence, s."""
 
 
 class PhoneSession:
-    """The session on one source. saved: what outlives the daemon. act: takes the engine's actions."""
+    """The session on one source.
+
+    saved: what outlives the daemon. act: takes the engine's actions. recorders: are given all samples and
+    events. keep_on: whether somebody else than the engine wants the sensors on.
+    """
 
     def __init__(
         self,
@@ -56,10 +65,13 @@ class PhoneSession:
         rate_hz: float,
         act: Callable[[list[Action]], None],
         *,
+        recorders: Subscribers[Recorded] | None = None,
+        keep_on: Callable[[], bool] = lambda: False,
         clock: Clock = host_time,
         cpu_time: Clock = time.process_time,
     ) -> None:
         self.source = source
+        self._recorders, self._keep_on = Subscribers[Recorded]() if recorders is None else recorders, keep_on
         self.rate_hz = rate_hz
         self._engine_thread, self._saved, self._act = engine_thread, saved, act
         self._clock, self._cpu_time = clock, cpu_time
@@ -168,6 +180,7 @@ class PhoneSession:
             item = self._with_temperature(item)
         if item is not None:
             self._items.append(item)
+            self._recorders.notify(item)
 
     def _with_temperature(self, samples: Samples) -> Samples:
         """Add the thermometer's last reading to samples without a temperature."""
@@ -184,6 +197,7 @@ class PhoneSession:
     async def _on_hello(self, hello: Hello) -> None:
         await self._check_identity(device_name(hello))
         self.hello, self._in_step = hello, hello.flow == "credit"
+        self._recorders.notify(hello)
         self._commands.forget()
         if self._saved.clock.meet(hello.session):
             self._saved.energy.told = None
@@ -250,18 +264,22 @@ class PhoneSession:
                 say("warning", "refused", reason)
             if reply.actions:
                 self._act(reply.actions)
-        self._send_commands()
+        self.send_commands()
 
     def _account_for_engine(self) -> None:
         clock, energy = self._saved.clock, self._saved.energy
         energy.totals(clock.newest, self._engine_thread.view.ledger.asked_s, self._cpu_time())
 
-    def _send_commands(self) -> None:
+    def send_commands(self) -> None:
+        """Send the phone the commands that bring its sensors into the wanted state."""
         if not self.source.connected or self.hello is None:
             return
         clock, view = self._saved.clock, self._engine_thread.view
-        for command in self._commands.due(view.want, view.decides, clock.newest):
+        for command in self._commands.due(self._wanted(), view.decides, clock.newest):
             self.source.send(type(command)(clock.phone(command.until)))
+
+    def _wanted(self) -> Sense | Sleep:
+        return Sense(math.inf) if self._keep_on() else self._engine_thread.view.want
 
     def _answer_stop(self, record: Tick | End) -> None:
         """Answer a stop: credit for a phone that waits for it, sleep at the end of a stream."""
@@ -270,7 +288,7 @@ class PhoneSession:
             self._commands.forget()
             self.source.send(Sleep(math.inf))
             return
-        go = credit(view.want, view.decides, record.t + clock.offset)
+        go = credit(self._wanted(), view.decides, record.t + clock.offset)
         self.source.send(replace(go, until=clock.phone(go.until)))
 
 

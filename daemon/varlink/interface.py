@@ -170,6 +170,24 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
             raise TooSlow()
         raise LastResult(api.Event("ended", "the daemon is stopping"))
 
+    @varlinkmethod(return_parameter="block", delay_generator=False)
+    async def Record(self, *, sparing: bool = False) -> AsyncIterator[api.Block]:
+        """Send raw samples and events as they come. Call it with `more`.
+
+        The phone's sensors stay on meanwhile, unless `sparing`: then only what the daemon measures for itself
+        is sent. Only for root and the daemon's own user.
+        """
+        _require_right()
+        with self._daemon.recording(sparing) as subscriber:
+            CALLER.get().on_disconnect(subscriber)
+            yield views.first_block(self._daemon)
+            while (item := await subscriber.queue.get()) is not None:
+                if (block := views.block(item)) is not None:
+                    yield block
+        if subscriber.overflowed:
+            raise TooSlow()
+        raise LastResult(api.Block())
+
     @varlinkmethod(return_parameter="calibration")
     async def Rollback(self, *, to: str = "") -> api.Calibration:
         """Make an earlier calibration current: the previous one, or the one whose id begins with `to`.

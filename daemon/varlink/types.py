@@ -217,3 +217,21 @@ class Event:
     reason: str
     at_s: float | None = None
     calibration: Calibration | None = None
+
+
+@dataclass(frozen=True)
+class Block:
+    """A piece of a recording: samples of one sensor, or an event, or (first) what the phone claims to be.
+
+    claims: JSON, by the names of a recording's NAME.json. samples: rows [t, x, y, z], s and m/s^2 or rad/s,
+    raw. temperature_c: of each sample. t_s: of an event. charging: the charger was plugged in or unplugged.
+    location: latitude, longitude, degrees, and altitude, m, where it is known.
+    """
+
+    claims: str | None = None
+    sensor: SensorName | None = None
+    samples: list[list[float]] | None = None
+    temperature_c: list[float] | None = None
+    t_s: float | None = None
+    charging: bool | None = None
+    location: list[float] | None = None

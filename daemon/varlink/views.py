@@ -5,8 +5,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 
 from stillcal._version import __version__
@@ -15,14 +18,17 @@ from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeR
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.calibration.terms import bias_terms
 from stillcal.calib_core.static.settings import Label, Sense
-from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.streams.events import Charging, Location
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service.energy_ledger import Day
 from stillcal.daemon.service.engine_thread import View
+from stillcal.daemon.service.phone_session import Recorded
 from stillcal.daemon.service.saved_state import SavedState
-from stillcal.daemon.service.subscribers import Notification, Subscribers
+from stillcal.daemon.service.subscribers import CalibrationSubscribers, Notification, Subscriber
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument
 from stillcal.daemon.varlink import types as api
+from stillcal.daemon.wire.messages import Hello
 
 DAY_S = 86400.0
 
@@ -31,7 +37,7 @@ class Daemon(Protocol):
     """The daemon as the socket sees it."""
 
     saved: SavedState
-    subscribers: Subscribers
+    subscribers: CalibrationSubscribers
 
     @property
     def view(self) -> View:
@@ -56,6 +62,13 @@ class Daemon(Protocol):
     @property
     def seed(self) -> int:
         """The seed of the random pauses between probes."""
+
+    @property
+    def claims(self) -> Mapping[str, Any]:
+        """What the phone's maker claims of it."""
+
+    def recording(self, sparing: bool) -> AbstractContextManager[Subscriber[Recorded]]:
+        """Subscribe to samples and events while the block lasts."""
 
     @property
     def uptime_s(self) -> float:
@@ -226,6 +239,35 @@ def event(notification: Notification, daemon: Daemon) -> api.Event:
     return api.Event(
         notification.what, notification.reason, notification.t, calibration(notification.record, daemon)
     )
+
+
+def block(item: Recorded) -> api.Block | None:
+    """Return samples or an event as a block of a recording; None for what a recording does not hold."""
+    if isinstance(item, Hello):
+        return _claims_block(item.claims)
+    if isinstance(item, Charging):
+        return api.Block(t_s=item.t, charging=item.on)
+    if isinstance(item, Location):
+        place = [item.latitude, item.longitude, *([] if item.altitude is None else [item.altitude])]
+        return api.Block(t_s=item.t, location=place)
+    if not isinstance(item, Samples):
+        return None
+    temperature = item.temperature
+    known = temperature is not None and bool(np.isfinite(temperature).all())
+    return api.Block(
+        sensor=item.sensor.value,
+        samples=np.column_stack((item.t, item.xyz)).tolist(),
+        temperature_c=temperature.tolist() if known and temperature is not None else None,
+    )
+
+
+def first_block(daemon: Daemon) -> api.Block:
+    """Return the first block of a recording, with what the phone's maker claims."""
+    return _claims_block(daemon.claims)
+
+
+def _claims_block(claims: Mapping[str, Any]) -> api.Block:
+    return api.Block(claims=msgspec.json.encode(claims).decode())
 
 
 def standing(daemon: Daemon) -> api.Event:
