@@ -2,8 +2,8 @@
 
 Linux, Documentation/ABI/testing/sysfs-bus-iio: in_accel_x_calibbias is the offset and in_accel_x_calibscale
 the factor that the hardware applies, by axis. For the inv_icm42600 driver calibbias is in SI units
-(m/s^2, rad/s) and the chip adds it to its readings (drivers/iio/imu/inv_icm42600, OFFSET_USER registers):
-hence -bias here. Many other drivers want counts of the chip's register, and some have no calibscale: see the
+(m/s^2, rad/s) and goes into the chip's OFFSET_USER registers (drivers/iio/imu/inv_icm42600), which the chip
+adds to its readings: drivers of the ICM-42688-P elsewhere write minus the bias there, and so does this. Many other drivers want counts of the chip's register, and some have no calibscale: see the
 driver. calibrated = calibscale (raw + calibbias).
 """
 
