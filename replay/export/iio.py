@@ -1,10 +1,11 @@
 """Linux industrial I/O: calibbias and calibscale of an accelerometer and a gyroscope.
 
 Linux, Documentation/ABI/testing/sysfs-bus-iio: in_accel_x_calibbias is the offset and in_accel_x_calibscale
-the factor that the hardware applies, by axis. For the inv_icm42600 driver calibbias is in SI units
-(m/s^2, rad/s) and goes into the chip's OFFSET_USER registers (drivers/iio/imu/inv_icm42600), which the chip
-adds to its readings: drivers of the ICM-42688-P elsewhere write minus the bias there, and so does this. Many other drivers want counts of the chip's register, and some have no calibscale: see the
-driver. calibrated = calibscale (raw + calibbias).
+the factor that the hardware applies, by axis. The inv_icm42600 driver takes calibbias in SI units (m/s^2,
+rad/s) into the chip's OFFSET_USER registers (drivers/iio/imu/inv_icm42600), which the chip adds to its
+readings: other drivers of the ICM-42688-P write minus the bias there. Hence calibbias = -bias here, and
+calibrated = calibscale (raw + calibbias). Many other drivers want counts of the chip, and some have
+no calibscale: see the driver.
 """
 
 from __future__ import annotations
