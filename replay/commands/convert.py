@@ -10,7 +10,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.replay.commands.outputs import files, recording_files, refuse_collisions
-from stillcal.replay.commands.reading import Reading, reading_options
+from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.claims import beside, read_claims
 from stillcal.replay.formats.conversion.convert import ENDINGS, writer_for
 
@@ -55,9 +55,8 @@ def convert_command(trace: Path, out: Path, reading: Reading, quiet: bool) -> No
             writer.write(chunk.accelerometer, chunk.gyroscope, chunk.events)
             samples += len(chunk.accelerometer)
             step(opened.bytes_read)
+    show_notes(opened.notes, quiet)
     if not quiet:
-        for note in opened.notes:
-            click.echo(f"stillcal: {note}", err=True)
         click.echo(f"{out}: {samples:,} samples of the accelerometer, from {opened.kind}")
 
 

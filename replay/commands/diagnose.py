@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
 from stillcal.replay.commands.fix_for import Correction
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
-from stillcal.replay.commands.reading import Reading, reading_options
+from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.diagnosis.diagnose import Request, diagnose
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
@@ -121,6 +121,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     _write(outputs, asked)
     if correction is not None:
         correction.write(outputs.answer)
+    show_notes(outputs.notes, quiet)
     if not quiet and json_path != STANDARD_OUTPUT:
         click.echo("\n".join(summary(outputs.answer)))
     if outputs.answer["verdict"] in fail_on:
@@ -165,11 +166,12 @@ def _check(asked: _Asked) -> None:
 
 
 class _Outputs(NamedTuple):
-    """The answer in plain values, with the text of the page and of the phone file if they were asked for."""
+    """The answer in plain values, the texts of page and phone file if asked for, and notes on reading."""
 
     answer: dict[str, Any]
     page: str | None = None
     phone: str | None = None
+    notes: Sequence[str] = ()
 
 
 def _table(asked: _Asked) -> _Outputs:
@@ -188,9 +190,9 @@ def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> _Outputs:
     request = Request(simulated, phone, name, asked.phone_out is not None)
     outcome = diagnose(recording, request, show_stage)
     show_stage("writing")
-    return _Outputs(
-        outcome.judged.answer, page(outcome.judged) if asked.report is not None else None, outcome.phone_text
-    )
+    text = page(outcome.judged) if asked.report is not None else None
+    notes = [*recording.notes, *(simulated.notes if simulated is not None else ())]
+    return _Outputs(outcome.judged.answer, text, outcome.phone_text, notes)
 
 
 def _loaded(name: str) -> Phone:

@@ -21,7 +21,7 @@ from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.document import FORMAT, StoreDocument
 from stillcal.daemon.store.store import Store, StoreError
 from stillcal.replay.commands.outputs import refuse_collisions
-from stillcal.replay.commands.reading import Reading, reading_options
+from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.trace import Trace
 from stillcal.replay.plots import style
 from stillcal.replay.plots.drawing import ALL, FIGURES, draw_figure
@@ -75,7 +75,9 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
             material = _stored(source)
         else:
             settings = load_settings(config).engine
-            material = _replayed(reading.open(source), settings, what in NOISE, quiet)
+            opened = reading.open(source)
+            material = _replayed(opened, settings, what in NOISE, quiet)
+            show_notes(opened.notes, quiet)
         figure, omitted = draw_figure(what, material)
     except NotSupported as refusal:
         click.echo(f"stillcal: {source}: {refusal}", err=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -45,6 +45,12 @@ class Reading:
         if self.sensor is not None or self.start is not None or self.stop is not None:
             raise click.UsageError("--sensor, --from and --to choose samples, which a rest table has not")
         return read_rest_table(trace)
+
+
+def show_notes(notes: Iterable[str], quiet: bool) -> None:
+    """Print on standard error what was recognised, assumed or tolerated while reading, a line each."""
+    for note in () if quiet else notes:
+        click.echo(f"stillcal: {note}", err=True)
 
 
 def reading_options(what: str = "TRACE") -> Callable[[Command], Command]:

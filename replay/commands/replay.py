@@ -35,7 +35,7 @@ from stillcal.replay.commands.outputs import (
     refuse_collisions,
     store_files,
 )
-from stillcal.replay.commands.reading import Reading, reading_options
+from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.sources import STANDARD_INPUT_NAME
 from stillcal.replay.formats.trace import Chunk, Trace
@@ -162,6 +162,7 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
             suits.see(chunk.accelerometer)
             write(chunk)
             step(opened.bytes_read)
+    show_notes(opened.notes, quiet)
     for warning in suits.warnings():
         click.echo(f"stillcal: {trace}: {warning}", err=True)
     if not quiet:
@@ -232,9 +233,7 @@ def _replayed(
 ) -> Outcome:
     with progress(opened.path.name, opened.size_bytes, quiet) as step:
         outcome = replay(opened.chunks(), engine, keep, lambda: step(opened.bytes_read))
-    if not quiet:
-        for note in opened.notes:
-            click.echo(f"stillcal: {note}", err=True)
+    show_notes(opened.notes, quiet)
     return outcome
 
 

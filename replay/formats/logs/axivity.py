@@ -10,6 +10,7 @@ from __future__ import annotations
 import calendar
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.tables.numbers import NumberTable
 
 _HEADER_BYTES, _BLOCK_BYTES = 1024, 512
-_BLOCKS_AT_A_TIME = 2048
+_BLOCKS_AT_A_TIME, _BLOCKS_READ = 2048, 128
 _MOST_BYTES = 2 << 30
 """An AX6 has 1 GiB of memory, an AX3 0.5."""
 
@@ -89,7 +90,7 @@ def open_axivity(source: Source) -> Log:
             source.path, "no block of this CWA file shows gravity", "copy it from the logger again"
         )
     index = _index(blocks, np.flatnonzero(usable & ~exchanged))
-    first = blocks[index.numbers[0]]
+    first = blocks[index.numbers[:1]]
     table = _table(source.path, stored, blocks, index)
     column_map = ColumnMap(
         time=TimeMap(column="t"),
@@ -223,12 +224,12 @@ def _index(blocks: NDArray[np.void], numbers: NDArray[np.intp]) -> _Index:
     return _Index(numbers.astype(np.int64), first, at, t, stretch, rate)
 
 
-def _times(index: _Index, block: int, count: int) -> Array:
-    """Return the times of a block's samples, (count,) s, by the known ones of its stretch around it."""
-    near = slice(max(0, block - 1), block + 2)
-    same = index.stretch[near] == index.stretch[block]
+def _times(index: _Index, blocks: range, counts: NDArray[np.int64]) -> Array:
+    """Return the times, s, of all samples of blocks of one stretch, by the known ones in it and beside it."""
+    near = slice(max(0, blocks.start - 1), blocks.stop + 1)
+    same = index.stretch[near] == index.stretch[blocks.start]
     at, t = index.at[near][same], index.t[near][same]
-    wanted = index.first[block] + np.arange(count)
+    wanted = index.first[blocks.start] + np.arange(int(counts.sum()))
     slopes = np.diff(t) / np.diff(at) if len(t) > 1 else np.array([1.0 / index.rate_hz])
     times: Array = np.interp(wanted, at, t)
     before, after = wanted < at[0], wanted > at[-1]
@@ -239,60 +240,62 @@ def _times(index: _Index, block: int, count: int) -> Array:
 
 def _table(path: Path, stored: Source, blocks: NDArray[np.void], index: _Index) -> NumberTable:
     names = ["t", "temperature", "ax", "ay", "az", "gx", "gy", "gz"]
+    bounds = [0, *(np.flatnonzero(np.diff(index.stretch)) + 1).tolist(), len(index.numbers)]
 
     def rows(places: Sequence[int]) -> Iterator[tuple[Array, float]]:
         last = -np.inf
-        for begin in range(0, len(index.numbers), _BLOCKS_AT_A_TIME // 16):
-            parts = []
-            for i in range(begin, min(begin + _BLOCKS_AT_A_TIME // 16, len(index.numbers))):
-                part = _decoded(
-                    blocks[index.numbers[i]], _times(index, i, int(blocks["count"][index.numbers[i]]))
-                )
-                parts.append(part)
-            values = np.concatenate(parts)
-            # After a pause the first stretch's end, extrapolated, may reach over the second one's beginning.
-            values[:, 0] = np.maximum(np.maximum.accumulate(values[:, 0]), last)
-            last = float(values[-1, 0])
-            yield values[:, list(places)], (i + 1) / len(index.numbers)
+        for start, stop in pairwise(bounds):
+            for begin in range(start, stop, _BLOCKS_READ):
+                chosen = range(begin, min(begin + _BLOCKS_READ, stop))
+                part = blocks[index.numbers[chosen.start : chosen.stop]]
+                values = _decoded(part)
+                values[:, 0] = _times(index, chosen, part["count"].astype(np.int64))
+                # After a pause the first stretch, extrapolated, may reach over the second's beginning.
+                values[:, 0] = np.maximum(np.maximum.accumulate(values[:, 0]), last)
+                last = float(values[-1, 0])
+                yield values[:, list(places)], chosen.stop / len(index.numbers)
 
     return NumberTable(path, names, rows, stored.size)
 
 
-def _decoded(block: np.void, t: Array) -> Array:
-    """Return a block's samples, (n, 8): t s, temperature degC, acceleration g, rate deg/s or zero."""
-    count, axes, packing = int(block["count"]), int(block["axes"]) >> 4, int(block["axes"]) & 0x0F
-    values = np.zeros((count, 8))
-    values[:, 0] = t
+def _decoded(blocks: NDArray[np.void]) -> Array:
+    """Return the samples of blocks, (n, 8): 0 for t, temperature degC, acceleration g, rate deg/s or 0."""
+    axes, packing = int(blocks["axes"][0]) >> 4, int(blocks["axes"][0]) & 0x0F
+    counts = blocks["count"].astype(np.int64)
+    values = np.zeros((int(counts.sum()), 8))
     # 75/256 degC a count from -50 degC: the MCP9700's 10 mV/K and 0.5 V, by a 10-bit converter (cwa.h).
-    values[:, 1] = (int(block["temperature"]) & 0x3FF) * 75.0 / 256.0 - 50.0
+    values[:, 1] = np.repeat((blocks["temperature"] & 0x3FF) * 75.0 / 256.0 - 50.0, counts)
+    data = np.ascontiguousarray(blocks["data"])
     if packing == 0:
-        words = np.frombuffer(block["data"].tobytes(), dtype="<u4", count=count)
+        words = data.view("<u4")
+        words = words[np.arange(words.shape[1]) < counts[:, None]]
         exponent = (words >> 30).astype(np.int64)
         for axis in range(3):
             bits = ((words >> (10 * axis)) & 0x3FF).astype(np.int64)
             values[:, 2 + axis] = (np.where(bits > 511, bits - 1024, bits) << exponent) / 256.0
         return values
-    counts = np.frombuffer(block["data"].tobytes(), dtype="<i2", count=count * axes).reshape(count, axes)
-    force_lsb, rate_lsb = _lsb(block)
+    cells = data.view("<i2")
+    cells = cells[:, : cells.shape[1] // axes * axes].reshape(len(blocks), -1, axes)
+    cells = cells[np.arange(cells.shape[1]) < counts[:, None]]
+    force_lsb, rate_lsb = (np.repeat(lsb, counts)[:, None] for lsb in _lsb(blocks))
     force = 0 if axes == 3 else 3
-    values[:, 2:5] = counts[:, force : force + 3] * force_lsb
+    values[:, 2:5] = cells[:, force : force + 3] * force_lsb
     if axes > 3:
-        values[:, 5:8] = counts[:, :3] * rate_lsb
+        values[:, 5:8] = cells[:, :3] * rate_lsb
     return values
 
 
-def _lsb(block: np.void) -> tuple[float, float]:
-    """Return the values of one count: g, and deg/s (range 8000/2^n over 2^15 counts)."""
-    light = int(block["light"])
+def _lsb(blocks: NDArray[np.void]) -> tuple[Array, Array]:
+    """Return the values of one count in each block, (n,): g, and deg/s (range 8000/2^n over 2^15 counts)."""
+    light = blocks["light"].astype(np.int64)
     return 1.0 / (1 << (8 + (light >> 13))), 8000.0 / (1 << ((light >> 10) & 7)) / 32768.0
 
 
-def _claims(block: np.void) -> Claims:
-    """Return what the settings in a block say of the sensors."""
-    rate = int(block["rate"])
-    force_lsb, rate_lsb = _lsb(block)
-    gyroscope = int(block["axes"]) >> 4 >= 6
-    packed = int(block["axes"]) & 0x0F == 0
+def _claims(first: NDArray[np.void]) -> Claims:
+    """Return what the settings in the first block, (1,), say of the sensors."""
+    rate, axes = int(first["rate"][0]), int(first["axes"][0])
+    force_lsb, rate_lsb = (float(lsb[0]) for lsb in _lsb(first))
+    gyroscope, packed = axes >> 4 >= 6, axes & 0x0F == 0
     return Claims(
         nominal_rate_hz=3200.0 / (1 << (15 - (rate & 0x0F))),
         accel_range=(16 >> (rate >> 6)) * STANDARD_GRAVITY,
