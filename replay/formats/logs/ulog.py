@@ -7,6 +7,8 @@ units, body axes forward, right, down. Sensors that PX4 has not corrected come f
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +39,8 @@ def open_ulog(source: Source) -> Log:
     pyulog = library("pyulog", "ulog", source.path, "PX4 ULog")
     stored = unpacked_copy(source)
     try:
-        ulog = pyulog.ULog(str(stored.local), _TOPICS, disable_str_exceptions=True)
+        with redirect_stdout(StringIO()):  # the library prints what is damaged; a note says it
+            ulog = pyulog.ULog(str(stored.local), _TOPICS, disable_str_exceptions=True)
     except Exception as error:  # the library raises whatever its parsing meets
         what = f"the ULog is damaged ({type(error).__name__}: {error})"
         raise TraceError(source.path, what, "copy it from the vehicle again") from None

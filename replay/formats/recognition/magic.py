@@ -40,6 +40,9 @@ _FOREIGN = {
     b"\x7fELF": "a program",
     b"#ROSBAG": "a ROS bag older than version 2.0",
     b"H Product:Blackbox": "a Betaflight blackbox log",
+    b"{": "JSON",
+    b"[": "JSON",
+    b"<": "HTML or XML",
 }
 """What people give by mistake, or what is not read yet, with the name to call it by."""
 
@@ -57,7 +60,7 @@ def kind_of(source: Source) -> str:
             remedy = (
                 "unpack it and give what is in it"
                 if any(word in name for word in _PACKED)
-                else "give a recording of samples"
+                else "export the recording as CSV"
             )
             raise TraceError(source.path, f"is {name}, not a recording that can be read", remedy)
     if b"\0" in head:

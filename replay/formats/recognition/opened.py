@@ -111,7 +111,8 @@ def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | Non
     if not found:
         what = f"holds no recording that is known ({names or 'it is empty'})"
         raise TraceError(path, what, "give an export of phyphox or Sensor Logger, or name a file in it")
-    raise TraceError(path, f"holds {len(found)} recordings: {names}", "unpack it and give one of them")
+    remedy = "give one of them" if path.is_dir() else "unpack it and give one of them"
+    raise TraceError(path, f"holds {len(found)} recordings: {names}", remedy)
 
 
 def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -> Log:

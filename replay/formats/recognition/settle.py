@@ -142,12 +142,21 @@ def _time(table: Table, probe: _Probe, candidate: _Candidate, rate_hz: float | N
     """Return where the stamps come from, and how to say it. Raises TraceError where there are none."""
     stamps = find_stamps(table.names or [])
     stamps.sort(key=lambda s: s.label not in ("", candidate.accelerometer.label))
+    no_numbers = None
     for choice in stamps:
-        unit = _time_unit(choice, probe.column(choice.column))
+        try:
+            values = probe.column(choice.column)
+        except TraceError as error:
+            no_numbers = error
+            continue
+        unit = _time_unit(choice, values)
         if unit is not None:
             return TimeMap(column=choice.column, unit=unit), f"time {choice.column} in {unit}"
     if rate_hz is not None:
         return TimeMap(rate_hz=rate_hz), f"no time stamps, {rate_hz:.6g} Hz as the file states"
+    if no_numbers is not None:
+        remedy = "give the time as a number of s, ms, us or ns"
+        raise TraceError(table.path, no_numbers.what, remedy, no_numbers.row)
     what = "no column of time stamps found"
     raise TraceError(table.path, what, "name one t (s), or give rate_hz in a column map (docs/formats.md)")
 

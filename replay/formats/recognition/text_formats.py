@@ -24,7 +24,11 @@ REST, UNKNOWN = "rest", ""
 
 _HHAR_NAMES = ["Arrival_Time", "Creation_Time", "x", "y", "z"]
 _SENSOR_LOGGER_NAMES = {"time", "seconds_elapsed", "x", "y", "z"}
-_ONLY_RESTS_HAVE = {"duration", "n", "sax", "say", "saz"}
+_RESTS_HAVE = {"ax", "ay", "az", "gx", "gy", "gz", "temperature"}
+_ONLY_RESTS_HAVE = {"duration", "sax", "say", "saz"}
+_TURNED = 1.0
+"""m/s^2: by so much the means of two rests differ, at the median; samples of one recording differ by less."""
+
 _G_UNTIL = 2.5
 """Median size of acceleration below which it is in g: Sensor Logger on iOS, its default."""
 
@@ -59,7 +63,7 @@ def _with_header(lines: list[str], path: Path, *, whole: bool) -> TextFormat:
         return TextFormat("hhar", hhar if first is None else msgspec.structs.replace(hhar, skip_lines=1))
     if names[:1] == ["time"] and set(names) >= _SENSOR_LOGGER_NAMES:
         return _sensor_logger(names, lines[1:])
-    if {"ax", "ay", "az"} <= set(names) and (set(names) & _ONLY_RESTS_HAVE or (whole and "t" not in names)):
+    if _is_rest_table(names, [_split(line, delimiter) for line in lines[1:]], whole=whole):
         return TextFormat(REST, load_map("csv"))
     for name in sorted(builtin_formats(), key=lambda n: n != "csv"):
         column_map = load_map(name)
@@ -67,6 +71,26 @@ def _with_header(lines: list[str], path: Path, *, whole: bool) -> TextFormat:
         if fits and not name.startswith("sensorlogger"):
             return TextFormat(name, _cut_as(column_map, delimiter))
     return TextFormat(UNKNOWN, _cut_as(load_map("csv"), delimiter))
+
+
+def _is_rest_table(names: list[str], rows: list[list[str]], *, whole: bool) -> bool:
+    """Whether a table has columns that only rest tables have, or a new attitude in each of its rows.
+
+    whole: whether these are all rows. Without a count of samples, a column of time is a recording's.
+    """
+    if not {"ax", "ay", "az"} <= set(names):
+        return False
+    if set(names) & _ONLY_RESTS_HAVE:
+        return True
+    may_have = _RESTS_HAVE | ({"n", "t"} if "n" in names else set())
+    if not whole or not set(names) <= may_have:
+        return False
+    places = [names.index(axis) for axis in ("ax", "ay", "az")]
+    cells = [[row[p] for p in places] for row in rows if len(row) == len(names)]
+    if not all(map(_numbers_in, cells)):
+        return False
+    steps = np.linalg.norm(np.diff(np.array(cells, dtype=np.float64).reshape(-1, 3), axis=0), axis=1)
+    return steps.size == 0 or float(np.median(steps)) > _TURNED
 
 
 def _needed(column_map: ColumnMap) -> list[str | int]:

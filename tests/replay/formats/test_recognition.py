@@ -17,6 +17,7 @@ import pytest
 
 import stillcal
 from stillcal.replay.formats import sources
+from stillcal.replay.formats.recognition.opened import is_rest_table
 from stillcal.replay.formats.trace import TraceError, open_trace, read_all
 
 DEGREES = 180 / np.pi
@@ -320,3 +321,36 @@ def test_a_data_frame_of_other_columns_is_read_by_their_names() -> None:
     assert "in g (by the size of gravity)" in recording.notes[0]
     with pytest.raises(stillcal.UserError, match="no column 't'"):
         stillcal.load(frame[["label"]])
+
+
+def test_a_rest_table_is_told_from_a_recording_without_time(tmp_path: Path) -> None:
+    turned = "\n".join(f"{9.8 * np.cos(i)},{9.8 * np.sin(i)},0.1" for i in range(20))
+    path = tmp_path / "table.csv"
+    for header, lines, rests in (
+        ("ax,ay,az", turned, True),
+        ("ax,ay,az", "\n".join(["0.1,0.2,9.8"] * 20), False),
+        ("date,ax,ay,az", "\n".join(f"{i},{row}" for i, row in enumerate(turned.split("\n"))), False),
+        ("t,ax,ay,az", "\n".join(f"{i},{row}" for i, row in enumerate(turned.split("\n"))), False),
+        ("n,t,ax,ay,az", "\n".join(f"100,{i},{row}" for i, row in enumerate(turned.split("\n"))), True),
+        ("n,t,ax,ay,az", "\n".join(f"{i},{i / 100},0.1,0.2,9.8" for i in range(20)), False),
+        ("duration,ax,ay,az", "\n".join(["10,0.1,0.2,9.8"] * 20), True),
+    ):
+        path.write_text(f"{header}\n{lines}\n")
+        assert is_rest_table(path) == rests, header
+
+
+def test_dates_in_place_of_seconds_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    lines = [f"2026-03-01 10:00:{i:02},0.1,0.2,9.8" for i in range(60)]
+    path.write_text("\n".join(["time,ax,ay,az", *lines]))
+    with pytest.raises(
+        TraceError, match=r"r.csv:2: column 'time' holds '2026-03-01 10:00:00'.*a number of s"
+    ):
+        read_all(path)
+
+
+@pytest.mark.parametrize(("text", "kind"), [('[{"x": 1}]', "JSON"), ("<html>", "HTML or XML")])
+def test_other_texts_are_named(tmp_path: Path, text: str, kind: str) -> None:
+    (tmp_path / "r.txt").write_text(text)
+    with pytest.raises(TraceError, match=f"is {kind}, not a recording"):
+        read_all(tmp_path / "r.txt")
