@@ -83,7 +83,8 @@ class _Asked(NamedTuple):
     "--fix-for",
     type=(click.Choice(list(FIXERS)), _path),
     metavar="TOOL FILE",
-    help="Correct the simulation's configuration FILE by what was found; FILE.bak keeps the old one."
+    help="Correct FILE, the configuration of --simulated or --phone, by what was found; FILE.bak keeps the old"
+    " one."
     f" TOOL: {', '.join(FIXERS)}.",
 )
 @reading_options()
@@ -154,6 +155,10 @@ def _check(asked: _Asked) -> None:
         )
     if asked.simulated is not None and (asked.phone is not None or phone_out is not None):
         raise click.UsageError("give --simulated, or --phone and --phone-out: each is another simulation")
+    if asked.fix_for is not None and asked.simulated is None and asked.phone is None:
+        raise click.UsageError(
+            "--fix-for corrects the simulation that is judged: give it as --simulated SIM or --phone PHONE"
+        )
     if asked.simulated_format is not None and asked.simulated is None:
         raise click.UsageError("--simulated-format goes with --simulated")
     reads = [*recording_files(asked.trace), *files(asked.reading.gyro)]

@@ -43,7 +43,8 @@ def test_what_cannot_be_held_is_said_and_leaves_the_file_alone(
 def test_a_file_of_another_kind_is_refused_before_anything_is_diagnosed(tmp_path: Path) -> None:
     path = tmp_path / "model.sdf"
     path.write_text("<sdf/>")
-    result = CliRunner().invoke(cli, ["diagnose", "sample:lab", "--fix-for", "gazebo", str(path)])
+    words = ["diagnose", "sample:lab", "--phone", "typical", "--fix-for", "gazebo", str(path)]
+    result = CliRunner().invoke(cli, words)
     assert str(result.exception) == f"{path}: holds 0 <imu> elements: expected one"
     assert path.read_text() == "<sdf/>"
 
@@ -51,6 +52,17 @@ def test_a_file_of_another_kind_is_refused_before_anything_is_diagnosed(tmp_path
 def test_the_recording_itself_is_never_corrected(tmp_path: Path) -> None:
     trace = tmp_path / "real.csv"
     trace.write_text("t,ax,ay,az\n0,0,0,9.8\n")
-    result = CliRunner().invoke(cli, ["diagnose", str(trace), "--fix-for", "phone", str(trace)])
+    words = ["diagnose", str(trace), "--phone", "typical", "--fix-for", "phone", str(trace)]
+    result = CliRunner().invoke(cli, words)
     assert result.exit_code == 2
     assert "is read by this command" in result.output
+
+
+def test_without_a_simulation_there_is_nothing_to_correct(tmp_path: Path) -> None:
+    """What the recording has beside an ideal sensor must not be added to a file that may have it already."""
+    result = CliRunner().invoke(
+        cli, ["diagnose", "sample:lab", "--fix-for", "phone", str(tmp_path / "p.toml")]
+    )
+    assert result.exit_code == 2
+    assert "give it as --simulated SIM or --phone PHONE" in result.output
+    assert not (tmp_path / "p.toml").exists()
