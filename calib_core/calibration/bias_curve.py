@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.acceptance import flipped_share
@@ -25,7 +26,7 @@ from stillcal.calib_core.calibration.record import (
 from stillcal.calib_core.calibration.terms import POWER_NAMES, force_terms, polynomial
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.calib_core.temperature.forecast import Forecast, thermometer_step
+from stillcal.calib_core.temperature.forecast import Forecast, plausible, thermometer_step
 from stillcal.calib_core.temperature.memory import Memory
 from stillcal.calib_core.temperature.regression import (
     ACCELEROMETER,
@@ -43,11 +44,18 @@ LEAST_SPAN_K = 2.0
 """Fewer rests, or a smaller span of their temperatures, are not learnt from."""
 
 BLOCK_S = 3600.0
-NEWEST_BLOCKS = 12
-"""Hours with rests that decide whether a curve is dropped."""
+NEWEST_HOURS = 12
+"""Newest hours with rests that must support a curve for it to be taken up, and that decide whether it is
+dropped."""
+
+MATTERS = 1.2
+"""A curve is dropped only where it makes the errors larger by this: at one temperature it makes none."""
+
+_BAD = 3.0
+"""A rest that misses its prediction by more usual errors than these counts as one that misses by these."""
 
 _STRICTER = 0.1
-"""Of the chance at which a calibration is accepted: the curve is judged anew at every check."""
+"""Of the chance at which a calibration is accepted: whether to take a curve up is judged at every check."""
 
 EFFECTS = {
     Sensor.ACCELEROMETER: ("accel_bias_temperature", "m/s^2"),
@@ -88,8 +96,8 @@ class Learnt:
         figures, unit = self.evidence, EFFECTS[self.sensor][1]
         return (
             f"{self.sensor}: bias by temperature {self.change}: over {figures['hours']} hours, rests "
-            f"are predicted with rms {figures['rms_with']:.2g} {unit} with it, "
-            f"{figures['rms_without']:.2g} without"
+            f"are typically predicted to {figures['typical_with']:.2g} {unit} with it, "
+            f"to {figures['typical_without']:.2g} without"
         )
 
 
@@ -157,6 +165,7 @@ def _learn(
 
     middle: (3,) the bias that the observations count from.
     """
+    seen = replace(seen, celsius=plausible(seen.celsius))
     before = None if record is None else record.forecast.get(str(sensor))
     term = None if record is None else held_term(record.terms, sensor)
     known = seen.celsius[np.isfinite(seen.celsius)]
@@ -165,11 +174,13 @@ def _learn(
         reference = term.reference["temperature"]
     model = Model(PRIORS[sensor], reference, with_curve=False)
     start = None if before is None else before.wander
+    if not np.isfinite(seen.celsius[-1]):
+        return _without_temperature(sensor, seen, model, middle=middle, term=term, t=t, start=start)
     if known.size <= seen.celsius.size / 2 or np.ptp(known) < LEAST_SPAN_K:
         return _without_evidence(sensor, seen, model, middle=middle, term=term, t=t, start=start)
     without = learn(seen, model, t, start)
-    curved = learn(seen, replace(model, with_curve=True), t, start)
-    change, evidence = _change(curved, without, seen.t, term is not None, settings)
+    curved = learn(_wider(seen, term), replace(model, with_curve=True), t, start)
+    change, evidence = _change(curved, without, seen, term is not None, settings)
     applied = change == TAKEN_UP or (term is not None and change != DROPPED)
     forecast = _forecast(curved if applied else without, curved, seen.celsius, t)
     held = _term(sensor, forecast) if applied else None
@@ -183,6 +194,34 @@ def _learn(
         change=change,
         evidence=evidence,
     )
+
+
+def _wider(seen: Observations, term: Term | None) -> Observations:
+    """Return observations whose rests of unknown temperature are as uncertain as the term held is large."""
+    missing = ~np.isfinite(seen.celsius)
+    if term is None or not missing.any():
+        return seen
+    rise = float(np.ptp(polynomial(term, seen.celsius[~missing]), axis=0).max())
+    return replace(seen, sd=np.where(missing, np.hypot(seen.sd, 0.5 * rise), seen.sd))
+
+
+def _without_temperature(
+    sensor: Sensor,
+    seen: Observations,
+    model: Model,
+    *,
+    middle: Array,
+    term: Term | None,
+    t: float,
+    start: Wander | None,
+) -> Learnt:
+    """Return the bias where the newest rest's temperature is unknown: as it is now, whatever that may be.
+
+    A term that is held stays, and is not applied while the temperature is unknown.
+    """
+    fit = learn(seen, model, t, start)
+    forecast = _forecast(fit, fit, seen.celsius, t)
+    return _learnt(sensor, fit, t=seen.t, middle=middle, forecast=forecast, term=term, change="", evidence={})
 
 
 def _without_evidence(
@@ -206,31 +245,42 @@ def _without_evidence(
 
 
 def _change(
-    curved: Fit, without: Fit, t: Array, held: bool, settings: QualitySettings
+    curved: Fit, without: Fit, seen: Observations, held: bool, settings: QualitySettings
 ) -> tuple[str, Evidence]:
     """Return whether the curve is to be taken up or dropped, or nothing, and the figures.
 
-    t: (n,) s, times of the rests. held: whether a curve is in use.
+    held: whether a curve is in use. Whether one is taken up is judged by the score of a Cauchy distribution
+    of the rests' own scatter, so that one bad rest weighs little. Whether one is dropped is judged by squared
+    errors, because a curve that often fails badly may be the better one in all other hours.
     """
-    used = np.ones(len(t), dtype=bool)
-    used[[0, *curved.doubted, *without.doubted]] = False
-    errors = [(fit.errors**2).mean(axis=1)[used] for fit in (without, curved)]
-    gains = (errors[0] - errors[1]) * curved.errors.shape[1] / (2 * curved.errors_sd[used] ** 2)
-    _, block = np.unique(np.floor(t[used] / BLOCK_S), return_inverse=True)
-    by_block: Array = np.bincount(block, gains).astype(np.float64) if gains.size else np.zeros(0)
-    n, limit = by_block.size, settings.chance * _STRICTER
-    evidence: Evidence = {"hours": n, "gain": float(by_block.sum())}
+    own = seen.sd[1:, None] ** 2 + curved.wander.white**2
+    errors = [fit.errors[1:] ** 2 for fit in (without, curved)]
+    gains = np.log((errors[0] + own) / (errors[1] + own)).sum(axis=1)
+    _, block = np.unique(np.floor(seen.t[1:] / BLOCK_S), return_inverse=True)
+    by_hour = _by_hour(block, gains)
+    evidence: Evidence = {"hours": by_hour.size, "gain": float(by_hour.sum())}
     evidence |= {
-        f"rms_{name}": float(np.sqrt(e.mean())) if e.size else None
+        f"typical_{name}": float(np.sqrt(np.median(e))) if e.size else None
         for name, e in zip(("without", "with"), errors, strict=True)
     }
-    if n < settings.held_out_rests:
+    if by_hour.size < settings.held_out_rests:
         return "", evidence
     if held:
-        worse = flipped_share(-by_block[-NEWEST_BLOCKS:])
-        return (DROPPED if worse <= limit else ""), evidence | {"chance": worse}
-    better = flipped_share(by_block)
-    return (TAKEN_UP if better <= limit else ""), evidence | {"chance": better}
+        newest = block >= by_hour.size - NEWEST_HOURS
+        without_curve, with_curve = (e[newest].sum(axis=1) for e in errors)
+        most = _BAD**2 * without_curve.mean()
+        lost = np.minimum(with_curve, most) - np.minimum(without_curve, most)
+        worse = flipped_share(_by_hour(block[newest], lost)[-NEWEST_HOURS:])
+        matters = with_curve.mean() > MATTERS**2 * without_curve.mean()
+        return (DROPPED if worse <= settings.chance and matters else ""), evidence | {"chance": worse}
+    better, lately = flipped_share(by_hour), flipped_share(by_hour[-NEWEST_HOURS:])
+    taken_up = better <= settings.chance * _STRICTER and lately <= settings.chance
+    return (TAKEN_UP if taken_up else ""), evidence | {"chance": better}
+
+
+def _by_hour(block: NDArray[np.intp], values: Array) -> Array:
+    """Return the sums of values (n,) of the same block (n,)."""
+    return np.bincount(block, values).astype(np.float64) if values.size else np.zeros(0)
 
 
 def _learnt(

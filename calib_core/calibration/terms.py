@@ -23,6 +23,7 @@ from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.forecast import PLAUSIBLE_K
 
 _KINDS: dict[str, tuple[Sensor, str, tuple[int, ...]]] = {
     "accel_bias_temperature": (Sensor.ACCELEROMETER, "slope", (3,)),
@@ -111,12 +112,14 @@ def polynomial(term: Term, temperature: Array) -> Array:
     """Return a temperature term's bias at temperatures (n,), degC: (n, 3); zero where they are unknown.
 
     A term that knows the span of temperatures that it was learnt at is followed beyond them by a quarter of
-    the span and 1 K at most; there it stays as it is. A thermometer that lies far off does little harm so.
+    the span and 1 K at most; there it stays as it is. Beyond the span by more than the span and 10 K the
+    thermometer is doubted, and the temperature taken for unknown (forecast.plausible).
     """
     low, high = (term.reference.get(f"temperature_{end}") for end in ("min", "max"))
     if low is not None and high is not None:
-        beyond = _BEYOND * (high - low) + _BEYOND_K
-        temperature = np.clip(temperature, low - beyond, high + beyond)
+        beyond, reach = _BEYOND * (high - low) + _BEYOND_K, high - low + PLAUSIBLE_K
+        doubted = (temperature < low - reach) | (temperature > high + reach)
+        temperature = np.where(doubted, np.nan, np.clip(temperature, low - beyond, high + beyond))
     warmer = np.nan_to_num(temperature - term.reference["temperature"])
     total = np.zeros((len(warmer), 3))
     for power, name in enumerate(POWER_NAMES, start=1):

@@ -29,7 +29,12 @@ from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.engine.actions import Action, Diagnose, Level, Log, Publish, Reject
-from stillcal.calib_core.engine.schedule import CalibrationStatus, Occasion, calibration_due
+from stillcal.calib_core.engine.schedule import (
+    CalibrationStatus,
+    Occasion,
+    calibration_due,
+    wandered_by,
+)
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState, Refusal, Trouble
 from stillcal.calib_core.errors import NotSupported
@@ -217,6 +222,7 @@ class CalibrationPolicy:
         else:
             state.trouble = None
         self._follow(t)
+        state.early_check = wandered_by(state, t, self._settings.schedule)
 
     def notice_change(self, t: float) -> None:
         """Check at t (s) before a check is due where the rests since the last one already show a change."""

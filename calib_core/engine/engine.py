@@ -28,6 +28,7 @@ from stillcal.calib_core.engine.intake import Intake
 from stillcal.calib_core.engine.schedule import (
     Need,
     Occasion,
+    early_check_due,
     first_of_use,
     next_on_grid,
     resumed,
@@ -284,7 +285,11 @@ class Engine:
         self._plan(t)
 
     def _do_review(self, t: float) -> None:
-        if self._state.check_due:
+        state = self._state
+        if state.early_check is not None and t >= state.early_check:
+            state.check_due = state.check_due or early_check_due(state, t, self.settings.energy)
+            state.early_check = None
+        if state.check_due:
             self._policy.check(t)
         else:
             self._policy.notice_change(t)

@@ -11,9 +11,13 @@ from enum import StrEnum
 
 import numpy as np
 
+from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.settings import ScheduleSettings, Watch
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.streams.samples import Sensor
+
+_LEAST_EARLY_S = 600.0
+"""s: two checks are at least so far apart."""
 
 _LONGEST_GAP_S = 86400.0
 """A day: through longer gaps deadlines are left out, so that years between two stamps cost no time."""
@@ -117,12 +121,35 @@ def first_of_use(state: EngineState, t: float, step: float, settings: ScheduleSe
     """
     if not state.calibrated or state.check_due or state.tried is None or state.next_check is None:
         return t
-    until = state.next_check
+    until = state.next_check if state.early_check is None else min(state.next_check, state.early_check)
     if state.charging is not False:
         until = min(until, state.tried + least_wait(state.degraded, settings))
     while t < until:
         t += step
     return t
+
+
+def wandered_by(state: EngineState, t: float, settings: ScheduleSettings) -> float | None:
+    """Return when (s) a bias measured at t (s) is expected to have wandered by more than is wanted.
+
+    By this phone's own wander (forecast). None where that is not before the next check, which comes anyway.
+    """
+    if state.record is None or state.next_check is None:
+        return None
+    wanted = {Sensor.ACCELEROMETER: settings.wanted_force, Sensor.GYROSCOPE: settings.wanted_rate}
+    ages = np.arange(_LEAST_EARLY_S, state.next_check - t, _LEAST_EARLY_S)
+    for age in ages.tolist():
+        for sensor, limit in wanted.items():
+            forecast = state.record.forecast.get(str(sensor))
+            if forecast is not None and forecast.wander.growth(age) > limit**2:
+                return float(t + age)
+    return None
+
+
+def early_check_due(state: EngineState, t: float, energy: EnergySettings) -> bool:
+    """Tell whether a check is due at t (s) before its hour, and half of the budget is there to spend."""
+    saved = 0.0 if state.allowance is None else state.allowance.saved
+    return state.early_check is not None and t >= state.early_check and saved >= energy.burst_s / 2
 
 
 def review_soon(state: EngineState, t: float, settings: ScheduleSettings) -> None:

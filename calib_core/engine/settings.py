@@ -40,7 +40,9 @@ class ScheduleSettings:
     gathering pauses (s in Algorithm 1). gravity: local g in m/s^2 if it is known, else None.
     gyro_patience_s: how far the gyroscope's stream may lag behind the accelerometer's.
     diagnose_after_checks: how many checks in a row may fail after a new calibration before a diagnosis is
-    asked for. learn_temperature: whether biases are learnt by temperature and time.
+    asked for. learn_temperature: whether biases are learnt by temperature and time. wanted_force,
+    wanted_rate: m/s^2 and rad/s; where a bias is expected to wander by more (1 sd) before the next check is
+    due, it is checked earlier, as far as half of the duty-cycle budget is saved up.
     """
 
     watch: Literal["auto", "continuous", "probing"] = "auto"
@@ -52,6 +54,8 @@ class ScheduleSettings:
     gyro_patience_s: float = 5.0
     diagnose_after_checks: int = 3
     learn_temperature: bool = True
+    wanted_force: float = 1e-3
+    wanted_rate: float = 5e-5
 
     def __post_init__(self) -> None:
         for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s"):
@@ -67,6 +71,9 @@ class ScheduleSettings:
             raise ValueError(f"watch = {self.watch!r}: must be auto, continuous or probing")
         if self.attitudes_wanted < 6:
             raise ValueError(f"attitudes_wanted = {self.attitudes_wanted}: must be 6 or more")
+        for name in ("wanted_force", "wanted_rate"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be positive")
         if self.diagnose_after_checks < 1:
             raise ValueError(f"diagnose_after_checks = {self.diagnose_after_checks}: must be 1 or more")
 

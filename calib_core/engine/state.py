@@ -83,9 +83,10 @@ class EngineState:
 
     waiting: samples that the detector has not seen yet. events: events whose time has not come. latest: the
     newest stamp of each stream. began: stamp of the first sample. heard: the clock's last tick. next_check,
-    next_review: the coming deadlines. check_due: a check waits for a rest. checked, tried: times of the last
-    check and of the last attempt to fit. allowance: the duty-cycle budget. degraded: the calibration failed
-    its check. moves: recent changes of place. memory: the rests that temperature and wander are learnt from.
+    next_review: the coming deadlines. early_check: when a bias is expected to have wandered too far.
+    check_due: a check waits for a rest. checked, tried: times of the last check and of the last attempt to
+    fit. allowance: the duty-cycle budget. degraded: the calibration failed its check. moves: recent changes
+    of place. memory: the rests that temperature and wander are learnt from.
     attitudes: number of distinct ones in the pool. fresh: rests gathered since the last attempt to fit.
     gyro_tail: gyroscope samples that the next rotation segment may be cut from. sound_until: when a
     calibration that now fails last passed a check. refusal: why the last attempt to fit was refused.
@@ -100,6 +101,7 @@ class EngineState:
     heard: float | None = None
     next_check: float | None = None
     next_review: float | None = None
+    early_check: float | None = None
     check_due: bool = False
     checked: float | None = None
     tried: float | None = None

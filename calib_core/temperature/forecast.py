@@ -72,6 +72,23 @@ class Forecast:
         return total + (basis @ error) ** 2
 
 
+def plausible(celsius: Array) -> Array:
+    """Return temperatures (n,), degC, with NaN for those far beyond nearly all others.
+
+    A thermometer is doubted further from the median than 10 K and four median absolute deviations, until half
+    of the rests have such temperatures. Of temperatures that are spread evenly, four deviations are the span.
+    """
+    known = celsius[np.isfinite(celsius)]
+    if not known.size:
+        return celsius
+    middle = np.median(known)
+    reach = 4.0 * np.median(np.abs(known - middle)) + PLAUSIBLE_K
+    return np.where(np.abs(celsius - middle) <= reach, celsius, np.nan)
+
+
+PLAUSIBLE_K = 10.0
+
+
 def thermometer_step(celsius: Array) -> float:
     """Return the step of a thermometer, K, from the means of rests (n,), degC; 0 where none shows.
 

@@ -72,7 +72,7 @@ def forecast(fit: Fit, at: float) -> Forecast:
 
 
 def test_a_bias_is_predicted_and_its_interval_holds() -> None:
-    """30 sensors an hour after their last rest: 95 % of 90 intervals hold, and without a curve it is far off."""
+    """30 sensors an hour after their last rest: their intervals hold; without a curve it is far off."""
     apart, stated, plain = [], [], []
     for seed in range(30):
         seen, bias = made(np.random.default_rng(seed))

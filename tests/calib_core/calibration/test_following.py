@@ -1,0 +1,235 @@
+"""Temperature learnt in use: taken up on evidence, dropped on evidence, never worse than without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.accelerometer.parameters import names
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.acceptance import CLEARLY, clearly_smaller, stated_uncertainty
+from stillcal.calib_core.calibration.bias_curve import DROPPED, TAKEN_UP, held_term, learn_gyroscope
+from stillcal.calib_core.calibration.drift_check import QualitySettings
+from stillcal.calib_core.calibration.following import follow_accelerometer, with_learnt_gyroscope
+from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
+from stillcal.calib_core.calibration.terms import bias_terms
+from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.temperature.memory import Memory
+
+HOUR, G = 3600.0, 9.80665
+DEG, MG = np.pi / 180, G * 1e-3
+SETTINGS = QualitySettings()
+GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+RATE_SLOPE = 0.02 * DEG * np.array([1.0, -0.6, 0.3])
+FORCE_SLOPE = 0.5 * MG * np.array([0.8, -0.3, 0.5])
+TRUE = SensorModel.of(
+    np.eye(3) + 0.01 * np.array([[1, 0.4, 0], [0.4, -1, 0.2], [0, 0.2, 0.5]]), 30 * MG * np.ones(3)
+)
+
+
+def celsius_at(t: float) -> float:
+    return 25.0 + 8.0 * np.sin(2 * np.pi * t / (7 * HOUR)) + np.sin(t / 1e3)
+
+
+def lived(
+    hours: float,
+    seed: int = 0,
+    slopes: float = 1.0,
+    read: Callable[[float, float], float | None] = lambda t, celsius: celsius,
+    knock: tuple[float, Array] = (np.inf, np.zeros(3)),
+    every_s: float = 1200.0,
+) -> list[RestState]:
+    """Return a rest every 20 minutes, or `every_s`, in attitudes of any direction.
+
+    slopes: how strongly both biases follow the temperature. read: the thermometer, of time (s) and truth.
+    knock: time, s, and step of the accelerometer's bias, m/s^2.
+    """
+    rng, rests = np.random.default_rng(seed), []
+    for t in np.arange(0.0, hours * HOUR, every_s).tolist():
+        celsius = celsius_at(t)
+        up = rng.standard_normal(3)
+        bias = TRUE.bias + slopes * FORCE_SLOPE * (celsius - 25.0) + (t >= knock[0]) * knock[1]
+        force = (
+            np.linalg.solve(TRUE.scale, G * up / np.linalg.norm(up))
+            + bias
+            + 0.03 * MG * rng.standard_normal(3)
+        )
+        rate = 0.5 * DEG + slopes * RATE_SLOPE * (celsius - 25.0) + 5e-4 * DEG * rng.standard_normal(3)
+        sd, rate_sd = frozen(np.full(3, 0.03 * MG)), frozen(np.full(3, 5e-4 * DEG))
+        rests.append(
+            RestState(
+                t,
+                t + 30.0,
+                3000,
+                frozen(force),
+                sd,
+                sd,
+                0.01,
+                temperature=read(t, celsius),
+                rate=frozen(rate),
+                rate_sd=rate_sd,
+                rate_uncertainty=rate_sd,
+            )
+        )
+    return rests
+
+
+def remembered(rests: list[RestState]) -> Memory:
+    memory = Memory()
+    for rest in rests:
+        memory = memory.with_rest(rest, G)
+    return memory
+
+
+def gyroscope_record() -> CalibrationRecord:
+    return CalibrationRecord(gyroscope=GyroscopeRecord(scale=np.eye(3), bias=np.zeros(3), parameters=3))
+
+
+def accelerometer_record(model: SensorModel = TRUE, sd: float = 3 * MG) -> CalibrationRecord:
+    part = AccelerometerRecord(
+        scale=model.scale, bias=model.bias, parameters=9, names=names(9),
+        covariance=np.diag([sd**2] * 3 + [(sd / G) ** 2] * 6),
+        gravity=G, rms_residual=sd, n_rests=12, n_states=12,
+    )  # fmt: skip
+    return CalibrationRecord(accelerometer=part, fitted_at=0.0)
+
+
+def followed_gyroscope(rests: list[RestState]) -> tuple[CalibrationRecord, list[str]]:
+    """Learn at every third rest, as at hourly checks; return the record and the decisions on the curve."""
+    record, memory, changes = gyroscope_record(), Memory(), []
+    for number, rest in enumerate(rests):
+        memory = memory.with_rest(rest, G)
+        if number % 3 == 2 and (learnt := learn_gyroscope(memory, record, rest.t_end, SETTINGS)) is not None:
+            record = with_learnt_gyroscope(record, learnt, rest.t_end)
+            changes += [learnt.change] if learnt.change else []
+    return record, changes
+
+
+def test_a_gyroscopes_curve_is_taken_up_and_told_with_its_reason() -> None:
+    record, changes = followed_gyroscope(lived(20.0))
+    term = held_term(record.terms, GYRO)
+    assert changes == [TAKEN_UP] and term is not None
+    assert term.parameters["slope"].value == pytest.approx(RATE_SLOPE, rel=0.1, abs=1e-3 * DEG)
+    told = record.gyroscope.bias + bias_terms(record, GYRO, np.array([31.0]))[0]
+    assert told == pytest.approx(0.5 * DEG + 6.0 * RATE_SLOPE, abs=5e-3 * DEG)
+
+
+def test_without_tempco_or_without_evidence_nothing_is_taken_up() -> None:
+    for rests in (lived(20.0, slopes=0.0), lived(4.0), lived(20.0, read=lambda t, celsius: 25.0)):
+        record, changes = followed_gyroscope(rests)
+        assert changes == [] and record.terms == ()
+        assert GYRO in record.forecast
+
+
+def test_a_thermometer_that_turns_wild_has_its_curve_dropped() -> None:
+    wild = np.random.default_rng(5)
+
+    def read(t: float, celsius: float) -> float:
+        return celsius if t < 20 * HOUR else celsius + float(wild.choice([-6.0, 6.0]))
+
+    record, changes = followed_gyroscope(lived(40.0, read=read))
+    assert changes == [TAKEN_UP, DROPPED] and record.terms == ()
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda t, celsius: round(celsius),
+        lambda t, celsius: celsius_at(t - 900.0),
+        lambda t, celsius: celsius + (40.0 if t > 20 * HOUR else 0.0),
+        lambda t, celsius: celsius if t < 20 * HOUR else 27.0,
+        lambda t, celsius: celsius if t < 20 * HOUR else None,
+        lambda t, celsius: 20.0 + 7 * np.cos(t / 5e3),
+    ],
+    ids=["1 K steps", "15 minutes late", "lies by 40 K", "freezes", "goes", "of another chip"],
+)
+def test_no_thermometer_makes_it_worse_than_none(read: Callable[[float, float], float | None]) -> None:
+    """Each hour the bias told is compared with the next rest, hours 20 to 30; the bar is without one."""
+
+    def error(rests: list[RestState]) -> float:
+        record, memory, errors = gyroscope_record(), Memory(), []
+        for number, rest in enumerate(rests):
+            if number % 3 == 0 and rest.t_start > 20 * HOUR:
+                at = None if rest.temperature is None else np.array([rest.temperature])
+                told = record.gyroscope.bias + np.ravel(bias_terms(record, GYRO, at))
+                errors.append(np.linalg.norm(rest.rate - told))
+            memory = memory.with_rest(rest, G)
+            if (
+                number % 3 == 2
+                and (learnt := learn_gyroscope(memory, record, rest.t_end, SETTINGS)) is not None
+            ):
+                record = with_learnt_gyroscope(record, learnt, rest.t_end)
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+    none = error(lived(30.0, read=lambda t, celsius: None))
+    assert error(lived(30.0, read=read)) < 1.1 * none
+
+
+def off_by(record: CalibrationRecord, celsius: float) -> float:
+    """Return the error of the accelerometer's bias at a temperature, mg, largest axis."""
+    told = record.accelerometer.bias + np.ravel(bias_terms(record, ACCEL, np.array([celsius])))
+    return float(np.abs(told - TRUE.bias - FORCE_SLOPE * (celsius - 25.0)).max() / MG)
+
+
+def test_an_accelerometers_calibration_follows_temperature_on_evidence() -> None:
+    biased = SensorModel.of(TRUE.scale, TRUE.bias + 2 * MG)
+    record = accelerometer_record(biased)
+    followed = follow_accelerometer(record, remembered(lived(30.0)), 30 * HOUR, SETTINGS)
+    assert followed is not None and followed.accepted
+    new = followed.record
+    assert "better by more than chance" in new.acceptance.reason and TAKEN_UP in new.acceptance.reason
+    assert max(off_by(new, 19.0), off_by(new, 31.0)) < 0.2
+    assert off_by(record, 31.0) > 2.0
+    stated = new.bias_uncertainty_at(ACCEL, 30 * HOUR, 31.0)
+    assert (stated < 0.3 * MG).all()
+
+
+def test_what_is_not_replaced_yet_is_told_as_uncertain() -> None:
+    """Five hours do not decide; the error that is known by then is in the uncertainty told."""
+    record = accelerometer_record(SensorModel.of(TRUE.scale, TRUE.bias + 2 * MG))
+    followed = follow_accelerometer(record, remembered(lived(5.0)), 5 * HOUR, SETTINGS)
+    assert followed is not None and not followed.accepted
+    assert followed.record.accelerometer is record.accelerometer
+    for celsius in (19.0, 25.0, 31.0):
+        stated = followed.record.bias_uncertainty_at(ACCEL, 5 * HOUR, celsius)
+        assert off_by(record, celsius) * MG < 3 * stated.max()
+
+
+def test_a_knock_widens_what_is_told_at_the_next_rest() -> None:
+    rests = lived(31.0, knock=(30.5 * HOUR, np.array([15.0, -12.0, 10.0]) * MG))
+    before, after = remembered(rests[:90]), remembered(rests[:93])
+    stated = []
+    for memory, t in ((before, rests[89].t_end), (after, rests[92].t_end)):
+        followed = follow_accelerometer(
+            replace(accelerometer_record(), fitted_at=t - 60.0), memory, t, SETTINGS
+        )
+        assert followed is not None
+        stated.append(followed.record.bias_uncertainty_at(ACCEL, t, 25.0).max())
+    assert stated[1] > 5 * stated[0]
+
+
+def test_a_chain_of_less_uncertain_calibrations_cannot_creep() -> None:
+    """A hundred days: few calibrations replace each other, and the last is near the truth."""
+    record, memory, accepted = accelerometer_record(), Memory(), 0
+    for rest in lived(100 * 24.0, every_s=7.7 * HOUR):
+        memory = memory.with_rest(rest, G)
+        if rest.t_end % (24 * HOUR) < 8 * HOUR:
+            followed = follow_accelerometer(record, memory, rest.t_end, SETTINGS)
+            if followed is not None:
+                record, accepted = followed.record, accepted + followed.accepted
+    assert 1 <= accepted <= 8
+    assert max(off_by(record, 19.0), off_by(record, 31.0)) < 0.2
+
+
+def test_clearly_smaller_is_half_the_variance_over_all_directions() -> None:
+    old = accelerometer_record(sd=1 * MG).accelerometer
+    for share, expected in ((CLEARLY - 0.01, True), (CLEARLY + 0.01, False)):
+        new = accelerometer_record(sd=share * MG).accelerometer
+        assert clearly_smaller(new, old) is expected
+    assert stated_uncertainty(replace(old, covariance=None, names=())) is None
+    assert clearly_smaller(old, replace(old, covariance=None, names=())) is False
