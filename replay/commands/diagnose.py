@@ -83,9 +83,8 @@ class _Asked(NamedTuple):
     "--fix-for",
     type=(click.Choice(list(FIXERS)), _path),
     metavar="TOOL FILE",
-    help="Correct FILE, the configuration of --simulated or --phone, by what was found; FILE.bak keeps the old"
-    " one."
-    f" TOOL: {', '.join(FIXERS)}.",
+    help="Correct FILE, the configuration of --simulated or --phone, by what was found; FILE.bak keeps the"
+    f" old one. TOOL: {', '.join(FIXERS)}.",
 )
 @reading_options()
 @quiet_option
