@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -66,9 +66,13 @@ def answer_one(
         return _without_findings(name, "failed", error)
 
 
-def given_a_simulation(folder: Path, name: str) -> bool:
-    """Return whether a recording is to be compared with a simulation that lies beside it."""
-    return any((folder / f"{name}{end}").is_file() for end in (SIMULATION, PHONE))
+def answerable(folder: Path, names: Iterable[str], solver: str) -> list[str]:
+    """Return the recordings that a solver can answer: the baselines none that a simulation lies beside."""
+    return [
+        name
+        for name in names
+        if solver == SOLVERS[0] or not any((folder / f"{name}{end}").is_file() for end in (SIMULATION, PHONE))
+    ]
 
 
 def _simulation_judged(folder: Path, name: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillcal.replay.blind_test.answer import SOLVERS, answer_all, given_a_simulation
+from stillcal.replay.blind_test.answer import SOLVERS, answer_all, answerable
 from stillcal.replay.blind_test.keys import Key
 from stillcal.replay.blind_test.make import Manifest, make
 from stillcal.replay.blind_test.marking import GIVEN_A_SIMULATION, Mark
@@ -60,8 +60,7 @@ def prove(
             tick=lambda done, of: tick("making", done, of),
         )
         for solver in SOLVERS:
-            first = solver == SOLVERS[0]
-            names = [n for n in manifest.seals if first or not given_a_simulation(recordings, n)]
+            names = answerable(recordings, manifest.seals, solver)
             show_answers = _progress_of(tick, solver, len(names))
             answer_all(recordings, folder / solver, names, solver, jobs=jobs, tick=show_answers)
         shutil.move(Path(withheld) / "keys", sealed)
@@ -88,10 +87,17 @@ def _answers_without_entry(
 
 
 def judged(keys: dict[str, Key], answers: dict[str, Path], left_out: list[Mark] | None = None) -> Verdict:
-    """Return the scores of folders of answers, by solver; the required scores are for the first one."""
+    """Return the scores of folders of answers, by solver; the required scores are for the first one.
+
+    A solver that answered no given simulation, as the baselines, is not asked about these.
+    """
     first = next(iter(answers))
     alone = {name: key for name, key in keys.items() if key.kind not in GIVEN_A_SIMULATION}
-    marks = {s: read_marks(keys if s == first else alone, folder) for s, folder in answers.items()}
+    given = keys.keys() - alone.keys()
+    marks = {
+        solver: read_marks(keys if any((folder / f"{n}.json").is_file() for n in given) else alone, folder)
+        for solver, folder in answers.items()
+    }
     scores = [scored(s, m, left_out if s == first else None) for s, m in marks.items()]
     # Where only given simulations were judged there is nothing that the baselines could have answered.
     comparison = compared(scores) if alone else []

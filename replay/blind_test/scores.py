@@ -278,7 +278,13 @@ def _left_out(marks: Sequence[Mark] | None) -> list[Line]:
 def _failures(marks: Sequence[Mark]) -> Line:
     failed = _share(marks, lambda m: m.verdict == "failed")
     return Line(
-        "answers that broke", failed.value, failed.low, failed.high, failed.n, "none", failed.hits == 0
+        "answers that broke",
+        failed.value,
+        failed.low,
+        failed.high,
+        failed.n,
+        "none",
+        failed.n > 0 and failed.hits == 0,
     )
 
 

@@ -124,7 +124,7 @@ def commit_command(recordings: Path, keys: Path) -> None:
 def answer_command(recordings: Path, out: Path, solver: str, jobs: int) -> None:
     """Diagnose all of RECORDINGS in processes that can read this folder only."""
     with _refusals(), _progress() as tick:
-        names = list(read_manifest(recordings).seals)
+        names = answering.answerable(recordings, read_manifest(recordings).seals, solver)
         answering.answer_all(
             recordings, out, names, solver, jobs=jobs, tick=lambda n: tick(solver, n, len(names))
         )

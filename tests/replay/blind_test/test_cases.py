@@ -116,6 +116,18 @@ def test_the_simulated_phone_and_the_examiner_agree_on_slow_effects(name: str) -
     assert np.abs(difference - expected)[inside].max() < 0.02 * np.abs(expected[inside]).max()
 
 
+def test_the_earth_is_one_vector_of_the_ground_for_a_simulated_phone_too() -> None:
+    rng = np.random.default_rng(1)
+    phone, day = phones.drawn_phone("white", 25.0, 9.81, rng), simulated.drawn_day(300.0, rng)
+    world = simulated.world_of(simulated.simulated(phone, day, [], 3), 25.0)
+    bins = binned(world)
+    up = bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True)
+    rate = over_bins(world, bins, world.rate)
+    parts = np.array([(rate * v).sum(axis=1) for v in (up, bins.north, np.cross(bins.north, up))])
+    assert np.ptp(parts, axis=1).max() < 1e-9
+    assert np.linalg.norm(parts.mean(axis=1)) == pytest.approx(7.292115e-5, rel=1e-4)
+
+
 def test_sizes_are_the_inverse_of_what_they_are_drawn_from() -> None:
     ratio = sizes.tail_ratio(6.0, 20_000)
     assert sizes.excess_kurtosis(ratio, 0.02) == pytest.approx(

@@ -252,6 +252,7 @@ def test_one_answer_to_everything_does_not_pass(said: list[dict[str, Any]]) -> N
 
 
 def test_answers_that_broke_are_counted() -> None:
+    assert failing(scored("nothing", [])) == {"answers that broke"}, "what was not tried does not hold"
     score = scored("broken", [marked("r1", single(), {"verdict": "failed", "findings": []})])
     assert "answers that broke" in failing(score)
 
