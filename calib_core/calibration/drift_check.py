@@ -100,7 +100,7 @@ class Check:
     rests: number of rests checked. rests_off: how many of them disagree by themselves. off_since: s, when
     the first of those began. accel_residual: m/s^2, mean norm less gravity. gyro_residual: rad/s, the
     largest axis of mean rate less bias. Each residual has its standard uncertainty; None where no rest had
-    the sensor.
+    the sensor. accel_largest: m/s^2, the largest residual of a single norm.
     """
 
     accelerometer: Drift
@@ -113,6 +113,7 @@ class Check:
     accel_uncertainty: float | None = None
     gyro_residual: float | None = None
     gyro_uncertainty: float | None = None
+    accel_largest: float | None = None
 
     def figures(self) -> Evidence:
         """Return what the check measured, for a log line; what is unknown is left out."""
@@ -159,14 +160,33 @@ def check_rests(
         len(held),
         int(off.sum()),
         off_since,
-        *accel,
-        *(gyro or (None, None)),
+        accel_residual=accel[0],
+        accel_uncertainty=accel[1],
+        gyro_residual=None if gyro is None else gyro[0],
+        gyro_uncertainty=None if gyro is None else gyro[1],
+        accel_largest=float(np.abs(residual).max()),
     )
 
 
 def check_gyroscope(bias: Array, held: Sequence[HeldRest], settings: QualitySettings) -> Drift:
     """Check a gyroscope's bias, (3,) rad/s, on rests: the largest axis of their mean rate less bias."""
     return _drift(_rate_residual(bias, held), settings.significance, settings.gyro_limit)
+
+
+def stepped_since(bias: Array, held: Sequence[HeldRest], settings: QualitySettings) -> float | None:
+    """Return since when (s) a gyroscope's bias, (3,) rad/s, has stepped; None where the rests do not show it.
+
+    The two newest rests with rates must both disagree with it, and agree with each other: a single one may
+    have been turning slowly about the vertical, as in a vehicle.
+    """
+    newest = [h for h in held if h.rest.rate is not None][-2:]
+    if len(newest) < 2 or newest[0].rest.rate is None:
+        return None
+    if any(check_gyroscope(bias, [h], settings) is not Drift.DRIFTED for h in newest):
+        return None
+    if check_gyroscope(newest[0].rest.rate, newest[1:], settings) is Drift.DRIFTED:
+        return None
+    return newest[0].rest.t_start
 
 
 def norm_residuals(model: SensorModel, held: Sequence[HeldRest]) -> tuple[Array, Array]:

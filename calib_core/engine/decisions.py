@@ -21,7 +21,12 @@ from stillcal.calib_core.calibration.candidate import (
     with_updated_bias,
 )
 from stillcal.calib_core.calibration.constancy import Shape
-from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
+from stillcal.calib_core.calibration.drift_check import (
+    QualitySettings,
+    Verdict,
+    check_calibration,
+    stepped_since,
+)
 from stillcal.calib_core.calibration.following import follow_accelerometer, with_learnt_gyroscope
 from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed_up
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
@@ -218,20 +223,33 @@ class CalibrationPolicy:
         self._actions.append(Log(t, Level.INFO, "check", f"{check.verdict}", check.figures()))
         self.update_bias(t, since)
         if check.verdict is Verdict.RECALIBRATE:
-            self._degrade(t, since if check.off_since is None else check.off_since)
+            wrong_since = since if check.off_since is None else check.off_since
+            self._degrade(t, wrong_since, check.accel_largest or 0.0)
         else:
             state.trouble = None
         self._follow(t)
         state.early_check = wandered_by(state, t, self._settings.schedule)
 
     def notice_change(self, t: float) -> None:
-        """Check at t (s) before a check is due where the rests since the last one already show a change."""
+        """Check at t (s) before a check is due where the rests since the last one already show a change.
+
+        A step of the gyroscope's bias is followed at once too, by the rests since then.
+        """
         state = self._state
-        if state.record is None or state.record.accelerometer is None or state.degraded:
+        if state.record is None:
             return
-        recent = self._rests_since(state.checked)
-        if check_calibration(state.record, recent, self._settings.quality).verdict is Verdict.RECALIBRATE:
+        recent, quality = self._rests_since(state.checked), self._settings.quality
+        sound = state.record.accelerometer is not None and not state.degraded
+        if sound and check_calibration(state.record, recent, quality).verdict is Verdict.RECALIBRATE:
             self.check(t)
+            return
+        part = state.record.gyroscope
+        if part is None or state.record.provisional:
+            return
+        held = compensated(recent.since(part.zeroed_at), state.record).held
+        since = stepped_since(part.bias, held, quality)
+        if since is not None:
+            self.update_bias(t, since)
 
     def update_bias(self, t: float, since: float | None) -> None:
         """Measure the gyroscope's bias anew on the rests since a time, s, if they have rates (4.7)."""
@@ -357,15 +375,18 @@ class CalibrationPolicy:
         )
         self._apply(t, fit_and_decide(task), occasion)
 
-    def _degrade(self, t: float, since: float | None) -> None:
-        """Mark the calibration as degraded; `since` (s) is from when on it may have been wrong."""
+    def _degrade(self, t: float, since: float | None, size: float) -> None:
+        """Mark the calibration as degraded; `since` (s) is from when on it may have been wrong.
+
+        size: m/s^2, the largest residual of a rest: the bias may be off by as much.
+        """
         state = self._state
         if not state.degraded:
             state.degraded, state.sound_until = True, since
             state.counters.degradations += 1
             why = "the calibration no longer fits: gathering rests again"
             self._actions.append(Log(t, Level.WARNING, "degraded", why))
-        state.trouble = (state.trouble or Trouble(t)).after_failed_check()
+        state.trouble = (state.trouble or Trouble(t)).after_failed_check(size)
         if state.trouble.failed == self._settings.schedule.diagnose_after_checks:
             self._actions.append(Diagnose(t, state.trouble.reason))
         if state.charging:

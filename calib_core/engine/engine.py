@@ -320,10 +320,8 @@ class Engine:
             step = min(step, max(remaining_s, _LEAST_REVIEW_S))
         if onward > t and watch is Watch.PROBING:
             self._skip_to(onward)
-        idle = watch is Watch.IDLE and not need.rests
-        settled = idle or (watch is Watch.CONTINUOUS and settings.schedule.watch != "auto")
         state.next_review = onward + step
-        if settled:
+        if watch is Watch.IDLE and not need.rests:
             state.next_review = first_of_use(state, state.next_review, step, settings.schedule)
 
     def _set_watch(self, watch: Watch, t: float) -> None:

@@ -60,21 +60,22 @@ class Trouble:
     """A row of failed checks, none of which has passed.
 
     since: s, time of the first failed check. tried: whether a calibration was tried since. failed: how many
-    checks in a row have failed after that calibration.
+    checks in a row have failed after that calibration. size: m/s^2, the largest residual of a rest in them.
     """
 
     since: float
     tried: bool = False
     failed: int = 0
+    size: float = 0.0
 
     @property
     def reason(self) -> str:
         """The trouble in a sentence, for when a new calibration has not helped."""
         return f"{self.failed} checks in a row have failed although the phone was calibrated anew"
 
-    def after_failed_check(self) -> Trouble:
-        """Return the trouble after one more failed check."""
-        return replace(self, failed=self.failed + 1) if self.tried else self
+    def after_failed_check(self, size: float) -> Trouble:
+        """Return the trouble after one more failed check. size: m/s^2, its largest residual."""
+        return replace(self, failed=self.failed + self.tried, size=max(self.size, size))
 
 
 @dataclass(slots=True)

@@ -106,6 +106,8 @@ def calibration(
     accelerometer = _sensor(record.accelerometer, None)
     gyroscope = _sensor(record.gyroscope, _age(getattr(record.gyroscope, "zeroed_at", None), now))
     accelerometer = _at_present(record, Sensor.ACCELEROMETER, accelerometer, now, temperature_c)
+    if view.degraded and view.trouble is not None:
+        accelerometer = _widened(accelerometer, view.trouble.size)
     gyroscope = _at_present(record, Sensor.GYROSCOPE, gyroscope, now, temperature_c)
     if gyroscope is not None and record.provisional:
         gyroscope = dataclasses.replace(gyroscope, provisional=True)
@@ -154,6 +156,14 @@ def _at_present(
         learnt_max_c=forecast.temperature_max,
         wander_per_day=float(np.sqrt(forecast.wander.growth(DAY_S))),
     )
+
+
+def _widened(part: api.SensorCalibration | None, size: float) -> api.SensorCalibration | None:
+    """Return the accelerometer's answer with its present uncertainty as large as its check was off."""
+    if part is None or part.bias_uncertainty_now is None:
+        return part
+    widened = [math.hypot(sd, size) for sd in part.bias_uncertainty_now]
+    return dataclasses.replace(part, bias_uncertainty_now=widened)
 
 
 def corrected(
