@@ -15,6 +15,8 @@ def evidence_of(finding: Finding) -> float:
     """
     if finding.evidence.log_bayes_factor is not None:
         return finding.evidence.log_bayes_factor
+    if finding.evidence.p_value is None:
+        return 0.0
     p = max(finding.evidence.p_value, 1e-300)
     return float(-1.0 - np.log(p) - np.log(-np.log(p))) if p < np.exp(-1.0) else 0.0
 

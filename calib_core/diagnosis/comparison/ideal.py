@@ -21,10 +21,9 @@ def compare_with_ideal(exam: Examination) -> Comparison:
     """Return what the recording shows beyond an ideal sensor, and what it could not show."""
     found = sought(exam)
     stated = [(s.finding, evidence_of(s.finding)) for s in exam.statements]
-    # The search's size is in each p value: even odds are left.
-    judged = [(f, e, posterior(e, 1)) for f, e in stated]
-    sure = [j for j in judged if j[2] >= CERTAIN and not heldout_contradicts(j[0])]
     checks = checks_of(exam, found)
+    judged = [(f, e, posterior(e, max(len(checks), 1))) for f, e in stated]
+    sure = [j for j in judged if j[2] >= CERTAIN and not heldout_contradicts(j[0])]
     missing = [NotCompared(c.effect, c.sensor, c.reason) for c in checks if c.reason is not None]
     return Comparison(
         discrepancies=[_discrepancy(*one) for one in sorted(sure, key=lambda j: -j[1])],

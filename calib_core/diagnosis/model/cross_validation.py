@@ -1,11 +1,13 @@
 """Held-out evidence: blocks of time predicted from the rest, with and without an effect.
 
-Each fifth of the recording is predicted from the four others. Sizes of effects and the baseline are
-integrated out over all views together, so that the log score of what was left out is exact:
+The recording is cut into twenty stretches. Every fifth of them is left out in turn and predicted from the
+others, so that an effect that comes once, such as a step, is left out in parts. Sizes of effects and the
+baseline are integrated out over all views together, so that the log score of what was left out is exact:
 
     log p(left out | others) = log p(everything) - log p(others)
 
-The covariance is that of the hypothesis.
+The covariance of each view, its scale and the effect's grid point are chosen anew on those others: among
+the shapes that are likely on the whole recording, and among the grid points given.
 """
 
 from __future__ import annotations
@@ -23,68 +25,98 @@ from stillcal.calib_core.diagnosis.model.noise_models import families
 from stillcal.calib_core.diagnosis.model.residuals import View
 
 FOLDS = 5
+STRETCHES = 4
+"""Stretches in a fold: several, lest what comes once be left out whole; few, lest neighbours tell them."""
+
 DIFFUSE = 1e-6
+
+SHAPES = 6
+"""Covariance shapes of a view that each fold chooses from: the likeliest ones of the whole recording."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
     """Sums over folds. log_score: nats; rmse: of left-out bins about the mean model, in the views' unit.
 
-    The tangent view has no rmse: where a pose points, that other bins do not tell.
+    training: log evidence of each fold's other bins, nats, by which an effect is chosen without what is left
+    out. The tangent view has no rmse: where a pose points, that other bins do not tell.
     """
 
     log_score: float
     rmse: float
+    training: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Covariance:
-    """A view's covariance (n, n), and by how much it is larger than its shape, what is absorbed too."""
-
-    matrix: Array
-    scale: float
-
-
-def best_covariance(view: View, reduced: Reduced, h: int | None, beta: Array) -> Covariance:
-    """Return the most probable covariance of a view under hypothesis `h` (None: no effect)."""
+def likely_shapes(view: View, reduced: Reduced, h: int | None, beta: Array) -> list[Array]:
+    """Return the most probable covariance shapes (n, n) of a view under hypothesis `h` (None: no effect)."""
     residual = reduced.yy if h is None else residuals(reduced, h, beta)
-    top = int(np.argmax(log_terms(reduced, residual)))
     shapes = [(family, g) for family in families(view) for g in range(family.strengths.size)]
-    family, g = shapes[top]
-    scale = (view.known + float(residual[top])) / reduced.dof
-    return Covariance(family.covariance(g) * scale, scale)
+    best = np.argsort(-log_terms(reduced, residual))[:SHAPES]
+    return [shapes[i][0].covariance(shapes[i][1]) for i in best]
 
 
-def held_out(scene: Scene, covariances: Sequence[Covariance], effects: Sequence[Hypothesis]) -> HeldOut:
-    """Predict each fold from the others, given the views' covariances and effects."""
-    start, end = scene.bins.span
+def held_out(
+    scene: Scene, shapes: Sequence[Sequence[Array]], candidates: Sequence[Sequence[Hypothesis]]
+) -> HeldOut:
+    """Predict each fold from the others.
+
+    shapes: for each view, the covariances (n, n) to choose from. candidates: sets of effects to choose from,
+    such as one effect at several grid points beside others.
+    """
+    score, misses, training = 0.0, [np.zeros(0)], []
     parts = [
-        _Part.of(view, b, covariance, [e.columns[i][b] * e.sizes for e in effects])
-        for i, (view, covariance) in enumerate(zip(scene.views, covariances, strict=True))
-        for b in range(len(view.y))
+        [
+            _Part.of(view, b, [e.columns[i][b] * e.sizes for e in effects])
+            for i, view in enumerate(scene.views)
+            for b in range(len(view.y))
+        ]
+        for effects in candidates
     ]
-    fold = [_dealt(p.view.t, start, end) for p in parts]
-    whole, _ = _evidence([p.sums(np.ones(p.y.size, dtype=bool)) for p in parts])
-    score, misses = 0.0, [np.zeros(0)]
+    of_part = [shapes[i] for i, view in enumerate(scene.views) for _ in range(len(view.y))]
+    fold = [_dealt(p.view.t, *scene.bins.span) for p in parts[0]]
     for k in range(FOLDS):
-        train = [f != k for f in fold]
-        if not any(rows.sum() < rows.size for rows in train):
+        rows = [f != k for f in fold]
+        if all(r.all() for r in rows):
             continue
-        sums = [p.sums(rows) for p, rows in zip(parts, train, strict=True)]
-        known, size = _evidence(sums)
-        score += whole - known
+        # Shapes are chosen under the first candidate; grid points then under these.
+        chosen = [_likeliest(p, r, choice) for p, r, choice in zip(parts[0], rows, of_part, strict=True)]
+        known = [_known(each, rows, chosen) for each in parts]
+        best = int(np.argmax([value for value, _, _ in known]))
+        value, size, sums = known[best]
+        training.append(value)
+        every = [
+            p.sums(np.ones(p.y.size, dtype=bool), shape, s.scale)
+            for p, shape, s in zip(parts[best], chosen, sums, strict=True)
+        ]
+        score += _evidence(every)[0] - value
         misses += [
-            p.missed(rows, s, size)
-            for p, rows, s in zip(parts, train, sums, strict=True)
+            p.missed(r, s, size)
+            for p, r, s in zip(parts[best], rows, sums, strict=True)
             if p.view.name != "tangent"
         ]
     left = np.concatenate(misses)
-    return HeldOut(score, float(np.sqrt(np.mean(left**2))) if left.size else 0.0)
+    rmse = float(np.sqrt(np.mean(left**2))) if left.size else 0.0
+    return HeldOut(score, rmse, tuple(training))
+
+
+def _known(
+    parts: Sequence[_Part], rows: Sequence[NDArray[np.bool_]], shapes: Sequence[Array]
+) -> tuple[float, Array, list[_Sums]]:
+    """Return the log evidence of the bins `rows`, the effects' likeliest sizes, and the bins' sums."""
+    sums = [p.sums(r, shape) for p, r, shape in zip(parts, rows, shapes, strict=True)]
+    return (*_evidence(sums), sums)
+
+
+def _likeliest(part: _Part, rows: NDArray[np.bool_], shapes: Sequence[Array]) -> Array:
+    """Return the shape under which the bins `rows` of a part are likeliest."""
+    return max(shapes, key=lambda shape: _evidence([part.sums(rows, shape)])[0])
 
 
 def _dealt(t: Array, start: float, end: float) -> NDArray[np.int64]:
-    """Return the fold (n,) of bins at times t (n,)."""
-    return np.clip((t - start) / (end - start) * FOLDS, 0, FOLDS - 1).astype(np.int64)
+    """Return the fold (n,) of bins at times t (n,): stretches of the recording, dealt in turn."""
+    stretches = FOLDS * STRETCHES
+    at = np.clip((t - start) / (end - start) * stretches, 0, stretches - 1).astype(np.int64)
+    return np.asarray(at % FOLDS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +124,8 @@ class _Sums:
     """What some bins say. constant: log density with no effect, nats, baseline integrated out.
 
     information, target: (k, k) and (k,) of the effects' sizes; factor: (m, m), takes errors to white ones;
-    white: (m, p + k + 1), baseline, effects and data so taken; own: (p, p), factor of the baseline's own.
+    white: (m, p + k + 1), baseline, effects and data so taken; own: (p, p), factor of the baseline's own;
+    scale: by how much the covariance is larger than its shape.
     """
 
     constant: float
@@ -101,36 +134,46 @@ class _Sums:
     factor: Array
     white: Array
     own: Array
+    scale: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """One block of a view: data (n,), its baseline (n, p), the effects' columns (n, k), covariance."""
+    """One block of a view: data (n,), its baseline (n, p), the effects' columns (n, k)."""
 
     view: View
     y: Array
     baseline: Array
     effects: Array
-    covariance: Covariance
 
     @classmethod
-    def of(cls, view: View, block: int, covariance: Covariance, effects: list[Array]) -> _Part:
+    def of(cls, view: View, block: int, effects: list[Array]) -> _Part:
         baseline = view.baseline[block] / np.maximum(np.abs(view.baseline[block]).max(axis=0), 1e-300)
         columns = np.concatenate([np.zeros((view.y.shape[1], 0)), *effects], axis=1)
-        return cls(view, view.y[block], baseline, columns, covariance)
+        return cls(view, view.y[block], baseline, columns)
 
-    def sums(self, rows: NDArray[np.bool_]) -> _Sums:
-        """Return what the bins `rows` say."""
-        lower = np.linalg.cholesky(self.covariance.matrix[np.ix_(rows, rows)])
+    def sums(self, rows: NDArray[np.bool_], shape: Array, scale: float | None = None) -> _Sums:
+        """Return what the bins `rows` say under a shape (n, n); its scale is theirs if not given."""
+        lower = np.linalg.cholesky(shape[np.ix_(rows, rows)])
         both = np.column_stack([self.baseline, self.effects, self.y])[rows]
         white = np.linalg.solve(lower, both)
         p = self.baseline.shape[1]
         own = np.linalg.cholesky(white[:, :p].T @ white[:, :p] + DIFFUSE * np.eye(p))
         taken = np.linalg.solve(own, white[:, :p].T @ white[:, p:])
         left = white[:, p:].T @ white[:, p:] - taken.T @ taken
+        if scale is None:
+            scale = self._scale(left, len(white) - p)
         logs = np.log(lower.diagonal()).sum() + np.log(own.diagonal()).sum()
-        constant = -0.5 * float(left[-1, -1]) - float(logs) - 0.5 * len(white) * float(np.log(2.0 * np.pi))
-        return _Sums(constant, left[:-1, :-1], left[:-1, -1], np.asarray(lower), white, np.asarray(own))
+        freedom = (len(white) - p) * float(np.log(scale)) + len(white) * float(np.log(2.0 * np.pi))
+        constant = -0.5 * float(left[-1, -1]) / scale - float(logs) - 0.5 * freedom
+        information, target = left[:-1, :-1] / scale, left[:-1, -1] / scale
+        return _Sums(constant, information, target, np.asarray(lower), white, np.asarray(own), scale)
+
+    def _scale(self, left: Array, freedom: int) -> float:
+        """Return the likeliest scale; left: (k + 1, k + 1) inner products of the effects and the data."""
+        gram, pull = left[:-1, :-1], left[:-1, -1]
+        explained = float(pull @ np.linalg.solve(gram + np.eye(pull.size), pull)) if pull.size else 0.0
+        return float((self.view.known + max(left[-1, -1] - explained, 0.0)) / (self.view.known + freedom))
 
     def missed(self, rows: NDArray[np.bool_], sums: _Sums, size: Array) -> Array:
         """Return how far the bins that are not `rows` are from the mean model that `rows` tell.
@@ -144,7 +187,7 @@ class _Part:
         if self.view.absorbed is None:
             return np.asarray(away)
         known = np.linalg.solve(sums.factor, self.view.absorbed[rows])
-        parameters = self.covariance.scale * (known.T @ (white - baseline @ offset))
+        parameters = known.T @ (white - baseline @ offset)
         return np.asarray(away - self.view.absorbed[~rows] @ parameters)
 
 

@@ -297,5 +297,14 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Arra
     return np.asarray(total, dtype=np.float64)
 
 
+def expected_information(views: Sequence[Reduced], h: int, beta: Array) -> Array:
+    """Return the information (k, k) about hypothesis `h` at `beta`, over all views, shapes by probability."""
+    left = [residuals(v, h, beta) for v in views]
+    _, likely = joint(views, [log_terms(v, r) for v, r in zip(views, left, strict=True)])
+    rates = [v.dof / (v.known + r) for v, r in zip(views, left, strict=True)]
+    parts = [_expected(v, h, w * r) for v, w, r in zip(views, likely, rates, strict=True)]
+    return np.asarray(np.sum(parts, axis=0))
+
+
 def _expected(view: Reduced, h: int, weight: Array) -> Array:
     return np.asarray(np.einsum("g,gij->ij", weight, view.blocks[h]))

@@ -54,15 +54,18 @@ class Where:
 class Evidence:
     """How sure. p_value has the size of the search in it; log scores in nats, rmse in the sensor's unit.
 
+    named_in_folds: in how many folds the effect would have been chosen before its rivals on the other bins.
+
     What has no meaning for an effect is None: nothing is predicted of an effect that is certain by counting.
     log_bayes_factor: nats for the effect against none, where it was computed; else p_value stands for it.
     """
 
-    p_value: float
+    p_value: float | None = None
     heldout_rmse_before: float | None = None
     heldout_rmse_after: float | None = None
     heldout_log_score_gain: float | None = None
     folds: int = 0
+    named_in_folds: int | None = None
     log_bayes_factor: float | None = None
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.bias import UNIT
 from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.bayes_factor import of_probabilities
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
-from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
+from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model.records import (
     AXES,
     NAME,
@@ -35,11 +36,13 @@ DRIVER = "the rest it lies in"
 class Jumps:
     """Jumps of the bias from rest to rest, view by view.
 
-    sure: (v,) probability that they are beyond what is allowed; size: (v,) standard deviation, m/s^2 or
+    sure: (v,) probability that they are beyond what is allowed; prior: (v,) the same before the data;
+    size: (v,) standard deviation, m/s^2 or
     rad/s; freedom: (v,) degrees of freedom with which it is known.
     """
 
     sure: Array
+    prior: Array
     size: Array
     freedom: Array
 
@@ -56,10 +59,13 @@ def jumps(scene: Scene, explained: Sequence[Hypothesis], reduced: Sequence[Reduc
         if view.name == "tangent":
             continue
         allowed = limit**2 * (left.dof - 2.0) / (left.known + left.yy)
-        sure = float(weight[left.jump > allowed].sum())
-        told.append((sure, *_scatter(view, [h.columns[i][0] for h in explained])))
-    sure, size, freedom = np.array(told).T
-    return Jumps(sure, size, freedom) if sure.max() >= thresholds.CERTAIN_JUMP else None
+        above = left.jump > allowed
+        prior = float(np.exp(left.prior[above] - log_sum(left.prior)).sum())
+        told.append(
+            (float(weight[above].sum()), prior, *_scatter(view, [h.columns[i][0] for h in explained]))
+        )
+    sure, prior, size, freedom = np.array(told).T
+    return Jumps(sure, prior, size, freedom) if sure.max() >= thresholds.CERTAIN_JUMP else None
 
 
 def _scatter(view: View, explained: list[Array]) -> tuple[float, float]:
@@ -95,6 +101,7 @@ def finding(scene: Scene, found: Jumps) -> Finding:
         " (one standard deviation); possible causes are strain after handling and surrounding fields."
     )
     where = Where(*scene.bins.span, SLOW_BAND, DRIVER)
-    evidence = Evidence(max(1.0 - float(sure.max()), 1e-12), 0.0, 0.0, 0.0, 0)
+    odds = [of_probabilities(p, prior) for p, prior in zip(found.sure, found.prior, strict=True)]
+    evidence = Evidence(log_bayes_factor=max(odds))
     parameters = {"size": Parameter(size.tolist(), ci.tolist(), UNIT[scene.sensor])}
     return Finding("unknown", scene.sensor, axes, where, parameters, evidence, [], say)

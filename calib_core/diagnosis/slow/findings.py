@@ -10,9 +10,10 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, HeldOut, best_covariance, held_out
+from stillcal.calib_core.diagnosis.model.bayes_factor import log_bayes_factor
+from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
-from stillcal.calib_core.diagnosis.model.likelihood import Reduced, fit_hypothesis
+from stillcal.calib_core.diagnosis.model.likelihood import Reduced, fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -22,15 +23,15 @@ from stillcal.calib_core.diagnosis.slow.random_walk import random_walk
 from stillcal.calib_core.diagnosis.slow.search import Scored, Step, adequate, forward, reduce_scene
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 
-ENTRIES = 20
-"""How many entries compete, to make one p value of the best one's."""
-
 LEAST_GAIN = 3.0
 """Gain in held-out log score, nats, of structure without a name and of what stands beside other findings
 (twenty to one); a name by itself must have any."""
 
 CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
+
+GRID_STRIDE = 3
+"""Each third point of the fine grid is a candidate in every fold: neighbours are alike."""
 
 ALTERNATIVES = 3
 """How many other effects are reported beside a finding."""
@@ -120,7 +121,7 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
             continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
         least = [LEAST_GAIN * (f.effect == "unknown" or len(made) > 1) for f in made]
-        gains = [(f.evidence.heldout_log_score_gain or 0.0) - x for f, x in zip(made, least, strict=True)]
+        gains = [_supported(f) - x for f, x in zip(made, least, strict=True)]
         if min(gains) > 0.0:
             return [Stated(f, h, scene) for f, h in zip(made, found, strict=True)]
         steps = _without(steps, kept[int(np.argmin(gains))])
@@ -128,6 +129,14 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
     if first is None or passed_over is None or passed_over.score <= first.winner.score:
         return []
     return statements_of(scene, [Step(passed_over, ())])
+
+
+def _supported(finding: Finding) -> float:
+    """Return the gain in held-out log score; none where few folds chose the name, or the whole speaks not."""
+    evidence = finding.evidence
+    chosen = finding.effect == "unknown" or (evidence.named_in_folds or 0) > FOLDS // 2
+    likelier = (evidence.log_bayes_factor or 0.0) > 0.0
+    return (evidence.heldout_log_score_gain or 0.0) if chosen and likelier else 0.0
 
 
 def _stands_alone(found: Scored) -> bool:
@@ -147,26 +156,58 @@ def _without(steps: Sequence[Step], weak: Step) -> list[Step]:
 
 
 def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:
-    before = _evidence(scene, None, others)
-    after = _evidence(scene, found.hypothesis, others)
-    alternatives = [_alternative(scene, s, step.winner, others, before) for s in _shown(step)]
+    own = found.hypothesis
+    before, after = _predicted(scene, None, others), _predicted(scene, own, others)
+    rivals = [(s, _predicted(scene, s.hypothesis, others)) for s in (*_shown(step), *_best_nameless(step))]
+    alternatives = [
+        _alternative(s, step.winner, before, each)
+        for s, each in rivals
+        if s.hypothesis.effect.name != "unknown"
+    ]
     axes = named_axes(found)
     return Finding(
-        effect=found.hypothesis.effect.name,
+        effect=own.effect.name,
         sensor=scene.sensor,
         axes=axes,
-        where=_where(scene, found.hypothesis),
+        where=_where(scene, own),
         parameters=parameters(found),
         evidence=Evidence(
-            p_value=min(1.0, ENTRIES * 10.0 ** -max(step.winner.score, 0.0)),
             heldout_rmse_before=before.rmse,
             heldout_rmse_after=after.rmse,
             heldout_log_score_gain=after.log_score - before.log_score,
             folds=FOLDS,
+            named_in_folds=_first_in((step.winner, after), rivals),
+            log_bayes_factor=_log_bayes_factor(scene, own, others),
         ),
         alternatives=alternatives,
         statement=_statement(found, axes, alternatives),
     )
+
+
+def _log_bayes_factor(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
+    """Return the log Bayes factor of an effect over its fine grid, with `others` beside it."""
+    candidates = scene.finer(hypothesis)
+    reduced = reduce_scene(scene, candidates, others, parts=True)
+    grid = max(hypothesis.multiplicity, len(scene.hypotheses(hypothesis.effect)), 1)
+    null = null_log_likelihood(reduced)
+    return log_bayes_factor(reduced, len(candidates), null, grid if len(candidates) == 1 else 1)
+
+
+def _first_in(own: tuple[Scored, HeldOut], rivals: Sequence[tuple[Scored, HeldOut]]) -> int:
+    """Return in how many folds an effect would be chosen before its rivals, without what is left out.
+
+    An effect that was picked from many curves gives away the logarithm of their number.
+    """
+    mine, *others = (
+        np.array(h.training) - np.log(max(s.hypothesis.multiplicity, 1.0)) for s, h in (own, *rivals)
+    )
+    return int(np.sum(np.all([mine >= other for other in others], axis=0))) if others else len(mine)
+
+
+def _best_nameless(step: Step) -> list[Scored]:
+    """Return the best rival without a name, which a name must beat."""
+    nameless = [s for s in step.others if s.hypothesis.effect.name == "unknown"]
+    return nameless[:1] if step.winner.hypothesis.effect.name != "unknown" else []
 
 
 def _shown(step: Step) -> list[Scored]:
@@ -179,24 +220,23 @@ def _shown(step: Step) -> list[Scored]:
     return list(shown.values())[:ALTERNATIVES]
 
 
-def _evidence(scene: Scene, hypothesis: Hypothesis | None, others: Sequence[Hypothesis]) -> HeldOut:
+def _predicted(scene: Scene, hypothesis: Hypothesis | None, others: Sequence[Hypothesis]) -> HeldOut:
     """Return held-out scores with `others` and, if given, one more effect, the noise refitted for it."""
-    candidates = [hypothesis] if hypothesis is not None else list(others[:1])
-    rest = list(others) if hypothesis is not None else list(others[1:])
-    if not candidates:
+    effects = [*([] if hypothesis is None else [hypothesis]), *others]
+    if not effects:
         reduced = reduce_scene(scene, [nothing(scene)])
-        pairs = zip(scene.views, reduced, strict=True)
-        return held_out(scene, [best_covariance(v, r, None, np.zeros(0)) for v, r in pairs], [])
-    reduced = reduce_scene(scene, candidates, rest)
+        shapes = [likely_shapes(v, r, None, np.zeros(0)) for v, r in zip(scene.views, reduced, strict=True)]
+        return held_out(scene, shapes, [[]])
+    reduced = reduce_scene(scene, effects[:1], effects[1:])
     beta = fit_hypothesis(reduced, 0).beta
-    covariances = [best_covariance(v, r, 0, beta) for v, r in zip(scene.views, reduced, strict=True)]
-    return held_out(scene, covariances, [*candidates, *rest])
+    shapes = [likely_shapes(v, r, 0, beta) for v, r in zip(scene.views, reduced, strict=True)]
+    if hypothesis is None:
+        return held_out(scene, shapes, [effects])
+    nearby = [h for h in scene.finer(hypothesis) if h is not hypothesis][::GRID_STRIDE]
+    return held_out(scene, shapes, [effects, *([h, *others] for h in nearby)])
 
 
-def _alternative(
-    scene: Scene, other: Scored, winner: Scored, found: list[Hypothesis], before: HeldOut
-) -> Alternative:
-    after = _evidence(scene, other.hypothesis, found)
+def _alternative(other: Scored, winner: Scored, before: HeldOut, after: HeldOut) -> Alternative:
     return Alternative(
         other.hypothesis.effect.name,
         after.log_score - before.log_score,

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.bias import UNIT
 from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.bayes_factor import of_probabilities
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
-from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
+from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model.records import (
     AXES,
     NAME,
@@ -37,18 +38,27 @@ LEAST_SPREAD = 0.15
 class Walk:
     """Posterior of one view.
 
-    density: (G,) unit/sqrt(s) of shapes that walk; weight: (G,) their probability; bounded: (G,) whether a
+    density: (G,) unit/sqrt(s) of shapes that walk; weight, prior: (G,) their probability, after and before;
+    bounded: (G,) whether a
     shape is a Gauss-Markov process, a walk only at first; mixed: (G,) whether another wander is in it.
     """
 
     weight: Array
+    prior: Array
     density: Array
     bounded: NDArray[np.bool_]
     mixed: NDArray[np.bool_]
 
     def beyond(self, limit: float) -> float:
         """Probability of a walk above `limit`, or of a bounded one above `BOUNDED` times that."""
-        return float(self.weight[self.density > limit * np.where(self.bounded, BOUNDED, 1.0)].sum())
+        return float(self.weight[self._above(limit)].sum())
+
+    def log_bayes_factor(self, limit: float) -> float:
+        """Return the evidence for such a walk, in nats, against all other shapes."""
+        return of_probabilities(self.beyond(limit), float(self.prior[self._above(limit)].sum()))
+
+    def _above(self, limit: float) -> NDArray[np.bool_]:
+        return np.asarray(self.density > limit * np.where(self.bounded, BOUNDED, 1.0))
 
     def summary(self) -> tuple[float, float, float]:
         """Return the middle and 95 % interval of the density, given that there is a walk.
@@ -76,7 +86,10 @@ def walks_of(views: Sequence[Reduced]) -> list[Walk]:
         some = view.walk > 0.0
         bounded = np.array(["walk" not in name for name in view.family])
         mixed = np.array(["+" in name for name in view.family])
-        out.append(Walk(weight[some], np.sqrt(view.walk * scale)[some], bounded[some], mixed[some]))
+        prior = np.exp(view.prior - log_sum(view.prior))
+        out.append(
+            Walk(weight[some], prior[some], np.sqrt(view.walk * scale)[some], bounded[some], mixed[some])
+        )
     return out
 
 
@@ -95,7 +108,7 @@ def random_walk(scene: Scene, reduced: Sequence[Reduced]) -> list[Finding]:
     worst = max(n[0] for n in numbers)
     say = f"The {NAME[scene.sensor]}'s bias random walk is {worst:.2g} {unit}; update the bias often."
     where = Where(*scene.bins.span, SLOW_BAND, "nothing")
-    evidence = Evidence(max(1.0 - sure, 1e-12), 0.0, 0.0, 0.0, 0)
+    evidence = Evidence(log_bayes_factor=max(w.log_bayes_factor(limit) for w in walks))
     return [
         Finding(
             f"{scene.sensor}_bias_random_walk",

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, Covariance, held_out
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, held_out
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from tests.support.diagnosis import nulls
 
 RAMP = Parameters("accel_bias_drift", "accel", (Linear("rate", "m/s^3", 3, 0.01),))
-SCALE = 0.6
 
 
 def hour() -> tuple[Scene, Hypothesis]:
@@ -27,14 +27,14 @@ def hour() -> tuple[Scene, Hypothesis]:
     return scene, Hypothesis(RAMP, {}, scene.columns_of(on_axes(scene.bins.t / scene.bins.span[1])))
 
 
-def covariances(scene: Scene) -> list[Covariance]:
-    """Return white noise and what is absorbed, both `SCALE` times as large as they would be."""
+def shapes(scene: Scene) -> list[list[Array]]:
+    """Return, for each view, white noise and what is absorbed."""
     made = []
     for view in scene.views:
         shape = np.diag(view.variance)
         if view.absorbed is not None:
             shape = shape + view.absorbed @ view.absorbed.T
-        made.append(Covariance(SCALE * shape, SCALE))
+        made.append([shape])
     return made
 
 
@@ -44,20 +44,43 @@ def test_the_log_score_is_that_of_all_less_that_of_the_others() -> None:
     view = replace(view, baseline=np.zeros((1, view.y.size, 0)))
     norm, (start, end) = replace(scene, views=(view,)), scene.bins.span
     columns = ramp.columns[0][0] * ramp.sizes
-    spread = covariances(norm)[0].matrix + columns @ columns.T
-    fold = np.minimum(((view.t - start) / (end - start) * FOLDS).astype(int), FOLDS - 1)
+    shape, y = shapes(norm)[0][0], view.y[0]
+    at = (view.t - start) / (end - start)
+    fold = np.minimum((at * 4 * FOLDS).astype(int), 4 * FOLDS - 1) % FOLDS
     expected = 0.0
     for k in range(FOLDS):
         rest = fold != k
-        expected += multivariate_normal.logpdf(view.y[0], cov=spread)
-        expected -= multivariate_normal.logpdf(view.y[0][rest], cov=spread[np.ix_(rest, rest)])
-    assert held_out(norm, covariances(norm), [ramp]).log_score == pytest.approx(expected, abs=1e-3)
+        inside = np.ix_(rest, rest)
+        left = float(y[rest] @ np.linalg.solve((shape + columns @ columns.T)[inside], y[rest]))
+        scale = (view.known + left) / (view.known + rest.sum())
+        spread = scale * shape + columns @ columns.T
+        expected += multivariate_normal.logpdf(y, cov=spread)
+        expected -= multivariate_normal.logpdf(y[rest], cov=spread[inside])
+    assert held_out(norm, shapes(norm), [[ramp]]).log_score == pytest.approx(expected, abs=1e-3)
 
 
-def test_an_effect_that_is_there_leaves_little_more_than_noise_whatever_the_scale() -> None:
+def test_an_effect_that_is_there_leaves_little_more_than_noise() -> None:
     scene, ramp = hour()
     noise = float(np.sqrt(np.mean(scene.views[0].variance)))
-    with_it, without = (held_out(scene, covariances(scene), each) for each in ([ramp], []))
+    with_it, without = (held_out(scene, shapes(scene), [each]) for each in ([ramp], []))
     assert with_it.log_score > without.log_score + 20.0
     assert with_it.rmse < 2.0 * noise
     assert with_it.rmse < 0.5 * without.rmse
+
+
+def test_every_fold_chooses_its_own_shape_and_grid_point() -> None:
+    scene, ramp = hour()
+    away = replace(ramp, columns=tuple(np.roll(c, 7, axis=1) for c in ramp.columns))
+    good = shapes(scene)
+    wrong = [
+        [
+            one[0]
+            * np.linspace(1.0, 400.0, len(one[0]))[:, None] ** 0.5
+            * np.linspace(1.0, 400.0, len(one[0])) ** 0.5,
+            *one,
+        ]
+        for one in good
+    ]
+    alone = held_out(scene, good, [[ramp]])
+    assert held_out(scene, wrong, [[away], [ramp]]).log_score == pytest.approx(alone.log_score, abs=1e-6)
+    assert held_out(scene, good, [[away]]).log_score < alone.log_score - 3.0

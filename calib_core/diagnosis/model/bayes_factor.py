@@ -1,0 +1,73 @@
+"""How much likelier a recording is with an effect than without: the Bayes factor, with the noise refitted.
+
+Nobody knows beforehand how large an effect is: its prior is a mixture of normal distributions, from the
+physically largest size down to a hundredth of it, all equally likely. It may be on all axes or on one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.model.likelihood import (
+    Reduced,
+    expected_information,
+    fit_hypothesis,
+    log_sum,
+)
+
+SIZES = 10.0 ** -np.arange(0.0, 2.1, 0.5)
+"""Prior standard deviations, as parts of the physically largest size."""
+
+LEAST_PROBABILITY = 1e-15
+"""What a sum of probabilities in double precision can tell from nothing."""
+
+ALL_AXES = 0.5
+"""Prior probability that an effect is on all axes; else it is on one, each alike."""
+
+
+def log_evidence(views: Sequence[Reduced], h: int) -> float:
+    """Return the log likelihood, in nats, of hypothesis `h` with its sizes integrated out (Laplace).
+
+    About the maximum b of likelihood times a prior of unit size the log likelihood is taken as quadratic,
+    with the information J of the noise shapes' mean. Its slope there is b, so that under a prior of size s
+
+        log evidence = L(b) - b'b - b'Jb / 2 + (b + Jb)' (J + I/s^2)^-1 (b + Jb) / 2 - log|I + s^2 J| / 2.
+    """
+    fit = fit_hypothesis(views, h)
+    beta, information = fit.beta, expected_information(views, h, fit.beta)
+    highest = fit.log_likelihood + 0.5 * float(beta @ beta)
+    pull = beta + information @ beta
+    bare = highest - float(beta @ beta) - 0.5 * float(beta @ information @ beta)
+    unit = np.eye(beta.size)
+    terms = [
+        bare
+        + 0.5 * float(pull @ np.linalg.solve(information + unit / size**2, pull))
+        - 0.5 * float(np.linalg.slogdet(unit + size**2 * information)[1])
+        for size in SIZES
+    ]
+    return log_sum(np.array(terms)) - float(np.log(SIZES.size))
+
+
+def of_probabilities(posterior: float, prior: float) -> float:
+    """Return the log Bayes factor, in nats, that takes a prior to a posterior probability."""
+    sure, before = (float(np.clip(p, LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY)) for p in (posterior, prior))
+    return float(np.log(sure / (1.0 - sure)) - np.log(before / (1.0 - before)))
+
+
+def log_bayes_factor(views: Sequence[Reduced], hypotheses: int, null: float, multiplicity: float) -> float:
+    """Return the log Bayes factor, in nats, of an effect against none, over its grid points and axes.
+
+    views: reduced for `hypotheses` grid points, each followed by its three axes alone (`reduce_scene` with
+    parts). null: log likelihood with no effect. multiplicity: how many independent points the grid has
+    besides these, as one of which they count; 1 where these are all.
+    """
+    single = np.log((1.0 - ALL_AXES) / 3.0)
+    parts = [
+        log_evidence(views, 4 * i + part) + (np.log(ALL_AXES) if part == 0 else single)
+        for i in range(hypotheses)
+        for part in range(4)
+        if any(v.blocks[4 * i + part].any() for v in views)
+    ]
+    return log_sum(np.array(parts)) - float(np.log(hypotheses)) - float(np.log(multiplicity)) - null
