@@ -17,7 +17,6 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     quantity_of,
     why_not_shown,
 )
-from stillcal.calib_core.diagnosis.comparison.evidence import evidence_of
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted, linear_quantities, wanted_of
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of, obstacle, uninformed
 from stillcal.calib_core.diagnosis.comparison.quantity import (
@@ -392,7 +391,8 @@ def _direct(
 def _evidence(finding: Finding) -> float:
     """Return the evidence, nats, for a finding: no more than parts left out of the fit confirm."""
     gain = finding.evidence.heldout_log_score_gain
-    return evidence_of(finding) if gain is None else min(gain, evidence_of(finding))
+    whole = finding.evidence.log_bayes_factor
+    return whole if gain is None else min(gain, whole)
 
 
 def _paired(one: Finding, other: Finding) -> list[Difference]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared, p_of
-from stillcal.calib_core.diagnosis.comparison.evidence import evidence_of, heldout_contradicts
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
@@ -20,10 +19,10 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 def compare_with_ideal(exam: Examination) -> Comparison:
     """Return what the recording shows beyond an ideal sensor, and what it could not show."""
     found = sought(exam)
-    stated = [(s.finding, evidence_of(s.finding)) for s in exam.statements]
+    stated = [(s.finding, s.finding.evidence.log_bayes_factor) for s in exam.statements]
     checks = checks_of(exam, found)
     judged = [(f, e, posterior(e, max(len(checks), 1))) for f, e in stated]
-    sure = [j for j in judged if j[2] >= CERTAIN and not heldout_contradicts(j[0])]
+    sure = [j for j in judged if j[2] >= CERTAIN and not j[0].evidence.contradicted]
     missing = [NotCompared(c.effect, c.sensor, c.reason) for c in checks if c.reason is not None]
     return Comparison(
         discrepancies=[_discrepancy(*one) for one in sorted(sure, key=lambda j: -j[1])],
@@ -43,7 +42,7 @@ def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]
 
 def _undecided(finding: Finding, _evidence: float, probability: float) -> NotCompared:
     seen = f"the fit suggests it (probability {probability:.2f})"
-    if heldout_contradicts(finding):
+    if finding.evidence.contradicted:
         seen += ", but it does not predict the parts of the recording that were left out of the fit"
     return NotCompared(finding.effect, finding.sensor, seen)
 

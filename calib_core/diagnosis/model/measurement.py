@@ -209,19 +209,14 @@ def direct_finding(
     seen: Seen,
     alternatives: Sequence[Alternative] = (),
 ) -> Finding | None:
-    """Build a finding of a direct measurement; None where the evidence does not carry it.
-
-    p_value: the inverse of the Bayes factor, times the checks that were made. Under no effect a Bayes factor
-    exceeds k with probability 1 / k at most (Vovk and Wang, Ann. Statist. 49, 2021).
-    """
+    """Build a finding of a direct measurement; None where the evidence does not carry it."""
     if not seen.stated:
         return None
-    p = float(np.exp(np.clip(np.log(DIRECT_CHECKS) - seen.log_bayes_factor, -690.0, 0.0)))
     held = seen.held_out
     evidence = (
-        Evidence(p, log_bayes_factor=seen.log_bayes_factor)
+        Evidence(seen.log_bayes_factor)
         if held is None
-        else Evidence(p, held.before, held.after, held.gain, FOLDS, seen.log_bayes_factor)
+        else Evidence(seen.log_bayes_factor, held.before, held.after, held.gain, FOLDS)
     )
     names = [AXES[a] for a in axes]
     said = f"{statement} {seen.unusual}".strip()

@@ -52,21 +52,24 @@ class Where:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How sure. p_value has the size of the search in it; log scores in nats, rmse in the sensor's unit.
+    """How sure. log_bayes_factor: nats for the effect against none; rmse in the sensor's unit.
 
-    named_in_folds: in how many folds the effect would have been chosen before its rivals on the other bins.
-
-    What has no meaning for an effect is None: nothing is predicted of an effect that is certain by counting.
-    log_bayes_factor: nats for the effect against none, where it was computed; else p_value stands for it.
+    heldout_log_score_gain: nats, of what was left out in `folds` folds. named_in_folds: in how many of them
+    the effect would have been chosen before its rivals without what is left out. What has no meaning for an
+    effect is None: nothing is predicted of an effect that is certain by counting.
     """
 
-    p_value: float | None = None
+    log_bayes_factor: float
     heldout_rmse_before: float | None = None
     heldout_rmse_after: float | None = None
     heldout_log_score_gain: float | None = None
     folds: int = 0
     named_in_folds: int | None = None
-    log_bayes_factor: float | None = None
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether what was left out of the fit is predicted no better with the effect than without it."""
+        return self.heldout_log_score_gain is not None and self.heldout_log_score_gain <= 0.0
 
 
 @dataclass(frozen=True, slots=True)

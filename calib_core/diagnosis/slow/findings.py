@@ -135,7 +135,7 @@ def _supported(finding: Finding) -> float:
     """Return the gain in held-out log score; none where few folds chose the name, or the whole speaks not."""
     evidence = finding.evidence
     chosen = finding.effect == "unknown" or (evidence.named_in_folds or 0) > FOLDS // 2
-    likelier = (evidence.log_bayes_factor or 0.0) > 0.0
+    likelier = evidence.log_bayes_factor > 0.0
     return (evidence.heldout_log_score_gain or 0.0) if chosen and likelier else 0.0
 
 

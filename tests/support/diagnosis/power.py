@@ -168,10 +168,7 @@ def main() -> None:
 def row(trial: Trial) -> dict[str, Any]:
     """Return one trial as a plain table."""
     put = [{"kind": p.kind, "sensor": p.sensor, "axes": np.abs(p.value).round(9).tolist()} for p in trial.put]
-    said = [
-        [f.effect, f.sensor, f.where.driver, round(-np.log10(max(f.evidence.p_value, 1e-300)), 1)]
-        for f in trial.said
-    ]
+    said = [[f.effect, f.sensor, f.where.driver, round(f.evidence.log_bayes_factor, 1)] for f in trial.said]
     return {"family": trial.family, "put": put, "d": trial.d, "said": said, "marks": trial.marks}
 
 

@@ -93,7 +93,9 @@ def show(label: str, answer: Diagnosis, seconds: float) -> None:
             for k, p in f.parameters.items()
         }
         alike = [a.effect for a in f.alternatives if a.indistinguishable]
-        print(f"      {f.effect} {f.sensor} {f.axes} p={f.evidence.p_value:.1e} {values} ~{alike}")
+        print(
+            f"      {f.effect} {f.sensor} {f.axes} {f.evidence.log_bayes_factor:.1f} nats {values} ~{alike}"
+        )
 
 
 def main() -> None:
