@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct import halves
 from stillcal.calib_core.diagnosis.direct import low_pass as spectrum
 from stillcal.calib_core.diagnosis.direct import noise_level as noise
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
@@ -18,11 +19,13 @@ from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, Spectra, bandwi
 from stillcal.calib_core.diagnosis.direct.missing_codes import beside, dead_bits, dead_zone
 from stillcal.calib_core.diagnosis.direct.noise_changes import changing
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, steps
+from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import NAME, Claims, Diagnosis, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
@@ -226,6 +229,19 @@ class Stream:
             sensor, samples, bins, still, seen, made, None if made is None else noise.levels(made, floor)
         )
 
+    def halves(self, claims: Claims) -> list[Stream]:
+        """Return the stream before and after its middle, each measured by itself."""
+        middle = float(self.samples.t[len(self.samples) // 2])
+        k = int(np.searchsorted(self.samples.t, middle))
+        end = self.bins.t + self.bins.duration / 2
+        start = self.bins.t - self.bins.duration / 2
+        parts = ((self.samples[:k], end <= middle), (self.samples[k:], start >= middle))
+        return [Stream.of(self.sensor, x, self.bins.chosen(np.asarray(rows)), claims) for x, rows in parts]
+
+    def measured(self) -> dict[str, Measured]:
+        """Return what its noise at rest measures, on the scales of the populations of sound phones."""
+        return of_noise(self.sensor, self.still, self.steps, self.spectra, self.levels)
+
 
 def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhones) -> list[Finding]:
     """Return what stamps, values and spectra at rest show."""
@@ -279,7 +295,10 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
         found.append(bandwidth(stream.spectra, sensor, usual(sound, "bandwidth", claim), where))
     if wide is None and other is None and fine:
         found += noise.noise_findings(sensor, stream.levels, claim, sound, where)
-    return found
+    if not any(f is not None and f.effect in halves.QUANTITIES for f in found):
+        return found
+    parts = [half.measured() for half in stream.halves(claims)]
+    return [f for f in found if f is None or halves.borne_out(f, parts, sound, claim)]
 
 
 def _one_tone(found: list[Finding]) -> list[Finding]:

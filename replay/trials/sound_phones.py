@@ -52,7 +52,7 @@ def measured_of(exam: Examination) -> dict[str, Measured]:
     out = quantities.of_stamps(exam.accelerometer)
     for stream in reversed(exam.streams):
         out |= quantities.of_values(stream.samples)
-        out |= quantities.of_noise(stream.sensor, stream.still, stream.steps, stream.spectra, stream.levels)
+        out |= stream.measured()
     return out
 
 

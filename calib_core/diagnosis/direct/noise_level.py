@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Claims, Finding, Where
-from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual
+from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
 from stillcal.calib_core.diagnosis.model.words import Words
 
 UNEQUAL = Words(
@@ -143,7 +143,7 @@ def noise_findings(
 
     Where something shakes the phone, the quietest rests bound the sensor's own noise from above, and no more.
     """
-    found = [_unequal(sensor, measured, sound, where)] if measured.own else []
+    found = [_unequal(sensor, measured, sound, claim, where)] if measured.own else []
     if claim is not None and (measured.own or measured.values()[_base(measured, claim)].max() < claim):
         found.append(_level(sensor, measured, sound["noise_level_declared"], claim, where))
     return [f for f in found if f is not None]
@@ -197,24 +197,26 @@ def _odd_one_out(measured: Levels, axis: int) -> Measured:
     return Measured(float(weight @ logs), float(np.sqrt((weight**2) @ errors**2)))
 
 
-def _unequal(sensor: str, measured: Levels, sound: SoundPhones, where: Where) -> Finding | None:
+def _unequal(
+    sensor: str, measured: Levels, sound: SoundPhones, claim: float | None, where: Where
+) -> Finding | None:
     """Find the axis whose density stands to that of the others as in no sound phone.
 
     Sound phones have a usual x over y and a usual z over both. With one axis odd, its own ratio is anything
     and only what the other two are to each other is usual.
     """
     ratios = imbalance(measured)
-    usual = {name: sound[f"{sensor}_noise_{name}"] for name in ratios}
-    sound_log = sum(usual[name].log_sound(m.value, m.error) for name, m in ratios.items())
+    common = {name: usual(sound, f"{sensor}_noise_{name}", claim) for name in ratios}
+    sound_log = sum(common[name].log_sound(m.value, m.error) for name, m in ratios.items())
     # Of z and one of x and y, the ratio is usual as z over both is.
     x, y, z = (_odd_one_out(measured, a) for a in range(3))
     pair = {
-        0: (usual["upright"], ratios["upright"].value + 0.5 * ratios["plane"].value),
-        1: (usual["upright"], ratios["upright"].value - 0.5 * ratios["plane"].value),
-        2: (usual["plane"], ratios["plane"].value),
+        0: (common["upright"], ratios["upright"].value + 0.5 * ratios["plane"].value),
+        1: (common["upright"], ratios["upright"].value - 0.5 * ratios["plane"].value),
+        2: (common["plane"], ratios["plane"].value),
     }
     gains = [
-        usual["upright"].log_faulty(own.value, own.error) + pair[a][0].log_sound(pair[a][1], own.error)
+        common["upright"].log_faulty(own.value, own.error) + pair[a][0].log_sound(pair[a][1], own.error)
         for a, own in enumerate((x, y, z))
     ]
     axis = int(np.argmax(gains))
@@ -222,11 +224,11 @@ def _unequal(sensor: str, measured: Levels, sound: SoundPhones, where: Where) ->
     reference = float(np.exp(np.log(measured.values()[others]).mean()))
     ratio = measured.values() / reference
     relative = np.log(measured.pieces[:, axis] / np.sqrt(measured.pieces[:, others].prod(axis=1)))
-    typical = usual["upright"].middle * (1.0 if axis == 2 else -0.5)
+    typical = common["upright"].middle * (1.0 if axis == 2 else -0.5)
     seen = Seen(
         float(gains[axis] - sound_log) - float(np.log(3.0)),
         of_means(relative, np.array([typical])),
-        usual["upright" if axis == 2 else "plane"].rarity(own.value if axis == 2 else ratios["plane"].value),
+        common["upright" if axis == 2 else "plane"].rarity(own.value if axis == 2 else ratios["plane"].value),
     )
     say = (
         f"{NAME[sensor].capitalize()} noise differs between axes: {AXES[axis]} is"
@@ -243,14 +245,20 @@ def level_ratio(measured: Levels, claim: float) -> tuple[Measured, list[int]]:
     return Measured(float(np.log(reference.value / claim)), reference.error / reference.value), base
 
 
-def _level(sensor: str, measured: Levels, usual: Usual, claim: float, where: Where) -> Finding | None:
+def _level(sensor: str, measured: Levels, common: Usual, claim: float, where: Where) -> Finding | None:
     """Find a level that is not the claimed one."""
     ratio, base = level_ratio(measured, claim)
     pieces = np.log(measured.pieces[:, base].mean(axis=1) / claim)
-    held_out = of_means(pieces, np.clip(np.array([ratio.value]), *usual.between))
+    held_out = of_means(pieces, np.clip(np.array([ratio.value]), *common.between))
     value = float(np.exp(ratio.value))
     say = f"{NAME[sensor].capitalize()} white noise is {value:.2f} times the datasheet value."
     parameters = {"ratio": Measured(value, value * ratio.error).parameter("1")}
     return direct_finding(
-        LEVEL.effect, sensor, base, where, parameters, statement=say, seen=of_measured(ratio, usual, held_out)
+        LEVEL.effect,
+        sensor,
+        base,
+        where,
+        parameters,
+        statement=say,
+        seen=of_measured(ratio, common, held_out),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,7 +126,7 @@ def quantisation(
     say = f"The {NAME[sensor]}'s values come in steps of {size}, coarser than declared or than its noise."
     parameter = {"step": Parameter(step, [step - half, step + half], UNIT[sensor])}
     grid, held_out = grid_evidence(samples.xyz[:, axes[0]])
-    unusual = of_measured(relative_step(seen, axes), usual)
+    unusual = of_measured(relative_step(seen), usual)
     # Both must hold: there is a grid, and it is coarser than that of sound phones.
     judged = Seen(
         grid if lsb else min(grid, unusual.log_bayes_factor), held_out, "" if lsb else unusual.unusual
@@ -137,9 +136,9 @@ def quantisation(
     )
 
 
-def relative_step(seen: Steps, axes: Sequence[int] = (0, 1, 2)) -> Measured:
-    """Return the natural logarithm of the step over the standard deviation at rest, `FINEST` at least."""
-    ratio = max(float(np.median(seen.step[list(axes)] / np.maximum(seen.sd[list(axes)], 1e-300))), FINEST)
+def relative_step(seen: Steps) -> Measured:
+    """Return the logarithm of the coarsest step over the standard deviation at rest, `FINEST` at least."""
+    ratio = max(float((seen.step / np.maximum(seen.sd, 1e-300)).max()), FINEST)
     return Measured(float(np.log(min(ratio, COARSEST))), STEP_ERROR)
 
 

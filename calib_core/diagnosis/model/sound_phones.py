@@ -55,17 +55,27 @@ class Usual:
         """The largest number that a sound phone shows."""
         return float(self.devices[-1]) if self.devices.size else self.between[1]
 
+    @property
+    def side(self) -> int:
+        """Where faults are: above the usual numbers (1), below them (-1), or on both sides (0)."""
+        below, above = self.middle - self.faulty[0], self.faulty[1] - self.middle
+        if min(below, above) > 0.5 * max(below, above):
+            return 0
+        return 1 if above > below else -1
+
     def log_sound(self, value: float, error: float) -> float:
         """Return the log density of a measured value among sound phones, its normal error included.
 
-        It is a mean of normal kernels at the devices' numbers, or a uniform density.
+        It is a mean of normal kernels at the devices' numbers, or a uniform density. Where faults are on one
+        side only, it does not rise towards them: less than what a sound phone shows is sound.
         """
         if self.devices.size == 0:
             return _log_uniform(value, error, *self.between)
         sigma = float(np.hypot(self.width, error))
-        return log_mean_exp(-0.5 * ((value - self.devices) / sigma) ** 2) - float(
-            np.log(sigma * np.sqrt(2.0 * np.pi))
-        )
+        worse = self.devices[self.side * (self.devices - value) > 0.0]
+        apart = np.subtract.outer(np.append(worse, value), self.devices) / sigma
+        densities = [log_mean_exp(-0.5 * row**2) for row in apart]
+        return max(densities) - float(np.log(sigma * np.sqrt(2.0 * np.pi)))
 
     def log_faulty(self, value: float, error: float) -> float:
         """Return the log density of a measured value among faulty phones: uniform over `faulty`."""
@@ -76,8 +86,8 @@ class Usual:
         n = self.devices.size
         if n == 0:
             return ""
-        above = value >= float(np.median(self.devices))
-        beyond = int(np.sum(self.devices >= value if above else self.devices <= value))
+        side = self.side or (1 if value >= self.middle else -1)
+        beyond = int(np.sum(side * (self.devices - value) >= 0.0))
         count = "None" if beyond == 0 else str(beyond)
         return f"({count} of {n} real devices shows as much.)"
 
@@ -137,8 +147,9 @@ def parsed(table: Mapping[str, Any]) -> SoundPhones:
 
 
 def usual(sound: SoundPhones, name: str, claim: float | None) -> Usual:
-    """Return the population of a quantity: of all phones, or of those whose maker claims it."""
-    return sound[name if not claim else f"{name}_declared"]
+    """Return the population of a quantity: of all phones, or of those whose maker claims it, where known."""
+    declared = sound.get(f"{name}_declared") if claim else None
+    return declared or sound[name]
 
 
 @cache

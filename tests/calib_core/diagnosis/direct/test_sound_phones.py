@@ -1,0 +1,62 @@
+"""What most real phones do is no finding; what none of them does is one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.direct import noise_level
+from stillcal.calib_core.diagnosis.direct.halves import borne_out
+from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, judged
+from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.replay.formats.hhar_still import recordings
+
+WHERE = Where(0.0, 1.0, (0.0, 1.0), "noise at rest")
+
+
+def unequal(sensor: str, ratio: Sequence[float], seed: int = 0) -> list[Finding]:
+    noise = np.random.default_rng(seed).normal(size=(20, 1000, 3)) * np.asarray(ratio)
+    seen = judged(Quiet(tuple(noise), tuple(10.0 * np.arange(20)), 100.0))
+    assert seen is not None
+    return noise_level.noise_findings(sensor, noise_level.levels(seen), None, sound_phones(), WHERE)
+
+
+def test_z_of_an_accelerometer_is_louder_and_that_is_sound() -> None:
+    for z in (1.0, 1.25, 1.5, 1.7):
+        assert unequal("accel", (1.0, 1.0, z)) == [], z
+
+
+@pytest.mark.parametrize(
+    ("sensor", "ratio", "axis"),
+    [("accel", (1.0, 1.0, 6.0), "z"), ("accel", (8.0, 1.0, 1.4), "x"), ("gyro", (1.0, 4.0, 1.0), "y")],
+)
+def test_an_axis_as_loud_as_in_no_phone_is_named(sensor: str, ratio: tuple[float, ...], axis: str) -> None:
+    found = unequal(sensor, ratio)
+    assert [(f.effect, f.axes) for f in found] == [("noise_unequal_axes", [axis])]
+    own = float(np.asarray(found[0].parameters["ratio"].value)["xyz".index(axis)])
+    others = [r for r, a in zip(ratio, "xyz", strict=True) if a != axis]
+    assert own == pytest.approx(max(ratio) / np.sqrt(np.prod(others)), rel=0.05)
+    assert "None of" in found[0].statement
+
+
+def test_a_half_that_speaks_against_the_noise_of_the_whole_takes_it_back() -> None:
+    found = direct_finding("bandwidth", "accel", [0], WHERE, {}, statement="", seen=Seen(99.0))
+    assert found is not None
+    narrow, flat = {"bandwidth": Measured(-3.5, 0.02)}, {"bandwidth": Measured(-0.69, 0.02)}
+    assert borne_out(found, [narrow, narrow], sound_phones(), None)
+    assert not borne_out(found, [narrow, flat], sound_phones(), None)
+    assert borne_out(found, [{}, narrow], sound_phones(), None), "a half that cannot tell"
+
+
+def test_two_real_phones_on_a_table_are_silent(data_dir: Path) -> None:
+    """A Nexus 4 and a Galaxy S3 mini, each on several faces."""
+    silent = [r for r in recordings(data_dir / "hhar_still") if r.device in ("it-137", "3Renault-AH")]
+    assert len(silent) >= 10
+    said = [s.finding.statement for r in silent for s in examine(r.samples, None).statements]
+    assert said == []

@@ -1,0 +1,113 @@
+"""Evidence of direct measurements, against the same probabilities written out in full."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from stillcal.calib_core.diagnosis.model.measurement import (
+    HeldOut,
+    Measured,
+    Seen,
+    direct_finding,
+    of_chance,
+    of_counts,
+    of_fit,
+    of_measured,
+    of_vector,
+    posterior,
+    share_of,
+)
+from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.diagnosis.model.settings import DIRECT_CHECKS
+from stillcal.calib_core.diagnosis.model.sound_phones import Usual, sound_phones
+
+WHERE = Where(0.0, 1.0, (0.0, 1.0), "")
+STATED_RANGE = Usual(np.zeros(0), (-0.1, 0.1), (-1.0, 1.0), "")
+
+
+@pytest.mark.parametrize("value", [0.0, 0.12, 0.5, -0.3])
+def test_a_number_against_a_range_is_the_ratio_of_two_smeared_uniforms(value: float) -> None:
+    def density(low: float, high: float) -> float:
+        return float(integrate.quad(lambda x: stats.norm.pdf(value, x, 0.05) / (high - low), low, high)[0])
+
+    expected = np.log(density(-1.0, 1.0) / density(-0.1, 0.1))
+    assert of_measured(Measured(value, 0.05), STATED_RANGE).log_bayes_factor == pytest.approx(
+        expected, abs=1e-6
+    )
+
+
+def test_a_number_far_outside_has_finite_evidence() -> None:
+    nats = of_measured(Measured(0.9, 1e-3), STATED_RANGE).log_bayes_factor
+    assert np.isfinite(nats) and nats == pytest.approx(0.5 * 800.0**2, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("hits", "trials", "sound"), [(0, 50, 0.1), (5, 50, 0.1), (30, 50, 0.1), (9, 9, 0.5)]
+)
+def test_counts_are_marginal_likelihoods_of_uniform_shares(hits: int, trials: int, sound: float) -> None:
+    def mean(low: float, high: float) -> float:
+        area = integrate.quad(lambda p: stats.binom.pmf(hits, trials, p), low, high, epsabs=0.0)[0]
+        return float(area / (high - low))
+
+    expected = np.log(mean(sound, 1.0) / mean(0.0, sound))
+    assert of_counts(hits, trials, sound) == pytest.approx(expected, abs=1e-5)
+
+
+def test_counts_far_beyond_chance_have_finite_evidence() -> None:
+    assert 2e4 < of_counts(5000.0, 5000.0, 0.01) < 5000.0 * np.log(100.0) + 1.0
+
+
+def test_a_vector_is_a_ratio_of_normal_densities() -> None:
+    noise = np.array([[0.02, 0.005], [0.005, 0.03]])
+    value = np.array([0.3, -0.2])
+    both = stats.multivariate_normal(np.zeros(2), noise + 0.25 * np.eye(2)).logpdf(value)
+    assert of_vector(value, noise, 0.5) == pytest.approx(
+        both - stats.multivariate_normal(np.zeros(2), noise).logpdf(value)
+    )
+
+
+def test_chance_fit_and_prior_are_as_they_say() -> None:
+    assert of_chance(-20.0 * np.log(2.0), 4.0) == pytest.approx(18.0 * np.log(2.0))
+    assert of_fit(30.0, 2.0, np.e**4) == pytest.approx(26.0)
+    assert posterior(np.log(DIRECT_CHECKS)) == pytest.approx(0.5)
+    assert share_of(0.0, 1000.0).error > 0.0, "no success in 1,000 trials is no certainty of none"
+
+
+def test_what_held_out_parts_contradict_is_not_stated() -> None:
+    def stated(seen: Seen) -> bool:
+        return direct_finding("bandwidth", "gyro", [0], WHERE, {}, statement="Said.", seen=seen) is not None
+
+    assert stated(Seen(50.0)) and stated(Seen(50.0, HeldOut(3.0, 2.0, 1.0)))
+    assert not stated(Seen(50.0, HeldOut(-3.0, 1.0, 2.0))), "a gain of -3 nats"
+    assert not stated(Seen(5.0)), "one of 40 checks is expected to be as sure"
+
+
+def test_evidence_has_only_what_was_computed() -> None:
+    counted = direct_finding("x", "gyro", [], WHERE, {}, statement="Said.", seen=Seen(50.0, None, "(Rare.)"))
+    assert counted is not None and counted.statement == "Said. (Rare.)"
+    assert counted.evidence.heldout_log_score_gain is None and counted.evidence.folds == 0
+    assert counted.evidence.log_bayes_factor == 50.0
+    assert counted.evidence.p_value == pytest.approx(DIRECT_CHECKS * np.exp(-50.0))
+
+
+def test_less_than_what_a_sound_phone_shows_is_sound() -> None:
+    """Numbers of devices with a gap: what lies in it is less than the device beyond it."""
+    devices = np.array([0.0, 0.01, 0.02, 0.03, 1.0])
+    one_sided = Usual.of(devices, (0.0, 5.0), "")
+    assert one_sided.side == 1
+    assert not of_measured(Measured(0.5, 0.01), one_sided).stated
+    assert not of_measured(Measured(1.0, 0.01), one_sided).stated
+    assert of_measured(Measured(4.5, 0.01), one_sided).stated
+    assert one_sided.rarity(0.5).startswith("(1 of 5") and one_sided.rarity(4.5).startswith("(None of 5")
+    assert Usual.of(devices, (-4.0, 4.0), "").side == 0
+
+
+def test_every_population_has_a_source_and_a_range_of_faults() -> None:
+    for name, one in sound_phones().items():
+        assert one.source and one.source != "to be filled in", name
+        assert one.faulty[0] < one.faulty[1], name
+        assert one.devices.size >= 5 or one.between[0] < one.between[1], name
+        if one.devices.size:
+            assert 0.0 < one.width < np.ptp(one.devices), name

@@ -1,0 +1,48 @@
+"""Sample periods of even stamps, stamps with gaps, jittered ones, and stamps in bursts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.direct.clock import timing_findings
+from stillcal.calib_core.diagnosis.direct.quantities import of_stamps
+from stillcal.calib_core.diagnosis.model.records import Claims
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+N = 20000
+
+
+def in_bursts(seed: int = 1) -> np.ndarray:
+    """100 samples a second that a host fetches some at a time and stamps 2 ms apart as it reads them."""
+    rng = np.random.default_rng(seed)
+    fetched = np.cumsum(rng.integers(1, 9, N // 3))
+    fetched = fetched[fetched < N]
+    last = fetched[np.searchsorted(fetched, np.arange(fetched[-1]), side="right")]
+    stamps = last / 100.0 + 0.002 * (np.arange(last.size) - (last - 1))
+    return np.asarray(np.maximum.accumulate(stamps - stamps[0] + rng.uniform(0, 2e-4, stamps.size)))
+
+
+def test_stamps_in_bursts_have_the_rate_of_samples_over_time() -> None:
+    t = in_bursts()
+    assert np.median(np.diff(t)) < 0.003, "the usual interval is the host's"
+    assert bunched(t) and sample_period(t) == pytest.approx(0.01, rel=0.01)
+
+
+def test_missing_samples_and_jitter_are_no_bursts() -> None:
+    rng = np.random.default_rng(2)
+    even = np.arange(N) / 50.0
+    for t in (even, even[rng.random(N) > 0.4], np.sort(even + rng.normal(0.0, 0.004, N))):
+        assert not bunched(t) and sample_period(t) == pytest.approx(0.02, rel=0.02)
+
+
+def test_bursts_are_named_and_no_fraction_is_beyond_one() -> None:
+    t = in_bursts()
+    samples = Samples.checked(Sensor.ACCELEROMETER, t, np.zeros((t.size, 3)))
+    assert of_stamps(samples) == {}, "neither jitter nor missing samples"
+    found = timing_findings(samples, Claims(), sound_phones())
+    assert [f.effect for f in found] == ["arrival_bursts"]
+    assert 0.0 < float(found[0].parameters["fraction"].value) < 1.0  # type: ignore[arg-type]
+    assert "100 Hz" in found[0].statement
