@@ -160,19 +160,18 @@ def test_a_faint_line_is_found_in_long_stretches() -> None:
 
 
 @pytest.mark.parametrize(
-    ("step", "coarse"), [(1000.0 / 32768.0, False), (0.0333, False), (3000.0 / 32768.0, True)]
+    ("step", "declared", "coarse"), [(0.0305, None, False), (0.0333, None, False), (0.061, 0.0305, True)]
 )
-def test_sixteen_bits_at_a_usual_range_are_no_finding_while_they_are_dithered(
-    step: float, coarse: bool
+def test_steps_that_real_phones_have_are_no_finding_unless_finer_ones_are_declared(
+    step: float, declared: float | None, coarse: bool
 ) -> None:
-    """Steps of 1.2, 1.3 and 3.7 times the noise; real phones have steps up to 1.3 times theirs."""
+    """Steps of 1.2, 1.3 and 2.5 times the noise, deg/s; real phones have steps up to 1.3 times theirs."""
     step = float(np.deg2rad(step))
-    noise = np.random.default_rng(12).normal(0, np.deg2rad(0.0245), (N, 3))
+    noise = np.random.default_rng(12).normal(0, np.deg2rad(0.0245), (N, 3)) + np.array([0.0, 0.0, 0.01])
     values = stream(even(), step * np.round(noise / step))
-    found = quantisation(
-        values, "gyro", steps(values, values.xyz.std(axis=0)), None, SOUND["step_over_noise"]
-    )
-    assert (found is not None) == coarse
+    seen = steps(values, values.xyz.std(axis=0))
+    lsb = None if declared is None else float(np.deg2rad(declared))
+    assert (quantisation(values, "gyro", seen, lsb, SOUND["step_over_noise"]) is not None) == coarse
 
 
 def test_a_line_near_the_limit_of_what_can_be_seen_has_its_frequency() -> None:
