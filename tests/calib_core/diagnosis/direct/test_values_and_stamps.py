@@ -167,9 +167,10 @@ def test_steps_that_real_phones_have_are_no_finding_unless_finer_ones_are_declar
 ) -> None:
     """Steps of 1.2, 1.3 and 2.5 times the noise, deg/s; real phones have steps up to 1.3 times theirs."""
     step = float(np.deg2rad(step))
-    noise = np.random.default_rng(12).normal(0, np.deg2rad(0.0245), (N, 3)) + np.array([0.0, 0.0, 0.01])
-    values = stream(even(), step * np.round(noise / step))
-    seen = steps(values, values.xyz.std(axis=0))
+    sd = float(np.deg2rad(0.0245))
+    turning = np.random.default_rng(12).normal(0, sd, (N, 3)) + 0.2 * np.sin(0.3 * even())[:, None]
+    values = stream(even(), step * np.round(turning / step))
+    seen = steps(values, np.full(3, sd))
     lsb = None if declared is None else float(np.deg2rad(declared))
     assert (quantisation(values, "gyro", seen, lsb, SOUND["step_over_noise"]) is not None) == coarse
 
