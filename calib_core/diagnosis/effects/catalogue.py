@@ -26,6 +26,11 @@ def named_effects() -> tuple[Effect, ...]:
 
     Raises UserError where an effect of another package cannot be loaded or is none.
     """
+    return (*own_effects(), *foreign_effects())
+
+
+def own_effects() -> list[Effect]:
+    """Return the effects of this package that have a name."""
     own: list[Effect] = []
     for sensor in ("accel", "gyro"):
         own += [BiasTemperature(sensor, degree) for degree in (1, 2, 3)]
@@ -33,7 +38,7 @@ def named_effects() -> tuple[Effect, ...]:
         own.append(ScaleTemperature(sensor))
     own += [ForceNonlinearity(2), ForceNonlinearity(3), GSensitivity()]
     own += [RateNonlinearity(2), RateNonlinearity(3)]
-    return (*own, *foreign_effects())
+    return own
 
 
 def foreign_effects() -> list[Effect]:
