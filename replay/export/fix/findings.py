@@ -75,6 +75,20 @@ def difference(finding: Finding, name: str) -> Array:
     return value
 
 
+def to_add(finding: Finding, name: str, before: Array) -> Array:
+    """Return what to add to a configured parameter: the difference, or what takes a superfluous one out.
+
+    Raises CannotHold where the configuration has nothing of it that could be taken out.
+    """
+    delta = difference(finding, name)
+    if finding["relation"] != "superfluous":
+        return delta
+    gone = np.where(delta != 0.0, -np.asarray(before), 0.0)
+    if not gone.any():
+        raise CannotHold("it has nothing of this to take out; the simulation must have it from elsewhere")
+    return gone
+
+
 def recorded(finding: Finding, name: str) -> Array:
     """Return the recording's parameter. Raises CannotHold where it has none."""
     if name not in finding["parameters"]:
@@ -136,7 +150,19 @@ def walk_of(allan_deviation: Array, averaging_s: float = 100.0) -> Array:
     return np.asarray(allan_deviation * np.sqrt(3.0 / averaging_s))
 
 
-def gain_change(finding: Finding) -> Array:
+def gain_after(finding: Finding, before: Array) -> Array:
+    """Return a configured forward matrix (3, 3) as it must be: unity where it is superfluous.
+
+    Raises CannotHold where it is superfluous and the configuration has none.
+    """
+    if finding["relation"] != "superfluous":
+        return np.asarray(_gain_change(finding) @ before)
+    if np.array_equal(before, np.eye(3)):
+        raise CannotHold("it has nothing of this to take out; the simulation must have it from elsewhere")
+    return np.eye(3)
+
+
+def _gain_change(finding: Finding) -> Array:
     """Return the matrix (3, 3) that multiplies the simulated sensor's forward matrix from the left.
 
     A correction's matrix C belongs to the forward matrix inv(C): the simulation's becomes the recording's.

@@ -17,12 +17,12 @@ from stillcal.replay.export.fix.findings import (
     Fixed,
     apply_findings,
     changed_axes,
-    difference,
     level,
     note_change,
     ratio,
     recorded,
     rounded,
+    to_add,
     walk_of,
 )
 from stillcal.replay.export.fix.xml_text import Node, parsed, text_at, with_child, with_text
@@ -95,10 +95,11 @@ class Gazebo:
                     self._set(element, axis, "stddev", old * float(np.sqrt(factor)))
 
     def _bias(self, finding: Finding) -> None:
-        element, delta = ELEMENTS[finding["sensor"]], difference(finding, "bias")
+        element = ELEMENTS[finding["sensor"]]
+        before = np.array([self._value(element, axis, "mean") for axis in range(3)])
+        delta = to_add(finding, "bias", before)
         for axis in changed_axes(delta):
-            before = self._value(element, axis, "mean")
-            self._set(element, axis, "mean", before + float(delta[axis]))
+            self._set(element, axis, "mean", float(before[axis] + delta[axis]))
 
     def _white(self, finding: Finding) -> None:
         element = ELEMENTS[finding["sensor"]]

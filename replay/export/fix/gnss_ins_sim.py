@@ -22,12 +22,12 @@ from stillcal.replay.export.fix.findings import (
     Finding,
     Fixed,
     apply_findings,
-    difference,
     level,
     note_change,
     ratio,
     recorded,
     rounded,
+    to_add,
 )
 
 BIAS = {"accel": ("accel_b", 1.0), "gyro": ("gyro_b", DEG_PER_HOUR)}
@@ -57,7 +57,8 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
 
     def bias(finding: Finding) -> None:
         key, unit = BIAS[finding["sensor"]]
-        _set(fixed, key, _get(fixed, key) + difference(finding, "bias") / unit)
+        before = _get(fixed, key) * unit
+        _set(fixed, key, (before + to_add(finding, "bias", before)) / unit)
 
     def white(finding: Finding) -> None:
         key, unit = WALK[finding["sensor"]]

@@ -19,14 +19,14 @@ from stillcal.replay.export.fix.findings import (
     Fixed,
     apply_findings,
     common_ratio,
-    difference,
-    gain_change,
+    gain_after,
     level,
     note_change,
     recorded,
     reference_c,
     refuse_bends,
     rounded,
+    to_add,
     walk_of,
 )
 from stillcal.replay.export.imusensor import PERCENT, REFERENCE_C
@@ -42,10 +42,13 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     _variable(fixed.text)
 
     def bias(finding: Finding) -> None:
-        _add(fixed, finding, "ConstantBias", SIGNS[finding["sensor"]] * difference(finding, "bias"))
+        sign = SIGNS[finding["sensor"]]
+        before = sign * _get(fixed, finding, "ConstantBias", np.zeros(3))
+        _add(fixed, finding, "ConstantBias", sign * to_add(finding, "bias", before))
 
     def slope(finding: Finding) -> None:
-        sign, delta, at = SIGNS[finding["sensor"]], difference(finding, "slope"), reference_c(finding)
+        sign, at = SIGNS[finding["sensor"]], reference_c(finding)
+        delta = to_add(finding, "slope", sign * _get(fixed, finding, "TemperatureBias", np.zeros(3)))
         if at is None:
             raise CannotHold("the finding does not say from which temperature its slope counts")
         _add(fixed, finding, "TemperatureBias", sign * delta)
@@ -56,10 +59,11 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
         before = _get(fixed, finding, "AxesMisalignment", PERCENT * np.eye(3))
         if before.shape != (3, 3):
             raise CannotHold("AxesMisalignment is not a matrix of 3 by 3 in it")
-        _set(fixed, finding, "AxesMisalignment", before, gain_change(finding) @ before)
+        _set(fixed, finding, "AxesMisalignment", before, PERCENT * gain_after(finding, before / PERCENT))
 
     def scale_slope(finding: Finding) -> None:
-        _add(fixed, finding, "TemperatureScaleFactor", PERCENT * difference(finding, "slope"))
+        before = _get(fixed, finding, "TemperatureScaleFactor", np.zeros(3)) / PERCENT
+        _add(fixed, finding, "TemperatureScaleFactor", PERCENT * to_add(finding, "slope", before))
 
     def white(finding: Finding) -> None:
         before = _get(fixed, finding, "NoiseDensity", np.zeros(3))

@@ -22,7 +22,7 @@ from stillcal.replay.export.fix.findings import (
     Fixed,
     apply_findings,
     difference,
-    gain_change,
+    gain_after,
     level,
     note_change,
     ratio,
@@ -30,6 +30,7 @@ from stillcal.replay.export.fix.findings import (
     reference_c,
     refuse_bends,
     rounded,
+    to_add,
 )
 from stillcal.replay.export.fix.toml_text import edited
 from stillcal.replay.phone.effects.base import Effect
@@ -52,23 +53,28 @@ class _Phone:
         self._fixed = fixed
 
     def bias(self, finding: Finding) -> None:
-        self._add_bias(finding, difference(finding, "bias"))
+        self._add_bias(finding, to_add(finding, "bias", np.asarray(self._sensor(finding).bias)))
 
     def bias_temperature(self, finding: Finding) -> None:
-        delta, at = difference(finding, "slope"), reference_c(finding)
-        self._effect(finding, {"slope": delta})
+        delta, at = (
+            self._effect(finding, {"slope": difference(finding, "slope")})["slope"],
+            reference_c(finding),
+        )
         if at is not None:
             self._add_bias(finding, delta * (self.phone.heat.reference_c - at))
         refuse_bends(finding)
 
     def scale(self, finding: Finding) -> None:
-        self._multiply_gain(finding, gain_change(finding))
+        self._set_gain(finding, gain_after(finding, np.asarray(self._sensor(finding).scale)))
 
     def scale_temperature(self, finding: Finding) -> None:
-        delta, at = difference(finding, "slope"), reference_c(finding)
-        self._effect(finding, {"slope": delta})
+        delta, at = (
+            self._effect(finding, {"slope": difference(finding, "slope")})["slope"],
+            reference_c(finding),
+        )
         if at is not None:
-            self._multiply_gain(finding, np.eye(3) + np.diag(delta * (self.phone.heat.reference_c - at)))
+            gained = np.eye(3) + np.diag(delta * (self.phone.heat.reference_c - at))
+            self._set_gain(finding, gained @ np.asarray(self._sensor(finding).scale))
 
     def white(self, finding: Finding) -> None:
         noise = self._sensor(finding).noise
@@ -123,26 +129,36 @@ class _Phone:
         if unused:
             raise CannotHold(f"it is put in, but there is no setting for its {' and '.join(unused)}")
 
-    def _effect(self, finding: Finding, values: dict[str, Any]) -> None:
-        """Add vectors to those of the phone's effect of the same name and sensor; set its other numbers."""
+    def _effect(self, finding: Finding, values: dict[str, Any]) -> dict[str, Any]:
+        """Add vectors to those of the phone's effect of the same name and sensor; set its other numbers.
+
+        Returns what was added to each vector. A superfluous effect is taken out on the axes of the finding.
+        """
         name, sensor = finding["effect"], finding["sensor"]
         kind = EFFECTS[name]
         own = {"sensor": sensor} if "sensor" in kind.__struct_fields__ and sensor in ("accel", "gyro") else {}
         for index, effect in enumerate(self.phone.effects):
             if effect.name == name and (not own or getattr(effect, "sensor", sensor) == sensor):
                 before = {k: getattr(effect, k) for k in values}
-                after = {k: np.asarray(before[k]) + v if np.ndim(v) else v for k, v in values.items()}
+                added = {k: to_add(finding, k, before[k]) for k, v in values.items() if np.ndim(v)}
+                after = {k: np.asarray(before[k]) + added[k] if k in added else v for k, v in values.items()}
+                kept = [*self.phone.effects[:index], *self.phone.effects[index + 1 :]]
+                if added and not any(after[k].any() for k in added):
+                    self._set_effects(kept)
+                    self._fixed.changed.append(f"{name}: taken out")
+                    return added
                 made = self._made(kind, {**msgspec.structs.asdict(effect), **after})
-                effects = [*self.phone.effects]
-                effects[index] = made
-                self._set_effects(effects)
+                self._set_effects([*kept[:index], made, *kept[index:]])
                 for key, value in after.items():
                     note_change(self._fixed, f"{name}.{key}", np.asarray(before[key]), np.asarray(value))
-                return
+                return added
+        if finding["relation"] == "superfluous":
+            raise CannotHold("it has nothing of this to take out; the simulation must have it from elsewhere")
         made = self._made(kind, {**own, **values})
         self._set_effects([*self.phone.effects, made])
         for key, value in values.items():
             note_change(self._fixed, f"{name}.{key}", 0.0, np.asarray(value))
+        return values
 
     def _made(self, kind: type[Effect], values: dict[str, Any]) -> Any:
         plain = {k: rounded(v).tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
@@ -183,9 +199,8 @@ class _Phone:
         self._set_sensor(finding["sensor"], bias=_vector(before + delta))
         note_change(self._fixed, f"{finding['sensor']}.bias", before, before + delta)
 
-    def _multiply_gain(self, finding: Finding, change: Array) -> None:
+    def _set_gain(self, finding: Finding, after: Array) -> None:
         before = np.asarray(self._sensor(finding).scale)
-        after = change @ before
         rows = tuple(_vector(row) for row in after)
         self._set_sensor(finding["sensor"], scale=rows)
         note_change(self._fixed, f"{finding['sensor']}.scale", before, after)

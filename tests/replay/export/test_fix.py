@@ -236,3 +236,45 @@ SILENT = finding("noise_level", "accel", {"density": ([2e-3] * 3, [1e-12] * 3)},
 def test_a_simulation_without_noise_gets_the_recordings_own(tool: str, text: str | None, wanted: str) -> None:
     """There is nothing to multiply, and each tool states a density in its own way."""
     assert wanted in fixed(tool, text, SILENT).text
+
+
+SUPERFLUOUS = finding(
+    "gyro_bias", "gyro", {"bias": ([1e-5, 0.0, 0.0], [0.0101, 0.0, 0.0])}, "superfluous", "x"
+)
+
+
+@pytest.mark.parametrize(
+    ("tool", "text", "wanted"),
+    [
+        ("phone", "[gyro]\nbias = [0.01, 0.5, 0.0]\n", "bias = [0.0, 0.5, 0.0]"),
+        ("imusensor", "a = imuSensor();\na.Gyroscope.ConstantBias = [0.01 0.5 0];\n", "= [0.0 0.5 0.0];"),
+        (
+            "gnss-ins-sim",
+            "e = {'gyro_b': [2000.0, 5, 0], 'accel_b': 0}",
+            "'gyro_b': np.array([0.0, 5.0, 0.0])",
+        ),
+    ],
+)
+def test_what_is_superfluous_is_taken_out_to_the_last_bit(tool: str, text: str, wanted: str) -> None:
+    assert wanted in fixed(tool, text, SUPERFLUOUS).text
+
+
+@pytest.mark.parametrize("tool", ["phone", "gazebo", "imusensor", "gnss-ins-sim"])
+def test_what_is_not_in_the_configuration_cannot_be_taken_out_of_it(tool: str) -> None:
+    made = fixed(tool, None, SUPERFLUOUS)
+    assert not made.changed
+    assert "from elsewhere" in made.not_held[0]
+
+
+def test_a_superfluous_slope_leaves_the_bias_at_the_findings_temperature_as_it_was() -> None:
+    text = (
+        "[heat]\nreference_c = 25.0\n[gyro]\nbias = [0.01, 0.0, 0.0]\n"
+        '[[effect]]\nname = "gyro_bias_temperature"\nslope = [0.0002, 0.0, 0.0]\n'
+    )
+    slope = finding(
+        "gyro_bias_temperature", "gyro", {"slope": ([0.0] * 3, [0.00021, 0, 0])}, "superfluous", "x"
+    )
+    made = fixed("phone", text, {**slope, "reference": {"temperature_c": 35.0}})
+    phone = msgspec.convert(tomllib.loads(made.text), type=Phone)
+    assert phone.effects == () and phone.gyro is not None
+    assert phone.gyro.bias[0] == pytest.approx(0.01 + 10.0 * 0.0002)
