@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.streams.limits import usable
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import Clock, Rows, seconds_per_unit
@@ -173,12 +174,23 @@ class SampleFile:
         for sensor, axes in self._layout.axes.items():
             xyz = rows.values[:, axes]
             there = xyz[:, 0] != EMPTY
-            samples = Samples(sensor, frozen(rows.t), frozen(self._si(sensor, xyz)), temperature, arrival)
+            xyz_si = self._si(sensor, xyz)
+            self._check_limits(rows, xyz_si, there)
+            samples = Samples(sensor, frozen(rows.t), frozen(xyz_si), temperature, arrival)
             if not there.all():
                 self._without_cells += int(np.count_nonzero(~there))
                 samples = _selected(samples, there)
             run[sensor] = samples
         return run
+
+    def _check_limits(self, rows: Rows, xyz: Array, there: NDArray[np.bool_]) -> None:
+        """Raise TraceError for stamps and readings that no sensor gives."""
+        wild = there & ~usable(rows.t, xyz)
+        if wild.any():
+            i = int(wild.argmax())
+            values = " ".join(f"{value:.4g}" for value in xyz[i])
+            what = f"{values} at {rows.t[i]:.6g} s is beyond any sensor's range"
+            raise TraceError(self.path, what, "correct or delete that row", int(rows.lines[i]))
 
     def _si(self, sensor: Sensor, xyz: Array) -> Array:
         sensor_map = self._map.sensor(sensor)

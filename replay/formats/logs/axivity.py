@@ -159,10 +159,10 @@ def _exchanged(blocks: NDArray[np.void], usable: NDArray[np.bool_]) -> NDArray[n
     Such a stretch stands at the start of the AX6 file that this was written with. A block at rest shows
     gravity in one of the two places; those that move are doubted until one at rest shows the right order.
     """
+    axes = int(blocks["axes"][usable.argmax()]) >> 4
     seen = np.zeros(len(blocks), dtype=np.int8)  # 1: gravity where it belongs, -1: in the other place
     for first in range(0, len(blocks), _BLOCKS_AT_A_TIME):
         part = blocks[first : first + _BLOCKS_AT_A_TIME]
-        axes = int(part["axes"][0]) >> 4
         counts = np.frombuffer(part["data"].tobytes(), dtype="<i2").reshape(len(part), -1)
         values = counts[:, : counts.shape[1] // axes * axes].reshape(len(part), -1, axes)[:, :10]
         mean, scatter = values.mean(axis=1), values.std(axis=1).max(axis=1)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.limits import READING
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
@@ -38,7 +39,7 @@ _LETTERS = {
 
 _BOTH_IN_ONE = {"IMU", "IMU2", "IMU3"}
 _ACCELEROMETERS = {"ACC", "ACC1", "ACC2", "ACC3"}
-_PARAMETERS = "PARM"
+_PARAMETERS, _TIMES = "PARM", ("TimeUS", "SampleUS")
 _MOST_DAMAGE, _ENOUGH_DAMAGE = 0.5, 1 << 24
 """Share of a log that may be damaged, and bytes from which on the rest is not read: it is no such log."""
 
@@ -218,7 +219,8 @@ class _Reader:
         one = np.dtype(found.layout[name])
         bytes_ = np.frombuffer(self._content, dtype=np.uint8)
         cells = bytes_[places[:, None].astype(np.int64) + offset + np.arange(one.itemsize)]
-        return np.ascontiguousarray(cells).view(one).ravel().astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
+            return np.ascontiguousarray(cells).view(one).ravel().astype(np.float64)
 
     def _table(self, kind: int, places: NDArray[np.uint64]) -> NumberTable:
         names = [n for n in self._scan.types[kind].fields if self._scan.types[kind].layout[n].kind in "iuf"]
@@ -226,8 +228,13 @@ class _Reader:
         def rows(wanted: Sequence[int]) -> Iterator[tuple[Array, float]]:
             for first in range(0, len(places), BLOCK_ROWS):
                 part = places[first : first + BLOCK_ROWS]
-                block = np.column_stack([self._field(kind, part, names[place]) for place in wanted])
-                yield block, min(1.0, (first + BLOCK_ROWS) / len(places))
+                columns = []
+                for place in wanted:
+                    column = self._field(kind, part, names[place])
+                    # Messages have no check sum: a reading that no sensor gives is damage.
+                    wild = ~(np.abs(column) <= READING) & (names[place] not in _TIMES)
+                    columns.append(np.where(wild, np.nan, column))
+                yield np.column_stack(columns), min(1.0, (first + BLOCK_ROWS) / len(places))
 
         return NumberTable(self._path, names, rows, len(self._content))
 

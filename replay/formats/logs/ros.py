@@ -234,7 +234,8 @@ class _Bag:
         rate = bool(values[:, 2:5].any()) and not (doubles[:, _RATE + 3] == -1).all()
         span = (values[-1, 1] - values[0, 1]) * _NS
         rate_hz = (len(rows) - 1) / span if span > 0 else 0.0
-        norm = float(np.median(np.linalg.norm(values[:, 5:8], axis=1)))
+        with np.errstate(over="ignore", invalid="ignore"):  # a damaged file holds numbers of any size
+            norm = float(np.median(np.linalg.norm(values[:, 5:8], axis=1)))
         in_g = force and abs(norm - 1) < _NEAR_ONE
         return _Topic(name, count, rate_hz, force, rate, bool(values[-1, 0] > 0), in_g)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.tables.table import EMPTY, Block
 
 BLOCK_ROWS = 16384
@@ -38,11 +39,21 @@ class NumberTable:
         """Yield the columns at `places` block by block; rows are numbered from 1."""
         del key  # rows are chosen by text, which these tables have not
         line = 1
-        for values, share in self._rows(places):
+        for values, share in self._read(places):
             self.bytes_read = int(share * self.size_bytes)
             lines = np.arange(line, line + len(values))
             line += len(values)
             yield Block(np.where(np.isnan(values), EMPTY, values), lines)
+
+    def _read(self, places: Sequence[int]) -> Iterator[tuple[Array, float]]:
+        """Read the rows; what a library raises on damage becomes a TraceError."""
+        try:
+            yield from self._rows(places)
+        except (TraceError, GeneratorExit):
+            raise
+        except Exception as error:  # the libraries raise whatever their parsing meets
+            said = " ".join(str(error).split())[:120] or type(error).__name__
+            raise TraceError(self.path, f"is damaged ({said})", "copy or write it again") from None
 
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""

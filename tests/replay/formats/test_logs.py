@@ -280,3 +280,29 @@ def test_a_format_that_is_not_the_logs_own_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TraceError, match=r"is ArduPilot DataFlash, .*leave --format out"):
         open_trace(dataflash_file(tmp_path), "csv")
     assert open_trace(dataflash_file(tmp_path), "auto").kind == "ArduPilot DataFlash"
+
+
+@pytest.mark.parametrize("make", [*MAKERS, ros1_bag, dataflash_file])
+def test_damage_anywhere_gives_samples_or_one_line(tmp_path: Path, make: Callable[[Path], Path]) -> None:
+    path = make(tmp_path)
+    content = path.read_bytes()
+    rng = np.random.default_rng(5)
+    for _ in range(12):
+        damaged = bytearray(content)
+        for place in rng.integers(0, len(damaged), 20):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            recording = read_all(path)
+        except TraceError as error:
+            assert "\n" not in str(error)
+        else:
+            assert (np.abs(recording.accelerometer.xyz) <= 1e9).all()
+
+
+def test_a_reading_beyond_any_sensor_is_named(tmp_path: Path) -> None:
+    wild = DATA.copy()
+    wild[300, 2] = 1e200
+    np.savez(tmp_path / "w.npz", t=wild[:, 0], acc=wild[:, 1:4])
+    with pytest.raises(TraceError, match=r"w.npz:301: .* beyond any sensor's range"):
+        read_all(tmp_path / "w.npz")
