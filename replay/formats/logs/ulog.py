@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
-from io import StringIO
+from io import BufferedReader, StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -31,7 +31,30 @@ _NO_RELATIVE = 0x7FFFFFFF
 """sensor_combined's accelerometer_timestamp_relative without a sample: RELATIVE_TIMESTAMP_INVALID."""
 
 _US = 1e-6
+_MOST_SEEKS = 200_000
+"""Seeks without getting further, beyond which a log is given up: the longest message has 65,535 bytes."""
+
 Data = Mapping[str, Array]
+
+
+class _Guarded(BufferedReader):
+    """A file that ends a search for the next message which goes back and forth in one place for ever.
+
+    pyulog 1.3.0 does so in a log that ends within a damaged message of its definitions.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        super().__init__(file)  # type: ignore[arg-type]
+        self._furthest, self._seeks = 0, 0
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Move as a file does. Raises RuntimeError where this leads nowhere any more."""
+        here = self.tell()
+        self._seeks = 0 if here > self._furthest else self._seeks + 1
+        self._furthest = max(here, self._furthest)
+        if self._seeks > _MOST_SEEKS:
+            raise RuntimeError("no message is found any more")
+        return super().seek(offset, whence)
 
 
 def open_ulog(source: Source) -> Log:
@@ -39,8 +62,8 @@ def open_ulog(source: Source) -> Log:
     pyulog = library("pyulog", "ulog", source.path, "PX4 ULog")
     stored = unpacked_copy(source)
     try:
-        with redirect_stdout(StringIO()):  # the library prints what is damaged; a note says it
-            ulog = pyulog.ULog(str(stored.local), _TOPICS, disable_str_exceptions=True)
+        with redirect_stdout(StringIO()), stored.open() as file:  # it prints what a note says
+            ulog = pyulog.ULog(_Guarded(file), _TOPICS, disable_str_exceptions=True)
     except Exception as error:  # the library raises whatever its parsing meets
         what = f"the ULog is damaged ({type(error).__name__}: {error})"
         raise TraceError(source.path, what, "copy it from the vehicle again") from None

@@ -306,3 +306,14 @@ def test_a_reading_beyond_any_sensor_is_named(tmp_path: Path) -> None:
     np.savez(tmp_path / "w.npz", t=wild[:, 0], acc=wild[:, 1:4])
     with pytest.raises(TraceError, match=r"w.npz:301: .* beyond any sensor's range"):
         read_all(tmp_path / "w.npz")
+
+
+def test_a_ulog_in_which_the_library_would_search_for_ever_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its last message says more bytes than there are, and the way back leads over zeros to itself."""
+    monkeypatch.setattr("stillcal.replay.formats.logs.ulog._MOST_SEEKS", 20_000)
+    header = b"ULog\x01\x12\x35\x01" + bytes(8)
+    (tmp_path / "log.ulg").write_bytes(header + bytes(20_000) + struct.pack("<HB", 12_000, 1) + bytes(9))
+    with pytest.raises(TraceError, match="the ULog is damaged .*no message is found any more"):
+        read_all(tmp_path / "log.ulg")
