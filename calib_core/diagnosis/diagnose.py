@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +36,7 @@ from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
 
@@ -108,8 +109,12 @@ def examine(
     *,
     without: Collection[str] = (),
     sound: SoundPhones | None = None,
+    covariates: Mapping[str, Course] | None = None,
 ) -> Examination:
-    """Measure a recording and find its effects; parameters and errors are those of `diagnose`."""
+    """Measure a recording and find its effects; parameters and errors are those of `diagnose`.
+
+    covariates: further logged columns by name, which a bias may follow.
+    """
     _refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()
     accelerometer, twice = repeats.without_doubles(accelerometer)
@@ -126,7 +131,7 @@ def examine(
     doubled = repeats.doubled(accelerometer, twice)
     direct = [*gone, *([doubled] if doubled else []), *direct_findings(streams, claims, sound)]
     slow = _roughened(_unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
-    residuals = scenes(slow, claims.gravity) if len(slow) else []
+    residuals = scenes(slow, claims.gravity, covariates) if len(slow) else []
     stated = [Stated(f) for f in direct]
     stated += [
         s for scene in residuals if not _is_of(spoiled, scene.sensor) for s in slow_statements(scene, without)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.diagnosis.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
+from stillcal.replay.formats.covariates import read_covariates
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.phone.phone import Phone, dump_phone, load_phone
 
@@ -44,6 +46,7 @@ class _Asked(NamedTuple):
     report: Path | None
     phone_out: Path | None
     fix_for: tuple[str, Path] | None
+    covariates: tuple[str, ...]
     reading: Reading
 
 
@@ -61,6 +64,7 @@ class _Asked(NamedTuple):
         "stillcal diagnose walk.csv --simulated sim.csv --report difference.html",
         "stillcal diagnose walk.csv --simulated sim.csv --fix-for gazebo model.sdf",
         "stillcal diagnose Phones_accelerometer.csv --json -",
+        "stillcal diagnose log.csv --covariate battery_v   # does a bias follow that column?",
         "stillcal diagnose esgi.csv                        # a table of rests",
     ),
 )
@@ -86,6 +90,13 @@ class _Asked(NamedTuple):
     help="Correct FILE, the configuration of --simulated or --phone, by what was found; FILE.bak keeps the"
     f" old one. TOOL: {', '.join(FIXERS)}.",
 )
+@click.option(
+    "--covariate",
+    "covariates",
+    multiple=True,
+    metavar="NAME",
+    help="A further column of TRACE (CSV) that a bias may follow; may be given several times.",
+)
 @reading_options()
 @quiet_option
 def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
@@ -98,6 +109,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     report: Path | None,
     phone_out: Path | None,
     fix_for: tuple[str, Path] | None,
+    covariates: tuple[str, ...],
     reading: Reading,
     quiet: bool,
 ) -> None:
@@ -107,7 +119,18 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     simulator made (--simulated): other motion, another rate and another length do not matter then. What
     could not be checked is said. Exit code 3 where there is too little data.
     """
-    asked = _Asked(trace, phone, simulated, simulated_format, json_path, report, phone_out, fix_for, reading)
+    asked = _Asked(
+        trace,
+        phone,
+        simulated,
+        simulated_format,
+        json_path,
+        report,
+        phone_out,
+        fix_for,
+        tuple(dict.fromkeys(covariates)),
+        reading,
+    )
     _check(asked)
     correction = _correction(asked)
     try:
@@ -185,6 +208,8 @@ def _table(asked: _Asked) -> _Outputs:
 def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> _Outputs:
     show_stage(f"reading {asked.trace.name}")
     recording = asked.reading.read(asked.trace)
+    if asked.covariates:
+        recording = replace(recording, covariates=read_covariates(asked.trace, asked.covariates))
     simulated = None
     if asked.simulated is not None:
         show_stage(f"reading {asked.simulated.name}")

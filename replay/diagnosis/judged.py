@@ -57,6 +57,7 @@ def examined(
             charging_events(recording),
             claims_of(recording),
             without=without,
+            covariates=recording.covariates,
         )
     except NotSupported as refusal:
         where = f"{recording.name}: " if recording.name else ""

@@ -60,10 +60,18 @@ BUILT_IN = "built-in"
 SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 
+def _of_column(effect: str, sensor: str) -> str:
+    """Return the noun of a bias that follows a logged column, or an unknown effect's own words."""
+    start, _, column = effect.partition("_bias_")
+    if start == sensor and column:
+        return f"change of the {SENSORS[sensor]}'s bias with {column.replace('_', ' ')}"
+    return effect.replace("_", " ")
+
+
 def noun(effect: str, sensor: str) -> str:
     """Return what an effect is called in a sentence."""
     named = {e.name: e.called() for e in named_effects()}
-    name = NOUNS.get(effect) or named.get(effect) or effect.replace("_", " ")
+    name = NOUNS.get(effect) or named.get(effect) or _of_column(effect, sensor)
     return f"{name} ({SENSORS[sensor]})" if effect in OF_EITHER and sensor in SENSORS else name
 
 

@@ -64,7 +64,9 @@ def _of_another_package(finding: Finding) -> MappedFinding:
             values = tuple(float(x) for x in np.concatenate([np.ravel(v) for v in own]))
             grid = {name: float(np.ravel(finding.parameters[name].value)[0]) for name in effect.grid_units}
             return MappedFinding(finding, OtherPhysics(effect=effect.name, values=values, grid=grid))
-    return MappedFinding(finding, None, "the cause is unknown, so the simulation has no term for it")
+    if finding.effect == "unknown":
+        return MappedFinding(finding, None, "the cause is unknown, so the simulation has no term for it")
+    return MappedFinding(finding, None, "a simulated phone has no term for it")
 
 
 def _step_time(

@@ -6,10 +6,11 @@ together: two files into one run of time, events beside samples, first checks of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.checks.units import UnitCheck
@@ -54,6 +55,7 @@ class Recording:
     +g on the axis that points up. gyroscope: the same in rad/s with time stamps of its own, None where the
     recording has none. events: charging and location, in time order. claims: what the maker claims of the
     phone. notes: what was tolerated or chosen while reading, a line each. name: what it is called in results.
+    covariates: further logged columns by name (`covariates.read_covariates`), which a bias may follow.
     """
 
     accelerometer: Samples
@@ -62,6 +64,7 @@ class Recording:
     claims: Claims
     notes: list[str]
     name: str = ""
+    covariates: Mapping[str, Course] = field(default_factory=dict)
 
     @property
     def duration(self) -> float:

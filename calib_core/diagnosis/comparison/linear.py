@@ -17,7 +17,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
@@ -140,7 +140,7 @@ def _fitted(
 
 def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
     """Return the effect as this recording would have it, at the nearest grid point; None if it cannot."""
-    for effect in effects_of(scene.sensor, in_turns=wanted.kind == "turn"):
+    for effect in effects_in(scene):
         same = (wanted.kind, effect.name, effect.follows) == wanted.key
         if not same or len(effect.parameters) != len(wanted.hypothesis.effect.parameters):
             continue

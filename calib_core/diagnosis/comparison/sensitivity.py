@@ -16,7 +16,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear import kind_of
 from stillcal.calib_core.diagnosis.comparison.quantity import INFORMED, NINE_IN_TEN, Difference
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
@@ -61,7 +61,7 @@ def sought(exam: Examination) -> list[Sought]:
     out = []
     for scene in scenes:
         if len(scene.bins) >= thresholds.LEAST_BINS:
-            every = effects_of(scene.sensor, in_turns=bool(scene.turns))
+            every = effects_in(scene)
             named = [e for e in every if e.name != "unknown" and (exam.timed or not follows_time(e.follows))]
             out += _of_scene(scene, named, _stated(exam, scene))
     return out

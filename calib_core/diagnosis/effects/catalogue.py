@@ -6,14 +6,18 @@ from collections.abc import Collection
 from functools import cache
 from importlib.metadata import entry_points
 
+import numpy as np
+
 from stillcal.calib_core.diagnosis.effects.by_force import ForceNonlinearity, GSensitivity
 from stillcal.calib_core.diagnosis.effects.by_rate import RateNonlinearity
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature, ScaleTemperature
 from stillcal.calib_core.diagnosis.effects.timed import Charging, Drift, Step
 from stillcal.calib_core.diagnosis.effects.unknown import unknown_effects, unknown_sentence
 from stillcal.calib_core.diagnosis.effects.warmup import LatentHeat, Warmup
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.errors import UserError
 
 GROUP = "stillcal.effects"
@@ -71,6 +75,17 @@ def effects_of(sensor: str, without: Collection[str] = (), *, in_turns: bool = F
     every = [e for e in named_effects() if e.sensor == sensor]
     every = [nameless(e) if e.name in without else e for e in every]
     return [e for e in (*every, *unknown_effects(sensor)) if e.in_turns == in_turns]
+
+
+def effects_in(scene: Scene, without: Collection[str] = ()) -> list[Effect]:
+    """Return what is judged on a scene: the catalogue, and a bias that follows each further logged column."""
+    logged: list[Effect] = []
+    if not scene.turns:
+        spreads = {name: float(np.ptp(x)) for name, x in scene.moments.covariates.items() if x.size}
+        logged = [
+            CovariateBias(scene.sensor, name, spread) for name, spread in spreads.items() if spread > 0.0
+        ]
+    return [*logged, *effects_of(scene.sensor, without, in_turns=bool(scene.turns))]
 
 
 def nameless(effect: Effect) -> Effect:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,6 +14,7 @@ from stillcal.calib_core.diagnosis.model.moments import Moments, moments_of, tur
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Turn
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.streams.course import Course
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,7 @@ class Scene:
     """One sensor's residuals and what may drive them. up: (n, 3) unit gravity in every bin, or None.
 
     turns: the turns between rests that the one view holds, two residuals each; none where the views hold
-    rests.
+    rests. covariates: further logged columns by name.
     """
 
     sensor: str
@@ -30,11 +31,13 @@ class Scene:
     gravity: float
     up: Array | None
     turns: tuple[Turn, ...] = ()
+    covariates: Mapping[str, Course] = field(default_factory=dict)
 
     @cached_property
     def moments(self) -> Moments:
         """The drivers in the bins."""
-        return moments_of(self.bins, None if self.up is None else self.gravity * self.up)
+        force = None if self.up is None else self.gravity * self.up
+        return moments_of(self.bins, force, self.covariates)
 
     @cached_property
     def turning(self) -> list[Moments]:

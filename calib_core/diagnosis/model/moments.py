@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, Index
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW
+from stillcal.calib_core.streams.course import Course
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +49,8 @@ class Moments:
     t, duration: (n,) s, the middle of what a moment is the mean over and how long that is (0: an instant).
     force: (n, 3) m/s^2 and rate: (n, 3) rad/s, what true sensors would read, body axes; None where unknown.
     temperature: (n,) K about `history.reference_c`; charging: (n,) part of the moment on the charger;
-    vibration: (n,) (m/s^2)^2; rest: (n,) index of the rest; None where not recorded.
+    vibration: (n,) (m/s^2)^2; rest: (n,) index of the rest; None where not recorded. covariates: further
+    logged columns (n,) by name, each in its own unit.
     """
 
     t: Array
@@ -59,6 +62,7 @@ class Moments:
     charging: Array | None = None
     vibration: Array | None = None
     rest: Index | None = None
+    covariates: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.t.size)
@@ -80,7 +84,7 @@ class Moments:
         return float((self.t[i - 1] + self.duration[i - 1] / 2 + self.t[i] - self.duration[i] / 2) / 2)
 
 
-def moments_of(bins: Bins, force: Array | None) -> Moments:
+def moments_of(bins: Bins, force: Array | None, covariates: Mapping[str, Course]) -> Moments:
     """Return the drivers in static bins. force: (n, 3) m/s^2, gravity in body axes; None where unknown."""
     warm, (start, end) = bins.temperature, bins.span
     reference = None if warm is None or not warm.size else float(warm.mean())
@@ -94,6 +98,7 @@ def moments_of(bins: Bins, force: Array | None) -> Moments:
         bins.charging,
         bins.vibration,
         bins.rest,
+        {name: course.at(bins.t) for name, course in covariates.items()},
     )
 
 
@@ -123,4 +128,5 @@ def turning(moments: Moments, t: Array, rate: Array, temperature: float) -> Mome
         charging=None,
         vibration=None,
         rest=None,
+        covariates={},
     )

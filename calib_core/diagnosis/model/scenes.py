@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from stillcal.calib_core.diagnosis.model import rates
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.streams.course import Course
 
 
-def scenes(bins: Bins, gravity: float) -> list[Scene]:
-    """Return the accelerometer's scene and, where there is a gyroscope, its own."""
+def scenes(bins: Bins, gravity: float, covariates: Mapping[str, Course] | None = None) -> list[Scene]:
+    """Return the accelerometer's scene and, where there is a gyroscope, its own.
+
+    covariates: further logged columns by name, which a bias may follow.
+    """
+    logged = covariates or {}
     baseline = views.fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
     norm = views.norm_view(bins, baseline, gravity)
     tangent = views.tangent_view(bins, baseline)
     force_views = (norm,) if tangent is None else (norm, tangent)
-    found = [Scene("accel", bins, force_views, gravity, baseline.up)]
+    found = [Scene("accel", bins, force_views, gravity, baseline.up, covariates=logged)]
     if bins.rate is None or bins.rate_variance is None:
         return found
     motion = rates.tilt_rate(bins, views.tilted(bins.force, baseline.parameters)[0])
     turning = tuple(rates.rate_views(bins, baseline.up, motion))
-    return [*found, Scene("gyro", bins, turning, gravity, baseline.up)] if turning else found
+    return (
+        [*found, Scene("gyro", bins, turning, gravity, baseline.up, covariates=logged)] if turning else found
+    )

@@ -8,7 +8,7 @@ from itertools import takewhile
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
@@ -59,7 +59,7 @@ def slow_statements(scene: Scene, without: Collection[str] = ()) -> list[Stated]
     """
     if len(scene.bins) < thresholds.LEAST_BINS:
         return []
-    steps = forward(scene, effects_of(scene.sensor, without))
+    steps = forward(scene, effects_in(scene, without))
     found, left = _jumps(scene, steps)
     if found:
         steps = [step for step in adequate(steps) if jumps.stands(scene, step.winner, found)]
@@ -91,7 +91,7 @@ def turn_statements(scene: Scene | None, without: Collection[str] = ()) -> list[
     """
     if scene is None or len(scene.bins) < thresholds.LEAST_BINS:
         return []
-    return statements_of(scene, forward(scene, effects_of("gyro", without, in_turns=True)))
+    return statements_of(scene, forward(scene, effects_in(scene, without)))
 
 
 def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:

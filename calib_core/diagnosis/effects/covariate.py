@@ -1,0 +1,43 @@
+"""A bias that follows another logged column: battery voltage, load, screen, light, a motor's speed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.effects.bias import SIZE, UNIT, BiasEffect
+from stillcal.calib_core.diagnosis.model.effect import Grid, Linear
+from stillcal.calib_core.diagnosis.model.moments import Moments, moves
+
+
+class CovariateBias(BiasEffect):
+    """The bias changes in proportion to a logged column. spread: by how much that changes, in its unit."""
+
+    remedy = "calibrate at the values of use, or keep it constant"
+    equation = "bias = bias0 + slope (x - mean of x), x the logged column"
+    decides = "let it rise and fall several times while temperature stays the same"
+
+    def __init__(self, sensor: str, column: str, spread: float) -> None:
+        self.column, self.follows = column, f"the column {column}"
+        self.kind = "bias_" + (re.sub(r"\W+", "_", column).strip("_").lower() or "column")
+        self.says, self.called_as = f"changes with {column}", f"change of {{bias}} with {column}"
+        super().__init__(sensor)
+        self.parameters = (Linear("slope", f"{UNIT[sensor]} per unit of {column}", 3, SIZE[sensor] / spread),)
+        self.look_alikes = (f"{sensor}_bias_temperature", f"{sensor}_charging_bias")
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return one point where the column was logged and changes."""
+        x = moments.covariates.get(self.column)
+        return [{}] if x is not None and moves(x) else []
+
+    def can_play(self, moments: Moments, grid: Grid) -> bool:
+        """Whether the column was logged."""
+        return self.column in moments.covariates
+
+    def curve(self, moments: Moments, grid: Grid) -> Array:
+        """Return the column about its mean, in its own unit."""
+        x = moments.covariates[self.column]
+        return np.asarray(x - x.mean())

@@ -1,0 +1,90 @@
+"""A further logged column as the driver of a bias, from the file to the answer."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SLOPE = 1.5e-3
+"""rad/s per volt."""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Half an hour at 20 Hz in ten attitudes; the gyroscope's z follows a voltage logged each minute."""
+    rng, rate_hz = np.random.default_rng(4), 20.0
+    t = np.arange(int(1800 * rate_hz)) / rate_hz
+    ups = rng.normal(size=(10, 3))
+    ups /= np.linalg.norm(ups, axis=1, keepdims=True)
+    which = (t / 180.0).astype(int)
+    moving = (t % 180.0) < 4.0
+    minutes = np.arange(0.0, 1801.0, 60.0)
+    volts = 3.8 + 0.25 * np.sin(minutes / 190.0) + 0.05 * rng.normal(size=minutes.size)
+    force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
+    rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
+    rate[:, 2] += SLOPE * (np.interp(t, minutes, volts) - 3.8)
+    logged = np.full(t.size, "", dtype=object)
+    logged[np.searchsorted(t, minutes[:-1])] = [f"{v:.5f}" for v in volts[:-1]]
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    with path.open("w") as out:
+        out.write("t,ax,ay,az,gx,gy,gz,battery_v\n")
+        for i in range(t.size):
+            numbers = ",".join(f"{x:.7g}" for x in (t[i], *force[i], *rate[i]))
+            out.write(f"{numbers},{logged[i]}\n")
+    return path
+
+
+def run(*words: object) -> tuple[int, str]:
+    """Run the command in a process of its own, as a user does; return exit code and output."""
+    program = "from stillcal.daemon.cli.entry import main; main()"
+    command = [sys.executable, "-c", program, "diagnose", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, tmp_path: Path) -> None:
+    answer = tmp_path / "answer.json"
+    code, text = run(log, "--covariate", "battery_v", "--json", answer)
+    assert code == 0, text
+    said = json.loads(answer.read_text())
+    assert [f["effect"] for f in said["findings"]] == ["gyro_bias_battery_v"]
+    slope = said["findings"][0]["parameters"]["slope"]
+    assert slope["value"][2] == pytest.approx(SLOPE, rel=0.1)
+    low, high = slope["ci95"][2]
+    assert low < SLOPE < high
+    assert slope["unit"] == "rad/s per unit of battery_v"
+    assert "change of the gyroscope's bias with battery v" in text
+
+
+def test_without_the_column_the_bias_has_no_such_name(log: Path, tmp_path: Path) -> None:
+    answer = tmp_path / "answer.json"
+    run(log, "--json", answer)
+    assert "gyro_bias_battery_v" not in answer.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--covariate", "battery"), "it has no column 'battery'; it has t, ax"),
+        (("--covariate", "az\x1b"), "it has no column"),
+    ],
+)
+def test_a_column_that_is_not_there_is_told_in_one_line(log: Path, words: tuple[str, ...], said: str) -> None:
+    code, text = run(log, *words)
+    assert code == 2
+    assert said in text
+    assert len(text.strip().splitlines()) == 1
+
+
+def test_a_cell_that_is_no_number_names_its_row(tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    rows = [f"{i / 50},0,0,9.8,{'high' if i == 600 else i}" for i in range(1000)]
+    path.write_text("\n".join(["t,ax,ay,az,load", *rows]) + "\n")
+    code, text = run(path, "--covariate", "load")
+    assert code == 2
+    assert "bad.csv:602: load is 'high', no finite number" in text
