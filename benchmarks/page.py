@@ -44,12 +44,13 @@ SECTIONS = {
     "6": ("Diagnosis", "The whole catalogue of left-out effects, on the first hours of the same day."),
     "7": (
         "Truth at a random moment",
-        "Simulated weeks of people and phones whose bias follows temperature (0.2 to 0.9 mg/K, 0.005 to "
+        "Simulated days of people and phones whose bias follows temperature (0.2 to 0.9 mg/K, 0.005 to "
         "0.03 deg/s/K; curved in a third, late in a third), heat of charging, random walk, flicker, knocks. "
         "Every ten minutes after the first calibration: the mean vector error of calibrated specific force "
         "at rest, the common rotation taken out, and the error of rate. Intervals are those of the bias, by "
         "axis. The offset table keeps a gyroscope offset for every 2 K, our own reading of the idea that "
-        "Android's stack publishes; vqf is fed with all samples.",
+        "Android's stack publishes; vqf is fed with all samples. *Without learning*: this program as it was "
+        "before temperature was learnt.",
     ),
 }
 
@@ -156,7 +157,7 @@ def _more(row: dict[str, Any]) -> Iterator[str]:
     names = list(next(iter(row["more"].values())))
     yield f"{row['what']}:\n"
     yield (
-        "| length | "
+        f"| {'where' if 'moments' in names else 'length'} | "
         + " | ".join(n.replace("_mb", ", MB") for n in names)
         + " |\n|"
         + "---|" * (1 + len(names))

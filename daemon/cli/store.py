@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
+from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord, Term
 from stillcal.calib_core.calibration.terms import with_terms
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import OpenGroup, examples
@@ -331,12 +331,20 @@ def _facts(record: CalibrationRecord) -> Iterator[str]:
         yield f"gravity: {gravity.value:.5f} ± {gravity.uncertainty:.5f} m/s² ({gravity.source})"
     for term in record.terms:
         values = ", ".join(f"{name} {_numbers(p.value)} {p.unit}" for name, p in term.parameters.items())
-        since = "".join(f", from {t:.1f} degC on" for t in term.reference.values())
-        yield f"term {term.effect}: {values}{since}"
+        yield f"term {term.effect}: {values}{_reference(term)}"
     yield f"fitted at: {_figure(record.fitted_at)} s"
     yield f"accepted: {record.acceptance.how}, {record.acceptance.reason or 'no reason recorded'}"
     if record.provenance.software:
         yield f"made by: {record.provenance.software} from {record.provenance.source or 'an unnamed source'}"
+
+
+def _reference(term: Term) -> str:
+    """Return the temperature that a term counts from, and the span that it was learnt at."""
+    at = term.reference
+    since = f", from {at['temperature']:.1f} degC on" if "temperature" in at else ""
+    if not {"temperature_min", "temperature_max"} <= at.keys():
+        return since
+    return f"{since}, learnt at {at['temperature_min']:.1f} to {at['temperature_max']:.1f} degC"
 
 
 def _numbers(values: Array) -> str:

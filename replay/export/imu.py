@@ -146,6 +146,11 @@ def of_record(record: CalibrationRecord, phone: Phone | None = None) -> ImuParam
             parts[name] = part if settings is None else replace(part, noise=noise_of(settings))
     uncertain = [name for name, stored in _stored(record) if stored.covariance is not None]
     other = [(f"{name} uncertainties", "the covariance of its parameters") for name in uncertain]
+    other += [
+        (f"{term.effect} bend", "its quadratic and cubic part; the slope alone is exported")
+        for term in record.terms
+        if "quadratic" in term.parameters
+    ]
     delay = None if phone is None else phone.effective_clock().gyro_delay_s
     return ImuParameters(
         accelerometer=parts.get("accelerometer"),
