@@ -108,6 +108,18 @@ _BEYOND = 0.25
 _BEYOND_K = 1.0
 
 
+def followed_between(low: float, high: float) -> tuple[float, float]:
+    """Return the temperatures, degC, beyond which a curve learnt from `low` to `high` stays as it is."""
+    beyond = _BEYOND * (high - low) + _BEYOND_K
+    return low - beyond, high + beyond
+
+
+def learnt_between(low: float, high: float) -> tuple[float, float]:
+    """Return the span, degC, of a curve followed from `low` to `high`: `followed_between` turned round."""
+    beyond = (_BEYOND * (high - low) + _BEYOND_K) / (1.0 + 2.0 * _BEYOND)
+    return low + beyond, high - beyond
+
+
 def polynomial(term: Term, temperature: Array) -> Array:
     """Return a temperature term's bias at temperatures (n,), degC: (n, 3); zero where they are unknown.
 
@@ -117,9 +129,9 @@ def polynomial(term: Term, temperature: Array) -> Array:
     """
     low, high = (term.reference.get(f"temperature_{end}") for end in ("min", "max"))
     if low is not None and high is not None:
-        beyond, reach = _BEYOND * (high - low) + _BEYOND_K, high - low + PLAUSIBLE_K
+        reach = high - low + PLAUSIBLE_K
         doubted = (temperature < low - reach) | (temperature > high + reach)
-        temperature = np.where(doubted, np.nan, np.clip(temperature, low - beyond, high + beyond))
+        temperature = np.where(doubted, np.nan, np.clip(temperature, *followed_between(low, high)))
     warmer = np.nan_to_num(temperature - term.reference["temperature"])
     total = np.zeros((len(warmer), 3))
     for power, name in enumerate(POWER_NAMES, start=1):

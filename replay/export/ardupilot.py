@@ -10,18 +10,22 @@ SI units and degC. The file has a name and a value a line, as Mission Planner an
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import UserError
-from stillcal.replay.export.imu import ImuParameters, SensorPart
+from stillcal.replay.export.imu import ImuParameters, SensorPart, limits_of
 from stillcal.replay.export.target import Target, commented, text_of
 
 AXES = "XYZ"
 PER_MILLION = 1e6
-WIDE = (0.0, 70.0)
-"""degC, ArduPilot's own TMIN and TMAX, where the calibration's range is not known."""
+REFERENCE_C = 35.0
+"""degC, from which ArduPilot's polynomials count."""
+
+WIDE = (-70.0, 80.0)
+"""degC, the range of TMIN and TMAX, where a curve has no limits."""
 
 UNKNOWN_C = -300.0
 """degC, CALTEMP of a sensor that was not calibrated with a thermometer."""
@@ -39,14 +43,18 @@ class ArduPilot(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return the biases with their slopes, and the accelerometer's scale by axis."""
-        biases = {f"{name} {kind}" for name, _ in imu.parts() for kind in ("bias", "bias slope")}
+        kinds = ("bias", "bias slope", "bias curve")
+        biases = {f"{name} {kind}" for name, _ in imu.parts() for kind in kinds}
         return biases | {"accelerometer scale"}
 
     def notes(self, imu: ImuParameters) -> list[str]:
         """Return what ArduPilot does by itself."""
-        if imu.gyroscope is None or imu.gyroscope.bias is None:
-            return []
-        return ["ArduPilot measures gyroscope offsets anew at each start, unless INS_GYR_CAL is 0"]
+        out = []
+        if imu.gyroscope is not None and imu.gyroscope.bias is not None:
+            out.append("ArduPilot measures gyroscope offsets anew at each start, unless INS_GYR_CAL is 0")
+        if len({part.limits for _, part in imu.parts() if part.slope is not None}) > 1:
+            out.append("both sensors share INS_TCAL1_TMIN and TMAX; they are the wider ones of the two")
+        return out
 
     def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
         """Return the parameters, a name and a value a line."""
@@ -59,9 +67,7 @@ class ArduPilot(Target):
         accel, gyro = (_read_part(values, name) for name in NAMES)
         if accel is None and gyro is None:
             raise UserError("holds no INS_ACCOFFS_X and no INS_GYROFFS_X with their Y and Z")
-        low, high = values.get("INS_TCAL1_TMIN"), values.get("INS_TCAL1_TMAX")
-        known = None if low is None or high is None or (low, high) == WIDE else (low, high)
-        return ImuParameters(accelerometer=accel, gyroscope=gyro, temperatures=known)
+        return ImuParameters(accelerometer=accel, gyroscope=gyro)
 
 
 def _parameters(imu: ImuParameters) -> Iterator[tuple[str, float | int]]:
@@ -75,15 +81,15 @@ def _parameters(imu: ImuParameters) -> Iterator[tuple[str, float | int]]:
         return
     # Both temperatures of the correction are held within the range, so CALTEMP must lie in it.
     known = [part.reference_c for _, part in sloped if part.reference_c is not None]
-    low, high = imu.temperatures or WIDE
-    low, high = min([low, *known]), max([high, *known])
+    ends = [part.limits or WIDE for _, part in sloped]
+    low, high = min([*known, *(e[0] for e in ends)]), max([*known, *(e[1] for e in ends)])
     yield from (("INS_TCAL1_ENABLE", 1), ("INS_TCAL1_TMIN", low), ("INS_TCAL1_TMAX", high))
     for (calibrated, thermal), part in sloped:
         assert part.slope is not None and part.reference_c is not None, "a slope counts from a temperature"
         yield f"INS_{calibrated}1_CALTEMP", part.reference_c
-        yield from _vector(f"INS_TCAL1_{thermal}1", part.slope * PER_MILLION)
-        for power in (2, 3):
-            yield from _vector(f"INS_TCAL1_{thermal}{power}", np.zeros(3))
+        counted = counted_from(part.powers, REFERENCE_C - part.reference_c)
+        for power, values in enumerate(counted * PER_MILLION, start=1):
+            yield from _vector(f"INS_TCAL1_{thermal}{power}", values)
 
 
 def _vector(name: str, values: Array) -> Iterator[tuple[str, float]]:
@@ -110,15 +116,23 @@ def _read_part(values: dict[str, float], name: str) -> SensorPart | None:
     diagonal = _three(values, "INS_ACCSCAL") if name == "accelerometer" else None
     scale = None if diagonal is None else np.diag(diagonal)
     calibrated, thermal = NAMES[name]
-    slope, at = _three(values, f"INS_TCAL1_{thermal}1"), values.get(f"INS_{calibrated}1_CALTEMP", UNKNOWN_C)
-    if values.get("INS_TCAL1_ENABLE") != 1 or slope is None or not slope.any():
+    at = values.get(f"INS_{calibrated}1_CALTEMP", UNKNOWN_C)
+    found = [_three(values, f"INS_TCAL1_{thermal}{power}") for power in (1, 2, 3)]
+    powers = np.array([np.zeros(3) if c is None else c for c in found]) / PER_MILLION
+    if values.get("INS_TCAL1_ENABLE") != 1 or not powers.any():
         return SensorPart(scale=scale, bias=bias)
-    curves = [_three(values, f"INS_TCAL1_{thermal}{power}") for power in (2, 3)]
-    if any(c is not None and c.any() for c in curves):
-        raise UserError(f"INS_TCAL1_{thermal}2 and 3: a store holds no bias that curves with temperature")
     if at == UNKNOWN_C:
         raise UserError(f"INS_TCAL1_ENABLE is 1, but INS_{calibrated}1_CALTEMP is not known")
-    return SensorPart(scale=scale, bias=bias, slope=slope / PER_MILLION, reference_c=at)
+    slope, quadratic, cubic = counted_from(powers, at - REFERENCE_C)
+    limits = limits_of(values.get("INS_TCAL1_TMIN"), values.get("INS_TCAL1_TMAX"), WIDE)
+    part = SensorPart(scale=scale, bias=bias, slope=slope, reference_c=at, limits=limits)
+    return replace(part, quadratic=quadratic, cubic=cubic)
+
+
+def counted_from(powers: Array, shift: float) -> Array:
+    """Return the coefficients (3, 3), powers 1 to 3, of the same polynomial about a point `shift` K on."""
+    one, two, three = powers
+    return np.array([one + 2.0 * two * shift + 3.0 * three * shift**2, two + 3.0 * three * shift, three])
 
 
 def _three(values: dict[str, float], name: str) -> Array | None:

@@ -6,13 +6,14 @@ the recording: the store's own model.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.export.imu import ImuParameters, SensorPart
 from stillcal.replay.export.target import Target, commented
 
-KINDS = ("scale", "misalignment", "bias", "bias slope", "g-sensitivity")
+KINDS = ("scale", "misalignment", "bias", "bias slope", "bias curve", "g-sensitivity")
 
 
 class CHeader(Target):
@@ -42,7 +43,8 @@ def _constants(name: str, part: SensorPart) -> str:
         if value is not None:
             rows = ", ".join("{" + _row(row) + "}" for row in value)
             text += f"static const double {name}_{suffix}[3][3] = {{{rows}}};\n"
-    for suffix, value in (("bias", part.bias), ("bias_slope", part.slope)):
+    curve = (("slope", part.slope), ("quadratic", part.quadratic), ("cubic", part.cubic))
+    for suffix, value in (("bias", part.bias), *((f"bias_{key}", value) for key, value in curve)):
         if value is not None:
             text += f"static const double {name}_{suffix}[3] = {{{_row(value)}}};\n"
     if part.reference_c is not None:
@@ -75,9 +77,20 @@ def _correction(argument: str, name: str, part: SensorPart) -> str:
     bias = "0.0" if part.bias is None else f"{name}_bias[i]"
     text = f"  for (int i = 0; i < 3; i++) {{\n    offset[i] = {bias};\n"
     if part.slope is not None:
+        low, high = part.limits or (-math.inf, math.inf)
+        held = "temperature"
+        if math.isfinite(low):
+            held = f"fmin(fmax(temperature, {low!r}), {high!r})"
+        terms = [f"warmer * {name}_bias_slope[i]"]
+        terms += [
+            f"warmer * warmer * {'warmer * ' if key == 'cubic' else ''}{name}_bias_{key}[i]"
+            for key in ("quadratic", "cubic")
+            if getattr(part, key) is not None
+        ]
         text += (
-            f"    if (!isnan(temperature))\n      offset[i] += {name}_bias_slope[i] *"
-            f" (temperature - {name}_reference_temperature_c);\n"
+            "    if (!isnan(temperature)) {\n"
+            f"      double warmer = {held} - {name}_reference_temperature_c;\n"
+            f"      offset[i] += {' + '.join(terms)};\n    }}\n"
         )
     if part.matrix is not None:
         text += f"    for (int j = 0; j < 3; j++) offset[i] += {name}_g_sensitivity[i][j] * force[j];\n"

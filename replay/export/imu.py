@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
+from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord, Term
+from stillcal.calib_core.calibration.terms import POWER_NAMES, followed_between
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.phone.phone import Phone
@@ -80,13 +82,18 @@ class SensorNoise:
 class SensorPart:
     """One sensor. scale: (3, 3). bias: (3,) in m/s^2 or rad/s, at reference_c where that is known.
 
-    slope: (3,) bias per K. matrix: (3, 3) (rad/s)/(m/s^2), the gyroscope's only: its reading per true force.
+    slope, quadratic, cubic: (3,) bias per K, K^2 and K^3 from reference_c. limits: degC, beyond which the
+    curve stays as it is, None where it goes on. matrix: (3, 3) (rad/s)/(m/s^2), the gyroscope's only: its
+    reading per true force.
     """
 
     scale: Array | None = None
     bias: Array | None = None
     slope: Array | None = None
+    quadratic: Array | None = None
+    cubic: Array | None = None
     reference_c: float | None = None
+    limits: tuple[float, float] | None = None
     matrix: Array | None = None
     noise: SensorNoise | None = None
 
@@ -102,21 +109,34 @@ class SensorPart:
 
     def bias_at(self, temperature: float) -> Array:
         """Return the bias (3,) at a temperature, degC."""
-        if self.slope is None or self.reference_c is None:
+        if self.reference_c is None:
             return self.offset
-        return np.asarray(self.offset + self.slope * (temperature - self.reference_c))
+        held = temperature if self.limits is None else np.clip(temperature, *self.limits)
+        warmer = float(held) - self.reference_c
+        curve = sum(c * warmer**power for power, c in enumerate(self.powers, start=1))
+        return np.asarray(self.offset + curve)
+
+    @property
+    def powers(self) -> Array:
+        """The curve's coefficients of K, K^2 and K^3, (3, 3), a row each."""
+        known = (self.slope, self.quadratic, self.cubic)
+        return np.array([np.zeros(3) if c is None else c for c in known])
+
+    @property
+    def bent(self) -> bool:
+        """Whether the bias follows temperature by more than a straight line."""
+        return bool(self.powers[1:].any())
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ImuParameters:
-    """Both sensors. temperatures: degC, the range the calibration was measured in, None where unknown.
+    """Both sensors.
 
     delay_s: s, by which the gyroscope is late; None where unknown. other: what else the store holds, by name.
     """
 
     accelerometer: SensorPart | None = None
     gyroscope: SensorPart | None = None
-    temperatures: tuple[float, float] | None = None
     delay_s: float | None = None
     device: str = ""
     identity: str = ""
@@ -136,7 +156,6 @@ class ImuParameters:
 
 def of_record(record: CalibrationRecord, phone: Phone | None = None) -> ImuParameters:
     """Return a stored calibration, with the noise of a phone file where one is given."""
-    low, high = record.validity.temperature_min, record.validity.temperature_max
     parts = {}
     for sensor, name in zip((Sensor.ACCELEROMETER, Sensor.GYROSCOPE), SENSORS, strict=True):
         stored = record.accelerometer if sensor is Sensor.ACCELEROMETER else record.gyroscope
@@ -144,22 +163,14 @@ def of_record(record: CalibrationRecord, phone: Phone | None = None) -> ImuParam
         if stored is not None or settings is not None:
             part = SensorPart() if stored is None else _of_sensor(record, stored, sensor)
             parts[name] = part if settings is None else replace(part, noise=noise_of(settings))
-    uncertain = [name for name, stored in _stored(record) if stored.covariance is not None]
-    other = [(f"{name} uncertainties", "the covariance of its parameters") for name in uncertain]
-    other += [
-        (f"{term.effect} bend", "its quadratic and cubic part; the slope alone is exported")
-        for term in record.terms
-        if "quadratic" in term.parameters
-    ]
     delay = None if phone is None else phone.effective_clock().gyro_delay_s
     return ImuParameters(
         accelerometer=parts.get("accelerometer"),
         gyroscope=parts.get("gyroscope"),
-        temperatures=None if low is None or high is None else (low, high),
         delay_s=delay or None,
         device=record.provenance.device,
         identity=record.id,
-        other=tuple(other),
+        other=tuple(_other(record)),
     )
 
 
@@ -173,11 +184,35 @@ def _of_sensor(record: CalibrationRecord, stored: SensorRecord, sensor: Sensor) 
     part = SensorPart(scale=np.asarray(stored.scale), bias=np.asarray(stored.bias))
     for term in record.terms:
         if term.sensor == sensor and "slope" in term.parameters:
-            slope = np.asarray(term.parameters["slope"].value)
-            part = replace(part, slope=slope, reference_c=term.reference["temperature"])
+            part = replace(part, **_curve(term))
         elif term.sensor == sensor and "matrix" in term.parameters:
             part = replace(part, matrix=np.asarray(term.parameters["matrix"].value))
     return part
+
+
+def _other(record: CalibrationRecord) -> Iterator[tuple[str, str]]:
+    """Yield what a store holds and no target does, by name."""
+    for name, stored in _stored(record):
+        if stored.covariance is not None:
+            yield f"{name} uncertainties", "the covariance of its parameters"
+    for sensor in record.forecast:
+        yield f"{sensor} forecast", "how uncertain its bias is at other times and temperatures"
+    for term in record.terms:
+        if not {"slope", "matrix"} & term.parameters.keys():
+            yield (
+                f"{term.effect}",
+                ", ".join(f"{k} {numbers(p.value)} {p.unit}" for k, p in term.parameters.items()),
+            )
+
+
+def _curve(term: Term) -> dict[str, Any]:
+    """Return a temperature term as fields of a part."""
+    out: dict[str, Any] = {
+        name: np.asarray(p.value) for name, p in term.parameters.items() if name in POWER_NAMES
+    }
+    low, high = (term.reference.get(f"temperature_{end}") for end in ("min", "max"))
+    limits = None if low is None or high is None else followed_between(low, high)
+    return out | {"reference_c": term.reference["temperature"], "limits": limits}
 
 
 def noise_of(settings: SensorSettings) -> SensorNoise:
@@ -207,6 +242,9 @@ def facts(imu: ImuParameters) -> dict[str, str]:
             out[f"{name} bias"] = f"{numbers(part.bias)} {unit}"
         if part.slope is not None:
             out[f"{name} bias slope"] = f"{numbers(part.slope)} {unit}/K from {part.reference_c!r} degC"
+        if part.bent:
+            bends = f"{numbers(part.powers[1])} {unit}/K^2, {numbers(part.powers[2])} {unit}/K^3"
+            out[f"{name} bias curve"] = f"{bends} from {part.reference_c!r} degC"
         if part.matrix is not None:
             out[f"{name} g-sensitivity"] = f"{numbers(part.matrix)} (rad/s)/(m/s^2)"
         out |= _noise_facts(name, part.noise, unit)
@@ -230,6 +268,11 @@ def _noise_facts(name: str, noise: SensorNoise | None, unit: str) -> dict[str, s
 def numbers(values: Array) -> str:
     """Return numbers as a list whose members read back to the last bit."""
     return repr(np.asarray(values, dtype=np.float64).tolist())
+
+
+def limits_of(low: float | None, high: float | None, wide: tuple[float, float]) -> tuple[float, float] | None:
+    """Return the limits that a file states; None where it states none, or those that mean none."""
+    return None if low is None or high is None or (low, high) == wide or low >= high else (low, high)
 
 
 def root_mean_square(values: Array) -> float:

@@ -47,6 +47,8 @@ class ImuSensor(Target):
         out = ["imuSensor's accelerometer gives minus the specific force: negate it before you compare"]
         if any(part.slope is not None for _, part in imu.parts()):
             out.append(f"biases are those at {REFERENCE_C:g} degC, from which imuSensor's temperature counts")
+        if any(part.bent for _, part in imu.parts()):
+            out.append(f"TemperatureBias is the slope of the bias' curve at {REFERENCE_C:g} degC")
         if imu.rate_hz is None:
             out.append("the noise is not known, so there is none: add --phone")
         return out
@@ -80,12 +82,19 @@ def settings(name: str, part: SensorPart) -> dict[str, Array]:
     if part.bias is not None:
         out["ConstantBias"] = sign * part.bias_at(REFERENCE_C)
     if part.slope is not None:
-        out["TemperatureBias"] = sign * part.slope
+        out["TemperatureBias"] = sign * tangent_at(part, REFERENCE_C)
     if part.noise is not None:
         out["NoiseDensity"] = part.noise.white
         if part.noise.slow:
             out["RandomWalk"] = part.noise.walk_alike() / np.sqrt(2.0)
     return out
+
+
+def tangent_at(part: SensorPart, temperature: float) -> Array:
+    """Return the slope (3,) of a part's curve at a temperature, per K."""
+    one, two, three = part.powers
+    warmer = temperature - (part.reference_c or 0.0)
+    return np.asarray(one + 2.0 * two * warmer + 3.0 * three * warmer**2)
 
 
 def _matlab(value: Array) -> str:

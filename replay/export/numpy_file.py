@@ -1,7 +1,8 @@
 """Plain NumPy: a .npz of named arrays, or a .py with a function to import or paste.
 
-The arrays are the store's own: scale (3, 3), bias (3,), bias_slope (3,), reference_temperature_c (), each
-with accelerometer_ or gyroscope_ before it, and gyroscope_g_sensitivity (3, 3). The function is
+The arrays are the store's own: scale (3, 3), bias (3,), bias_slope, bias_quadratic and bias_cubic (3,) of K,
+reference_temperature_c (), temperature_limits_c (2,) beyond which the curve stays as it is, each with
+accelerometer_ or gyroscope_ before it, and gyroscope_g_sensitivity (3, 3). The function is
 correct(t, temperature, force, rate) with raw force (n, 3) m/s^2 and rate (n, 3) rad/s, or None; it returns
 both corrected. temperature: (n,) degC or None.
 """
@@ -24,13 +25,16 @@ FIELDS = {
     "scale": ("scale", (3, 3)),
     "bias": ("bias", (3,)),
     "bias_slope": ("slope", (3,)),
+    "bias_quadratic": ("quadratic", (3,)),
+    "bias_cubic": ("cubic", (3,)),
     "reference_temperature_c": ("reference_c", ()),
+    "temperature_limits_c": ("limits", (2,)),
     "g_sensitivity": ("matrix", (3, 3)),
     "white_noise_density": ("", (3,)),
 }
 """Name in the file, name in the record, shape."""
 
-KINDS = ("scale", "misalignment", "bias", "bias slope", "g-sensitivity")
+KINDS = ("scale", "misalignment", "bias", "bias slope", "bias curve", "g-sensitivity")
 
 
 def arrays(imu: ImuParameters) -> dict[str, Array]:
@@ -83,8 +87,11 @@ def of_arrays(values: dict[str, Array]) -> ImuParameters:
             if attribute and f"{name}_{key}" in values
         }
         if found:
-            reference = found.pop("reference_c", None)
-            part = SensorPart(reference_c=None if reference is None else float(reference))
+            reference, limits = found.pop("reference_c", None), found.pop("limits", None)
+            part = SensorPart(
+                reference_c=None if reference is None else float(reference),
+                limits=None if limits is None else (float(limits[0]), float(limits[1])),
+            )
             parts[name] = replace(part, **found)  # type: ignore[arg-type]  # FIELDS says which
     if not parts:
         raise UserError(
@@ -133,8 +140,17 @@ def _function(imu: ImuParameters) -> str:
         if part.slope is not None:
             body += [
                 "if temperature is not None:",
-                f"    warmer = np.nan_to_num(temperature - {name}_reference_temperature_c)",
-                f"    offset = offset + warmer[:, None] * {name}_bias_slope",
+                f"    held = np.clip(temperature, *{name}_temperature_limits_c)"
+                if part.limits
+                else "    held = temperature",
+                f"    warmer = np.nan_to_num(held - {name}_reference_temperature_c)[:, None]",
+                f"    offset = offset + warmer * {name}_bias_slope",
+            ]
+            powers = (("quadratic", 2), ("cubic", 3))
+            body += [
+                f"    offset = offset + warmer**{power} * {name}_bias_{key}"
+                for key, power in powers
+                if getattr(part, key) is not None
             ]
         if part.matrix is not None:
             body += ["if force is not None:", f"    offset = offset + force @ {name}_g_sensitivity.T"]

@@ -10,17 +10,18 @@ name, value and MAV_PARAM_TYPE (6 INT32, 9 REAL32), with tabs between. PX4 keeps
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import UserError
-from stillcal.replay.export.imu import ImuParameters, SensorPart
+from stillcal.replay.export.imu import ImuParameters, SensorPart, limits_of
 from stillcal.replay.export.target import Target, commented, text_of
 
 AXES = "XYZ"
-WIDE = (0.0, 100.0)
-"""degC, PX4's own TMIN and TMAX, where the calibration's range is not known."""
+WIDE = (-40.0, 125.0)
+"""degC, where a curve has no limits: as far as parts are specified. PX4 holds the temperature within them."""
 
 INT32, REAL32 = 6, 9
 NAMES = {"accelerometer": ("ACC", "A"), "gyroscope": ("GYRO", "G")}
@@ -35,7 +36,8 @@ class Px4(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return the biases with their slopes, and the accelerometer's scale by axis."""
-        biases = {f"{name} {kind}" for name, _ in imu.parts() for kind in ("bias", "bias slope")}
+        kinds = ("bias", "bias slope", "bias curve")
+        biases = {f"{name} {kind}" for name, _ in imu.parts() for kind in kinds}
         return biases | {"accelerometer scale"}
 
     def notes(self, imu: ImuParameters) -> list[str]:
@@ -56,11 +58,7 @@ class Px4(Target):
         accel, gyro = (_read_part(values, name) for name in NAMES)
         if accel is None and gyro is None:
             raise UserError("holds no CAL_ACC0_XOFF and no CAL_GYRO0_XOFF with their Y and Z")
-        ranges = [(values.get(f"TC_{t}0_TMIN"), values.get(f"TC_{t}0_TMAX")) for _, t in NAMES.values()]
-        known = [(low, high) for low, high in ranges if low is not None and high is not None]
-        return ImuParameters(
-            accelerometer=accel, gyroscope=gyro, temperatures=known[0] if known and known[0] != WIDE else None
-        )
+        return ImuParameters(accelerometer=accel, gyroscope=gyro)
 
 
 def _parameters(imu: ImuParameters) -> Iterator[tuple[str, str, int]]:
@@ -72,10 +70,10 @@ def _parameters(imu: ImuParameters) -> Iterator[tuple[str, str, int]]:
             yield from _vector(f"CAL_{calibration}0_{{}}SCALE", np.diag(part.scale))
         if part.slope is not None and part.reference_c is not None:
             yield f"TC_{thermal}_ENABLE", "1", INT32
-            low, high = imu.temperatures or WIDE
+            low, high = part.limits or WIDE
             for suffix, value in (("TREF", part.reference_c), ("TMIN", low), ("TMAX", high)):
                 yield f"TC_{thermal}0_{suffix}", repr(float(value)), REAL32
-            for power, values in ((0, np.zeros(3)), (1, part.slope), (2, np.zeros(3)), (3, np.zeros(3))):
+            for power, values in enumerate([np.zeros(3), *part.powers]):
                 for axis, value in enumerate(values.tolist()):
                     yield f"TC_{thermal}0_X{power}_{axis}", repr(value), REAL32
 
@@ -113,15 +111,15 @@ def _read_part(values: dict[str, float], name: str) -> SensorPart | None:
     if not values.get(f"TC_{thermal}_ENABLE"):
         return SensorPart(scale=scale, bias=bias)
     powers = [_three(values, [f"TC_{thermal}0_X{p}_{a}" for a in range(3)]) for p in range(4)]
-    if any(p is not None and p.any() for p in powers[2:]):
-        raise UserError(f"TC_{thermal}0_X2 and X3: a store holds no bias that curves with temperature")
     reference = values.get(f"TC_{thermal}0_TREF")
     if powers[1] is None or reference is None:
         raise UserError(
             f"TC_{thermal}_ENABLE is set, but TC_{thermal}0_X1_0 to _2 and TC_{thermal}0_TREF are not"
         )
     offset = bias if powers[0] is None else bias + powers[0]
-    return SensorPart(scale=scale, bias=offset, slope=powers[1], reference_c=reference)
+    part = SensorPart(scale=scale, bias=offset, slope=powers[1], reference_c=reference)
+    limits = limits_of(values.get(f"TC_{thermal}0_TMIN"), values.get(f"TC_{thermal}0_TMAX"), WIDE)
+    return replace(part, quadratic=powers[2], cubic=powers[3], limits=limits)
 
 
 def _three(values: dict[str, float], names: Sequence[str]) -> Array | None:

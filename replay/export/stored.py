@@ -17,10 +17,12 @@ from stillcal.calib_core.calibration.record import (
     TermParameter,
     Validity,
 )
+from stillcal.calib_core.calibration.terms import learnt_between
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.export.imu import ImuParameters, SensorPart, of_record
 
+CURVE = ("slope", "quadratic", "cubic", "reference_c", "limits")
 AFFINE, SYMMETRIC, DIAGONAL = 12, 9, 6
 """Numbers of a calibration whose scale is any matrix, symmetric or triangular, or diagonal."""
 
@@ -35,7 +37,6 @@ def record_of(imu: ImuParameters, before: CalibrationRecord | None, source: str)
     accel = _merged(imu.accelerometer, old.accelerometer)
     gyro = _merged(imu.gyroscope, old.gyroscope)
     terms = [*_terms(accel, Sensor.ACCELEROMETER), *_terms(gyro, Sensor.GYROSCOPE)]
-    low, high = imu.temperatures or old.temperatures or (None, None)
     gravity = STANDARD
     if before is not None and before.accelerometer is not None:
         gravity = before.accelerometer.gravity
@@ -43,7 +44,7 @@ def record_of(imu: ImuParameters, before: CalibrationRecord | None, source: str)
         accelerometer=_accelerometer(accel, gravity),
         gyroscope=_gyroscope(gyro),
         gravity=None if before is None else before.gravity,
-        validity=Validity(temperature_min=low, temperature_max=high),
+        validity=Validity() if before is None else before.validity,
         acceptance=Acceptance(how="migration", reason=f"imported from {source}"),
         provenance=Provenance(source=source, device="" if before is None else before.provenance.device),
         terms=tuple(terms),
@@ -72,11 +73,10 @@ def _merged(fresh: SensorPart | None, old: SensorPart | None) -> SensorPart | No
     known = {
         name: value for name in ("scale", "bias", "matrix") if (value := getattr(fresh, name)) is not None
     }
-    if fresh.slope is not None:
-        known |= {"slope": fresh.slope, "reference_c": fresh.reference_c}
-    elif fresh.bias is not None:
-        # A bias that was measured anew holds at a temperature that nobody knows: the old slope has no start.
-        known |= {"slope": None, "reference_c": None}
+    if fresh.bias is not None:
+        # Without a slope of its own a new bias holds at a temperature that nobody knows: the old curve has no
+        # start any more.
+        known |= {name: getattr(fresh, name) for name in CURVE}
     return replace(old, **known)
 
 
@@ -110,17 +110,20 @@ def _terms(part: SensorPart | None, sensor: Sensor) -> list[Term]:
         return out
     accel = sensor == Sensor.ACCELEROMETER
     if part.slope is not None and part.reference_c is not None:
-        unit = "m/s^2/K" if accel else "rad/s/K"
+        unit = "m/s^2" if accel else "rad/s"
         effect = "accel_bias_temperature" if accel else "gyro_bias_temperature"
-        slope = TermParameter(value=frozen(part.slope), unit=unit)
-        out.append(
-            Term(
-                effect=effect,
-                sensor=sensor,
-                parameters={"slope": slope},
-                reference={"temperature": part.reference_c},
+        per = {"slope": "K", "quadratic": "K^2", "cubic": "K^3"}
+        curve = {
+            name: TermParameter(value=frozen(getattr(part, name)), unit=f"{unit}/{k}")
+            for name, k in per.items()
+            if name == "slope" or (getattr(part, name) is not None and part.bent)
+        }
+        reference = {"temperature": part.reference_c}
+        if part.limits is not None:
+            reference |= dict(
+                zip(("temperature_min", "temperature_max"), learnt_between(*part.limits), strict=True)
             )
-        )
+        out.append(Term(effect=effect, sensor=sensor, parameters=curve, reference=reference))
     if part.matrix is not None:
         matrix = TermParameter(value=frozen(part.matrix), unit="(rad/s)/(m/s^2)")
         out.append(Term(effect="gyro_g_sensitivity", sensor=sensor, parameters={"matrix": matrix}))

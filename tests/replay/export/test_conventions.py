@@ -10,6 +10,7 @@ import subprocess
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ def written(name: str, imu: ImuParameters) -> str:
     return exported(target_named(name), imu, "store.json").data.decode()
 
 
-def read_by(imu: ImuParameters) -> tuple[np.ndarray, np.ndarray]:
+def read_by(imu: ImuParameters, at: float = TEMPERATURE) -> tuple[np.ndarray, np.ndarray]:
     """What the sensors read, the store's model turned round: inv(scale) true + bias + matrix force."""
     accel, gyro = imu.accelerometer, imu.gyroscope
     assert accel is not None and gyro is not None
@@ -40,7 +41,7 @@ def read_by(imu: ImuParameters) -> tuple[np.ndarray, np.ndarray]:
         np.linalg.solve(np.eye(3) if p.scale is None else p.scale, x)
         for p, x in ((accel, FORCE), (gyro, RATE))
     ]
-    raw = [r + p.bias_at(TEMPERATURE) for r, p in zip(raw, (accel, gyro), strict=True)]
+    raw = [r + p.bias_at(at) for r, p in zip(raw, (accel, gyro), strict=True)]
     return raw[0], raw[1] + (0.0 if gyro.matrix is None else gyro.matrix @ FORCE)
 
 
@@ -75,11 +76,18 @@ def parameters(text: str, name: int, value: int) -> dict[str, float]:
     return {row[name]: float(row[value]) for row in rows}
 
 
-def test_px4() -> None:
-    raw = read_by(held("px4"))
-    p = parameters(written("px4", random_imu(3)), 2, 3)
+BENT_AT = [(False, TEMPERATURE), (True, TEMPERATURE), (True, -20.0), (True, 70.0)]
+"""Whether the bias follows a cubic, and a temperature: within its limits, below and above them."""
+
+
+@pytest.mark.parametrize(("bent", "at"), BENT_AT)
+def test_px4(bent: bool, at: float) -> None:
+    imu = random_imu(3, bent=bent)
+    raw = read_by(within(imu, target_named("px4")), at)
+    p = parameters(written("px4", imu), 2, 3)
     for sensor, thermal, reading, truth in (("ACC", "A", raw[0], FORCE), ("GYRO", "G", raw[1], RATE)):
-        warmer = TEMPERATURE - p[f"TC_{thermal}0_TREF"]
+        clipped = min(max(at, p[f"TC_{thermal}0_TMIN"]), p[f"TC_{thermal}0_TMAX"])
+        warmer = clipped - p[f"TC_{thermal}0_TREF"]
         for i, axis in enumerate("XYZ"):
             offset = sum(p[f"TC_{thermal}0_X{k}_{i}"] * warmer**k for k in range(4))
             scale = p.get(f"CAL_{sensor}0_{axis}SCALE", 1.0)
@@ -87,18 +95,20 @@ def test_px4() -> None:
             assert corrected == pytest.approx(truth[i], abs=1e-9)
 
 
-def test_ardupilot() -> None:
-    raw = read_by(held("ardupilot"))
-    p = parameters(written("ardupilot", random_imu(3)), 0, 1)
+@pytest.mark.parametrize(("bent", "at"), BENT_AT)
+def test_ardupilot(bent: bool, at: float) -> None:
+    imu = random_imu(3, bent=bent)
+    raw = read_by(within(imu, target_named("ardupilot")), at)
+    p = parameters(written("ardupilot", imu), 0, 1)
     for sensor, thermal, reading, truth in (("ACC", "ACC", raw[0], FORCE), ("GYR", "GYR", raw[1], RATE)):
         for i, axis in enumerate("XYZ"):
             c = [p[f"INS_TCAL1_{thermal}{k}_{axis}"] for k in (1, 2, 3)]
 
             def polynomial(t: float, c: list[float] = c) -> float:
-                d = t - 35.0
+                d = min(max(t, p["INS_TCAL1_TMIN"]), p["INS_TCAL1_TMAX"]) - 35.0
                 return (c[0] + (c[1] + c[2] * d) * d) * d * 1e-6
 
-            value = reading[i] - polynomial(TEMPERATURE) + polynomial(p[f"INS_{thermal}1_CALTEMP"])
+            value = reading[i] - polynomial(at) + polynomial(p[f"INS_{thermal}1_CALTEMP"])
             value = (value - p[f"INS_{sensor}OFFS_{axis}"]) * p.get(f"INS_{sensor}SCAL_{axis}", 1.0)
             assert value == pytest.approx(truth[i], abs=1e-9)
 
@@ -139,15 +149,16 @@ def test_imusensor_simulates_what_the_sensor_reads() -> None:
         np.testing.assert_allclose(sign * out, reading, atol=1e-9)
 
 
-def test_c(tmp_path) -> None:
-    imu = random_imu(3)
-    raw = read_by(imu)
+@pytest.mark.parametrize(("bent", "at"), BENT_AT)
+def test_c(tmp_path: Path, bent: bool, at: float) -> None:
+    imu = random_imu(3, bent=bent)
+    raw = read_by(imu, at)
     (tmp_path / "calibration.h").write_text(written("c", imu))
     numbers = [", ".join(map(repr, x.tolist())) for x in raw]
     (tmp_path / "main.c").write_text(
         '#include <stdio.h>\n#include "calibration.h"\nint main(void) {\n'
         f"  double f[3] = {{{numbers[0]}}}, w[3] = {{{numbers[1]}}};\n"
-        f"  stillcal_correct({TEMPERATURE}, f, w);\n"
+        f"  stillcal_correct({at}, f, w);\n"
         '  for (int i = 0; i < 6; i++) printf("%.17g ", i < 3 ? f[i] : w[i - 3]);\n  return 0;\n}\n'
     )
     compiler = ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-o", "main", "main.c", "-lm"]
@@ -157,6 +168,16 @@ def test_c(tmp_path) -> None:
         pytest.skip("there is no C compiler")
     out = subprocess.run([str(tmp_path / "main")], check=True, capture_output=True, text=True).stdout
     np.testing.assert_allclose([float(x) for x in out.split()], [*FORCE, *RATE], atol=1e-12)
+
+
+@pytest.mark.parametrize(("bent", "at"), BENT_AT)
+def test_numpy(bent: bool, at: float) -> None:
+    imu = random_imu(3, bent=bent)
+    names: dict[str, Any] = {}
+    exec(written("numpy", imu), names)
+    force, rate = (raw[None] for raw in read_by(imu, at))
+    made = names["correct"](np.zeros(1), np.array([at]), force, rate)
+    np.testing.assert_allclose([made[0][0], made[1][0]], [FORCE, RATE], atol=1e-12)
 
 
 NOISE = SensorNoise(white=np.array([2e-3, 3e-3, 4e-3]), rate_hz=200.0, random_walk=np.full(3, 1e-5))

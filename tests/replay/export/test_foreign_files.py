@@ -119,17 +119,18 @@ def test_a_matlab_script_with_one_number_for_all_axes() -> None:
     np.testing.assert_allclose(imu.gyroscope.gain, [[1.0, 0.01, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.02]])
 
 
-@pytest.mark.parametrize(
-    ("name", "lines"),
-    [
-        ("px4", "CAL_ACC0_{}OFF 0\nTC_A0_X1_{} 0.1\nTC_A0_X2_{} 0.01\n"),
-        ("ardupilot", "INS_ACCOFFS_{} 0\nINS_TCAL1_ACC1_{} 1\nINS_TCAL1_ACC2_{} 1\n"),
-    ],
-)
-def test_a_bias_that_curves_with_temperature_is_refused_not_straightened(name: str, lines: str) -> None:
-    text = "TC_A_ENABLE 1\nTC_A0_TREF 25\nINS_TCAL1_ENABLE 1\nINS_ACC1_CALTEMP 25\n"
-    for i, axis in enumerate("XYZ"):
-        for line in lines.splitlines():
-            text += line.format(i if line.startswith("TC_") else axis) + "\n"
-    with pytest.raises(UserError, match="curves with temperature"):
-        target_named(name).read(text.encode())
+def test_a_bias_that_curves_with_temperature() -> None:
+    px4 = b"TC_A_ENABLE 1\nTC_A0_TREF 25\nTC_A0_TMIN 10\nTC_A0_TMAX 50\n"
+    for i, axis in enumerate(b"XYZ"):
+        px4 += b"CAL_ACC0_%cOFF 0\nTC_A0_X0_%d 0.5\nTC_A0_X1_%d 0.1\nTC_A0_X2_%d 0.01\n" % (axis, i, i, i)
+    part = target_named("px4").read(px4).accelerometer
+    assert part is not None and part.limits == (10.0, 50.0)
+    assert part.bias_at(35.0)[0] == pytest.approx(0.5 + 0.1 * 10.0 + 0.01 * 100.0)
+    assert part.bias_at(90.0)[0] == pytest.approx(0.5 + 0.1 * 25.0 + 0.01 * 625.0)
+    ardupilot = b"INS_TCAL1_ENABLE 1\nINS_ACC1_CALTEMP 25\n"
+    for axis in b"XYZ":
+        ardupilot += b"INS_ACCOFFS_%c 0\nINS_TCAL1_ACC1_%c 1000\nINS_TCAL1_ACC2_%c 100\n" % (axis, axis, axis)
+    part = target_named("ardupilot").read(ardupilot).accelerometer
+    assert part is not None
+    # p(45) - p(25) with p about 35 degC: only the straight part remains.
+    assert part.bias_at(45.0)[0] == pytest.approx(20.0 * 1e-3)

@@ -9,16 +9,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stillcal.calib_core.calibration.record import Term, TermParameter
+from stillcal.calib_core.calibration.terms import polynomial
 from stillcal.calib_core.errors import UserError
-from stillcal.replay.export.imu import ImuParameters, SensorPart, facts
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.export.imu import ImuParameters, SensorPart, facts, of_record
+from stillcal.replay.export.stored import record_of
 from stillcal.replay.export.target import Target, exported
 from stillcal.replay.export.targets import INVERTIBLE, TARGETS, target_named
 
 WITHIN = 1e-9
 
 
-def random_imu(seed: int) -> ImuParameters:
-    """Both sensors, with scales some per cent off, biases, slopes and g-sensitivity."""
+def random_imu(seed: int, *, bent: bool = False) -> ImuParameters:
+    """Both sensors, with scales some per cent off, biases, slopes and g-sensitivity.
+
+    bent: whether biases follow temperature by cubics, as a daemon learns them, which stay as they are beyond
+    3 and 52 degC.
+    """
     rng = np.random.default_rng(seed)
 
     def part(bias: float, slope: float) -> SensorPart:
@@ -26,11 +34,14 @@ def random_imu(seed: int) -> ImuParameters:
             scale=np.eye(3) + rng.uniform(-0.05, 0.05, (3, 3)),
             bias=rng.normal(0.0, bias, 3),
             slope=rng.normal(0.0, slope, 3),
+            quadratic=rng.normal(0.0, slope / 20.0, 3) if bent else None,
+            cubic=rng.normal(0.0, slope / 400.0, 3) if bent else None,
             reference_c=float(rng.uniform(10.0, 50.0)),
+            limits=(3.0, 52.0) if bent else None,
         )
 
     gyro = replace(part(0.02, 1e-4), matrix=rng.normal(0.0, 1e-4, (3, 3)))
-    return ImuParameters(accelerometer=part(0.3, 5e-3), gyroscope=gyro, temperatures=(5.0, 45.0))
+    return ImuParameters(accelerometer=part(0.3, 5e-3), gyroscope=gyro)
 
 
 def within(imu: ImuParameters, target: Target) -> ImuParameters:
@@ -46,7 +57,10 @@ def within(imu: ImuParameters, target: Target) -> ImuParameters:
             scale=scale,
             bias=one.bias if f"{name} bias" in held else None,
             slope=one.slope if slope else None,
+            quadratic=one.quadratic if f"{name} bias curve" in held else None,
+            cubic=one.cubic if f"{name} bias curve" in held else None,
             reference_c=one.reference_c if slope else None,
+            limits=one.limits if slope else None,
             matrix=one.matrix if f"{name} g-sensitivity" in held else None,
         )
 
@@ -65,10 +79,10 @@ def assert_alike(one: np.ndarray | None, other: np.ndarray | None) -> None:
 
 @pytest.mark.parametrize("name", INVERTIBLE)
 @settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_what_is_written_is_read_back(name: str, seed: int) -> None:
+@given(seed=st.integers(0, 2**32 - 1), bent=st.booleans())
+def test_what_is_written_is_read_back(name: str, seed: int, bent: bool) -> None:
     target = target_named(name)
-    imu = random_imu(seed)
+    imu = random_imu(seed, bent=bent and "accelerometer bias curve" in target.holds(random_imu(seed)))
     wanted, back = within(imu, target), target.read(exported(target, imu, "store.json").data)
     for sensor, part in wanted.parts():
         read = getattr(back, sensor)
@@ -104,3 +118,30 @@ def test_the_list_of_invertible_targets_is_the_classes_own() -> None:
 def test_what_is_no_such_file_is_refused(name: str, data: bytes) -> None:
     with pytest.raises(UserError):
         target_named(name).read(data)
+
+
+def test_a_learnt_curve_goes_through_a_store_and_a_file_unchanged() -> None:
+    imu = random_imu(4, bent=True)
+    record = record_of(target_named("px4").read(exported(target_named("px4"), imu, "a").data), None, "a")
+    again = of_record(record)
+    for (_, part), (_, back) in zip(imu.parts(), again.parts(), strict=True):
+        for temperature in (-30.0, 3.5, 25.0, 51.0, 52.5, 80.0):
+            assert_alike(bias_at(part, temperature), bias_at(back, temperature))
+    accel = record.terms[0]
+    assert {"slope", "quadratic", "cubic"} == accel.parameters.keys()
+    warm = np.array([-5.0, 25.0, 60.0])
+    wanted = (
+        [imu.accelerometer.bias_at(t) - imu.accelerometer.offset for t in warm] if imu.accelerometer else []
+    )
+    np.testing.assert_allclose(polynomial(accel, warm), wanted, atol=WITHIN)
+
+
+def test_what_a_store_holds_beyond_all_targets_is_named_too(make_record) -> None:
+    record = make_record(1)
+    strange = Term(
+        effect="gyro_nonlinearity",
+        sensor=Sensor.GYROSCOPE,
+        parameters={"curl": TermParameter(value=np.array([1.0, 2.0, 3.0]), unit="1")},
+    )
+    known = facts(of_record(replace(record, terms=(strange,))))
+    assert known["gyro_nonlinearity"] == "curl [1.0, 2.0, 3.0] 1"
