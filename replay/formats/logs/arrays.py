@@ -27,7 +27,7 @@ from stillcal.replay.formats.recognition.names import is_rate_hz
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.stream import SampleFile
-from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable
+from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats
 
 MOST_ARRAYS = 2000
 """Arrays of a file that are looked at; a recording has a few dozen."""
@@ -59,7 +59,7 @@ class _Arrays:
         def rows(places: Sequence[int]) -> Iterator[tuple[Array, float]]:
             for first in range(0, self.length, BLOCK_ROWS):
                 last = min(first + BLOCK_ROWS, self.length)
-                chosen = [np.asarray(self.columns[names[p]](first, last), dtype=np.float64) for p in places]
+                chosen = [as_floats(self.columns[names[p]](first, last)) for p in places]
                 yield np.column_stack(chosen), last / self.length
 
         return NumberTable(path, names, rows, size)
@@ -167,7 +167,7 @@ def _numbers(column: Any) -> Array:
     unit = getattr(column.type, "unit", None)
     if unit is not None:
         column = compute.cast(column, "int64")
-    values = np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+    values = as_floats(column.to_numpy(zero_copy_only=False))
     return values * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit] if unit is not None else values
 
 

@@ -24,7 +24,7 @@ from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Part
 from stillcal.replay.formats.sources import Source, unpacked_copy
-from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable
+from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats
 
 _HEAD = b"\xa3\x95"
 _FMT = 128
@@ -219,8 +219,7 @@ class _Reader:
         one = np.dtype(found.layout[name])
         bytes_ = np.frombuffer(self._content, dtype=np.uint8)
         cells = bytes_[places[:, None].astype(np.int64) + offset + np.arange(one.itemsize)]
-        with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
-            return np.ascontiguousarray(cells).view(one).ravel().astype(np.float64)
+        return as_floats(np.ascontiguousarray(cells).view(one).ravel())
 
     def _table(self, kind: int, places: NDArray[np.uint64]) -> NumberTable:
         names = [n for n in self._scan.types[kind].fields if self._scan.types[kind].layout[n].kind in "iuf"]

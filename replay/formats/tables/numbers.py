@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.errors import TraceError
@@ -60,6 +61,12 @@ class NumberTable:
         return f"column {self.names[place]!r}" if self.names else f"column {place}"
 
 
+def as_floats(values: ArrayLike) -> Array:
+    """Return numbers as 64-bit floats; damaged ones become NaN or infinite without a warning."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.asarray(values, dtype=np.float64)
+
+
 def in_arrays(path: Path, columns: dict[str, Array], size_bytes: int) -> NumberTable:
     """Return the table of columns (n,) that are in memory, all of one length."""
     names = list(columns)
@@ -68,7 +75,7 @@ def in_arrays(path: Path, columns: dict[str, Array], size_bytes: int) -> NumberT
     def rows(places: Sequence[int]) -> Iterator[tuple[Array, float]]:
         for first in range(0, length, BLOCK_ROWS):
             last = min(first + BLOCK_ROWS, length)
-            block = [np.asarray(columns[names[place]][first:last], dtype=np.float64) for place in places]
+            block = [as_floats(columns[names[place]][first:last]) for place in places]
             yield np.column_stack(block), last / length
 
     return NumberTable(path, names, rows, size_bytes)
