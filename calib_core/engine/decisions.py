@@ -309,6 +309,13 @@ class CalibrationPolicy:
         learnt = learn_gyroscope(self._state.memory, record, t, self._settings.quality)
         return record if learnt is None else with_learnt_gyroscope(record, learnt, t)
 
+    def _refined(self, record: CalibrationRecord, t: float) -> CalibrationRecord:
+        """Return a calibration fitted just now with the gyroscope's bias as learnt; its reason says both."""
+        learnt = self._learnt(record, t)
+        if learnt.acceptance.how != "terms":
+            return replace(learnt, acceptance=record.acceptance)
+        return _remarked(replace(learnt, acceptance=record.acceptance), learnt.acceptance.reason)
+
     def _follow(self, t: float) -> None:
         """Renew what is known of the accelerometer at t (s); replace its calibration where that is allowed.
 
@@ -410,8 +417,9 @@ class CalibrationPolicy:
             return
         state.record, state.checked, state.degraded, state.refusal = outcome.record, t, False, None
         state.counters.calibrations += 1
-        record = self._learnt(outcome.record, t) if outcome.record.gyroscope is not None else outcome.record
-        state.record = replace(record, acceptance=outcome.record.acceptance)
+        state.record = (
+            outcome.record if outcome.record.gyroscope is None else self._refined(outcome.record, t)
+        )
         self._followed(t, fresh=True)
         reason = state.record.acceptance.reason
         self._actions.append(Publish(t, state.record, reason))

@@ -16,8 +16,13 @@ from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.following import follow_accelerometer, with_learnt_gyroscope
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.terms import bias_terms
+from stillcal.calib_core.codec import packed, unpacked
+from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.events import Tick
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.memory import Memory
 
@@ -233,3 +238,27 @@ def test_clearly_smaller_is_half_the_variance_over_all_directions() -> None:
         assert clearly_smaller(new, old) is expected
     assert stated_uncertainty(replace(old, covariance=None, names=())) is None
     assert clearly_smaller(old, replace(old, covariance=None, names=())) is False
+
+
+def calibrated_engine(**schedule: object) -> Engine:
+    """Return an engine that was given thirty hours of rests and then asked for a calibration."""
+    engine = Engine(EngineSettings(schedule=ScheduleSettings(gravity=G, **schedule)))
+    engine.add_rests(lived(30.0))
+    engine.feed(Tick(30 * HOUR))
+    engine.calibrate()
+    return engine
+
+
+def test_the_engine_learns_from_its_rests_and_forgets_them_at_a_rollback() -> None:
+    engine = calibrated_engine()
+    record = engine.present.record
+    assert {term.effect for term in record.terms} == {"accel_bias_temperature", "gyro_bias_temperature"}
+    assert record.acceptance.reason.count(TAKEN_UP) == 2
+    assert max(off_by(record, 19.0), off_by(record, 31.0)) < 0.3
+    plain = calibrated_engine(learn_temperature=False).present.record
+    assert plain.terms == () and max(off_by(plain, 19.0), off_by(plain, 31.0)) > 1.0
+    again = unpacked(packed(engine.state), EngineState)
+    assert np.array_equal(again.memory.force, engine.state.memory.force)
+    assert again.record.forecast.keys() == record.forecast.keys()
+    engine.use_calibration(plain)
+    assert len(engine.state.memory) == 0
