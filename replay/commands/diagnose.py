@@ -25,6 +25,7 @@ from stillcal.replay.commands.reading import Reading, reading_options, show_note
 from stillcal.replay.diagnosis.diagnose import Request, diagnose
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
+from stillcal.replay.diagnosis.residuals import residuals_csv
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.diagnosis.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
@@ -47,6 +48,7 @@ class _Asked(NamedTuple):
     phone_out: Path | None
     fix_for: tuple[str, Path] | None
     covariates: tuple[str, ...]
+    residuals: Path | None
     reading: Reading
 
 
@@ -91,6 +93,11 @@ class _Asked(NamedTuple):
     f" old one. TOOL: {', '.join(FIXERS)}.",
 )
 @click.option(
+    "--residuals",
+    type=_path,
+    help="Write what is left bin by bin, without and with the effects found (.csv).",
+)
+@click.option(
     "--covariate",
     "covariates",
     multiple=True,
@@ -110,6 +117,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     phone_out: Path | None,
     fix_for: tuple[str, Path] | None,
     covariates: tuple[str, ...],
+    residuals: Path | None,
     reading: Reading,
     quiet: bool,
 ) -> None:
@@ -129,6 +137,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
         phone_out,
         fix_for,
         tuple(dict.fromkeys(covariates)),
+        residuals,
         reading,
     )
     _check(asked)
@@ -170,10 +179,20 @@ def _check(asked: _Asked) -> None:
     if phone_out is not None and phone_out.suffix != ".toml":
         raise click.UsageError(f"{phone_out}: choose a name that ends in .toml for a phone file")
     if asked.reading.is_rest_table(asked.trace) and any(
-        x is not None for x in (asked.phone, asked.simulated, report, phone_out, asked.fix_for)
+        x
+        for x in (
+            asked.phone,
+            asked.simulated,
+            report,
+            phone_out,
+            asked.fix_for,
+            asked.covariates,
+            asked.residuals,
+        )
     ):
         raise click.UsageError(
-            "a rest table has no samples: --phone, --simulated, --report, --phone-out and --fix-for need them"
+            "a rest table has no samples: --phone, --simulated, --report, --phone-out, --fix-for, --covariate"
+            " and --residuals need them"
         )
     if asked.simulated is not None and (asked.phone is not None or phone_out is not None):
         raise click.UsageError("give --simulated, or --phone and --phone-out: each is another simulation")
@@ -189,7 +208,7 @@ def _check(asked: _Asked) -> None:
     fixed = None if asked.fix_for is None else asked.fix_for[1]
     if fixed is not None and asked.phone and fixed.resolve() == Path(asked.phone).resolve():
         reads.remove(Path(asked.phone))  # the phone file that was judged is the one to be corrected
-    refuse_collisions(files(report, phone_out, fixed, asked.json), reads)
+    refuse_collisions(files(report, phone_out, fixed, asked.residuals, asked.json), reads)
 
 
 class _Outputs(NamedTuple):
@@ -199,6 +218,7 @@ class _Outputs(NamedTuple):
     page: str | None = None
     phone: str | None = None
     notes: Sequence[str] = ()
+    residuals: str | None = None
 
 
 def _table(asked: _Asked) -> _Outputs:
@@ -221,7 +241,8 @@ def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> _Outputs:
     show_stage("writing")
     text = page(outcome.judged) if asked.report is not None else None
     notes = [*recording.notes, *(simulated.notes if simulated is not None else ())]
-    return _Outputs(outcome.judged.answer, text, outcome.phone_text, notes)
+    left = None if asked.residuals is None else residuals_csv(outcome.judged.recorded)
+    return _Outputs(outcome.judged.answer, text, outcome.phone_text, notes, left)
 
 
 def _loaded(name: str) -> Phone:
@@ -245,6 +266,8 @@ def _write(outputs: _Outputs, asked: _Asked) -> None:
     """Write the files that were asked for, each whole or not at all."""
     if asked.report is not None and outputs.page is not None:
         write_atomically(asked.report, outputs.page.encode())
+    if asked.residuals is not None and outputs.residuals is not None:
+        write_atomically(asked.residuals, outputs.residuals.encode())
     if asked.phone_out is not None and outputs.phone is not None:
         write_atomically(asked.phone_out, outputs.phone.encode())
     text = pretty(jsonable(outputs.answer)) + "\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import subprocess
 import sys
@@ -49,7 +50,8 @@ def run(*words: object) -> tuple[int, str]:
 
 def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, tmp_path: Path) -> None:
     answer = tmp_path / "answer.json"
-    code, text = run(log, "--covariate", "battery_v", "--json", answer)
+    left = tmp_path / "left.csv"
+    code, text = run(log, "--covariate", "battery_v", "--json", answer, "--residuals", left)
     assert code == 0, text
     said = json.loads(answer.read_text())
     assert [f["effect"] for f in said["findings"]] == ["gyro_bias_battery_v"]
@@ -59,6 +61,11 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     assert low < SLOPE < high
     assert slope["unit"] == "rad/s per unit of battery_v"
     assert "change of the gyroscope's bias with battery v" in text
+    rows = list(csv.DictReader(left.open()))
+    z = np.array([[float(r["ideal"]), float(r["with_effects"])] for r in rows if r["residual"] == "rate_z"])
+    before, after = np.sqrt(np.mean(z**2, axis=0))
+    assert after < 0.5 * before
+    assert {r["unit"] for r in rows} <= {"m/s^2", "rad/s", "rad"}
 
 
 def test_without_the_column_the_bias_has_no_such_name(log: Path, tmp_path: Path) -> None:
