@@ -23,10 +23,9 @@ from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
-from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
-from stillcal.calib_core.diagnosis.model.records import NAME, Claims, Diagnosis, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones, usual
@@ -40,7 +39,7 @@ from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
 
-__all__ = ["Claims", "Diagnosis", "diagnose", "limits"]
+__all__ = ["Claims", "Diagnosis", "diagnose"]
 
 LEAST_SAMPLES = 200
 LEAST_SECONDS = 10.0
@@ -56,6 +55,7 @@ class Examination:
     scenes: each sensor's slow residuals; turns: the rotation between rests (None where there is too little);
     aligned: both sensors' affine parameters (None without a gyroscope or rests); statements: the findings
     with the hypotheses they state. timed: whether it is known when what was recorded.
+    exchanged: the sensor whose axes were exchanged for a while, of which nothing slow is searched for.
     """
 
     accelerometer: Samples
@@ -67,12 +67,12 @@ class Examination:
     aligned: Aligned | None
     turns: Scene | None
     statements: list[Stated]
-    limits: list[str]
     timed: bool = True
+    exchanged: str = ""
 
     def diagnosis(self, recording: str) -> Diagnosis:
         """Return the findings. recording: the name it is known by."""
-        return Diagnosis(recording, [s.finding for s in self.statements], self.limits)
+        return Diagnosis(recording, [s.finding for s in self.statements])
 
     @property
     def is_table(self) -> bool:
@@ -110,10 +110,13 @@ def examine(
     without: Collection[str] = (),
     sound: SoundPhones | None = None,
     covariates: Mapping[str, Course] | None = None,
+    search: bool = True,
 ) -> Examination:
     """Measure a recording and find its effects; parameters and errors are those of `diagnose`.
 
-    covariates: further logged columns by name, which a bias may follow.
+    covariates: further logged columns by name, which a bias may follow. search: whether slow effects are
+    searched for, which takes most of the time; a simulation that was made with known ones needs only to be
+    measured.
     """
     _refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()
@@ -133,9 +136,8 @@ def examine(
     slow = _roughened(_unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     residuals = scenes(slow, claims.gravity, covariates) if len(slow) else []
     stated = [Stated(f) for f in direct]
-    stated += [
-        s for scene in residuals if not _is_of(spoiled, scene.sensor) for s in slow_statements(scene, without)
-    ]
+    searched = [r for r in residuals if search and not _is_of(spoiled, r.sensor)]
+    stated += [s for scene in searched for s in slow_statements(scene, without)]
     affine, turns = None, None
     if gyroscope is not None:
         most = min(_limits_of("gyro_saturation", direct), default=np.inf)
@@ -149,15 +151,11 @@ def examine(
         ]
         if affine is not None and spoiled is None:
             turns = turn_scene(affine, slow, claims.gravity)
-            stated += turn_statements(turns, without)
+            stated += turn_statements(turns, without) if search else []
     stated = [replace(s, finding=_named(s.finding, without)) for s in _without_delay(stated, claims.gravity)]
-    said = [
-        *limits(bins, gyroscope=gyroscope is not None, thermometer=accelerometer.temperature is not None),
-        *_hidden(streams, claims),
-        *_unjudged(spoiled),
-    ]
+    exchanged = spoiled.sensor if spoiled else ""
     return Examination(
-        accelerometer, gyroscope, claims, slow, streams, residuals, affine, turns, stated, said
+        accelerometer, gyroscope, claims, slow, streams, residuals, affine, turns, stated, exchanged=exchanged
     )
 
 
@@ -191,13 +189,6 @@ def _outside(bins: Bins, found: Sequence[Finding]) -> Bins:
 def _is_of(spoiled: Finding | None, sensor: str) -> bool:
     """Whether axes of a sensor were found exchanged: when exactly is known too roughly for more of it."""
     return spoiled is not None and spoiled.sensor == sensor
-
-
-def _unjudged(spoiled: Finding | None) -> list[str]:
-    if spoiled is None:
-        return []
-    name = NAME[spoiled.sensor].capitalize()
-    return [f"{name} axes were exchanged: its slow effects and rotations were not checked"]
 
 
 def _named(found: Finding, without: Collection[str]) -> Finding:
@@ -372,74 +363,3 @@ def without_group_delay(found: list[Finding], gravity: float) -> list[Finding]:
         return delayed and bool(0.0 < sign * np.asarray(one.parameters["delay"].value) / late < 3.0)
 
     return [f for f in found if not explained(f)]
-
-
-NEVER_STILL = (
-    "The phone never lies still for long enough: bias, scale, temperature effects and noise could not be"
-    " checked; only time stamps, values and motion were"
-)
-
-
-def _too_little_rest(bins: Bins, table: bool) -> str:
-    """Return how much rest there is, and how much slow effects need at this recording's length of a bin."""
-    if table:
-        return f"Only {len(bins)} rests; slow effects need {thresholds.LEAST_BINS}"
-    still = float(bins.duration.sum())
-    needed = still * thresholds.LEAST_BINS / len(bins)
-    need = f"Only {still:.0f} s at rest; slow effects need {needed:.0f} s"
-    return f"{need}. Leave the phone lying still for longer"
-
-
-def limits(bins: Bins, *, gyroscope: bool, thermometer: bool, table: bool = False) -> list[str]:
-    """Return sentences that say which checks this recording does not allow, and why.
-
-    gyroscope, thermometer: whether the recording has samples of each. table: whether the bins are the rows of
-    a table of rests.
-    """
-    said = []
-    if len(bins) == 0:
-        said.append(NEVER_STILL)
-    elif len(bins) < thresholds.LEAST_BINS:
-        said.append(_too_little_rest(bins, table))
-    if not gyroscope:
-        said.append(
-            "No gyroscope data: the gyroscope and the time offset between the sensors were not checked"
-        )
-    elif bins.rate is None and len(bins):
-        said.append(
-            "Vibration throughout, as in a moving vehicle: the gyroscope's bias could not be measured"
-        )
-    if not thermometer:
-        guess = "" if table else " (only guessed from charging and use)"
-        said.append(f"No temperature column: temperature effects cannot be identified{guess}")
-    if len(np.unique(bins.rest)) < 6:
-        said.append(
-            "Fewer than six rests: scale errors, nonlinearity and g-sensitivity cannot be told from bias"
-        )
-    return said
-
-
-def _hidden(streams: Sequence[Stream], claims: Claims) -> list[str]:
-    """Return sentences that say which checks of noise and clock were not possible, and why."""
-    said = []
-    for stream in streams:
-        name = NAME[stream.sensor]
-        if stream.steps.blurs_level():
-            said.append(
-                f"The {name}'s quantisation step is larger than its noise: density and tails were not checked"
-            )
-        elif stream.spectra is None and stream.still.pieces:
-            said.append(
-                f"Too little rest to measure the {name}'s noise: density, tails, bandwidth were not checked"
-            )
-        elif noise.claimed(stream.sensor, claims) is None:
-            said.append(
-                f"The {name}'s datasheet noise is not given, so its noise level was not checked"
-                f" (add {stream.sensor}_noise_density to NAME.json)"
-            )
-    if streams[0].samples.t_arrival is None and not claims.nominal_rate_hz:
-        said.append(
-            "No nominal rate and no arrival times given, so clock drift was not checked"
-            " (add nominal_rate_hz to NAME.json)"
-        )
-    return said

@@ -10,6 +10,7 @@ from collections.abc import Collection
 
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, compare
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.comparison.linear import transferable
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.case import Case, case_of
@@ -50,6 +51,8 @@ def _played(
         return Fit(before.p, None, case.not_in_phone()), None, None
     show_stage("simulating the recording's motion with the effects found")
     corrected = named(case.played(case.phone()), f"{BUILT_IN}, corrected")
-    after = compare(recorded, examined(corrected, show_stage), names)
+    # What another recording can have as well is measured in both; the rest must be found again.
+    search = any(s.hypothesis and not transferable(s.hypothesis) for s in recorded.statements)
+    after = compare(recorded, examined(corrected, show_stage, search=search), names)
     left_out = case.not_in_phone()
     return Fit(before.p, without_left_out(after, left_out), left_out), after, corrected

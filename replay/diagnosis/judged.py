@@ -46,9 +46,17 @@ class Judged:
 
 
 def examined(
-    recording: Recording, show_stage: ShowStage = silent, *, name: str = "", without: Collection[str] = ()
+    recording: Recording,
+    show_stage: ShowStage = silent,
+    *,
+    name: str = "",
+    without: Collection[str] = (),
+    search: bool = True,
 ) -> Examination:
-    """Measure a recording. name: of what is shown. Raises NotSupported, with its name, on too little data."""
+    """Measure a recording. name: of what is shown; without, search: as for `diagnose.examine`.
+
+    Raises NotSupported, with the recording's name, on too little data.
+    """
     show_stage(f"examining {name or recording.name or 'the recording'}")
     try:
         return examine(
@@ -58,6 +66,7 @@ def examined(
             claims_of(recording),
             without=without,
             covariates=recording.covariates,
+            search=search,
         )
     except NotSupported as refusal:
         where = f"{recording.name}: " if recording.name else ""

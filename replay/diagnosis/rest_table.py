@@ -109,7 +109,7 @@ def _examined(bins: Bins, claims: Claims, *, timed: bool) -> Examination:
         effects = [e for e in effects_of(scene.sensor) if timed or not follows_time(e.follows)]
         statements += statements_of(scene, forward(scene, effects))
     gyroscope = None if bins.rate is None else replace(none, sensor=Sensor.GYROSCOPE)
-    return Examination(none, gyroscope, claims, bins, [], made, None, None, statements, [], timed)
+    return Examination(none, gyroscope, claims, bins, [], made, None, None, statements, timed)
 
 
 def _timed(rests: Sequence[RestState]) -> bool:

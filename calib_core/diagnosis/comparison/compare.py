@@ -17,7 +17,13 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     quantity_of,
     why_not_shown,
 )
-from stillcal.calib_core.diagnosis.comparison.linear import Wanted, linear_quantities, wanted_of
+from stillcal.calib_core.diagnosis.comparison.linear import (
+    Wanted,
+    kind_of,
+    linear_quantities,
+    proposed,
+    wanted_of,
+)
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of, obstacle, uninformed
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
@@ -264,7 +270,11 @@ def _quantities(
         if (level := noise.density(stream)) is not None:
             out["noise_level", stream.sensor] = level
     for scene in exam.scenes:
-        if len(scene.bins) >= thresholds.LEAST_BINS and (slow := noise.slow_noise(exam, scene)) is not None:
+        if len(scene.bins) < thresholds.LEAST_BINS:
+            continue
+        own = [w for w in wanted if w.kind == kind_of(scene)]
+        asked = [h for w in own if (h := proposed(scene, w)) is not None]
+        if (slow := noise.slow_noise(exam, scene, asked)) is not None:
             out[slow.effect, slow.sensor] = slow
     out["sample_rate", "timing"] = noise.rate(exam.accelerometer)
     return out

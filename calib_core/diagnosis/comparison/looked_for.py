@@ -105,6 +105,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
     bins = exam.bins
     if sensor == "gyro":
         yield exam.gyroscope is None, "no rates" if exam.is_table else "no gyroscope"
+    yield sensor == exam.exchanged, "its axes were exchanged for a while"
     yield from _of_rest(exam, sensor)
     yield not exam.timed and effect.endswith(OF_TIME), "the table's rows have no time"
     if "temperature" in effect:
@@ -115,7 +116,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
         yield still, "the charger is never switched between two rests"
     if effect.endswith("warmup"):
         lasts, needed = bins.span[1] - bins.span[0], 2.0 * TAUS[0]
-        yield lasts < needed, f"it lasts {lasts:.0f} s, {needed:.0f} s are needed"
+        yield lasts < needed, f"it lasts {np.floor(lasts):.0f} s, {needed:.0f} s are needed"
     if effect in ATTITUDES:
         up = next((s.up for s in exam.scenes if s.sensor == sensor), None)
         have = 0 if up is None else distinct(up)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination, Stream
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.model.noise_models import families, kinds
 from stillcal.calib_core.diagnosis.model.records import Where
@@ -88,12 +90,15 @@ def why_no_density(stream: Stream) -> str:
     return "too little of it is at rest"
 
 
-def slow_noise(exam: Examination, scene: Scene) -> Quantity | None:
+def slow_noise(exam: Examination, scene: Scene, asked: Sequence[Hypothesis] = ()) -> Quantity | None:
     """Return the Allan deviation of the bias at `LAG`, logarithms; None without rests that long.
 
-    It is averaged over the noise shapes by their posterior, the effects that were found taken out first.
+    It is averaged over the noise shapes by their posterior, the effects that were found and those `asked` for
+    taken out first.
     """
     explained = [s.hypothesis for s in exam.statements if s.scene is scene and s.hypothesis is not None]
+    own = {h.effect.name for h in explained}
+    explained += [h for h in asked if h.effect.name not in own]
     reduced = reduce_scene(scene, [nothing(scene)], explained)
     _, weights = joint(reduced, [log_terms(v, v.yy) for v in reduced])
     shown = [

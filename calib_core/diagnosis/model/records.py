@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from stillcal.calib_core.gravity import STANDARD
@@ -97,8 +97,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What one recording shows beside constant bias and scale. limits: what it cannot show, as sentences."""
+    """What one recording shows beside constant bias and scale."""
 
     recording: str
     findings: list[Finding]
-    limits: list[str] = field(default_factory=list)

@@ -6,7 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.diagnose import diagnose
+from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
+from stillcal.calib_core.diagnosis.comparison.sensitivity import sought
+from stillcal.calib_core.diagnosis.diagnose import diagnose, examine
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -74,14 +76,18 @@ def test_too_little_is_refused_and_no_gyroscope_is_said() -> None:
         diagnose(samples[:100], None)
     with pytest.raises(NotSupported, match="at least 10 s"):
         diagnose(samples[:400], None)
-    answer = diagnose(samples, None)
-    assert answer.findings == []
-    assert any("No gyroscope" in text for text in answer.limits)
+    exam = examine(samples, None)
+    assert exam.statements == []
+    reasons = {(c.effect, c.sensor): c.reason for c in checks_of(exam, sought(exam))}
+    assert reasons["gyro_bias_drift", "gyro"] == "no gyroscope"
+    assert reasons["accel_bias_drift", "accel"] is None
+    assert reasons["accel_warmup", "accel"] == "it lasts 119 s, 120 s are needed"
 
 
 def test_an_axis_that_never_changes_breaks_nothing() -> None:
     rng = np.random.default_rng(1)
     force = rng.normal(0, 0.01, (6000, 3)) + np.array([0, 0, 9.8])
     force[:, 1] = 0.25
-    diagnosis = diagnose(Samples.checked(Sensor.ACCELEROMETER, np.arange(6000) / 50.0, force), None)
-    assert any("at rest" in text or "rests" in text for text in diagnosis.limits)
+    exam = examine(Samples.checked(Sensor.ACCELEROMETER, np.arange(6000) / 50.0, force), None)
+    reasons = {(c.effect, c.sensor): c.reason for c in checks_of(exam, sought(exam))}
+    assert reasons["accel_nonlinearity", "accel"] == "1 attitude at rest, 6 are needed"
