@@ -172,6 +172,8 @@ def seconds_per_unit(unit: str, stamps: Array, rate_hz: float | None) -> float |
     """
     if unit == "samples":
         return 1.0 / rate_hz if rate_hz else None
+    if unit == "date":
+        return 1.0
     if unit != "auto":
         return TIME_UNITS[unit]
     step = np.abs(np.diff(stamps))

@@ -36,11 +36,12 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 class TimeMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Where the stamps come from: a column with a unit, a column of sample numbers, or a fixed rate.
 
-    unit "auto" picks s, ms, us or ns so that the median step is a sensor's (0.5 ms to 0.5 s).
+    unit "auto" picks s, ms, us or ns so that the median step is a sensor's (0.5 ms to 0.5 s); "date" reads
+    dates with a time as ISO 8601 writes them, as s since 1970, UTC where they do not say.
     """
 
     column: Column | None = None
-    unit: Literal["s", "ms", "us", "ns", "samples", "auto"] = "s"
+    unit: Literal["s", "ms", "us", "ns", "samples", "auto", "date"] = "s"
     rate_hz: Positive | None = None
     arrival: Column | None = None
     arrival_unit: Literal["s", "ms", "us", "ns"] = "s"

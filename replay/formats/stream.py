@@ -53,6 +53,8 @@ class SampleFile:
         self._table = table
         self._layout = lay_out(self._table, column_map, sensors)
         self._key = selection(self._table, column_map, selected)
+        if column_map.time.unit == "date" and self._layout.time is not None:
+            table.read_dates(self._layout.wanted[self._layout.time])
         self._begin()
 
     def _begin(self) -> None:

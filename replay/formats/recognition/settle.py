@@ -27,6 +27,7 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import LoggedSensor, Part
 from stillcal.replay.formats.recognition.names import Axes, Stamps, find_axes, find_stamps, find_thermometer
 from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.tables.cells import is_date
 from stillcal.replay.formats.tables.table import EMPTY, Table
 
 _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
@@ -145,6 +146,8 @@ def _time(table: Table, probe: _Probe, candidate: _Candidate, rate_hz: float | N
     stamps.sort(key=lambda s: s.label not in ("", candidate.accelerometer.label))
     no_numbers = None
     for choice in stamps:
+        if _holds_dates(table, choice.column):
+            return TimeMap(column=choice.column, unit="date"), f"time {choice.column} in dates"
         try:
             values = probe.column(choice.column)
         except TraceError as error:
@@ -160,6 +163,12 @@ def _time(table: Table, probe: _Probe, candidate: _Candidate, rate_hz: float | N
         raise TraceError(table.path, no_numbers.what, remedy, no_numbers.row)
     what = "no column of time stamps found"
     raise TraceError(table.path, what, "name one t (s), or give rate_hz in a column map (docs/formats.md)")
+
+
+def _holds_dates(table: Table, column: str) -> bool:
+    """Whether a column of a text table begins with a date."""
+    (place,) = find_columns([column], table.names, table.width) or [0]
+    return len(table.first_row) > place and is_date(table.first_row[place].encode())
 
 
 def _time_unit(choice: Stamps, values: Array) -> Any:

@@ -46,6 +46,11 @@ class NumberTable:
             line += len(values)
             yield Block(np.where(np.isnan(values), EMPTY, values), lines)
 
+    def read_dates(self, place: int) -> None:
+        """Refuse: these tables hold numbers only."""
+        what = f"{self.column_name(place)} holds numbers, no dates"
+        raise TraceError(self.path, what, "give their unit: s, ms, us or ns")
+
     def _read(self, places: Sequence[int]) -> Iterator[tuple[Array, float]]:
         """Read the rows; what a library raises on damage becomes a TraceError."""
         try:

@@ -46,6 +46,10 @@ class Table(Protocol):
         """Yield the columns at `places` in the table's order, of the rows that have the key's texts."""
         ...
 
+    def read_dates(self, place: int) -> None:
+        """Read the column at `place` as dates, s since 1970. Raises TraceError where the table holds none."""
+        ...
+
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""
         ...

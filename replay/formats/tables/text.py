@@ -24,7 +24,9 @@ from stillcal.replay.formats.tables.cells import (
     blanks_to_commas,
     cell_ends,
     cut_out,
+    dates_in_seconds,
     holding,
+    is_date,
     is_number,
     read_numbers,
 )
@@ -54,6 +56,7 @@ class TextTable:
         self.size_bytes = self._source.size
         self.skipped_rows = 0
         self.bytes_read = 0
+        self._dates: int | None = None
         self._map = column_map
         head = text_head(self._source)
         lines = head.split("\n")
@@ -88,6 +91,10 @@ class TextTable:
             rows = holding(text, ends, key)
             self.skipped_rows += int(np.count_nonzero(~rows))
             yield Block(self._numbers(text, ends, rows, lines, places), lines[rows])
+
+    def read_dates(self, place: int) -> None:
+        """Read the column at `place` as dates, s since 1970."""
+        self._dates = place
 
     def _header(self, lines: list[str]) -> list[str]:
         if len(lines) <= self._map.skip_lines or not lines[self._map.skip_lines].strip():
@@ -172,6 +179,8 @@ class TextTable:
         places: Sequence[int],
     ) -> Array:
         """Return the cells at `places` of the chosen rows, (n, k). Raises TraceError naming a faulty row."""
+        if self._dates in places:
+            return self._dated(text, ends, rows, lines, places)
         columns = sorted(set(places))
         flat, filled = cut_out(text, ends, rows, columns)
         values = read_numbers(flat) if flat else np.empty(0)
@@ -180,6 +189,33 @@ class TextTable:
         table = np.full(filled.shape, EMPTY)
         table[filled] = values
         return table[:, np.searchsorted(columns, places)]
+
+    def _dated(
+        self,
+        text: bytes,
+        ends: NDArray[np.intp],
+        rows: NDArray[np.bool_],
+        lines: NDArray[np.int64],
+        places: Sequence[int],
+    ) -> Array:
+        """Return the cells at `places` as _numbers does, one column of them dates."""
+        others = [place for place in places if place != self._dates]
+        numbers = iter(self._numbers(text, ends, rows, lines, others).T if others else ())
+        flat, filled = cut_out(text, ends, rows, [p for p in places if p == self._dates][:1])
+        seconds = self._seconds(flat, filled[:, 0], lines[rows])
+        return np.column_stack([seconds if place == self._dates else next(numbers) for place in places])
+
+    def _seconds(self, flat: bytes, filled: NDArray[np.bool_], lines: NDArray[np.int64]) -> Array:
+        """Return a column of dates as s since 1970, (n,). Raises TraceError naming a faulty row."""
+        name = self.column_name(self._dates or 0)
+        if not filled.all():
+            raise TraceError(self.path, f"{name} is empty", _ROW_REMEDY, int(lines[int(filled.argmin())]))
+        cells = flat.split(b",") if flat else []
+        for line, cell in zip(lines.tolist(), cells, strict=True):
+            if not is_date(cell):
+                said = cell.decode("utf-8", "backslashreplace").strip()[:40]
+                raise TraceError(self.path, f"{name} holds {said!r}, which is not a date", _ROW_REMEDY, line)
+        return dates_in_seconds(cells)
 
     def _accused(
         self, flat: bytes, filled: NDArray[np.bool_], lines: NDArray[np.int64], columns: Sequence[int]

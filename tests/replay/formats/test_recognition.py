@@ -339,14 +339,26 @@ def test_a_rest_table_is_told_from_a_recording_without_time(tmp_path: Path) -> N
         assert is_rest_table(path) == rests, header
 
 
-def test_dates_in_place_of_seconds_are_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("form", "start"),
+    [
+        ("2026-03-01 10:00:{:06.3f}", 1772359200.0),
+        ("2026-03-01T10:00:{:09.6f}Z", 1772359200.0),
+        ("2026-03-01T10:00:{:06.3f}+02:00", 1772352000.0),
+    ],
+)
+def test_dates_are_read_as_seconds(tmp_path: Path, form: str, start: float) -> None:
     path = tmp_path / "r.csv"
-    lines = [f"2026-03-01 10:00:{i:02},0.1,0.2,9.8" for i in range(60)]
-    path.write_text("\n".join(["time,ax,ay,az", *lines]))
-    with pytest.raises(
-        TraceError, match=r"r.csv:2: column 'time' holds '2026-03-01 10:00:00'.*a number of s"
-    ):
-        read_all(path)
+    lines = [form.format(i / 50) + ",0.1,0.2,9.8,0.001,0,0" for i in range(500)]
+    path.write_text("\n".join(["time,ax,ay,az,gx,gy,gz", *lines]))
+    recording = read_all(path)
+    np.testing.assert_allclose(recording.accelerometer.t - start, np.arange(500) / 50, atol=1e-6)
+    np.testing.assert_array_equal(recording.gyroscope.xyz[7], [0.001, 0, 0])
+    for bad, said in (("yesterday", "not a date"), ("2026-02-30 10:00:00", "not a date"), ("", "is empty")):
+        lines[300] = f"{bad},0.1,0.2,9.8,0.001,0,0"
+        path.write_text("\n".join(["time,ax,ay,az,gx,gy,gz", *lines]))
+        with pytest.raises(TraceError, match=rf"r.csv:302: column 'time' .*{said}"):
+            read_all(path)
 
 
 @pytest.mark.parametrize(("text", "kind"), [('[{"x": 1}]', "JSON"), ("<html>", "HTML or XML")])
