@@ -30,8 +30,8 @@ STREAMS = ("Monitor", "Record")
 """Methods that answer until they are interrupted."""
 
 
-WIDTH = 22
-"""Characters of the column of names; the longest, most_helpful_attitude, has 21."""
+WIDTH = 24
+"""Characters of the column of names; the longest, slow_rotation_deg_per_h, has 23."""
 
 
 class NoDaemonError(OSError):

@@ -63,31 +63,24 @@ def record_command(  # noqa: PLR0917 - click hands every option over by name
     """Record the raw samples and events of the phone that a running daemon serves, as stillcal's CSV.
 
     OUT is NAME.csv or NAME.csv.gz. The phone's sensors stay on meanwhile. Ctrl-C ends the recording and
-    leaves a whole file. It also ends, whole, before the disk is full and when the daemon stops. Exit codes:
-    1 the daemon refuses (only root and its own user may record), 3 no sample came, 4 no daemon.
+    leaves a whole file. It also ends, whole, before the disk is full and when the daemon stops. Exit codes: 1
+    the daemon refuses (only root and its own user may record), 3 no sample came, 4 no daemon, or it stopped.
     """
     _refuse_existing(out)
     where, stop = answering_path(path), _Stop(hours)
     recording = LiveRecording(Parts(out, keep), rotate * 3600.0)
     question = {"method": f"{NAME}.Record", "parameters": {"sparing": sparing}, "more": True}
-    ended, code = "", 0
     try:
-        for blocks, reply in enumerate(stop.until_asked(replies(where, question))):
-            if "error" in reply:
-                ended, code = _refusal(reply), REFUSED
-                break
-            recording.take((reply.get("parameters") or {}).get("block") or {})
-            if blocks % CHECK_EVERY == 0 and shutil.disk_usage(out.absolute().parent).free < RESERVE_BYTES:
-                ended = f"{out}: less than {RESERVE_BYTES // 2**20} MiB are left on the disk: make room"
-                code = BAD_INPUT
-                break
+        ended, code = _record(recording, out, stop.until_asked(replies(where, question)))
     except NoDaemonError as error:
         ended, code = f"no daemon answers on {where} ({error}): start one with `stillcal run`", NO_DAEMON
     except BaseException:
         recording.discard()
         raise
+    if not ended and not stop.asked:
+        ended, code = "the daemon has stopped: the recording ends here", NO_DAEMON
     written = recording.close()
-    if not written and not ended:
+    if not written and not code:
         ended, code = "no sample came: see `stillcal watch` for the phone", TOO_LITTLE
     if not quiet:
         for part in written:
@@ -97,18 +90,32 @@ def record_command(  # noqa: PLR0917 - click hands every option over by name
     sys.exit(code)
 
 
+def _record(recording: LiveRecording, out: Path, messages: Iterator[dict[str, Any]]) -> tuple[str, int]:
+    """Record until the messages end; return why it ended early and the exit code, or nothing and 0."""
+    for number, reply in enumerate(messages):
+        if "error" in reply:
+            return _refusal(reply), REFUSED
+        recording.take((reply.get("parameters") or {}).get("block") or {})
+        if number % CHECK_EVERY == 0 and shutil.disk_usage(out.absolute().parent).free < RESERVE_BYTES:
+            return f"{out}: less than {RESERVE_BYTES // 2**20} MiB are left on the disk: make room", BAD_INPUT
+    return "", 0
+
+
 class _Stop:
-    """Ends a recording between two replies: on SIGINT, SIGTERM and SIGHUP, and after `hours`."""
+    """Ends a recording between two replies: on SIGINT, SIGTERM and SIGHUP, and after `hours`.
+
+    asked: whether one of them has.
+    """
 
     def __init__(self, hours: float | None) -> None:
-        self._waiting = self._asked = False
+        self._waiting = self.asked = False
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
             signal.signal(number, self._ask)
         signal.setitimer(signal.ITIMER_REAL, 0.0 if hours is None else hours * 3600.0)
 
     def until_asked(self, messages: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
         """Yield messages until a signal came; while a message is worked on, a signal waits for its end."""
-        while not self._asked:
+        while not self.asked:
             self._waiting = True
             try:
                 message = next(messages, None)
@@ -121,7 +128,7 @@ class _Stop:
             yield message
 
     def _ask(self, *_: object) -> None:
-        self._asked = True
+        self.asked = True
         if self._waiting:
             raise KeyboardInterrupt
 

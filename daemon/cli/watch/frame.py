@@ -95,8 +95,9 @@ def _calibration(calibration: Answer, reason: str) -> Iterable[RenderableType]:
         "confirmed": f"verified {checked} ago",
         "failing": f"no longer fits (checked {checked} ago)",
     }
-    if (calibration.get("gyroscope") or {}).get("provisional"):
+    if not calibration.get("accelerometer"):
         verified["unchecked"] = "provisional: a later rest must confirm it"
+        verified["confirmed"] = "confirmed by a later rest"
     confidence = calibration["confidence"]
     yield Text.assemble(f"{calibration['id']}, {age} old, ", (verified[confidence], CONFIDENCE[confidence]))
     table = Table(box=None, padding=(0, 1), show_edge=False)

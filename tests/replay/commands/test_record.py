@@ -62,6 +62,20 @@ def test_ctrl_c_leaves_a_whole_file_of_all_that_came(folder: Path, lab: list[Any
     assert found.claims.device == "p"
 
 
+def test_the_daemons_end_leaves_a_whole_file_too_and_is_said(folder: Path, lab: list[Any]) -> None:
+    async def test() -> subprocess.Popen[str]:
+        async with running(given_in(folder, IDLE)) as service:
+            process = begin(folder, folder / "r.csv.gz")
+            await until(lambda: len(service.recorders) == 1)
+            await serve_phone(lab[:2], {"device": "p"}, LinkSettings(speed=60.0), folder / "tty")
+        return process
+
+    process = asyncio.run(test())
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 4 and "the daemon has stopped" in err and err.count("\n") == 1
+    assert len(read_all(folder / "r.csv.gz").accelerometer) > 1000
+
+
 def test_sparing_records_only_what_the_daemon_measures(folder: Path, lab: list[Any]) -> None:
     async def test() -> None:
         async with running(given_in(folder, IDLE)) as service:
@@ -95,7 +109,7 @@ def test_a_disk_that_fills_up_ends_it_with_a_whole_file(
     rooms = iter([2**40, 2**20])
     monkeypatch.setattr(record.shutil, "disk_usage", lambda _: Usage(2**40, 0, next(rooms)))
     monkeypatch.setattr(record, "CHECK_EVERY", 3)
-    monkeypatch.setattr(record._Stop, "__init__", lambda self, hours: setattr(self, "_asked", False))
+    monkeypatch.setattr(record._Stop, "__init__", lambda self, hours: setattr(self, "asked", False))
     rows = np.column_stack((lab[0].accelerometer.t, lab[0].accelerometer.xyz)).tolist()
     block = {"parameters": {"block": {"sensor": "accelerometer", "samples": rows}}}
     later = [[t + 100.0, *xyz] for t, *xyz in rows]
