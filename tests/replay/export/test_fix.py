@@ -278,3 +278,12 @@ def test_a_superfluous_slope_leaves_the_bias_at_the_findings_temperature_as_it_w
     phone = msgspec.convert(tomllib.loads(made.text), type=Phone)
     assert phone.effects == () and phone.gyro is not None
     assert phone.gyro.bias[0] == pytest.approx(0.01 + 10.0 * 0.0002)
+
+
+def test_imusensor_s_accelerometer_has_the_other_sign_in_its_slope_and_what_follows_from_it() -> None:
+    slope = finding(
+        "accel_bias_temperature", "accel", {"slope": ([0.01, 0.0, 0.0], [0.0, 0.0, 0.0])}, "lacking"
+    )
+    made = fixed("imusensor", None, {**slope, "reference": {"temperature_c": 35.0}})
+    assert "imu.Accelerometer.TemperatureBias = [-0.01 " in made.text
+    assert "imu.Accelerometer.ConstantBias = [0.1 " in made.text

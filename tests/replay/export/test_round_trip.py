@@ -145,3 +145,14 @@ def test_what_a_store_holds_beyond_all_targets_is_named_too(make_record) -> None
     )
     known = facts(of_record(replace(record, terms=(strange,))))
     assert known["gyro_nonlinearity"] == "curl [1.0, 2.0, 3.0] 1"
+
+
+def test_a_new_bias_without_a_slope_ends_the_curve_of_the_old_one() -> None:
+    """At which temperature it holds is not known, so the old curve has nowhere to count from."""
+    before = record_of(random_imu(5), None, "a")
+    assert len(before.terms) == 3
+    fresh = ImuParameters(accelerometer=SensorPart(bias=np.array([0.1, 0.2, 0.3])))
+    after = record_of(fresh, before, "b")
+    assert {term.effect for term in after.terms} == {"gyro_bias_temperature", "gyro_g_sensitivity"}
+    assert after.accelerometer is not None and before.accelerometer is not None
+    np.testing.assert_array_equal(after.accelerometer.scale, before.accelerometer.scale)
