@@ -7,7 +7,7 @@ estimates anew and never writes down. kalibr_common/ConfigReader.py: noise_densi
 a standard deviation of noise_density sqrt(update_rate); random_walk is per sqrt(s); both must be above 0.
 
 OpenVINS (rpng/open_vins, ov_msckf, VioManagerOptions.h) reads Ta (M of the accelerometer), Tw (M of the
-gyroscope), R_IMUtoGYRO (C_gyro_i), R_IMUtoACC and Tg. Its StateHelper and Propagator correct with
+gyroscope), R_IMUtoGYRO (C_gyro_i), R_IMUtoACC and Tg. Its Propagator.cpp corrects with
 force = R_IMUtoACC' inv(Ta) (raw - b) and rate = R_IMUtoGYRO' inv(Tw) (raw - b - Tg force). It keeps six
 numbers of each inverse. So there the matrices are lower triangular, as kalibr makes its own, and the rotation
 stands apart.
