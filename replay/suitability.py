@@ -43,7 +43,13 @@ class Suitability:
 
     def warnings(self) -> list[str]:
         """Say what speaks against the calibration, a sentence each."""
-        return [text for text in (self._temperature(), self._corrected_already()) if text]
+        texts = (self._lacking(), self._temperature(), self._corrected_already())
+        return [text for text in texts if text]
+
+    def _lacking(self) -> str:
+        if self._record.accelerometer is not None:
+            return ""
+        return "the calibration is of the gyroscope alone: the accelerometer's samples stay as they are"
 
     def _temperature(self) -> str:
         valid = self._record.validity

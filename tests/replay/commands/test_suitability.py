@@ -78,3 +78,10 @@ def test_unseen_rotation_is_said_in_degrees_per_hour_and_the_temperature_in_word
     rows = dict(record_rows(replace(record, gyroscope=gyroscope)))
     assert rows["  slow rotation unseen"] == "up to 12 °/h may be in the bias"
     assert rows["Measured at"].startswith("20.0 to 25.0 °C")
+
+
+def test_a_calibration_of_the_gyroscope_alone_says_what_it_leaves(record: Any) -> None:
+    samples = resting(record, corrected=False)
+    (said,) = warned(replace(record, accelerometer=None), samples)
+    assert "stay as they are" in said
+    assert warned(record, samples) == []
