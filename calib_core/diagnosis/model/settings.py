@@ -33,8 +33,9 @@ TOWERING = 3.0
 """Gain in log likelihood of a named effect over that of nameless structure in the same views, for its name to
 stand."""
 
-MODELLED = 0.05
-"""Part of a named effect's gain below which what it leaves is its model's fault and no finding."""
+MODELLED = 0.1
+"""Part of a named effect, in amplitude, below which what it leaves is the error of its linear model. An
+effect that is only roughly known (`Effect.rough`) may leave as much as it is rough."""
 
 PAIRS = 5
 """Named effects that are tried two together before structure is called unknown."""

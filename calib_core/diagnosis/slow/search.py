@@ -195,9 +195,15 @@ def adequate(steps: Sequence[Step]) -> list[Step]:
     """
     steps = [_one_of_many(s, steps) for s in _one_heat(steps)]
     strange = max((s.winner.gain for s in steps if _effect(s) == "unknown"), default=0.0)
-    named = max((s.winner.gain for s in steps if _effect(s) != "unknown"), default=0.0)
-    least = {"unknown": thresholds.MODELLED * named, "thermal_latent": strange}
+    least = {"unknown": max(map(_of_model, steps), default=0.0), "thermal_latent": strange}
     return [s for s in steps if s.winner.gain >= least.get(_effect(s), thresholds.TOWERING * strange)]
+
+
+def _of_model(step: Step) -> float:
+    """Return the gain that structure may have which is only the error of a named effect's model."""
+    if _effect(step) == "unknown":
+        return 0.0
+    return max(thresholds.MODELLED, step.winner.hypothesis.effect.rough) ** 2 * step.winner.gain
 
 
 def _one_heat(steps: Sequence[Step]) -> list[Step]:
