@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     named,
     pair_of,
     quantity_of,
+    stamp_quantities,
     why_not_shown,
 )
 from stillcal.calib_core.diagnosis.comparison.linear import (
@@ -277,6 +278,7 @@ def _quantities(
         if (slow := noise.slow_noise(exam, scene, asked)) is not None:
             out[slow.effect, slow.sensor] = slow
     out["sample_rate", "timing"] = noise.rate(exam.accelerometer)
+    out |= stamp_quantities(exam)
     return out
 
 
@@ -303,6 +305,12 @@ def _why_not(
             return f"{name}: {uninformed(key[0])}"
     one, other = pair
     assert one is not None and other is not None, "a missing one was told of above"
+    if key[0] == "sample_rate" and np.abs(one.value - other.value).max() < noise.ALIKE_RATE:
+        even = [n for e, n in zip(exams, names, strict=True) if noise.exactly_even(e.accelerometer.t)]
+        if names[0] in even:
+            return (
+                f"{names[0]}: its stamps are exactly even, so they were computed and say nothing of its clock"
+            )
     if not one.logarithmic and not (one.informed & other.informed).any():
         return "the two show it on different axes"
     return None

@@ -11,11 +11,30 @@ from stillcal.calib_core.diagnosis.comparison.linear import transferable
 from stillcal.calib_core.diagnosis.comparison.noise import TIMES
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Parameter
+from stillcal.calib_core.diagnosis.direct import quantities
+from stillcal.calib_core.diagnosis.direct.clock import LEAST_SHARE as LEAST_BURSTS
+from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_SHARE as LEAST_HELD
+from stillcal.calib_core.diagnosis.direct.timestamps import LEAST_JITTER
+from stillcal.calib_core.diagnosis.direct.timestamps import LEAST_SHARE as LEAST_DROPPED
+from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 
-MEASURED_ELSEWHERE = ("noise_level", "noise_unequal_axes", "bias_random_walk")
-"""Findings of one recording by itself whose quantity is compared as a density."""
+MEASURED_ELSEWHERE = (
+    "noise_level",
+    "noise_unequal_axes",
+    "bias_random_walk",
+    "timestamp_jitter",
+    "dropped_samples",
+    "arrival_bursts",
+    "held_samples",
+)
+"""Findings of one recording by itself whose quantity is measured in both, whether it is a finding or not."""
+
+ALIKE_STAMPS = 0.3 * float(np.log(10.0))
+"""What jitter and shares of samples of one phone differ by from recording to recording (ln): 0.26 to 0.36 of
+log10, rms within the devices of the still experiment of Stisen et al. 2015."""
 
 ALIKE = 0.05
 """Relative difference of a limit, a step, a frequency or a fraction that is none."""
@@ -29,6 +48,51 @@ def direct_statements(exam: Examination) -> list[Finding]:
         if (s.hypothesis is None or not transferable(s.hypothesis))
         and not s.finding.effect.endswith(MEASURED_ELSEWHERE)
     ]
+
+
+def stamp_quantities(exam: Examination) -> dict[tuple[str, str], Quantity]:
+    """Return what stamps and deliveries measure, logarithms; by effect and sensor, as far as they show it."""
+    samples = exam.accelerometer
+    period = sample_period(samples.t)
+    out = {}
+    for effect, measured in quantities.of_stamps(samples).items():
+        if effect == "timestamp_jitter":
+            sigma = _linear(measured, LEAST_JITTER, period)
+            out[effect, "timing"] = _logarithm(
+                (effect, "timing"), Part("sigma", "s", 1), sigma, 1e-6, samples
+            )
+        else:
+            floor = LEAST_DROPPED if effect == "dropped_samples" else LEAST_BURSTS
+            part, share = Part("fraction", "1", 1), _linear(measured, floor, 1.0)
+            out[effect, "timing"] = _logarithm((effect, "timing"), part, share, LEAST_SHARE, samples)
+    for stream in exam.streams:
+        for effect, measured in quantities.of_values(stream.samples).items():
+            part, share = Part("fraction", "1", 1), _linear(measured, LEAST_HELD, 1.0)
+            key = (effect, stream.sensor)
+            out[key] = _logarithm(key, part, share, LEAST_SHARE, stream.samples)
+    return out
+
+
+LEAST_SHARE, LEAST_SIGMA = 1e-4, 1e-6
+"""Share of samples, and s of jitter, that are as good as none."""
+
+
+def _linear(measured: Measured, floor: float, unit: float) -> Measured:
+    """Return a number, times `unit`, whose common logarithm with `floor` added was measured."""
+    whole = 10.0**measured.value
+    return Measured(max(whole - floor, 0.0) * unit, measured.error * whole * float(np.log(10.0)) * unit)
+
+
+def _logarithm(
+    key: tuple[str, str], part: Part, measured: Measured, floor: float, samples: Samples
+) -> Quantity:
+    """Return a number of 0 or more as a logarithmic quantity, below `floor` as the floor."""
+    value = max(measured.value, floor)
+    return Quantity(
+        *key, (part,), np.array([np.log(value)]), np.array([[(measured.error / value) ** 2]]),
+        np.array([TIMES]), np.array([ALIKE_STAMPS]), np.array([-1]), logarithmic=True,
+        where=Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "time stamps"),
+    )  # fmt: skip
 
 
 def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination, Stream
+from stillcal.calib_core.diagnosis.direct.timestamps import mean_period
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.model.noise_models import families, kinds
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 from stillcal.calib_core.streams.samples import Samples
@@ -160,9 +162,13 @@ def _half_difference(covariance: Array, pairs: Pairs) -> float:
 
 
 def rate(samples: Samples) -> Quantity:
-    """Return the logarithm of the samples in a second: a count over time, in whatever bursts they come."""
+    """Return the logarithm of the sensor's rate.
+
+    Samples that are missing count, for they were measured; stamps in bursts are counted over time.
+    """
     pieces = [p for p in np.array_split(samples.t, PIECES) if p.size > 1 and p[-1] > p[0]]
-    logs = np.log([(p.size - 1) / (p[-1] - p[0]) for p in pieces])
+    each = sample_period if bunched(samples.t) else mean_period
+    logs = -np.log([each(p) for p in pieces])
     error = 1.4826 * float(np.median(np.abs(logs - np.median(logs)))) / np.sqrt(len(pieces))
     return Quantity(
         "sample_rate",
@@ -176,6 +182,12 @@ def rate(samples: Samples) -> Quantity:
         logarithmic=True,
         where=Where(*_span(samples), (0.0, 0.0), "time stamps"),
     )
+
+
+def exactly_even(t: Array) -> bool:
+    """Whether stamps t (n,) are multiples of one interval to rounding: computed, not taken from a clock."""
+    steps = np.diff(t)
+    return bool(np.ptp(steps) < 1e-9 * max(float(np.abs(t).max()), 1.0))
 
 
 def _span(samples: Samples) -> tuple[float, float]:

@@ -42,6 +42,12 @@ ALONE = 1.02
 COME_BACK = 0.5
 """Part of the changes that lead to a value never seen before, below which values come in few steps."""
 
+LEAST_PILE = 8
+"""Samples that must lie on the last value of an axis for it to end there."""
+
+LEAST_ENDS = 3
+"""Ends of axes that must agree, of six, for a limit that all have."""
+
 LEVELS = 5
 """Levels next to a limit on each of which fewer samples lie than on it."""
 
@@ -78,13 +84,40 @@ def doubled(samples: Samples, count: int) -> Finding | None:
     return direct_finding("unknown", "timing", [], where, sizes, statement=say, seen=seen)
 
 
+def common_extreme(xyz: Array) -> tuple[float, int, float]:
+    """Return the largest size of value at which most of the six ends of the axes stop, and how many do.
+
+    Ends are those on whose very last value `LEAST_PILE` samples lie. Also returned is how closely they agree:
+    the least difference of two values.
+    """
+    ends = []
+    for a in range(xyz.shape[1]):
+        for signed in (xyz[:, a], -xyz[:, a]):
+            top = float(signed.max(initial=-np.inf))
+            if top > 0.0 and (signed == top).sum() >= LEAST_PILE:
+                ends.append(top)
+    if not ends:
+        return 0.0, 0, 0.0
+    rounding = 1e-6 * max(map(abs, ends))
+    gaps = [np.diff(np.unique(xyz[:, a])) for a in range(xyz.shape[1])]
+    within = min(float(g[g > rounding].min(initial=np.inf)) for g in gaps)
+    within = within if np.isfinite(within) else rounding
+    count = [sum(abs(other - end) <= within for other in ends) for end in ends]
+    most = int(np.argmax(count))
+    return ends[most], count[most], within
+
+
 def at_limits(xyz: Array) -> NDArray[np.bool_]:
     """Return where values (n, 3) stay on their axis' highest or lowest one, and do so again and again.
 
     (n - 1, 3): the sample and the one before.
     """
-    ends = [_at_highest(xyz[:, a]) | _at_highest(-xyz[:, a]) for a in range(xyz.shape[1])]
-    return np.stack(ends, axis=1)
+    ends = np.stack([_at_highest(xyz[:, a]) | _at_highest(-xyz[:, a]) for a in range(xyz.shape[1])], axis=1)
+    limit, count, within = common_extreme(xyz)
+    if count < LEAST_ENDS:
+        return ends
+    on = np.abs(xyz) >= limit - within
+    return np.asarray(ends | (on[1:] & on[:-1]))
 
 
 def _at_highest(x: Array) -> NDArray[np.bool_]:

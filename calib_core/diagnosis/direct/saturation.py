@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_ENDS, common_extreme
 from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
     Seen,
@@ -25,6 +26,8 @@ SATURATED = Words(
     "set a larger range, or move the phone more gently",
 )
 
+AXES = (0, 1, 2)
+
 LEAST_LIMIT = {"accel": 11.3, "gyro": 0.5}
 """m/s^2 and rad/s: below, an axis piles up at rest where gravity or nothing holds it."""
 
@@ -42,6 +45,9 @@ LEAST_LEVELS = 5
 
 LEAST_VISITS = 3
 """Times that values must come to a limit."""
+
+SPREAD = 0.02
+"""Part of its size by which bias and scale set the ends of the axes apart: 20 mg and 1 to 2 %."""
 
 REACH, WIDTHS = 0.1, 6.0
 """Part of a limit below it in which excursions end elsewhere, and so many widths at least."""
@@ -63,10 +69,11 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
     """
     limits = {
         a: limit
-        for a in range(3)
+        for a in AXES
         if (limit := _limit(samples.xyz[:, a], float(noise[a]), LEAST_LIMIT[sensor])) is not None
         and (not declared or limit.value < SHORT_OF_RANGE * declared)
     }
+    limits |= _common(samples.xyz, declared) if len(limits) < len(AXES) else {}
     if not limits:
         return None
     axes = list(limits)
@@ -89,6 +96,20 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
         statement=say,
         seen=Seen(sum(one.nats for one in limits.values())),
     )
+
+
+def _common(xyz: Array, declared: float | None) -> dict[int, Limit]:
+    """Return the limit at which most ends of the axes stop, whatever lies there most of the time.
+
+    A phone that rests there clips gravity. Without a limit the ends, which are gravity's or the motion's,
+    differ by bias and scale: evenly over `SPREAD` of their size.
+    """
+    value, count, within = common_extreme(xyz)
+    if count < LEAST_ENDS or (declared and value >= SHORT_OF_RANGE * declared):
+        return {}
+    nats = of_chance((count - 1) * float(np.log(min(within / (SPREAD * value), 1.0))), 6.0)
+    axes = [a for a in AXES if np.abs(xyz[:, a]).max() >= value - within]
+    return {a: Limit(value, within / float(np.sqrt(12.0)), nats / len(axes)) for a in axes}
 
 
 def _limit(values: Array, noise: float, least: float) -> Limit | None:

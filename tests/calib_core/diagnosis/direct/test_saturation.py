@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
+from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 NOISE = np.full(3, 0.01)
@@ -40,3 +41,19 @@ def test_values_of_few_uneven_levels_are_no_limit() -> None:
     force = np.array([0.0, 9.77, -0.1]) + 0.02 * rng.standard_normal((9000, 3))
     rounded = levels[np.abs(force[:, :, None] - levels[None, None]).argmin(axis=2)]
     assert saturation(samples(rounded), "accel", np.full(3, 0.02), None) is None
+
+
+@pytest.mark.parametrize("limit", [8.0, 9.0])
+def test_a_phone_that_rests_at_its_limit_clips_and_is_not_stuck(limit: float) -> None:
+    """Below gravity: five of the ends of its axes stop at one value, where it lies most of the time."""
+    rng = np.random.default_rng(1)
+    faces = np.concatenate([np.eye(3), -np.eye(3)])[rng.permutation(6)]
+    up = 9.8 * np.repeat(faces, 1500, axis=0) * 1.01 + np.array([0.1, -0.2, 0.15])
+    force = up + NOISE * rng.standard_normal(up.shape)
+    step = 1.2e-3
+    whole, clipped = (np.round(f / step) * step for f in (force, np.clip(force, -limit, limit)))
+    assert saturation(samples(whole), "accel", NOISE, 40.0) is None
+    found = saturation(samples(clipped), "accel", NOISE, 40.0)
+    assert found is not None and found.parameters["limit"].value == pytest.approx(limit, abs=2e-3)
+    assert found.axes == ["x", "y", "z"]
+    assert stuck(samples(clipped), "accel") is None
