@@ -17,6 +17,7 @@ from stillcal.replay.diagnosis.twin import Conditions
 from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.effects.other_physics import OtherPhysics
 from stillcal.replay.phone.effects.registry import EFFECTS
+from stillcal.replay.phone.settings import ClockSettings
 
 WHITE_NOISE_FINDINGS = ("noise_level", "noise_unequal_axes")
 """Findings that a phone's own white noise takes up: its density is measured on the recording."""
@@ -51,7 +52,10 @@ def _map_finding(finding: Finding, bins: Bins, conditions: Conditions) -> Mapped
     if finding.effect in _CONVERSIONS:
         known |= _CONVERSIONS[finding.effect](finding, values, bins, conditions)
     try:
-        return MappedFinding(finding, msgspec.convert({"name": finding.effect, **known}, type=kind))
+        effect = msgspec.convert({"name": finding.effect, **known}, type=kind)
+        # What acts on the clock has the clock's own limits.
+        effect.on_clock(ClockSettings())
+        return MappedFinding(finding, effect)
     except (msgspec.ValidationError, ValueError) as error:
         return MappedFinding(finding, None, f"the simulation cannot represent it: {error}")
 

@@ -49,9 +49,10 @@ def shown_in(values: ArrayLike, unit: str, name: str = "") -> Scale:
     values: in `unit`, any shape; name: of the parameter, which tells what a number without a unit is.
     """
     if unit == "1":
-        if name == "relative":
+        small = float(np.max(np.abs(np.asarray(values, dtype=np.float64)), initial=0.0)) < SMALL
+        if name == "relative" and small:
             return 1e6, "ppm"
-        return (100.0, "%") if name in SHARES else (1.0, "")
+        return (100.0, "%") if name in (*SHARES, "relative") else (1.0, "")
     if unit in WHOLE:
         return WHOLE[unit]
     base = next((b for b in ("m/s^2", "rad/s", "rad", "m", "s") if _is_of(unit, b)), None)

@@ -9,9 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.replay.diagnosis.case import Case
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.diagnosis.judged import named
+from stillcal.replay.diagnosis.phone_effects import map_findings
 from stillcal.replay.diagnosis.phone_file import phone_text, stamps_measured
 from stillcal.replay.diagnosis.phone_simulation import judge_phone
 from stillcal.replay.formats.trace import Recording
@@ -95,6 +97,24 @@ def test_a_phone_with_wrong_constants_and_slow_noise_is_told_so(recording: Maker
     assert {"accel_bias", "accel_scale", "accel_slow_noise"} <= set(told)
     np.testing.assert_allclose(told["accel_bias"]["difference"]["bias"]["value"], [-1.2] * 3, atol=0.02)
     assert told["accel_slow_noise"]["relation"] == "too_large"
+
+
+def test_what_a_clock_cannot_be_is_not_in_the_phone_file(case_with: Callable[..., Case]) -> None:
+    """A clock that loses three quarters of the time: no phone has one, and the file is still made."""
+    case = case_with(THERMAL)
+    where = Where(0.0, 1.0, (0.0, 1.0), "time stamps")
+    slow = Finding(
+        "clock_skew",
+        "timing",
+        [],
+        where,
+        {"relative": Parameter(-0.75, None, "1")},
+        Evidence(9.0),
+        [],
+        "slow",
+    )
+    (mapped,) = map_findings([slow], case.bins, case.conditions)
+    assert mapped.effect is None and "must be between" in mapped.why
 
 
 def test_the_clock_of_the_written_phone_scatters_and_loses_as_the_recording_does() -> None:
