@@ -30,6 +30,7 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, alig
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones, usual
 from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
+from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
@@ -111,18 +112,20 @@ def examine(
     sound: SoundPhones | None = None,
     covariates: Mapping[str, Course] | None = None,
     search: bool = True,
+    overview: Overview | None = None,
 ) -> Examination:
     """Measure a recording and find its effects; parameters and errors are those of `diagnose`.
 
     covariates: further logged columns by name, which a bias may follow. search: whether slow effects are
     searched for, which takes most of the time; a simulation that was made with known ones needs only to be
-    measured.
+    measured. overview: every second of the recording, where the samples are only some of it; None where they
+    are all.
     """
     _refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()
     accelerometer, twice = repeats.without_doubles(accelerometer)
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
-    bins = still_bins(accelerometer, gyroscope, events)
+    bins = still_bins(accelerometer, gyroscope, events, overview)
     sensors = [(s, x) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
     lost = [f for s, x in sensors if (f := stuck(x, s))]
     spoiled = (
@@ -174,9 +177,14 @@ def _without_delay(stated: list[Stated], gravity: float) -> list[Stated]:
     return [s for s in stated if any(s.finding is f for f in kept)]
 
 
-def still_bins(accelerometer: Samples, gyroscope: Samples | None, events: Sequence[Charging] = ()) -> Bins:
-    """Return the bins in which the phone lay still, a vehicle's turns left out."""
-    return steady(cut(accelerometer, gyroscope, events))
+def still_bins(
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    events: Sequence[Charging] = (),
+    overview: Overview | None = None,
+) -> Bins:
+    """Return the bins in which the phone lay still, a vehicle's turns left out; overview: as in `cut`."""
+    return steady(cut(accelerometer, gyroscope, events, overview=overview))
 
 
 def _outside(bins: Bins, found: Sequence[Finding]) -> Bins:

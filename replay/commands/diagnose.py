@@ -22,6 +22,7 @@ from stillcal.daemon.store.document import pretty
 from stillcal.replay.commands.fix_for import Correction
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
+from stillcal.replay.diagnosis.condense import read_condensed
 from stillcal.replay.diagnosis.diagnose import Request, diagnose
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
@@ -30,7 +31,7 @@ from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.diagnosis.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.covariates import read_covariates
-from stillcal.replay.formats.trace import read_all
+from stillcal.replay.formats.trace import open_trace
 from stillcal.replay.phone.phone import Phone, dump_phone, load_phone
 
 _path = click.Path(path_type=Path)
@@ -227,13 +228,13 @@ def _table(asked: _Asked) -> _Outputs:
 
 def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> _Outputs:
     show_stage(f"reading {asked.trace.name}")
-    recording = asked.reading.read(asked.trace)
+    recording = read_condensed(asked.reading.open(asked.trace), asked.trace)
     if asked.covariates:
         recording = replace(recording, covariates=read_covariates(asked.trace, asked.covariates))
     simulated = None
     if asked.simulated is not None:
         show_stage(f"reading {asked.simulated.name}")
-        simulated = read_all(asked.simulated, asked.simulated_format)
+        simulated = read_condensed(open_trace(asked.simulated, asked.simulated_format), asked.simulated)
     phone = None if asked.phone is None else _loaded(asked.phone)
     name = "" if asked.phone is None else Path(asked.phone).name
     request = Request(simulated, phone, name, asked.phone_out is not None)

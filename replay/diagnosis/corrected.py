@@ -13,12 +13,16 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
+from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference
 from stillcal.calib_core.diagnosis.diagnose import still_bins
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
+from stillcal.calib_core.diagnosis.segments.overview import Overview
+from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.streams.resample import interpolate, temperature_at
-from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.diagnosis.condense import LongRecording, overview_of
 from stillcal.replay.diagnosis.judged import charging_events
 from stillcal.replay.formats.trace import Recording
 
@@ -44,6 +48,56 @@ def correct(
     biases: by sensor, (3,) m/s^2 or rad/s, the simulation's own, which a scale does not act on; a sensor that
     is not in it is taken to have none. seed: of the noise that is added where the simulation has too little.
     """
+    corrected = _with_added(simulation, discrepancies, biases, seed)
+    if not isinstance(simulation, LongRecording) or simulation.overview is None:
+        return corrected
+    seconds = _seconds(simulation, simulation.overview)
+    changed = _with_added(seconds, discrepancies, biases, seed).recording
+    white = [d for d in discrepancies if d.effect == "noise_level" and d.difference is not None]
+    power = {d.sensor: _missing(d) / 2.0 for d in white if (_missing(d) >= 0.0).all()}
+    known = simulation.overview
+    overview = replace(
+        known,
+        force=_windows(known.force, changed.accelerometer, simulation.accelerometer, power.get("accel")),
+        rate=None
+        if known.rate is None or changed.gyroscope is None or simulation.gyroscope is None
+        else _windows(known.rate, changed.gyroscope, simulation.gyroscope, power.get("gyro")),
+    )
+    held = corrected.recording
+    assert isinstance(held, LongRecording), "made of one"
+    return Corrected(replace(held, overview=overview), corrected.left_out)
+
+
+def _seconds(simulation: LongRecording, overview: Overview) -> Recording:
+    """Return the means of every second in the place of samples."""
+
+    def means(sensor: Sensor, windows: Windows) -> Samples:
+        warm = overview.thermometer
+        temperature = None if warm is None else frozen(np.interp(windows.t, *warm.T))
+        return Samples(sensor, frozen(windows.t), frozen(windows.mean), temperature)
+
+    accel = means(Sensor.ACCELEROMETER, overview.force)
+    gyro = None if overview.rate is None else means(Sensor.GYROSCOPE, overview.rate)
+    return replace(simulation, accelerometer=accel, gyroscope=gyro)
+
+
+def _windows(windows: Windows, changed: Samples, samples: Samples, power: Array | None) -> Windows:
+    """Return windows with other means. samples: of the recording; power: (3,) of white noise added, None."""
+    added = changed.xyz - windows.mean
+    more = 0.0 if power is None else np.maximum(power, 0.0) * float(np.exp(counted_rate(samples).value[0]))
+    return replace(
+        windows,
+        mean=changed.xyz,
+        variance=windows.variance + more,
+        calm_mean=windows.calm_mean + added,
+        calm_variance=windows.calm_variance + more,
+    )
+
+
+def _with_added(
+    simulation: Recording, discrepancies: Sequence[Discrepancy], biases: Mapping[str, Array], seed: int
+) -> Corrected:
+    """Return the simulation with every difference added to the samples that are held."""
     rng = np.random.default_rng(seed)
     left_out: list[str] = []
     streams: dict[str, Samples | None] = {
@@ -114,7 +168,7 @@ def _drivers(simulation: Recording, samples: Samples, reference_c: float | None)
     return Moments(
         samples.t,
         np.zeros(len(samples)),
-        History(span, still_bins(accel, gyro, plugs).activity, switches, reference),
+        History(span, still_bins(accel, gyro, plugs, overview_of(simulation)).activity, switches, reference),
         interpolate(samples.t, accel.t, accel.xyz),
         interpolate(samples.t, gyro.t, gyro.xyz) if gyro else None,
         warm,
@@ -149,10 +203,15 @@ def _noise(samples: Samples, one: Discrepancy, rng: np.random.Generator) -> Arra
 
     Samples at f Hz with a one-sided density d have a standard deviation of d sqrt(f / 2).
     """
-    assert one.difference is not None, "noise is compared as a density"
-    recorded, simulated = np.exp(one.difference.recorded.value), np.exp(one.difference.simulated.value)
-    missing = recorded**2 - simulated**2
+    missing = _missing(one)
     if (missing < 0.0).any():
         return None
-    rate = (len(samples) - 1) / float(samples.t[-1] - samples.t[0])
+    rate = float(np.exp(counted_rate(samples).value[0]))
     return np.asarray(rng.normal(size=samples.xyz.shape) * np.sqrt(missing * rate / 2.0))
+
+
+def _missing(one: Discrepancy) -> Array:
+    """Return by how much the one-sided power density (3,) of the recording is above the simulation's."""
+    assert one.difference is not None, "noise is compared as a density"
+    recorded, simulated = np.exp(one.difference.recorded.value), np.exp(one.difference.simulated.value)
+    return np.asarray(recorded**2 - simulated**2)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stillcal.replay.diagnosis.built_in import judge_built_in
+from stillcal.replay.diagnosis.condense import condensed
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, silent
 from stillcal.replay.diagnosis.phone_file import phone_text
@@ -38,8 +39,9 @@ class Outcome:
 
 def diagnose(recording: Recording, request: Request, show_stage: ShowStage = silent) -> Outcome:
     """Compare a recording with the simulation asked for. Raises NotSupported on too little data."""
+    recording = condensed(recording)
     if request.simulated is not None:
-        judged = judge_simulation(recording, request.simulated, show_stage)
+        judged = judge_simulation(recording, condensed(request.simulated), show_stage)
     elif request.phone is not None:
         judged = judge_phone(recording, request.phone, request.phone_name, show_stage)
     else:
@@ -59,4 +61,4 @@ def diagnose_recording(recording: Recording, name: str, without: str | None = No
     without: an effect of which the catalogue is to know nothing. Raises NotSupported on too little data.
     """
     removed = () if without is None else (without,)
-    return judge_built_in(recording, name, without=removed).answer
+    return judge_built_in(condensed(recording), name, without=removed).answer

@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.events import Charging
 from stillcal.replay.diagnosis.case import Case
+from stillcal.replay.diagnosis.condense import overview_of
 from stillcal.replay.formats.trace import Recording
 
 ShowStage = Callable[[str], None]
@@ -67,6 +68,7 @@ def examined(
             without=without,
             covariates=recording.covariates,
             search=search,
+            overview=overview_of(recording),
         )
     except NotSupported as refusal:
         where = f"{recording.name}: " if recording.name else ""
@@ -97,7 +99,8 @@ def charging_events(recording: Recording) -> list[Charging]:
 
 def bins_of(recording: Recording) -> Bins:
     """Return the recording's static bins."""
-    return still_bins(recording.accelerometer, recording.gyroscope, charging_events(recording))
+    events = charging_events(recording)
+    return still_bins(recording.accelerometer, recording.gyroscope, events, overview_of(recording))
 
 
 def named(recording: Recording, name: str) -> Recording:

@@ -11,17 +11,22 @@ from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.windows import WINDOW
 from stillcal.calib_core.streams.resample import interpolate, median_rate_hz, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.diagnosis.condense import Condenser, LongRecording, overview_of
 from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, effects_output, observable
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
 from stillcal.replay.phone.effects.base import Effect, Moment
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.sensor_chain import SensorChain
+
+Flags = NDArray[np.bool_]
 
 SLOWEST = 0.05
 """Rates below this, rad/s, are noise at rest, which acts through no lever arm and no nonlinearity."""
@@ -31,13 +36,15 @@ SLOWEST = 0.05
 class Motion:
     """What a phone truly did. force_t: (n,) s with force (n, 3) m/s^2; rate_t: (m,) s with rate (m, 3) rad/s.
 
-    rate_t and rate are None without a gyroscope.
+    rate_t and rate are None without a gyroscope. steady: of a long recording, whose motion is not
+    known everywhere, the [first, last) windows of `WINDOW` s in which the phone is still.
     """
 
     force_t: Array
     force: Array
     rate_t: Array | None = None
     rate: Array | None = None
+    steady: tuple[tuple[int, int], ...] = ()
 
 
 def motion_of(
@@ -71,10 +78,26 @@ def motion_of(
                 known, Sensor.GYROSCOPE, moment_of(recording, raw, conditions, rate_t), recording, conditions
             )
             rate = affine.true_rate(gyroscope.xyz - added)
-    force = _still(accel, bins, force, gravity * affine.baseline.up)
+    at_rest, still = gravity * affine.baseline.up, np.zeros((len(bins), 3))
+    force = _still(accel, bins, force, at_rest)
     if gyroscope is not None and rate is not None:
-        rate = _still(gyroscope, bins, rate, np.zeros((len(bins), 3)))
-    return Motion(accel.t, force, rate_t, rate)
+        rate = _still(gyroscope, bins, rate, still)
+    if not isinstance(recording, LongRecording):
+        return Motion(accel.t, force, rate_t, rate)
+    force_t, force = _with_bins(accel.t, force, bins, at_rest)
+    if rate_t is not None and rate is not None:
+        rate_t, rate = _with_bins(rate_t, rate, bins, still)
+    middle, half = (bins.t - bins.span[0]) / WINDOW, bins.duration / 2.0 / WINDOW
+    edges = np.rint(np.stack([middle - half, middle + half], axis=1)).astype(int).tolist()
+    return Motion(force_t, force, rate_t, rate, tuple((a, b) for a, b in edges))
+
+
+def _with_bins(t: Array, values: Array, bins: Bins, at_rest: Array) -> tuple[Array, Array]:
+    """Return a course (n, 3) at t (n,) with the bins' ends in it, between which it is steady."""
+    ends = np.concatenate([bins.t - bins.duration / 2.0, bins.t + bins.duration / 2.0])
+    times = np.concatenate([t, ends])
+    order = np.argsort(times, kind="stable")
+    return times[order], np.concatenate([values, at_rest, at_rest])[order]
 
 
 def _added(
@@ -94,7 +117,7 @@ def moment_of(recording: Recording, motion: Motion, conditions: Conditions, at: 
     rate = np.zeros_like(force)
     if motion.rate_t is not None and motion.rate is not None:
         rate = interpolate(at, motion.rate_t, motion.rate)
-    temperature = temperature_at(recording.accelerometer, at)
+    temperature = _temperature_at(recording, at)
     warmth = np.zeros(at.size) if temperature is None else temperature - conditions.reference_c
     # Stamps may repeat; a derivative by time must not divide by nothing.
     rising = np.maximum.accumulate(at) + 1e-9 * np.arange(at.size)
@@ -110,9 +133,44 @@ def resimulate(
     sensors = [Sensor.ACCELEROMETER]
     if recording.gyroscope is not None and phone.gyro is not None:
         sensors.append(Sensor.GYROSCOPE)
-    streams = [_stream(phone, conditions, sensor, (recording, motion), seed) for sensor in sensors]
-    claims = recording.claims.without_counts()
-    return Recording(streams[0], streams[1] if len(streams) > 1 else None, recording.events, claims, [])
+    played = [_Played(phone, conditions, sensor, (recording, motion), seed) for sensor in sensors]
+    about = Recording(
+        Samples.empty(Sensor.ACCELEROMETER),
+        Samples.empty(Sensor.GYROSCOPE) if len(played) > 1 else None,
+        recording.events,
+        recording.claims.without_counts(),
+        [],
+    )
+    if isinstance(recording, LongRecording) and recording.kept is not None:
+        return _in_blocks(played, recording, motion, recording.kept, about)
+    streams = [one.read(one.ticks()) for one in played]
+    return replace(about, accelerometer=streams[0], gyroscope=streams[1] if len(streams) > 1 else None)
+
+
+def _in_blocks(
+    played: Sequence[_Played], recording: LongRecording, motion: Motion, kept: Flags, about: Recording
+) -> Recording:
+    """Return the same of a long recording, block by block and as far as its motion is known.
+
+    kept: (n,) its windows whose samples are held. The same windows' samples are held of what is played.
+    """
+    known = kept.copy()
+    for first, last in motion.steady:
+        known[first:last] = True
+    condenser = Condenser(keep=kept)
+    for index in range(played[0].blocks()):
+        streams = [one.read(_within(one.ticks(index), known)) for one in played]
+        streams += [Samples.empty(Sensor.GYROSCOPE)] * (2 - len(streams))
+        condenser.add(*streams)
+    return condenser.recording(about)
+
+
+def _within(ticks: Ticks, known: Flags) -> Ticks:
+    """Return the ticks that lie in windows (n,) where `known`."""
+    window = np.minimum((ticks.t / WINDOW).astype(np.int64), known.size - 1)
+    there = known[window]
+    rows = (np.cumsum(there) - 1)[ticks.rows[there[ticks.rows]]]
+    return Ticks(ticks.t[there], ticks.stamp[there], ticks.arrival[there], rows)
 
 
 def _still(samples: Samples, bins: Bins, values: Array, at_rest: Array) -> Array:
@@ -126,38 +184,68 @@ def _still(samples: Samples, bins: Bins, values: Array, at_rest: Array) -> Array
     return out
 
 
-def _ticks(phone: Phone, sensor: Sensor, rate_hz: float, duration: float, seed: int) -> Ticks:
-    """Return all moments at which a stream is sampled, in true time from 0."""
-    clock = StreamClock(phone.effective_clock(), rate_hz, (), (), seed=seed, stream=sensor)
-    blocks = [clock.block(i, duration) for i in range(int(np.ceil(duration / BLOCK_S)))]
-    ends = np.cumsum([0, *(b.t.size for b in blocks)])
-    return Ticks(
-        np.concatenate([b.t for b in blocks]),
-        np.concatenate([b.stamp for b in blocks]),
-        np.concatenate([b.arrival for b in blocks]),
-        np.concatenate([b.rows + start for b, start in zip(blocks, ends, strict=False)]),
-    )
+class _Played:
+    """One sensor of a phone that is played through a motion; blocks are asked for in order."""
+
+    def __init__(
+        self,
+        phone: Phone,
+        conditions: Conditions,
+        sensor: Sensor,
+        recorded: tuple[Recording, Motion],
+        seed: int,
+    ) -> None:
+        settings, clock = phone.sensor(sensor), phone.effective_clock()
+        assert settings is not None, "a stream is made only for a sensor that the phone has"
+        settings = msgspec.structs.replace(
+            settings, rate_hz=phone.accel.rate_hz if clock.shared else settings.rate_hz
+        )
+        self._recording, self._motion = recorded
+        self._conditions, self._sensor = conditions, sensor
+        accel = self._recording.accelerometer
+        self._duration = float(accel.t[-1] - accel.t[0])
+        self._clock = StreamClock(clock, settings.rate_hz, (), (), seed=seed, stream=sensor)
+        self._delay = clock.gyro_delay_s if sensor is Sensor.GYROSCOPE else 0.0
+        self._chain = SensorChain(sensor, settings, phone.effects, conditions.surroundings, seed)
+
+    def blocks(self) -> int:
+        """Return how many blocks of `BLOCK_S` there are."""
+        return int(np.ceil(self._duration / BLOCK_S))
+
+    def ticks(self, index: int | None = None) -> Ticks:
+        """Return the moments of a block, or all moments, at which the stream is sampled, true time from 0."""
+        if index is not None:
+            return self._clock.block(index, self._duration)
+        blocks = [self._clock.block(i, self._duration) for i in range(self.blocks())]
+        ends = np.cumsum([0, *(b.t.size for b in blocks)])
+        return Ticks(
+            np.concatenate([b.t for b in blocks]),
+            np.concatenate([b.stamp for b in blocks]),
+            np.concatenate([b.arrival for b in blocks]),
+            np.concatenate([b.rows + start for b, start in zip(blocks, ends, strict=False)]),
+        )
+
+    def read(self, ticks: Ticks) -> Samples:
+        """Return what is delivered of these moments."""
+        if not ticks.t.size:
+            return Samples.empty(self._sensor)
+        recording, conditions, accel = self._recording, self._conditions, self._recording.accelerometer
+        true = ticks.t + conditions.t_start
+        late = moment_of(recording, self._motion, conditions, true - self._delay)
+        temperature = _temperature_at(recording, true)
+        warmth = late.warmth if temperature is None else temperature - conditions.reference_c
+        charging = conditions.surroundings.charging.at(ticks.t)
+        moment = replace(late, t=ticks.t, warmth=warmth, charging=charging)
+        raw, rows = self._chain.read(moment), ticks.rows
+        warm = None if temperature is None or self._sensor is Sensor.GYROSCOPE else frozen(temperature[rows])
+        arrival = None if accel.t_arrival is None else frozen(ticks.arrival[rows] + conditions.t_start)
+        stamps = frozen(ticks.stamp[rows] + conditions.t_start)
+        return Samples(self._sensor, stamps, frozen(raw[rows]), warm, arrival)
 
 
-def _stream(
-    phone: Phone, conditions: Conditions, sensor: Sensor, recorded: tuple[Recording, Motion], seed: int
-) -> Samples:
-    recording, motion = recorded
-    settings, clock = phone.sensor(sensor), phone.effective_clock()
-    assert settings is not None, "a stream is made only for a sensor that the phone has"
-    settings = msgspec.structs.replace(
-        settings, rate_hz=phone.accel.rate_hz if clock.shared else settings.rate_hz
-    )
-    accel = recording.accelerometer
-    ticks = _ticks(phone, sensor, settings.rate_hz, float(accel.t[-1] - accel.t[0]), seed)
-    delay = clock.gyro_delay_s if sensor is Sensor.GYROSCOPE else 0.0
-    true = ticks.t + conditions.t_start
-    late = moment_of(recording, motion, conditions, true - delay)
-    temperature = temperature_at(accel, true)
-    warmth = late.warmth if temperature is None else temperature - conditions.reference_c
-    moment = replace(late, t=ticks.t, warmth=warmth, charging=conditions.surroundings.charging.at(ticks.t))
-    raw = SensorChain(sensor, settings, phone.effects, conditions.surroundings, seed).read(moment)
-    rows = ticks.rows
-    warm = None if temperature is None or sensor is Sensor.GYROSCOPE else frozen(temperature[rows])
-    arrival = None if accel.t_arrival is None else frozen(ticks.arrival[rows] + conditions.t_start)
-    return Samples(sensor, frozen(ticks.stamp[rows] + conditions.t_start), frozen(raw[rows]), warm, arrival)
+def _temperature_at(recording: Recording, t: Array) -> Array | None:
+    """Return the temperature at t (n,) s; of a long recording by the second."""
+    overview = overview_of(recording)
+    if overview is None:
+        return temperature_at(recording.accelerometer, t)
+    return None if overview.thermometer is None else np.interp(t, *overview.thermometer.T)

@@ -104,8 +104,7 @@ def _starts(means: Array, second: int, length: int, most: float, taken: NDArray[
     span = max(length // second, 1)
     if span > len(means):
         return []
-    around = np.lib.stride_tricks.sliding_window_view(means, span, axis=0)
-    still = np.ptp(around, axis=2).max(axis=1) < most
+    still = _range(means, span).max(axis=1) < most
     still = still[: max((taken.size - length) // second + 1, 0)]
     before = np.concatenate([[0], np.cumsum(taken)])
     begins = np.flatnonzero(still) * second
@@ -116,6 +115,16 @@ def _starts(means: Array, second: int, length: int, most: float, taken: NDArray[
             starts.append(int(begin))
             next_one = starts[-1] + length // 2
     return starts
+
+
+def _range(values: Array, span: int) -> Array:
+    """Return the range (n - span + 1, k) of every `span` successive rows of values (n, k)."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - the daemon stays light
+
+    first = -(span // 2)  # the filter's window then begins at each row
+    high = maximum_filter1d(values, span, axis=0, origin=first)
+    low = minimum_filter1d(values, span, axis=0, origin=first)
+    return np.asarray((high - low)[: len(values) - span + 1])
 
 
 def _taper(n: int) -> Array:

@@ -116,7 +116,10 @@ def _apart(t: Array, spoiled: Where) -> bool:
 
 def _force(samples: Samples, baseline: Baseline | None, t: Array) -> Array:
     """Return calibrated specific force (n, 3) at times t (n,)."""
-    raw = np.stack([np.interp(t, samples.t, samples.xyz[:, a]) for a in range(3)], axis=1)
+    first, last = np.searchsorted(samples.t, (t.min(), t.max()))
+    # Only what is about t: numpy copies all that it interpolates in.
+    near = samples[max(int(first) - 1, 0) : int(last) + 2]
+    raw = np.stack([np.interp(t, near.t, near.xyz[:, a]) for a in range(3)], axis=1)
     return raw if baseline is None else np.asarray((raw - baseline.bias) @ baseline.scale.T)
 
 

@@ -13,17 +13,29 @@ ON_GRID = 0.15
 """Periods by which the intervals of stamps with gaps may be off a multiple of the period, rms."""
 
 
+PAUSE_S, PAUSE_PERIODS = 1.0, 50.0
+"""An interval of at least 1 s and 50 usual ones is a pause: nothing was sampled, or nothing of it is held."""
+
+
+def intervals(t: Array) -> Array:
+    """Return the intervals (m,) s of stamps t (n,) s, pauses left out."""
+    steps = np.diff(t)
+    if steps.size == 0:
+        return steps
+    return np.asarray(steps[steps < max(PAUSE_S, PAUSE_PERIODS * float(np.median(steps)))])
+
+
 def bunched(t: Array) -> bool:
     """Whether stamps t (n,) come in bursts, so that the usual interval says nothing of the rate.
 
     Most samples then come on the heels of another, and the waits between bursts are no multiples of that
     interval. Where samples are missing they are.
     """
-    steps = np.diff(t)
+    steps = intervals(t)
     if steps.size == 0:
         return False
     middle = float(np.median(steps))
-    mean = float(t[-1] - t[0]) / steps.size
+    mean = float(steps.mean())
     if middle >= HEELS * mean:
         return False
     waits = steps[steps > 1.5 * middle] / max(middle, 1e-12)
@@ -37,11 +49,11 @@ def sample_period(t: Array) -> float:
     It is the mean of the intervals near the median, which rounding and missing samples do not move; of
     stamps in bursts it is the mean of all.
     """
-    steps = np.diff(t)
+    steps = intervals(t)
     if not (steps > 0.0).any():
         return 0.0
     if bunched(t):
-        return float(t[-1] - t[0]) / steps.size
+        return float(steps.mean())
     middle = float(np.median(steps[steps > 0.0]))
     near = steps[np.abs(steps - middle) <= 0.5 * middle]
     return float(near.mean()) if near.size else middle

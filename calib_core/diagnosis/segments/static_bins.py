@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments import orientation as poses
+from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.diagnosis.segments.windows import KNOCK, WINDOW, Windows, windows, without_spikes
@@ -156,16 +157,24 @@ def rest_runs(still: NDArray[np.bool_], shortest: int = SHORTEST_REST) -> list[t
     return [(a, b) for a, b in runs if b - a >= shortest]
 
 
-def cut(
-    accelerometer: Samples,
-    gyroscope: Samples | None,
-    events: Sequence[Charging] = (),
-    bin_length: float | None = None,
-) -> Bins:
-    """Cut a recording into still bins of `bin_length` s (None: 10 s, or 1/200 of the recording)."""
-    span = (float(accelerometer.t[0]), float(accelerometer.t[-1]))
-    force = windows(accelerometer, *span)
-    rate = None if gyroscope is None or len(gyroscope) == 0 else windows(gyroscope, *span)
+@dataclass(frozen=True, slots=True, eq=False)
+class RestEdges:
+    """Where a recording rests, in windows. still: (w,); runs: [first, last) of each rest.
+
+    first, last: (n,) of each bin, at most `MOST_BINS`; rest: (n,), the run that each lies in.
+    """
+
+    still: NDArray[np.bool_]
+    runs: list[tuple[int, int]]
+    first: Array
+    last: Array
+    rest: Index
+
+
+def rest_edges(
+    force: Windows, rate: Windows | None, span: tuple[float, float], bin_length: float | None = None
+) -> RestEdges:
+    """Find the rests of a recording and cut them into bins of `bin_length` s (None: as in `cut`)."""
     if rate is not None:
         force, rate = without_spikes(force, rate), without_spikes(rate, force)
     still = without_knocks(still_windows(force, rate), force, rate)
@@ -175,18 +184,42 @@ def cut(
     if first.size < FEW:
         runs = rest_runs(still, BRIEFEST_REST)
         first, last, rest = _bin_edges(runs, length)
-    pose = None
-    if rate is not None:
-        one, turned = poses.poses(runs, force.mean, rate.mean, rate.count, WINDOW)
-        rest, pose = one[rest], poses.of_bins(turned, first, last)
     kept = _longest(last - first)
-    first, last, rest = first[kept], last[kept], rest[kept]
-    duration = (last - first) * WINDOW
+    return RestEdges(still, runs, first[kept], last[kept], rest[kept])
+
+
+def overview_of(accelerometer: Samples, gyroscope: Samples | None) -> Overview:
+    """Return the windows of a recording that is held whole."""
+    span = (float(accelerometer.t[0]), float(accelerometer.t[-1]))
+    rate = None if gyroscope is None or len(gyroscope) == 0 else windows(gyroscope, *span)
+    return Overview(span, windows(accelerometer, *span), rate, _readings(accelerometer))
+
+
+def cut(
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    events: Sequence[Charging] = (),
+    bin_length: float | None = None,
+    overview: Overview | None = None,
+) -> Bins:
+    """Cut a recording into still bins of `bin_length` s (None: 10 s, or 1/200 of the recording).
+
+    overview: its windows, where the samples are only a part of it (None: they are made from the samples).
+    """
+    overview = overview or overview_of(accelerometer, gyroscope)
+    span, force, rate = overview.span, overview.force, overview.rate
+    edges = rest_edges(force, rate, span, bin_length)
+    if rate is not None:
+        force, rate = without_spikes(force, rate), without_spikes(rate, force)
+    still, first, last, rest, pose = edges.still, edges.first, edges.last, edges.rest, None
+    if rate is not None:
+        one, turned = poses.poses(edges.runs, force.mean, rate.mean, rate.count, WINDOW)
+        rest, pose = one[rest], poses.of_bins(turned, first, last)
     return Bins(
         t=span[0] + (first + last) * 0.5 * WINDOW,
-        duration=duration,
+        duration=(last - first) * WINDOW,
         rest=rest,
-        pose=None if pose is None else pose[kept],
+        pose=pose,
         force=_bin_means(force.mean, first, last),
         force_variance=_white_variances(force.mean, first, last),
         vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],
@@ -194,7 +227,7 @@ def cut(
         span=span,
         rate=None if rate is None else _bin_means(rate.mean, first, last),
         rate_variance=None if rate is None else _white_variances(rate.mean, first, last),
-        temperature=_bin_temperatures(accelerometer, span[0], first, last),
+        temperature=_bin_temperatures(overview.thermometer, span[0], first, last),
         force_rounding=_rounding(accelerometer, force, still),
         rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, still),
         **_charging(events, span, first, last),
@@ -232,15 +265,20 @@ def _white_variances(values: Array, first: Array, last: Array) -> Array:
     return np.asarray(np.maximum(windows_variance / (last - first)[:, None], 1e-18))
 
 
-def _bin_temperatures(samples: Samples, t_start: float, first: Array, last: Array) -> Array | None:
+def _readings(samples: Samples) -> Array | None:
+    """Return the known temperatures (k, 2), s and degC; None without a thermometer."""
     if samples.temperature is None:
         return None
     known = np.isfinite(samples.temperature)
-    if known.sum() < 2 or first.size == 0:
+    return np.stack([samples.t[known], samples.temperature[known]], axis=1)
+
+
+def _bin_temperatures(readings: Array | None, t_start: float, first: Array, last: Array) -> Array | None:
+    if readings is None or len(readings) < 2 or first.size == 0:
         return None
+    t, temperature = readings.T
     grid = t_start + (np.arange(int(last.max())) + 0.5) * WINDOW
-    smooth = reconstructed(samples.t[known], samples.temperature[known])
-    at_windows = np.interp(grid, samples.t[known], smooth)
+    at_windows = np.interp(grid, t, reconstructed(t, temperature))
     return _bin_means(at_windows[:, None], first, last)[:, 0]
 
 
