@@ -193,7 +193,8 @@ def _in_neither(
         reasons = [one.reasons.get(key, "no such sensor") for one in looked]
         cannot = [f"{name}: {why}" for name, why in zip(names, reasons, strict=True) if why is not None]
         if cannot:
-            missing.append(NotCompared(*key, "; ".join(cannot)))
+            same = reasons[0] is not None and reasons[0] == reasons[1]
+            missing.append(NotCompared(*key, f"both: {reasons[0]}" if same else "; ".join(cannot)))
         else:
             neither.append(key)
     return neither, missing
