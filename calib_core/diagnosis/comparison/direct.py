@@ -10,14 +10,16 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear import transferable
 from stillcal.calib_core.diagnosis.comparison.noise import TIMES
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.direct import quantities
+from stillcal.calib_core.diagnosis.direct import noise_level, quantities, smallest
 from stillcal.calib_core.diagnosis.direct.clock import LEAST_SHARE as LEAST_BURSTS
 from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_SHARE as LEAST_HELD
 from stillcal.calib_core.diagnosis.direct.timestamps import LEAST_JITTER
 from stillcal.calib_core.diagnosis.direct.timestamps import LEAST_SHARE as LEAST_DROPPED
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 
@@ -93,6 +95,26 @@ def _logarithm(
         np.array([TIMES]), np.array([ALIKE_STAMPS]), np.array([-1]), logarithmic=True,
         where=Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "time stamps"),
     )  # fmt: skip
+
+
+def smallest_direct(exam: Examination) -> list[Smallest]:
+    """Return how small an effect of stamps, values and noise the recording would have shown."""
+    if exam.is_table:
+        return []
+    sound, claims, out = sound_phones(), exam.claims, []
+    for stream in exam.streams:
+        sizes = smallest.of_stamps_and_values(stream.samples, sound, claims.nominal_rate_hz)
+        claim = noise_level.claimed(stream.sensor, claims)
+        sizes += smallest.of_noise(stream.measured(), sound, stream.sensor, stream.still.rate, claim)
+        for one in sizes:
+            timing = one.effect in TIMING
+            if not timing or stream.sensor == "accel":
+                sensor = "timing" if timing else stream.sensor
+                out.append(Smallest(one.effect, sensor, one.parameter, one.value, one.unit))
+    return out
+
+
+TIMING = ("timestamp_jitter", "dropped_samples", "arrival_bursts")
 
 
 def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:

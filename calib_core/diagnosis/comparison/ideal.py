@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared, p_of
+from stillcal.calib_core.diagnosis.comparison.direct import smallest_direct
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
@@ -30,7 +31,7 @@ def compare_with_ideal(exam: Examination) -> Comparison:
         undecided=[_undecided(*one) for one in judged if one not in sure],
         comparisons=len(checks) - len(missing),
         p=p_of([*(e for _, e in stated), *_not_stated(found, stated)]),
-        smallest=list(each_once([row for one in found for row in one.smallest])),
+        smallest=list(each_once([*(row for one in found for row in one.smallest), *smallest_direct(exam)])),
     )
 
 

@@ -1,0 +1,60 @@
+"""The smallest size that is stated is found nine times in ten where it is put in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.direct.clock import timing_findings
+from stillcal.calib_core.diagnosis.direct.smallest import of_stamps_and_values, smallest_number
+from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.model.records import Claims
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+RATE, N, TRIALS = 50.0, 3000, 100
+SOUND = sound_phones()
+NOMINAL = Claims(nominal_rate_hz=RATE)
+
+
+def stream(t: np.ndarray) -> Samples:
+    return Samples.checked(Sensor.ACCELEROMETER, t, np.zeros((t.size, 3)))
+
+
+def jittered(rng: np.random.Generator, sigma: float) -> np.ndarray:
+    return np.asarray(np.sort(np.arange(N) / RATE + rng.normal(0.0, sigma, N)))
+
+
+def thinned(rng: np.random.Generator, fraction: float) -> np.ndarray:
+    kept = rng.random(N) >= fraction
+    return np.asarray((np.arange(N) / RATE + rng.normal(0.0, 1e-4, N))[kept])
+
+
+@pytest.mark.parametrize(("effect", "put_in"), [("timestamp_jitter", jittered), ("dropped_samples", thinned)])
+def test_the_smallest_size_is_found_nine_times_in_ten(
+    effect: str, put_in: Callable[[np.random.Generator, float], np.ndarray]
+) -> None:
+    rng = np.random.default_rng(4)
+    own = put_in(rng, 4e-4 if effect == "timestamp_jitter" else 0.0)
+    size = {s.effect: s.value for s in of_stamps_and_values(stream(own), SOUND, RATE)}[effect]
+
+    def share(times: float) -> float:
+        found = [timing_findings(stream(put_in(rng, times * size)), NOMINAL, SOUND) for _ in range(TRIALS)]
+        return float(np.mean([effect in {f.effect for f in one} for one in found]))
+
+    assert 0.8 <= share(1.0) <= 0.99, "of 100 trials; 0.85 to 0.95 and more than one standard error"
+    assert share(0.5) < 0.2
+
+
+def test_more_samples_show_smaller_losses() -> None:
+    short, long = (
+        {s.effect: s.value for s in of_stamps_and_values(stream(np.arange(n) / RATE), SOUND, RATE)}
+        for n in (1000, 100_000)
+    )
+    assert long["dropped_samples"] < 0.3 * short["dropped_samples"]
+
+
+def test_what_no_size_shows_has_none() -> None:
+    assert smallest_number(SOUND["excess_kurtosis"], lambda number, side: Measured(number, 50.0)) is None
