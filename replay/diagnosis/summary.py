@@ -12,7 +12,7 @@ from stillcal.replay.diagnosis.relation_text import probability_text
 VERDICTS = {
     "match": "No difference found",
     "identified": "Differences found, all identified",
-    "partly_identified": "Differences found, some identified",
+    "partly_identified": "Differences found, not all identified",
     "unidentified": "Differences found, of unknown cause",
     "not_judged": "Not judged: too few of the checks could be made",
 }

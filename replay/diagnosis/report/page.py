@@ -178,8 +178,9 @@ def _sure(finding: Mapping[str, Any], start: float, simulation: str) -> str:
     relation = RELATIONS[finding["relation"]].format(simulation)
     text = (
         f"Probability {probability_text(finding['probability'])} that {relation}. Seen from"
-        f" {where['t_start'] - start:.0f} to {where['t_end'] - start:.0f} s, following {where['driver']}."
+        f" {where['t_start'] - start:.0f} to {where['t_end'] - start:.0f} s"
     )
+    text += "." if where["driver"] == "nothing" else f", following {where['driver']}."
     if "heldout_log_score_gain" in evidence:
         gain = evidence["heldout_log_score_gain"]
         text += f" What was left out of the fit is predicted better with it, by {gain:.3g} nats"
