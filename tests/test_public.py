@@ -218,7 +218,7 @@ def test_an_empty_cell_is_no_sample(sample: stillcal.Recording) -> None:
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "no t": ({"ax": [0.0], "ay": [0.0], "az": [9.8]}, "no column 't'"),
+    "no t": ({"ax": [0.0], "ay": [0.0], "az": [9.8]}, "no column of time stamps found"),
     "half a gyroscope": ({"t": [0.0], "ax": [0.0], "ay": [0.0], "az": [9.8], "gx": [0.0]}, "no column 'gy'"),
     "text": ({"t": ["now", "then"], "ax": [0.0] * 2, "ay": [0.0] * 2, "az": [9.8] * 2}, "is not a number"),
     "one sample": ({"t": [0.0], "ax": [0.0], "ay": [0.0], "az": [9.8]}, "holds 1 samples"),
