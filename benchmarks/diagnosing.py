@@ -1,16 +1,25 @@
-"""Item 6: the diagnosis of an hour at 50 Hz, and how its time grows."""
+"""Item 6: the diagnosis of an hour at 50 Hz and of a table of rests, and how time and memory grow."""
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Iterator
 
 import numpy as np
-from subject import day
+from subject import LOCAL_G, Day, day
 from timing import Row, rounds
 
+from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import diagnose
+from stillcal.calib_core.static.rest import RestState
+from stillcal.replay.diagnosis.condense import condensed
+from stillcal.replay.diagnosis.rest_table import diagnose_rests
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.trace import Recording
 
 MINUTES = (15, 30, 60, 120, 240)
+ROWS = (300, 3000, 11000)
+HOURS = (4, 8, 24)
 
 
 def run(quick: bool) -> Iterator[Row]:
@@ -30,4 +39,67 @@ def run(quick: bool) -> Iterator[Row]:
         "s",
         accuracy=f"grows as length to the {slope:.2f}",
         more={f"{m} min": {"seconds": s} for m, s in zip(taken, usual, strict=True)},
+    )
+    yield _tables(ROWS[:2] if quick else ROWS)
+    yield _memory(subject, HOURS[:2] if quick else HOURS)
+
+
+def _tables(rows: tuple[int, ...]) -> Row:
+    """Return how the diagnosis of a table of rests grows with its rows."""
+    taken = {n: rounds({"ours": lambda n=n: diagnose_rests(_rests(n), "table")}, 1)["ours"] for n in rows}
+    usual = [t.median for t in taken.values()]
+    return Row(
+        "6",
+        f"diagnosis of a table of {rows[-1]} rests",
+        taken[rows[-1]].median,
+        "s",
+        accuracy=f"{usual[-1] / usual[0]:.2g} times as long as of {rows[0]} rests",
+        more={f"{n} rests": {"seconds": s} for n, s in zip(taken, usual, strict=True)},
+    )
+
+
+def _rests(n: int) -> list[RestState]:
+    """Return rests in six attitudes, whose bias follows temperature."""
+    rng = np.random.default_rng(0)
+    up = np.vstack([np.eye(3), -np.eye(3)])[rng.integers(0, 6, n)]
+    warm = 25.0 + 5.0 * np.sin(np.arange(n) / n * 20.0)
+    force = LOCAL_G * up + rng.normal(size=(n, 3)) * 0.002 + 1e-3 * (warm - 25.0)[:, None]
+    sd = frozen(np.full(3, 0.002))
+    return [
+        RestState(
+            t_start=60.0 * i,
+            t_end=60.0 * i + 20.0,
+            n=1000,
+            specific_force=frozen(force[i]),
+            force_sd=sd,
+            force_uncertainty=sd,
+            level=0.002,
+            rate=None,
+            rate_sd=None,
+            rate_uncertainty=None,
+            rate_level=None,
+            temperature=float(warm[i]),
+        )
+        for i in range(n)
+    ]
+
+
+def _memory(subject: Day, hours: tuple[int, ...]) -> Row:
+    """Return what is held of a recording beside its samples in memory, by its length."""
+    peaks = {}
+    for h in hours:
+        accel, gyro = (s.between(0.0, 3600.0 * h) for s in (subject.accelerometer, subject.gyroscope))
+        recording = Recording(accel, gyro, [], Claims(), [], "day")
+        tracemalloc.start()
+        held = condensed(recording)
+        peaks[h] = tracemalloc.get_traced_memory()[1] / 1e6
+        tracemalloc.stop()
+        samples = len(held.accelerometer)
+    return Row(
+        "6",
+        f"held of {hours[-1]} h at 50 Hz beside its samples",
+        peaks[hours[-1]],
+        "MB",
+        accuracy=f"{samples} samples a sensor are kept",
+        more={f"{h} h": {"peak_mb": m} for h, m in peaks.items()},
     )

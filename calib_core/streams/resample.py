@@ -18,6 +18,11 @@ def interpolate(t: Array, known: Array, values: Array) -> Array:
 
     Before the first and after the last time, the first and last value hold.
     """
+    if t.size:
+        # Only what is about t: numpy copies all that it interpolates in.
+        first = int(np.searchsorted(known, t.min(), side="left"))
+        near = slice(max(first - 1, 0), int(np.searchsorted(known, t.max(), side="right")) + 1)
+        known, values = known[near], values[near]
     return np.stack([np.interp(t, known, values[:, axis]) for axis in range(3)], axis=1)
 
 

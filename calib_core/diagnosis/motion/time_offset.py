@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagre
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.maths.rotation import attitudes, matrix
+from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples
 
 OFFSET = Words(
@@ -116,10 +117,7 @@ def _apart(t: Array, spoiled: Where) -> bool:
 
 def _force(samples: Samples, baseline: Baseline | None, t: Array) -> Array:
     """Return calibrated specific force (n, 3) at times t (n,)."""
-    first, last = np.searchsorted(samples.t, (t.min(), t.max()))
-    # Only what is about t: numpy copies all that it interpolates in.
-    near = samples[max(int(first) - 1, 0) : int(last) + 2]
-    raw = np.stack([np.interp(t, near.t, near.xyz[:, a]) for a in range(3)], axis=1)
+    raw = interpolate(t, samples.t, samples.xyz)
     return raw if baseline is None else np.asarray((raw - baseline.bias) @ baseline.scale.T)
 
 

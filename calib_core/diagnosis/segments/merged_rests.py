@@ -23,6 +23,9 @@ MOST_ATTITUDES = 150
 """Attitudes that are looked for, the most frequent ones first: half of `MOST_BINS`, so that rests in each can
 still be told apart by time."""
 
+APART = 1e-3
+"""s between two bins: rests of two attitudes may have the same mean time, and courses are differentiated."""
+
 
 def merged(bins: Bins, most: int = MOST_BINS) -> Bins:
     """Return at most `most` bins: rests of one attitude and one part of the time are merged.
@@ -109,7 +112,7 @@ def _means(bins: Bins, group: Index) -> Bins:
     force = mean(kept.force)
     return replace(
         kept,
-        t=mean(kept.t),
+        t=_rising(mean(kept.t)),
         duration=mean(kept.duration),
         rest=np.arange(total.size),
         # The mean of directions that differ is short: its length is the mean of the lengths.
@@ -120,3 +123,9 @@ def _means(bins: Bins, group: Index) -> Bins:
         rate_variance=None if kept.rate_variance is None else variance(kept.rate_variance),
         temperature=None if kept.temperature is None else mean(kept.temperature),
     )
+
+
+def _rising(t: Array) -> Array:
+    """Return times (m,) s, none of them earlier than `APART` after the one before."""
+    steps = APART * np.arange(t.size)
+    return np.asarray(np.maximum.accumulate(t - steps) + steps)

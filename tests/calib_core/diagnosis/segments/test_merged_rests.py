@@ -79,3 +79,10 @@ def test_where_every_attitude_is_another_rests_are_left_out_all_along_the_table(
     found = merged(table)
     assert 0.9 * MOST_BINS <= len(found) <= MOST_BINS
     assert np.diff(found.t).max() < 0.05 * (table.span[1] - table.span[0])
+
+
+def test_bins_of_one_mean_time_still_follow_one_another() -> None:
+    rng = np.random.default_rng(4)
+    there_and_back = np.tile([0, 1, 1, 0], 300)
+    found = merged(_table(np.eye(3)[there_and_back], rng))
+    assert (np.diff(found.t) > 0.0).all()
