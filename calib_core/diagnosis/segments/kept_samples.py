@@ -26,10 +26,10 @@ AT_REST, TURNS, LIVELY, LARGEST, STANDING = 0.55, 0.25, 0.1, 0.05, 0.05
 one value."""
 
 LONGEST_AT_REST = 64.0
-"""s of a rest's bin that are kept at most: long enough for the longest spectra of lines, 60 s."""
+"""s that are kept of some bins: long enough for the longest spectra of lines, 60 s."""
 
-SHORTEST_AT_REST = 8.0
-"""s of a bin that are kept at least: as long as the shortest spectra of lines."""
+SHORTEST_AT_REST = 6.0
+"""s of a bin that are kept at least: a spectrum of the noise takes 256 samples."""
 
 LONGEST_TURN = 60
 """Windows between two rests beyond which the gyroscope does not carry gravity from one to the other."""
@@ -65,16 +65,28 @@ def chosen(overview: Overview, have: Flags, seconds: float) -> Flags:
 
 
 def _at_rest(edges: RestEdges, have: Flags, seconds: float) -> Flags:
-    """Keep one unbroken part of each bin, the first that is long enough, else the longest."""
+    """Keep a short part of every bin, and a long one of some, chosen by chance.
+
+    Lines that come and go are told from lasting ones by long parts without them, all along the recording.
+    """
+    runs = [_longest_run(have, int(a), int(b)) for a, b in zip(edges.first, edges.last, strict=True)]
+    short = int(np.clip(0.5 * seconds / max(len(runs), 1), SHORTEST_AT_REST, LONGEST_AT_REST))
     keep = np.zeros_like(have)
-    length = int(np.clip(seconds / max(edges.first.size, 1), SHORTEST_AT_REST, LONGEST_AT_REST))
-    for a, b in zip(edges.first.astype(int), edges.last.astype(int), strict=True):
-        turned = np.flatnonzero(np.diff(np.concatenate([[0], have[a:b].astype(np.int8), [0]])))
-        begins, sizes = turned[::2], turned[1::2] - turned[::2]
-        if begins.size:
-            best = int(np.argmax(np.minimum(sizes, length)))
-            keep[a + begins[best] : a + begins[best] + min(int(sizes[best]), length)] = True
-    return keep
+    for first, size in runs:
+        keep[first : first + min(size, short)] = True
+    longest = int(LONGEST_AT_REST)
+    long = [(first, first + longest) for first, size in runs if size >= longest]
+    return keep | _some(long, have, 0.5 * seconds)
+
+
+def _longest_run(have: Flags, first: int, last: int) -> tuple[int, int]:
+    """Return where the first long enough part of a bin begins that is there, else the longest; and its size."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], have[first:last].astype(np.int8), [0]])))
+    begins, sizes = edges[::2], edges[1::2] - edges[::2]
+    if begins.size == 0:
+        return first, 0
+    best = int(np.argmax(np.minimum(sizes, int(LONGEST_AT_REST))))
+    return first + int(begins[best]), int(sizes[best])
 
 
 def _turns(edges: RestEdges, have: Flags, seconds: float) -> Flags:
