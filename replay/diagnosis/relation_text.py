@@ -33,11 +33,17 @@ def labels_of(name: str, count: int) -> list[str]:
     return [""] if count == 1 else [str(i + 1) for i in range(count)]
 
 
-def with_interval(name: str, parameter: Mapping[str, Any], shown: Sequence[int]) -> str:
-    """Return the numbers `shown` of a parameter, each with its label and half of its 95 % interval."""
+def with_interval(
+    name: str, parameter: Mapping[str, Any], shown: Sequence[int], beside: Sequence[Mapping[str, Any]] = ()
+) -> str:
+    """Return the numbers `shown` of a parameter, each with its label and half of its 95 % interval.
+
+    beside: the same parameter of the other sides; all are given in the unit that fits the largest.
+    """
     values = np.asarray(parameter["value"], dtype=np.float64).ravel()
     labels = labels_of(name, values.size)
-    factor, unit = shown_in(values[list(shown)], parameter["unit"], name)
+    sides = [values, *(np.asarray(p["value"], dtype=np.float64).ravel() for p in beside)]
+    factor, unit = shown_in([side[list(shown)] for side in sides], parameter["unit"], name)
     halves = None
     if "ci95" in parameter:
         halves = np.ptp(np.asarray(parameter["ci95"], dtype=np.float64).reshape(values.size, 2), axis=1) / 2.0
@@ -129,7 +135,8 @@ def _side(finding: Mapping[str, Any], side: str, name: str | None) -> str:
     if name is None or name not in finding[side]:
         return "no value"
     parameter = finding[side][name]
-    text = with_interval(name, parameter, shown_of(finding, name, finding["axes"]))
+    beside = [finding[s][name] for s in ("parameters", "simulated") if name in finding[s]]
+    text = with_interval(name, parameter, shown_of(finding, name, finding["axes"]), beside)
     # A number without a unit, or one that belongs to a pair of axes, says too little without its name.
     named = name == "misalignment" or parameter["unit"] == "1"
     return f"{name.replace('_', ' ')} {text}" if named else text

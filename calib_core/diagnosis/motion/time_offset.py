@@ -71,7 +71,11 @@ def motion_findings(
     if len(gyroscope) < 200:
         return []
     baseline = None if affine is None else affine.baseline
-    cut = [p for p in turning_windows(gyroscope, affine) if all(_apart(p[0], s) for s in spoiled)]
+    cut = [
+        p
+        for p in turning_windows(gyroscope, affine)
+        if _covered(p[0], accelerometer.t) and all(_apart(p[0], s) for s in spoiled)
+    ]
     parts = cut if affine is None else [(t, rate @ affine.mapping.T) for t, rate in cut]
     if len(parts) < LEAST_WINDOWS:
         return []
@@ -109,6 +113,12 @@ def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Ar
             size.append(rms)
     least = min(LIVELY_RATE, sorted(size)[-min(WANTED, len(size))]) if size else 0.0
     return [w for w, x in zip(found, size, strict=True) if x >= least]
+
+
+def _covered(t: Array, stamps: Array) -> bool:
+    """Whether the accelerometer, sampled at `stamps`, has no pause in window t: two files may end apart."""
+    within = stamps[np.searchsorted(stamps, t[0]) : np.searchsorted(stamps, t[-1])]
+    return bool(np.diff(np.concatenate([t[:1], within, t[-1:]])).max() < 0.5 * WINDOW)
 
 
 def _apart(t: Array, spoiled: Where) -> bool:

@@ -51,6 +51,8 @@ RELATIONS = {
     "superfluous": "only {} has it",
 }
 
+SIDES = ("parameters", "simulated", "difference")
+
 CONTENTS_FROM = 3
 """Findings from which the page has a list of its contents."""
 
@@ -189,10 +191,9 @@ def _sure(finding: Mapping[str, Any], start: float, simulation: str) -> str:
 
 
 def _table(finding: Mapping[str, Any]) -> str:
-    sides = ("parameters", "simulated", "difference")
-    names = list(dict.fromkeys(name for side in sides for name in finding[side]))
+    names = list(dict.fromkeys(name for side in SIDES for name in finding[side]))
     rows = [
-        (escape(name.replace("_", " ")), *(_cell(finding, side, name) for side in sides)) for name in names
+        (escape(name.replace("_", " ")), *(_cell(finding, side, name) for side in SIDES)) for name in names
     ]
     return tables.table(("parameter", "recorded", "simulated", "add to the simulation"), rows)
 
@@ -202,7 +203,8 @@ def _cell(finding: Mapping[str, Any], side: str, name: str) -> str:
         return ""
     parameter = finding[side][name]
     shown = shown_of(finding, name, "xyz")
-    text = escape(with_interval(name, parameter, shown))
+    beside = [finding[s][name] for s in SIDES if name in finding[s]]
+    text = escape(with_interval(name, parameter, shown, beside))
     more = np.size(parameter["value"]) - len(shown)
     return f"{text} (the largest of {more + len(shown)})" if more else text
 

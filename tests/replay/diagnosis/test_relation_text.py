@@ -47,6 +47,11 @@ def test_the_word_holds_for_every_number_shown(
     assert says in told("gyro_bias", "too_small", ["x", "z"], bias=(recorded, simulated, "deg/s"))
 
 
+def test_both_sides_are_given_in_one_unit() -> None:
+    text = told("gyro_bias_temperature", "too_small", ["x"], slope=([2e-4] * 3, [1e-4] * 3, "rad/s/K"))
+    assert "x 0.00573 " in text and "x 0.0115 " in text and "deg/h" not in text
+
+
 def test_of_a_matrix_the_same_element_is_shown_of_both() -> None:
     recorded, simulated = np.diag([-0.2, 0.0, 3.0]), np.diag([-1.0, 0.0, 0.5])
     text = told("gyro_scale", "too_small", ["z"], scale=(recorded.tolist(), simulated.tolist(), "1"))

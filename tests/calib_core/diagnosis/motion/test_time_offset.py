@@ -19,9 +19,12 @@ RATE, G = 50.0, 9.80665
 
 
 def diagnosed(
-    seed: int, delay: float = 0.0, arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seed: int, delay: float = 0.0, arm: tuple[float, float, float] = (0.0, 0.0, 0.0), stop: float = np.inf
 ) -> list[Finding]:
-    """Play ten minutes, a turn of four seconds in every twenty, and look at the motion alone."""
+    """Play ten minutes, a turn of four seconds in every twenty, and look at the motion alone.
+
+    The accelerometer's file ends at `stop`, s.
+    """
     rng = np.random.default_rng(seed)
     n = int(600 * RATE)
     t = np.arange(n) / RATE
@@ -40,7 +43,7 @@ def diagnosed(
     force = G * up + hand + about + rng.normal(0, 0.008, (n, 3))
     late = np.stack([np.interp(t - delay, t, rate[:, a]) for a in range(3)], axis=1)
     spin = late + rng.normal(0, 5e-4, (n, 3))
-    accelerometer = Samples.checked(Sensor.ACCELEROMETER, t, force)
+    accelerometer = Samples.checked(Sensor.ACCELEROMETER, t[t < stop], force[t < stop])
     gyroscope = Samples.checked(Sensor.GYROSCOPE, t, spin)
     bins = cut(accelerometer, gyroscope)
     return motion_findings(
@@ -51,6 +54,13 @@ def diagnosed(
 @pytest.mark.parametrize("seed", range(4))
 def test_hands_alone_are_no_finding(seed: int) -> None:
     assert diagnosed(seed) == []
+
+
+@pytest.mark.parametrize("delay", [0.03, -0.08])
+def test_turns_after_the_accelerometer_ended_are_left_out(delay: float) -> None:
+    (found,) = diagnosed(11, delay=delay, stop=400.0)
+    low, high = found.parameters["delay"].ci95
+    assert low < delay < high and high - low < 0.02 and found.where.t_end < 410.0
 
 
 @pytest.mark.parametrize("delay", [0.03, -0.08])
