@@ -53,6 +53,8 @@ def read_settings(name: str | Path, folder: str, kind: type[T]) -> T:
         table = tomllib.loads(source.read_text(encoding="utf-8"))
         return msgspec.convert(table, type=kind)
     except FileNotFoundError as error:
+        if path.exists():
+            raise ValueError(f"{name}: settings are TOML; give a file whose name ends in .toml") from error
         known = sorted(
             p.name[:-5] for p in (files("stillcal.config") / folder).iterdir() if p.name.endswith(".toml")
         )

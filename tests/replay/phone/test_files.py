@@ -129,3 +129,10 @@ def test_the_guide_names_every_effect_phone_scenario_and_activity() -> None:
     activities = [k.__struct_config__.tag for k in get_args(Segment)]
     missing = [n for n in [*EFFECTS, *PHONES, *SCENARIOS, *activities] if f"`{n}`" not in guide]
     assert not missing
+
+
+def test_a_file_of_another_kind_is_not_called_missing(tmp_path: Path) -> None:
+    recording = tmp_path / "walk.csv"
+    recording.write_text("t,ax,ay,az\n")
+    with pytest.raises(ValueError, match=r"walk\.csv: settings are TOML"):
+        load_phone(recording)
