@@ -80,7 +80,7 @@ def _at_rest(edges: RestEdges, have: Flags, seconds: float) -> Flags:
 
 
 def _longest_run(have: Flags, first: int, last: int) -> tuple[int, int]:
-    """Return where the first long enough part of a bin begins that is there, else the longest; and its size."""
+    """Return first and size of the first long enough part of a bin that is there, else of the longest."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], have[first:last].astype(np.int8), [0]])))
     begins, sizes = edges[::2], edges[1::2] - edges[::2]
     if begins.size == 0:

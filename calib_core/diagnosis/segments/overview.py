@@ -95,12 +95,19 @@ class _Stream:
 
     def windows(self, start: float, count: int) -> Windows:
         """Return the first `count` windows; those without samples have count 0."""
+        if len(self._parts) > 1:
+            self._parts = [_joined(self._parts)]
         parts = list(self._parts)
         if self._done < count:
             rest = Samples.joined(self._open)
             parts.append(_exactly(rest, start + self._done * WINDOW, count - self._done))
-        columns = [np.concatenate([getattr(p, f.name) for p in parts])[:count] for f in fields(Windows)]
-        return Windows(*columns)
+        every = parts[0] if len(parts) == 1 else _joined(parts)
+        return Windows(*(getattr(every, f.name)[:count] for f in fields(Windows)))
+
+
+def _joined(parts: list[Windows]) -> Windows:
+    """Return windows end to end."""
+    return Windows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Windows)))
 
 
 def _exactly(samples: Samples, begin: float, count: int) -> Windows:
