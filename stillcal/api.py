@@ -32,7 +32,7 @@ from stillcal.calib_core.streams.smoothing import smoothed
 from stillcal.daemon.store.document import calibration_json
 from stillcal.replay.diagnosis.diagnose import Request
 from stillcal.replay.diagnosis.diagnose import diagnose as find_differences
-from stillcal.replay.diagnosis.summary import summary
+from stillcal.replay.diagnosis.words.summary import summary
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.in_memory import column_names, of_arrays, of_table, warmed
 from stillcal.replay.formats.trace import Recording, read_all

@@ -13,7 +13,6 @@ from stillcal.calib_core.diagnosis.direct import low_pass as spectrum
 from stillcal.calib_core.diagnosis.direct import noise_level as noise
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, outside
-from stillcal.calib_core.diagnosis.direct.clock import timing_findings
 from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.direct.missing_codes import beside, dead_bits, dead_zone
@@ -35,6 +34,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
+from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.events import Charging

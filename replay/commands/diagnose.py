@@ -28,7 +28,7 @@ from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.residuals import residuals_csv
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
-from stillcal.replay.diagnosis.summary import VERDICTS, summary
+from stillcal.replay.diagnosis.words.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.covariates import read_covariates
 from stillcal.replay.formats.trace import open_trace

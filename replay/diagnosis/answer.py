@@ -17,9 +17,9 @@ from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrep
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
-from stillcal.replay.diagnosis.correction_code import to_paste
-from stillcal.replay.diagnosis.names import BUILT_IN
-from stillcal.replay.diagnosis.relation_text import statement
+from stillcal.replay.diagnosis.words.correction_code import to_paste
+from stillcal.replay.diagnosis.words.names import BUILT_IN
+from stillcal.replay.diagnosis.words.relation_text import statement
 
 SCHEMA = 2
 

@@ -13,9 +13,9 @@ from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.linear import transferable
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.replay.diagnosis.answer import Fit, answer_of
-from stillcal.replay.diagnosis.case import Case, case_of
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent, without_left_out
-from stillcal.replay.diagnosis.names import BUILT_IN
+from stillcal.replay.diagnosis.phone.case import Case, case_of
+from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.formats.trace import Recording
 
 

@@ -14,8 +14,8 @@ from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.events import Charging
-from stillcal.replay.diagnosis.case import Case
 from stillcal.replay.diagnosis.condense import overview_of
+from stillcal.replay.diagnosis.phone.case import Case
 from stillcal.replay.formats.trace import Recording
 
 ShowStage = Callable[[str], None]

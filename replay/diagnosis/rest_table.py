@@ -23,9 +23,9 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.answer import Fit, answer_of
-from stillcal.replay.diagnosis.names import BUILT_IN
-from stillcal.replay.diagnosis.phone_effects import map_findings
-from stillcal.replay.diagnosis.twin import conditions_of, fit_affine
+from stillcal.replay.diagnosis.phone.phone_effects import map_findings
+from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
+from stillcal.replay.diagnosis.words.names import BUILT_IN
 
 LEAST_UNCERTAINTY = 1e-4
 """m/s^2: the least uncertainty of a row's mean specific force, whether a table states less or none."""

@@ -1,8 +1,8 @@
 """Constant and slow parameters of one recording, fitted together: bias, scale, and what changes them.
 
 A static bin's residual is linear in all of them. They are fitted with the noise averaged over its shapes
-(`model.likelihood`), the constants free beside the effects, so that a slope in temperature and the bias at a
-reference temperature are one estimate and not two.
+(`inference.likelihood`), the constants free beside the effects, so that a slope in temperature and the bias
+at a reference temperature are one estimate and not two.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
-from stillcal.calib_core.diagnosis.model.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
 from stillcal.calib_core.diagnosis.model.residuals import (
     BIAS_SIZE,

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination, Stream
-from stillcal.calib_core.diagnosis.direct.timestamps import mean_period
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
+from stillcal.calib_core.diagnosis.inference.noise_models import families, kinds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
-from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms
-from stillcal.calib_core.diagnosis.model.noise_models import families, kinds
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.stamps.timestamps import mean_period
 from stillcal.calib_core.streams.samples import Samples
 
 TIMES = float(np.log(3.0))

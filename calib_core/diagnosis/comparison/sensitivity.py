@@ -17,10 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import kind_of
 from stillcal.calib_core.diagnosis.comparison.quantity import INFORMED, NINE_IN_TEN, Difference
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
-from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
-from stillcal.calib_core.diagnosis.model.likelihood import (
+from stillcal.calib_core.diagnosis.inference.likelihood import (
     Reduced,
     fit_hypothesis,
     joint,
@@ -28,6 +25,9 @@ from stillcal.calib_core.diagnosis.model.likelihood import (
     null_log_likelihood,
     residuals,
 )
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_scene
 
 LARGEST, HALVINGS = 1e3, 12

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
+from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Measured,

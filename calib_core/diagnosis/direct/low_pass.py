@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model.measurement import HeldOut, Measured, direct_finding, of_measured
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Spectra
 from stillcal.calib_core.diagnosis.direct.noise_level import Levels
-from stillcal.calib_core.diagnosis.model.left_out import rms
+from stillcal.calib_core.diagnosis.inference.left_out import rms
 from stillcal.calib_core.diagnosis.model.measurement import (
     FOLDS,
     HeldOut,

@@ -8,8 +8,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Quiet, Spectra, judged
+from stillcal.calib_core.diagnosis.inference.left_out import of_means
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.left_out import of_means
 from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
     Seen,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Measured,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from stillcal.calib_core.diagnosis.direct import clock, heavy_tails, low_pass, noise_level, quantisation
+from stillcal.calib_core.diagnosis.direct import heavy_tails, low_pass, noise_level, quantisation
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
-from stillcal.calib_core.diagnosis.direct import timestamps as stamps
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
+from stillcal.calib_core.diagnosis.stamps import clock
+from stillcal.calib_core.diagnosis.stamps import timestamps as stamps
 from stillcal.calib_core.streams.samples import Samples
 
 

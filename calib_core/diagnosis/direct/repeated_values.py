@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.model.left_out import of_shares
+from stillcal.calib_core.diagnosis.inference.left_out import of_shares
 from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
     Seen,

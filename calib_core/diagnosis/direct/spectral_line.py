@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.steady_segments import INDEPENDENT, NEIGHBOURS, Stretches, stretches
-from stillcal.calib_core.diagnosis.model.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Index,

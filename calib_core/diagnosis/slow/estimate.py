@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.likelihood import Fit, fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
-from stillcal.calib_core.diagnosis.model.likelihood import Fit, fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model.records import Parameter
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 

@@ -9,11 +9,11 @@ from itertools import takewhile
 import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
+from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.bayes_factor import log_bayes_factor
-from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
-from stillcal.calib_core.diagnosis.model.likelihood import Reduced, fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins

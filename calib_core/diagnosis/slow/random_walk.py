@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.bias import UNIT
+from stillcal.calib_core.diagnosis.inference.bayes_factor import of_probabilities
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.bayes_factor import of_probabilities
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
-from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model.records import (
     AXES,
     NAME,

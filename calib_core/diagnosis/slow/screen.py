@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms, projected, stacked
+from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS, Dictionary, Effect
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
-from stillcal.calib_core.diagnosis.model.likelihood import Reduced, joint, log_terms, projected, stacked
-from stillcal.calib_core.diagnosis.model.noise_models import families
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.slow.two_level import Course, grown
 

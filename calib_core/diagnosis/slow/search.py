@@ -15,10 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import nameless
-from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.effect import Effect
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
-from stillcal.calib_core.diagnosis.model.likelihood import (
+from stillcal.calib_core.diagnosis.inference.likelihood import (
     Fit,
     Reduced,
     fit_hypothesis,
@@ -27,6 +24,9 @@ from stillcal.calib_core.diagnosis.model.likelihood import (
     null_log_likelihood,
     reduce_view,
 )
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.effect import Effect
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.slow.screen import screened
 
 LN10 = float(np.log(10.0))

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS
+from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding
 from stillcal.calib_core.diagnosis.model.residuals import norm_view
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.diagnosis.phone_effects import MappedFinding
-from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, at_bins, effects_output, observable
+from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding
+from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions, at_bins, effects_output, observable
 
 LEAST_SHARE = 0.5
 """An axis is drawn from bins in which the residual has at least this share of it."""

@@ -20,7 +20,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.curves import Curve, running_median
-from stillcal.replay.diagnosis.units import pretty, shown_in
+from stillcal.replay.diagnosis.words.units import pretty, shown_in
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

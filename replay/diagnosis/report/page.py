@@ -16,13 +16,13 @@ import numpy as np
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.judged import Judged
-from stillcal.replay.diagnosis.names import BUILT_IN, THE_BUILT_IN, capital, noun, simulation_text
-from stillcal.replay.diagnosis.next_recording import to_record
-from stillcal.replay.diagnosis.relation_text import probability_text, shown_of, with_interval
 from stillcal.replay.diagnosis.report import tables
 from stillcal.replay.diagnosis.report.pictures import Album, Picture
-from stillcal.replay.diagnosis.summary import headline, outcome, reasons
-from stillcal.replay.diagnosis.units import pretty, shown_in
+from stillcal.replay.diagnosis.words.names import BUILT_IN, THE_BUILT_IN, capital, noun, simulation_text
+from stillcal.replay.diagnosis.words.next_recording import to_record
+from stillcal.replay.diagnosis.words.relation_text import probability_text, shown_of, with_interval
+from stillcal.replay.diagnosis.words.summary import headline, outcome, reasons
+from stillcal.replay.diagnosis.words.units import pretty, shown_in
 
 STYLE = """
 :root{color-scheme:light}

@@ -11,12 +11,12 @@ import numpy as np
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.replay.diagnosis.case import Case, case_of
 from stillcal.replay.diagnosis.judged import Judged, bins_of
-from stillcal.replay.diagnosis.names import capital, noun, simulation_text
-from stillcal.replay.diagnosis.relation_text import labels_of
+from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.report import figures
 from stillcal.replay.diagnosis.report.curves import Curve, curves_of
+from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
+from stillcal.replay.diagnosis.words.relation_text import labels_of
 
 SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
 VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed", "unknown")

@@ -13,7 +13,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.diagnosis.correction_code import CODE, code_of, equation_of, to_paste
+from stillcal.replay.diagnosis.words.correction_code import CODE, code_of, equation_of, to_paste
 from stillcal.replay.phone.effects.base import Circumstances, Moment
 from stillcal.replay.phone.effects.registry import EFFECTS
 

@@ -7,7 +7,7 @@ from importlib.resources import as_file, files
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.model.noise_models import families
+from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins
 from stillcal.replay.formats.trace import read_rest_table

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stillcal.replay.diagnosis.relation_text import probability_text, statement
+from stillcal.replay.diagnosis.words.relation_text import probability_text, statement
 
 
 def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], list[Any], str]) -> str:

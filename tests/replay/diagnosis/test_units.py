@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stillcal.replay.diagnosis.units import shown_in
+from stillcal.replay.diagnosis.words.units import shown_in
 
 G = 9.80665
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.direct.clock import timing_findings
 from stillcal.calib_core.diagnosis.direct.smallest import of_stamps_and_values, smallest_number
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE, N, TRIALS = 50.0, 3000, 100

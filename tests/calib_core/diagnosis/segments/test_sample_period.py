@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.direct.clock import timing_findings
 from stillcal.calib_core.diagnosis.direct.quantities import of_stamps
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
+from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 N = 20000

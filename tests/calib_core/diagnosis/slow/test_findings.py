@@ -12,9 +12,9 @@ import pytest
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.diagnosis.effects.by_force import distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.inference.likelihood import null_log_likelihood, posterior_weights
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
-from stillcal.calib_core.diagnosis.model.likelihood import null_log_likelihood, posterior_weights
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.slow.estimate import estimate

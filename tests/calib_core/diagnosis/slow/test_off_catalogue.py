@@ -7,11 +7,11 @@ import pytest
 
 from stillcal.calib_core.diagnosis.effects import curves
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Dictionary
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene, nothing
-from stillcal.calib_core.diagnosis.model.likelihood import fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.slow.findings import findings_of, slow_findings

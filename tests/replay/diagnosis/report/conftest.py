@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
-from stillcal.replay.diagnosis.case import Case, case_of
 from stillcal.replay.diagnosis.judged import examined
+from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.formats.trace import Recording, TraceWriter
 from tests.support.report_days import phone_with, recorded
 

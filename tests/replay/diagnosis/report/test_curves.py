@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from stillcal.replay.diagnosis.case import Case
+from stillcal.replay.diagnosis.phone.case import Case
 from stillcal.replay.diagnosis.report.curves import affine_columns, curves_of
 
 SENSITIVE: dict[str, object] = {

@@ -21,7 +21,7 @@ from stillcal.daemon.cli.main import cli
 from stillcal.replay.diagnosis.diagnose import diagnose_recording
 from stillcal.replay.diagnosis.report.figures import drawing
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
-from stillcal.replay.diagnosis.summary import LINES, summary
+from stillcal.replay.diagnosis.words.summary import LINES, summary
 from stillcal.replay.formats.trace import Recording, TraceWriter, read_rest_table
 from tests.support.report_days import THERMAL, TONE, phone_with, recorded
 

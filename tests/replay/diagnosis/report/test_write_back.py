@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
-from stillcal.replay.diagnosis.case import Case
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.diagnosis.judged import named
-from stillcal.replay.diagnosis.phone_effects import map_findings
-from stillcal.replay.diagnosis.phone_file import phone_text, stamps_measured
-from stillcal.replay.diagnosis.phone_simulation import judge_phone
+from stillcal.replay.diagnosis.phone.case import Case
+from stillcal.replay.diagnosis.phone.phone_effects import map_findings
+from stillcal.replay.diagnosis.phone.phone_file import phone_text, stamps_measured
+from stillcal.replay.diagnosis.phone.phone_simulation import judge_phone
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.phone import load_phone
 from stillcal.replay.phone.settings import per_axis

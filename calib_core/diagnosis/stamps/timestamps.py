@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.left_out import of_shares, of_spread
+from stillcal.calib_core.diagnosis.inference.left_out import of_shares, of_spread
 from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
     direct_finding,

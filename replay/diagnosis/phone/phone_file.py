@@ -19,8 +19,8 @@ from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.calib_core.noise.covariance import NoiseModel, fit_noise
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.diagnosis.phone_effects import MappedFinding
-from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, fit_affine
+from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding
+from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions, fit_affine
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.phone import Claims, Phone, dump_phone

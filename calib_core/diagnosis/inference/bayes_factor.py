@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.model.likelihood import (
+from stillcal.calib_core.diagnosis.inference.likelihood import (
     Reduced,
     expected_information,
     fit_hypothesis,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct import timestamps as stamps
-from stillcal.calib_core.diagnosis.model.left_out import blocks, of_shares, rms
+from stillcal.calib_core.diagnosis.inference.left_out import blocks, of_shares, rms
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Measured,
@@ -21,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual,
 from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.sample_period import HEELS as ON_HEELS
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
+from stillcal.calib_core.diagnosis.stamps import timestamps as stamps
 from stillcal.calib_core.streams.samples import Samples
 
 SKEW = Words(

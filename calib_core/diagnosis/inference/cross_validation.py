@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, log_terms, residuals
+from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
-from stillcal.calib_core.diagnosis.model.likelihood import Reduced, log_terms, residuals
-from stillcal.calib_core.diagnosis.model.noise_models import families
 from stillcal.calib_core.diagnosis.model.residuals import View
 
 FOLDS = 5

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.replay.diagnosis.phone_effects import WHITE_NOISE_FINDINGS, MappedFinding, map_findings
-from stillcal.replay.diagnosis.phone_file import phone_of
-from stillcal.replay.diagnosis.resimulate import motion_of, resimulate
-from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, conditions_of, fit_affine
+from stillcal.replay.diagnosis.phone.phone_effects import WHITE_NOISE_FINDINGS, MappedFinding, map_findings
+from stillcal.replay.diagnosis.phone.phone_file import phone_of
+from stillcal.replay.diagnosis.phone.resimulate import motion_of, resimulate
+from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions, conditions_of, fit_affine
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.phone import Phone

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.replay.diagnosis.names import THE_BUILT_IN, capital, noun, simulation_text
-from stillcal.replay.diagnosis.units import shown_in
+from stillcal.replay.diagnosis.words.names import THE_BUILT_IN, capital, noun, simulation_text
+from stillcal.replay.diagnosis.words.units import shown_in
 
 AXES = "xyz"
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.cross_validation import FOLDS, held_out
+from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, held_out
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
 from stillcal.calib_core.diagnosis.model.scenes import scenes

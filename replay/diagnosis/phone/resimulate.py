@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.segments.windows import WINDOW
 from stillcal.calib_core.streams.resample import interpolate, median_rate_hz, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import Condenser, LongRecording, overview_of
-from stillcal.replay.diagnosis.twin import AffinePhone, Conditions, effects_output, observable
+from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions, effects_output, observable
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
 from stillcal.replay.phone.effects.base import Effect, Moment

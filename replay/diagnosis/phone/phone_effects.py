@@ -13,7 +13,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.effects.catalogue import foreign_effects
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.replay.diagnosis.twin import Conditions
+from stillcal.replay.diagnosis.phone.twin import Conditions
 from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.effects.other_physics import OtherPhysics
 from stillcal.replay.phone.effects.registry import EFFECTS

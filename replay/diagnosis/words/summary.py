@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from stillcal.calib_core.diagnosis.comparison.compare import LEVEL
-from stillcal.replay.diagnosis.names import capital, noun, simulation_text
-from stillcal.replay.diagnosis.relation_text import probability_text
+from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
+from stillcal.replay.diagnosis.words.relation_text import probability_text
 
 VERDICTS = {
     "match": "No difference found",

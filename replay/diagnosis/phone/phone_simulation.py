@@ -10,9 +10,9 @@ from dataclasses import replace
 import msgspec
 
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
-from stillcal.replay.diagnosis.case import case_of
 from stillcal.replay.diagnosis.given_simulation import judge_examined
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent
+from stillcal.replay.diagnosis.phone.case import case_of
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.phone import Phone
 

@@ -1,0 +1,1 @@
+"""How likely residuals are: noise covariances, likelihood, Bayes factors and cross-validation."""
