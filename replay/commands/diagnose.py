@@ -177,6 +177,8 @@ def _check(asked: _Asked) -> None:
         require_matplotlib()
     if report is not None and report.suffix not in (".html", ".htm"):
         raise click.UsageError(f"{report}: a report is an HTML page; choose a name that ends in .html")
+    if asked.residuals is not None and asked.residuals.suffix != ".csv":
+        raise click.UsageError(f"{asked.residuals}: choose a name that ends in .csv for the residuals")
     if phone_out is not None and phone_out.suffix != ".toml":
         raise click.UsageError(f"{phone_out}: choose a name that ends in .toml for a phone file")
     if asked.reading.is_rest_table(asked.trace) and any(

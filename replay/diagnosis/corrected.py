@@ -15,11 +15,13 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference
-from stillcal.calib_core.diagnosis.diagnose import still_bins
+from stillcal.calib_core.diagnosis.diagnose import Examination, still_bins
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.windows import Windows
+from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.resample import interpolate, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording, overview_of
@@ -115,6 +117,26 @@ def _with_added(
     accelerometer = streams["accel"]
     assert accelerometer is not None, "every recording has an accelerometer"
     return Corrected(replace(simulation, accelerometer=accelerometer, gyroscope=streams["gyro"]), left_out)
+
+
+def with_columns(simulation: Recording, recorded: Examination, columns: Mapping[str, Course]) -> Recording:
+    """Return a simulation with the biases that were found to follow further columns, and these columns."""
+    streams = {"accel": simulation.accelerometer, "gyro": simulation.gyroscope}
+    for stated in recorded.statements:
+        if stated.hypothesis is None or stated.scene is None:
+            continue
+        effect, samples = stated.hypothesis.effect, streams[stated.finding.sensor]
+        if not isinstance(effect, CovariateBias) or samples is None:
+            continue
+        # About the mean that the slope was fitted about, so that the bias stays the same.
+        away = columns[effect.column].at(samples.t) - stated.scene.moments.covariates[effect.column].mean()
+        added = np.outer(away, np.ravel(stated.finding.parameters["slope"].value))
+        streams[stated.finding.sensor] = replace(samples, xyz=frozen(samples.xyz + added))
+    accelerometer = streams["accel"]
+    assert accelerometer is not None, "every recording has an accelerometer"
+    return replace(
+        simulation, accelerometer=accelerometer, gyroscope=streams["gyro"], covariates=dict(columns)
+    )
 
 
 def _added(

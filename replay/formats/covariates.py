@@ -14,6 +14,8 @@ from stillcal.calib_core.streams.course import Course
 from stillcal.replay.formats.errors import TraceError
 
 TIME = "t"
+OWN = (TIME, "ax", "ay", "az", "gx", "gy", "gz", "temperature", "t_arrival")
+"""Columns that the recording itself is made of."""
 
 
 def read_covariates(path: Path, names: Sequence[str]) -> dict[str, Course]:
@@ -30,12 +32,19 @@ def read_covariates(path: Path, names: Sequence[str]) -> dict[str, Course]:
         ) from error
 
 
-def _columns(path: Path, rows: Any, names: Sequence[str]) -> dict[str, Course]:
-    header = [cell.strip() for cell in next(rows, [])]
+def _places(path: Path, header: list[str], names: Sequence[str]) -> dict[str, int]:
+    """Return where time and the named columns are."""
+    for name in names:
+        if name in OWN:
+            raise TraceError(path, f"{name!r} is a sensor's own column", "name a further one for --covariate")
     for name in (TIME, *names):
         if name not in header:
             raise TraceError(path, f"it has no column {name!r}", f"it has {', '.join(header) or 'none'}", 1)
-    at = {name: header.index(name) for name in (TIME, *names)}
+    return {name: header.index(name) for name in (TIME, *names)}
+
+
+def _columns(path: Path, rows: Any, names: Sequence[str]) -> dict[str, Course]:
+    at = _places(path, [cell.strip() for cell in next(rows, [])], names)
     t: dict[str, list[float]] = {name: [] for name in names}
     values: dict[str, list[float]] = {name: [] for name in names}
     for cells in rows:

@@ -190,7 +190,7 @@ def _in_neither(
     for key in dict.fromkeys([*looked[0].reasons, *looked[1].reasons]):
         if key in told or key[0].endswith(MEASURED_ELSEWHERE):
             continue
-        reasons = [one.reasons.get(key, "no such sensor") for one in looked]
+        reasons = [one.reasons.get(key, _why_not_sought(key[0])) for one in looked]
         cannot = [f"{name}: {why}" for name, why in zip(names, reasons, strict=True) if why is not None]
         if cannot:
             same = reasons[0] is not None and reasons[0] == reasons[1]
@@ -198,6 +198,11 @@ def _in_neither(
         else:
             neither.append(key)
     return neither, missing
+
+
+def _why_not_sought(effect: str) -> str:
+    """Say why an effect is not in a recording's list at all."""
+    return "its temperature was recorded" if effect == "thermal_latent" else "no such sensor"
 
 
 def _of_both(looked: Sequence[_LookedFor], key: Key) -> list[Smallest]:

@@ -64,7 +64,7 @@ def _of_column(effect: str, sensor: str) -> str:
     """Return the noun of a bias that follows a logged column, or an unknown effect's own words."""
     start, _, column = effect.partition("_bias_")
     if start == sensor and column:
-        return f"change of the {SENSORS[sensor]}'s bias with {column.replace('_', ' ')}"
+        return f"change of the {SENSORS[sensor]}'s bias with {column}"
     return effect.replace("_", " ")
 
 

@@ -55,12 +55,13 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     assert code == 0, text
     said = json.loads(answer.read_text())
     assert [f["effect"] for f in said["findings"]] == ["gyro_bias_battery_v"]
+    assert said["verdict"] == "identified"
     slope = said["findings"][0]["parameters"]["slope"]
     assert slope["value"][2] == pytest.approx(SLOPE, rel=0.1)
     low, high = slope["ci95"][2]
     assert low < SLOPE < high
     assert slope["unit"] == "rad/s per unit of battery_v"
-    assert "change of the gyroscope's bias with battery v" in text
+    assert "change of the gyroscope's bias with battery_v" in text
     rows = list(csv.DictReader(left.open()))
     z = np.array([[float(r["ideal"]), float(r["with_effects"])] for r in rows if r["residual"] == "rate_z"])
     before, after = np.sqrt(np.mean(z**2, axis=0))
@@ -79,6 +80,8 @@ def test_without_the_column_the_bias_has_no_such_name(log: Path, tmp_path: Path)
     [
         (("--covariate", "battery"), "it has no column 'battery'; it has t, ax"),
         (("--covariate", "az\x1b"), "it has no column"),
+        (("--covariate", "az"), "'az' is a sensor's own column"),
+        (("--residuals", "left.txt"), "left.txt: choose a name that ends in .csv"),
     ],
 )
 def test_a_column_that_is_not_there_is_told_in_one_line(log: Path, words: tuple[str, ...], said: str) -> None:
