@@ -203,7 +203,7 @@ def _cell(finding: Mapping[str, Any], side: str, name: str) -> str:
         return ""
     parameter = finding[side][name]
     shown = shown_of(finding, name, "xyz")
-    beside = [finding[s][name] for s in SIDES if name in finding[s]]
+    beside = [finding[s][name] for s in SIDES if name in finding.get(s, {})]
     text = escape(with_interval(name, parameter, shown, beside))
     more = np.size(parameter["value"]) - len(shown)
     return f"{text} (the largest of {more + len(shown)})" if more else text
