@@ -12,7 +12,7 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stillcal.calib_core.engine.engine import Engine
@@ -58,6 +58,7 @@ def numbers(message: Message) -> Iterator[tuple[str, float]]:
             yield name, value
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # a busy machine is no failure
 @given(st.lists(any_message(), max_size=12), any_style())
 def test_whatever_comes_in_is_within_limits(messages: list[Message], style: WireSettings) -> None:
     decoder = WireDecoder()
@@ -71,6 +72,7 @@ def test_whatever_comes_in_is_within_limits(messages: list[Message], style: Wire
             assert all(limits.within(name, value) for name, value in numbers(message)), message
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # a busy machine is no failure
 @given(st.lists(any_message(), max_size=12), any_style())
 def test_whatever_comes_in_the_engine_goes_on_and_its_state_can_be_saved(
     messages: list[Message], style: WireSettings
