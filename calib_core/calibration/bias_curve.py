@@ -239,9 +239,7 @@ def _without_evidence(
         offset = polynomial(term, seen.celsius)
         along = offset if seen.towards is None else (offset * seen.towards).sum(axis=1)[:, None]
         seen = replace(seen, value=seen.value - along)
-    fit = learn(seen, model, t, start)
-    forecast = _forecast(fit, fit, seen.celsius, t)
-    return _learnt(sensor, fit, t=seen.t, middle=middle, forecast=forecast, term=term, change="", evidence={})
+    return _without_temperature(sensor, seen, model, middle=middle, term=term, t=t, start=start)
 
 
 def _change(

@@ -43,7 +43,7 @@ class AirSim(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return noise."""
-        return {f"{name} {kind}" for name, _ in imu.parts() for kind in ("white noise", "slow noise")}
+        return imu.named("white noise", "slow noise")
 
     def notes(self, imu: ImuParameters) -> list[str]:
         """Return what one number for three axes leaves out."""

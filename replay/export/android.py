@@ -35,7 +35,7 @@ class Android(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return the whole affine correction, and the gyroscope's delay."""
-        affine = {f"{name} {k}" for name, _ in imu.parts() for k in ("scale", "misalignment", "bias")}
+        affine = imu.named("scale", "misalignment", "bias")
         return affine | {"gyroscope delay"}
 
     def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:

@@ -10,10 +10,8 @@ import math
 from collections.abc import Sequence
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.export.imu import ImuParameters, SensorPart
+from stillcal.replay.export.imu import CORRECTION, ImuParameters, SensorPart
 from stillcal.replay.export.target import Target, commented
-
-KINDS = ("scale", "misalignment", "bias", "bias slope", "bias curve", "g-sensitivity")
 
 
 class CHeader(Target):
@@ -26,7 +24,7 @@ class CHeader(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return all that a correction uses."""
-        return {f"{name} {kind}" for name, _ in imu.parts() for kind in KINDS}
+        return imu.named(*CORRECTION)
 
     def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
         """Return the header."""

@@ -33,8 +33,7 @@ class Gazebo(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return biases and noise."""
-        kinds = ("bias", "white noise", "slow noise")
-        return {f"{name} {kind}" for name, _ in imu.parts() for kind in kinds}
+        return imu.named("bias", "white noise", "slow noise")
 
     def notes(self, imu: ImuParameters) -> list[str]:
         """Return what a user must add."""

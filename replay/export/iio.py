@@ -31,7 +31,7 @@ class Iio(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return biases and scales by axis."""
-        return {f"{name} {kind}" for name, _ in imu.parts() for kind in ("bias", "scale")}
+        return imu.named("bias", "scale")
 
     def notes(self, imu: ImuParameters) -> list[str]:
         """Return how to put the values into effect, and where they fit."""

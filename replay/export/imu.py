@@ -23,6 +23,9 @@ from stillcal.replay.phone.settings import SensorSettings, per_axis
 
 SENSORS = ("accelerometer", "gyroscope")
 
+CORRECTION = ("scale", "misalignment", "bias", "bias slope", "bias curve", "g-sensitivity")
+"""Kinds of facts that correct samples; the others are noise, rate and delay."""
+
 LAG_S = 100.0
 """s: slow noise of any kind becomes the random walk of the same Allan deviation at this averaging time.
 
@@ -147,6 +150,10 @@ class ImuParameters:
         for name, part in zip(SENSORS, (self.accelerometer, self.gyroscope), strict=True):
             if part is not None:
                 yield name, part
+
+    def named(self, *kinds: str) -> set[str]:
+        """Return the facts of these kinds for each sensor that is there, such as "gyroscope bias"."""
+        return {f"{name} {kind}" for name, _ in self.parts() for kind in kinds}
 
     @property
     def rate_hz(self) -> float | None:

@@ -39,8 +39,7 @@ class ImuSensor(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return all but g-sensitivity and delay."""
-        kinds = ("scale", "misalignment", "bias", "bias slope", "white noise", "slow noise")
-        return {f"{name} {kind}" for name, _ in imu.parts() for kind in kinds}
+        return imu.named("scale", "misalignment", "bias", "bias slope", "white noise", "slow noise")
 
     def notes(self, imu: ImuParameters) -> list[str]:
         """Return what a user of MATLAB must know."""

@@ -37,8 +37,7 @@ class Kalibr(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return scale, misalignment, g-sensitivity and noise; kalibr's files have no bias."""
-        kinds = ("scale", "misalignment", "g-sensitivity", "white noise", "slow noise")
-        return {f"{name} {kind}" for name, _ in imu.parts() for kind in kinds}
+        return imu.named("scale", "misalignment", "g-sensitivity", "white noise", "slow noise")
 
     def notes(self, imu: ImuParameters) -> list[str]:
         """Return what kalibr needs beyond the file."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import UserError
-from stillcal.replay.export.imu import ImuParameters, SensorPart
+from stillcal.replay.export.imu import CORRECTION, ImuParameters, SensorPart
 from stillcal.replay.export.target import Target, commented, finite
 
 FIELDS = {
@@ -33,8 +33,6 @@ FIELDS = {
     "white_noise_density": ("", (3,)),
 }
 """Name in the file, name in the record, shape."""
-
-KINDS = ("scale", "misalignment", "bias", "bias slope", "bias curve", "g-sensitivity")
 
 
 def arrays(imu: ImuParameters) -> dict[str, Array]:
@@ -59,7 +57,7 @@ class Npz(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return everything but slow noise and delay."""
-        return {f"{name} {kind}" for name, _ in imu.parts() for kind in (*KINDS, "white noise")}
+        return imu.named(*CORRECTION, "white noise")
 
     def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
         """Return the archive; its array `remarks` holds the comments."""
@@ -110,7 +108,7 @@ class Python(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return all that a correction uses."""
-        return {f"{name} {kind}" for name, _ in imu.parts() for kind in KINDS}
+        return imu.named(*CORRECTION)
 
     def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
         """Return the module."""

@@ -36,9 +36,7 @@ class Px4(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return the biases with their slopes, and the accelerometer's scale by axis."""
-        kinds = ("bias", "bias slope", "bias curve")
-        biases = {f"{name} {kind}" for name, _ in imu.parts() for kind in kinds}
-        return biases | {"accelerometer scale"}
+        return imu.named("bias", "bias slope", "bias curve") | {"accelerometer scale"}
 
     def notes(self, imu: ImuParameters) -> list[str]:
         """Return what the vehicle adds."""

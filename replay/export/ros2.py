@@ -28,7 +28,7 @@ class Ros2(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return white noise."""
-        return {f"{name} white noise" for name, _ in imu.parts()}
+        return imu.named("white noise")
 
     def notes(self, imu: ImuParameters) -> list[str]:
         """Return what the numbers hold for."""

@@ -19,16 +19,9 @@ from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import cuts
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples
-
-EXCHANGED = Words(
-    "axis_exchange",
-    "raw = <b>exchange</b>·(…) for a while, a matrix of 0 and ±1",
-    "repeat the motion while logging which driver or mapping is active",
-)
 
 LEAST_TURNS = 8
 LEAST_BAD = 3
@@ -171,7 +164,7 @@ def _stated(
     before = float(np.sqrt(np.mean(size[inside] ** 2)))
     where = Where(start, end, (0.0, 10.0), "rate of turn")
     sizes = sized({"miss": (before, "rad"), "exchange": (change.tolist(), "1")})
-    return direct_finding(EXCHANGED.effect, sensor, axes, where, sizes, statement=say, seen=seen)
+    return direct_finding("axis_exchange", sensor, axes, where, sizes, statement=say, seen=seen)
 
 
 def outside(bins: Bins, t_start: float, t_end: float) -> Bins:

@@ -25,13 +25,6 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.model.words import Words
-
-TAILED = Words(
-    "noise_heavy_tailed",
-    "a <b>fraction</b> of the white noise is <b>ratio</b> times larger",
-    "record one hour at rest on another support: knocks show in both sensors, noise in one",
-)
 
 AXES = [0, 1, 2]
 FAR = 4.0
@@ -155,7 +148,7 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
     seen = Seen(gain, _left_out([z[:, axes] for z in scaled]), best.unusual)
     if fit.ratio.value > SPIKE and share < RARE * fit.ratio.value / SPIKE:
         return _spikes(sensor, axes, everything, where, seen)
-    return direct_finding(TAILED.effect, sensor, axes, where, parameters, statement=say, seen=seen)
+    return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
 
 
 def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) -> Finding | None:

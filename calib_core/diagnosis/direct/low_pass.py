@@ -17,16 +17,9 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import HeldOut, Measured, direct_finding, of_measured
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.samples import Samples
-
-BANDWIDTH = Words(
-    "bandwidth",
-    "raw = low-pass at <b>cutoff</b> of (…)",
-    "record at the highest rate available: its noise shows the filter's shape",
-)
 
 SEGMENT = 256
 SHORTEST = 64
@@ -203,7 +196,7 @@ def bandwidth(spectrum: Spectra, sensor: str, usual: Usual, where: Where) -> Fin
     say = f"The {NAME[sensor]}'s output is low-pass filtered at {found.cutoff.value:.2g} Hz."
     seen = of_measured(relative_cutoff(spectrum), usual, _left_out(spectrum, found))
     parameters = {"cutoff": found.cutoff.parameter("Hz")}
-    return direct_finding(BANDWIDTH.effect, sensor, [0, 1, 2], where, parameters, statement=say, seen=seen)
+    return direct_finding("bandwidth", sensor, [0, 1, 2], where, parameters, statement=say, seen=seen)
 
 
 def _left_out(spectrum: Spectra, found: LowPass) -> HeldOut:

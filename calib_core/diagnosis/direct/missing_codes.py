@@ -16,15 +16,8 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index, Seen, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Number, Where
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
-
-MISSING = Words(
-    "missing_codes",
-    "raw never takes some values: those with one <b>bit</b>, or those within <b>width</b> of one",
-    "read the sensor's registers directly, to tell its converter from the driver",
-)
 
 BITS = 14
 """Bits that are looked at: those of a 16-bit converter but the lowest and the sign."""
@@ -53,7 +46,7 @@ def dead_bits(samples: Samples, sensor: str) -> Finding | None:
     bits: Number = [float(bit) for bit, _ in found.values()]
     sizes = sized({"bit": (bits, "1"), "pairs": (pairs, "1")})
     seen = Seen(max(_nats(bit, pairs) for bit, pairs in found.values()))
-    return direct_finding(MISSING.effect, sensor, axes, where, sizes, statement=say, seen=seen)
+    return direct_finding("missing_codes", sensor, axes, where, sizes, statement=say, seen=seen)
 
 
 def _nats(bit: int, pairs: int) -> float:
@@ -109,7 +102,7 @@ def dead_zone(samples: Samples, sensor: str) -> Finding | None:
     sizes = sized({"width": (width, UNIT[sensor]), "visits": (visits, "1")})
     # A sound axis would have been met in the zone as often as beside it: never, by chance e^-visits.
     seen = Seen(of_chance(-max(float(v) for _, v in zones.values()), 6.0))
-    return direct_finding(MISSING.effect, sensor, axes, where, sizes, statement=say, seen=seen)
+    return direct_finding("missing_codes", sensor, axes, where, sizes, statement=say, seen=seen)
 
 
 def _zone(values: Array) -> tuple[float, int] | None:

@@ -20,18 +20,6 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
-from stillcal.calib_core.diagnosis.model.words import Words
-
-UNEQUAL = Words(
-    "noise_unequal_axes",
-    "white noise = <b>ratio</b> &times; that of the other axes, axis by axis",
-    "record one hour at rest in three attitudes: the sensor's own noise stays with its axis",
-)
-LEVEL = Words(
-    "noise_level",
-    "white noise = <b>ratio</b> &times; what is declared",
-    "record one hour at rest in another mode or at another rate",
-)
 
 LINE = 1.5
 USABLE = 0.3
@@ -235,7 +223,7 @@ def _unequal(
         f" {ratio[axis]:.2f} times as noisy as the other two."
     )
     parameters = {"ratio": vector(ratio, ratio * np.hypot(measured.errors(), own.error), "1")}
-    return direct_finding(UNEQUAL.effect, sensor, [axis], where, parameters, statement=say, seen=seen)
+    return direct_finding("noise_unequal_axes", sensor, [axis], where, parameters, statement=say, seen=seen)
 
 
 def level_ratio(measured: Levels, claim: float) -> tuple[Measured, list[int]]:
@@ -254,7 +242,7 @@ def _level(sensor: str, measured: Levels, common: Usual, claim: float, where: Wh
     say = f"{NAME[sensor].capitalize()} white noise is {value:.2f} times the datasheet value."
     parameters = {"ratio": Measured(value, value * ratio.error).parameter("1")}
     return direct_finding(
-        LEVEL.effect,
+        "noise_level",
         sensor,
         base,
         where,

@@ -18,15 +18,9 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.value_grid import COMB_SAMPLES, UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
 
-QUANTISED = Words(
-    "quantisation",
-    "raw = <b>step</b>·round(… / <b>step</b>)",
-    "choose a smaller range or the raw data stream, or vibrate the phone slightly at rest",
-)
 FINEST, COARSEST = 0.01, 100.0
 """Steps over the noise below and above which no more is told: such a step is no step, such noise is none."""
 

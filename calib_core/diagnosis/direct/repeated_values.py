@@ -19,15 +19,8 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
-
-HELD = Words(
-    "held_samples",
-    "raw repeats its last value for a <b>fraction</b> of the samples, up to <b>longest</b> in a row",
-    "read the sensor at its own rate, or by its data-ready interrupt",
-)
 
 BLOCK_S = 1.0
 ALLOWED = 0.3
@@ -202,7 +195,7 @@ def held(samples: Samples, sensor: str, usual: Usual) -> tuple[Finding | None, f
         "fraction": share.parameter("1"),
         "longest": Parameter(float(seen.longest), None, "samples"),
     }
-    found = direct_finding(HELD.effect, sensor, [0, 1, 2], where, sizes, statement=say, seen=judged)
+    found = direct_finding("held_samples", sensor, [0, 1, 2], where, sizes, statement=say, seen=judged)
     return found, share.value
 
 

@@ -16,15 +16,8 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     of_counts,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
-
-SATURATED = Words(
-    "saturation",
-    "raw = clip(…, &minus;<b>limit</b>, +<b>limit</b>)",
-    "set a larger range, or move the phone more gently",
-)
 
 AXES = (0, 1, 2)
 
@@ -88,7 +81,7 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
         f" {rows.size / len(samples):.2%}); {faster} is clipped."
     )
     return direct_finding(
-        f"{sensor}_{SATURATED.effect}",
+        f"{sensor}_saturation",
         sensor,
         axes,
         where,

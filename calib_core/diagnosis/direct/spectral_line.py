@@ -20,15 +20,8 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.streams.samples import Samples
-
-TONE = Words(
-    "vibration_tone",
-    "true = … + <b>amplitude</b>·sin(2π·<b>frequency</b>·t)",
-    "record once on another support, and once with fans and motors nearby switched off",
-)
 
 BRIEF, SHORT, LONG = 8.0, 20.0, 60.0
 """s of a stretch: short ones tell when a line comes and goes, long ones, or as long as a rest and no shorter
@@ -250,7 +243,7 @@ def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle:
         f" {amplitude.max():.3g} {UNIT[sensor]} (could be an alias of {rate - frequency:.1f} or"
         f" {rate + frequency:.1f} Hz)."
     )
-    return direct_finding(TONE.effect, sensor, axes, where, parameters, statement=say, seen=evidence)
+    return direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, seen=evidence)
 
 
 def _seen(line: Array, noise: Array, frequencies: int) -> Seen:

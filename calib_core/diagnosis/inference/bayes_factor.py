@@ -13,8 +13,8 @@ import numpy as np
 from stillcal.calib_core.diagnosis.inference.likelihood import (
     Reduced,
     expected_information,
-    fit_hypothesis,
     log_sum,
+    maximum,
 )
 
 SIZES = 10.0 ** -np.arange(0.0, 2.1, 0.5)
@@ -35,9 +35,9 @@ def log_evidence(views: Sequence[Reduced], h: int) -> float:
 
         log evidence = L(b) - b'b - b'Jb / 2 + (b + Jb)' (J + I/s^2)^-1 (b + Jb) / 2 - log|I + s^2 J| / 2.
     """
-    fit = fit_hypothesis(views, h)
-    beta, information = fit.beta, expected_information(views, h, fit.beta)
-    highest = fit.log_likelihood + 0.5 * float(beta @ beta)
+    beta, value, likely = maximum(views, h)
+    information = expected_information(views, h, beta, likely)
+    highest = value + 0.5 * float(beta @ beta)
     pull = beta + information @ beta
     bare = highest - float(beta @ beta) - 0.5 * float(beta @ information @ beta)
     unit = np.eye(beta.size)

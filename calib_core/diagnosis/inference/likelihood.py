@@ -213,17 +213,20 @@ def _least(view: Reduced, h: int) -> Array:
 
 def fit_hypothesis(views: Sequence[Reduced], h: int) -> Fit:
     """Fit hypothesis `h` to all views at once, and tell how sure its parameters are."""
-    beta, value, weights = _highest(views, h)
+    beta, value, weights = maximum(views, h)
     return Fit(beta, _covariance(views, h, beta, weights), value)
 
 
 def highest(views: Sequence[Reduced], h: int) -> float:
     """Return the log likelihood of hypothesis `h` at its maximum."""
-    return _highest(views, h)[1]
+    return maximum(views, h)[1]
 
 
-def _highest(views: Sequence[Reduced], h: int) -> tuple[Array, float, list[Array]]:
-    """Return the better of two climbs, begun from the likely shapes and from white noise."""
+def maximum(views: Sequence[Reduced], h: int) -> tuple[Array, float, list[Array]]:
+    """Return the better of two climbs, begun from the likely shapes and from white noise.
+
+    Return the parameters (k,), the log likelihood, and the probabilities (G,) of the shapes in every view.
+    """
     _, likely = joint(views, [log_terms(v, v.yy) for v in views])
     informed = [w * v.dof / (v.known + v.yy) for v, w in zip(views, likely, strict=True)]
     plain = [np.eye(len(v.yy))[0] for v in views]
@@ -297,11 +300,12 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Arra
     return np.asarray(total, dtype=np.float64)
 
 
-def expected_information(views: Sequence[Reduced], h: int, beta: Array) -> Array:
-    """Return the information (k, k) about hypothesis `h` at `beta`, over all views, shapes by probability."""
-    left = [residuals(v, h, beta) for v in views]
-    _, likely = joint(views, [log_terms(v, r) for v, r in zip(views, left, strict=True)])
-    rates = [v.dof / (v.known + r) for v, r in zip(views, left, strict=True)]
+def expected_information(views: Sequence[Reduced], h: int, beta: Array, likely: Sequence[Array]) -> Array:
+    """Return the information (k, k) about hypothesis `h` at `beta`, over all views.
+
+    likely: the probabilities (G,) of the shapes there, view by view.
+    """
+    rates = [v.dof / (v.known + residuals(v, h, beta)) for v in views]
     parts = [_expected(v, h, w * r) for v, w, r in zip(views, likely, rates, strict=True)]
     return np.asarray(np.sum(parts, axis=0))
 

@@ -84,13 +84,6 @@ def share_of(hits: float, trials: float, alike: float = 1.0) -> Measured:
     return Measured(hits / max(trials, 1.0), float(np.sqrt(mean * (1.0 - mean) / (a + b + 1.0))))
 
 
-def tail(sigmas: float) -> float:
-    """Return the two-sided normal probability of a deviation."""
-    from scipy.special import erfc  # noqa: PLC0415 - the daemon stays light
-
-    return float(erfc(min(sigmas, 30.0) / np.sqrt(2.0)))
-
-
 def vector(values: Array, errors: Array, unit: str) -> Parameter:
     """Return values (k,) with 95 % intervals."""
     ci = np.stack([values - NORMAL_95 * errors, values + NORMAL_95 * errors], axis=1)
@@ -230,6 +223,6 @@ def sized(sizes: Mapping[str, tuple[Number, str]]) -> dict[str, Parameter]:
 
 __all__ = [
     "FOLDS", "HeldOut", "Index", "Measured", "Seen", "direct_finding", "mean_of", "of_chance",
-    "of_counts", "of_fit", "of_measured", "of_vector", "posterior", "share_of", "sized", "tail",
+    "of_counts", "of_fit", "of_measured", "of_vector", "posterior", "share_of", "sized",
     "vector",
 ]  # fmt: skip

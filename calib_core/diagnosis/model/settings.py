@@ -44,18 +44,6 @@ WANDER_MIDDLE, WANDER_DECADES, WANDER_TAIL = 0.8, 1.5, 0.03
 """Prior of how much a bias' bins scatter by wander over white noise (log10 of variances): flicker floors of
 0.03 to 3 times the white noise of a second are what phones have; the tail is for those that do not."""
 
-RATE_TOLERANCE = 2e-3
-"""Relative difference of a rate from the nominal one, a round number."""
-
-JITTER_TOLERANCE = 0.03
-"""Part of the period that stamps may scatter by (Android compatibility definition, 7.3)."""
-
-DROP_TOLERANCE = 5e-4
-"""Part of the samples missing that two recordings of one phone may differ by."""
-
-BURST_TOLERANCE = 0.01
-"""The same of the samples that arrive on the heels of another."""
-
 DIRECT_CHECKS = 40
 """How many checks of samples, values and stamps a diagnosis makes: of the two sensors' values and noise some
 seventeen each, of stamps and motion six. Before the data, one of them is expected to find something."""

@@ -11,14 +11,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_vector, vector
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
-
-ARM = Words(
-    "lever_arm",
-    "raw = force + ω &times; (ω &times; <b>position</b>) + dω/dt &times; <b>position</b>",
-    "rotate the phone about another point: the estimated position should shift by the same distance",
-)
 
 SIZE = 0.1
 """m: prior standard deviation of an arm on each axis, half a phone and what holds it."""
@@ -47,7 +40,7 @@ def lever_arm(sums: Regression, apart: float, where: Where) -> Finding | None:
     say = f"The accelerometer is {text} cm (x, y, z) away from the point about which the phone turns."
     parameters = {"position": vector(arm, error, "m")}
     seen = Seen(of_vector(arm, within, SIZE), sums.held_out())
-    return direct_finding(ARM.effect, "accel", axes, where, parameters, statement=say, seen=seen)
+    return direct_finding("lever_arm", "accel", axes, where, parameters, statement=say, seen=seen)
 
 
 def _widened(parts: int) -> float:

@@ -18,7 +18,6 @@ from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Wh
 from stillcal.calib_core.diagnosis.model.residuals import Baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression, of_arm
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
@@ -26,12 +25,6 @@ from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples
-
-OFFSET = Words(
-    "accel_gyro_time_offset",
-    "rate<sub>raw</sub>(t) = rate(t &minus; <b>delay</b>)",
-    "rotate the phone by hand, quickly, for some minutes",
-)
 
 WINDOW = 8.0
 """s over which gravity is carried; what the gyroscope's scale does meanwhile is nearly steady in time."""
@@ -199,7 +192,7 @@ def _delayed(
     cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))
     hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / interval)
     return direct_finding(
-        OFFSET.effect,
+        "accel_gyro_time_offset",
         "timing",
         [],
         where,

@@ -17,22 +17,10 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.sample_period import HEELS as ON_HEELS
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.stamps import timestamps as stamps
 from stillcal.calib_core.streams.samples import Samples
-
-SKEW = Words(
-    "clock_skew",
-    "t<sub>stamp</sub> = (1 + <b>relative</b>)·t",
-    "record with arrival times, on a host with a synchronised clock, for some hours",
-)
-BURSTS = Words(
-    "arrival_bursts",
-    "a <b>fraction</b> of the samples arrives late and at once",
-    "record with a shorter batch length",
-)
 
 PIECES = 40
 HEELS = 0.2
@@ -135,7 +123,7 @@ def _skew(
     say = f"The sensor's clock runs {abs(value) * 1e6:.0f} ppm {'fast' if value > 0.0 else 'slow'}."
     parameter = {"relative": total.parameter("1")}
     seen = max((s for _, s in sure), key=lambda s: s.log_bayes_factor)
-    return direct_finding(SKEW.effect, "timing", [], where, parameter, statement=say, seen=seen)
+    return direct_finding("clock_skew", "timing", [], where, parameter, statement=say, seen=seen)
 
 
 def _product(rates: list[Measured]) -> Measured:
@@ -193,7 +181,7 @@ def _bursts(waiting: tuple[Array, float], common: Usual, where: Where) -> Findin
     share = f"{fraction.value:.1%}"
     say = f"{share} of the samples arrive in bursts; use the sensor's time stamps, not the arrivals."
     parameter = {"fraction": fraction.parameter("1")}
-    return direct_finding(BURSTS.effect, "timing", [], where, parameter, statement=say, seen=seen)
+    return direct_finding("arrival_bursts", "timing", [], where, parameter, statement=say, seen=seen)
 
 
 def _stamped_in_bursts(t: Array, period: float, common: Usual, where: Where) -> Finding | None:
@@ -207,4 +195,4 @@ def _stamped_in_bursts(t: Array, period: float, common: Usual, where: Where) -> 
         f" interval after another: the stamps are times of delivery. The rate is {1.0 / period:.4g} Hz."
     )
     parameter = {"fraction": fraction.parameter("1")}
-    return direct_finding(BURSTS.effect, "timing", [], where, parameter, statement=say, seen=seen)
+    return direct_finding("arrival_bursts", "timing", [], where, parameter, statement=say, seen=seen)

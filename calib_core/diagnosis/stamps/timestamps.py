@@ -21,19 +21,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.model.words import Words
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
-
-JITTER = Words(
-    "timestamp_jitter",
-    "t<sub>stamp</sub> = t + noise of standard deviation <b>sigma</b>",
-    "record at another rate, and with the processor idle",
-)
-DROPPED = Words(
-    "dropped_samples",
-    "each sample is lost with chance <b>fraction</b>",
-    "record with other applications closed",
-)
 
 PIECES = 40
 """Parts of a recording that errors are taken from: enough for a standard error known to a tenth."""
@@ -195,7 +183,7 @@ def jitter(grid: Grid, usual: Usual, where: Where) -> Finding | None:
     seen = of_measured(relative, usual, of_spread(grid.apart / np.sqrt(grid.factor), sound))
     say = f"Time stamps jitter by {sigma.value * 1e3:.2f} ms about an even rate."
     parameter = {"sigma": sigma.parameter("s")}
-    return direct_finding(JITTER.effect, "timing", [], where, parameter, statement=say, seen=seen)
+    return direct_finding("timestamp_jitter", "timing", [], where, parameter, statement=say, seen=seen)
 
 
 def drops(grid: Grid, usual: Usual, where: Where) -> Finding | None:
@@ -207,4 +195,4 @@ def drops(grid: Grid, usual: Usual, where: Where) -> Finding | None:
     seen = of_measured(fraction.log(LEAST_SHARE), usual, of_shares(hits, of, 10.0**usual.highest))
     say = f"{fraction.value:.2%} of the samples are missing, in {np.count_nonzero(lost)} gaps."
     parameter = {"fraction": fraction.parameter("1")}
-    return direct_finding(DROPPED.effect, "timing", [], where, parameter, statement=say, seen=seen)
+    return direct_finding("dropped_samples", "timing", [], where, parameter, statement=say, seen=seen)
