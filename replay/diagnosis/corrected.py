@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.resample import interpolate, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording, overview_of
@@ -100,7 +102,7 @@ def _with_added(
     simulation: Recording, discrepancies: Sequence[Discrepancy], biases: Mapping[str, Array], seed: int
 ) -> Corrected:
     """Return the simulation with every difference added to the samples that are held."""
-    rng = np.random.default_rng(seed)
+    rng, drivers = np.random.default_rng(seed), _Drivers(simulation)
     left_out: list[str] = []
     streams: dict[str, Samples | None] = {
         "accel": simulation.accelerometer,
@@ -109,7 +111,7 @@ def _with_added(
     # A scale acts on what the simulation's sensor read, hence before anything is added to that.
     for one in sorted(discrepancies, key=lambda d: not d.effect.endswith("_scale")):
         samples = streams.get(one.sensor)
-        added = None if samples is None else _added(simulation, samples, one, biases, rng)
+        added = None if samples is None else _added(drivers, samples, one, biases, rng)
         if samples is None or added is None:
             left_out.append(one.effect)
         else:
@@ -140,7 +142,7 @@ def with_columns(simulation: Recording, recorded: Examination, columns: Mapping[
 
 
 def _added(
-    simulation: Recording,
+    drivers: _Drivers,
     samples: Samples,
     one: Discrepancy,
     biases: Mapping[str, Array],
@@ -156,10 +158,10 @@ def _added(
         return _scale(samples.xyz - biases.get(one.sensor, np.zeros(3)), one)
     if kind == "bias":
         return np.asarray(np.broadcast_to(one.difference.value, samples.xyz.shape))
-    return _by_physics(simulation, samples, one.difference)
+    return _by_physics(drivers, samples, one.difference)
 
 
-def _by_physics(simulation: Recording, samples: Samples, difference: Difference) -> Array | None:
+def _by_physics(drivers: _Drivers, samples: Samples, difference: Difference) -> Array | None:
     """Return the response of an effect of the catalogue to the differing parameters; None without drivers."""
     recorded = difference.recorded
     names = tuple(part.name for part in recorded.parts)
@@ -168,34 +170,50 @@ def _by_physics(simulation: Recording, samples: Samples, difference: Difference)
         if own != (recorded.effect, recorded.sensor, names):
             continue
         grid = dict(recorded.reference)
-        drivers = _drivers(simulation, samples, grid.get("temperature_c"))
-        if not effect.can_play(drivers, grid):
+        moments = drivers.at(samples, grid.get("temperature_c"))
+        if not effect.can_play(moments, grid):
             return None
-        return np.asarray(effect.response(drivers, grid) @ difference.value)
+        return np.asarray(effect.response(moments, grid) @ difference.value)
     return None
 
 
-def _drivers(simulation: Recording, samples: Samples, reference_c: float | None) -> Moments:
-    """Return what drives effects at a sensor's samples; its own samples stand for its true input."""
-    accel, gyro = simulation.accelerometer, simulation.gyroscope
-    plugs = charging_events(simulation)
-    states = np.array([0.0, *(float(e.on) for e in plugs)])
-    warm = temperature_at(accel, samples.t)
-    reference = reference_c
-    if warm is not None:
-        reference = float(warm.mean()) if reference is None else reference
-        warm = np.asarray(warm - reference)
-    span = (float(samples.t[0]), float(samples.t[-1]))
-    switches = np.array([[e.t, float(e.on)] for e in plugs]) if plugs else None
-    return Moments(
-        samples.t,
-        np.zeros(len(samples)),
-        History(span, still_bins(accel, gyro, plugs, overview_of(simulation)).activity, switches, reference),
-        interpolate(samples.t, accel.t, accel.xyz),
-        interpolate(samples.t, gyro.t, gyro.xyz) if gyro else None,
-        warm,
-        states[np.searchsorted([e.t for e in plugs], samples.t, side="right")] if plugs else None,
-    )
+@dataclass(frozen=True, eq=False)
+class _Drivers:
+    """What drives effects at a sensor's samples; the simulation's own samples stand for its true input."""
+
+    simulation: Recording
+
+    @cached_property
+    def plugs(self) -> list[Charging]:
+        """The charging events."""
+        return charging_events(self.simulation)
+
+    @cached_property
+    def activity(self) -> Array:
+        """When the phone moved, (w, 2)."""
+        accel, gyro = self.simulation.accelerometer, self.simulation.gyroscope
+        return still_bins(accel, gyro, self.plugs, overview_of(self.simulation)).activity
+
+    def at(self, samples: Samples, reference_c: float | None) -> Moments:
+        """Return the drivers at a sensor's samples. reference_c: degC from which temperatures count."""
+        accel, gyro, plugs = self.simulation.accelerometer, self.simulation.gyroscope, self.plugs
+        states = np.array([0.0, *(float(e.on) for e in plugs)])
+        warm = temperature_at(accel, samples.t)
+        reference = reference_c
+        if warm is not None:
+            reference = float(warm.mean()) if reference is None else reference
+            warm = np.asarray(warm - reference)
+        span = (float(samples.t[0]), float(samples.t[-1]))
+        switches = np.array([[e.t, float(e.on)] for e in plugs]) if plugs else None
+        return Moments(
+            samples.t,
+            np.zeros(len(samples)),
+            History(span, self.activity, switches, reference),
+            interpolate(samples.t, accel.t, accel.xyz),
+            interpolate(samples.t, gyro.t, gyro.xyz) if gyro else None,
+            warm,
+            states[np.searchsorted([e.t for e in plugs], samples.t, side="right")] if plugs else None,
+        )
 
 
 def _scale(unbiased: Array, one: Discrepancy) -> Array:

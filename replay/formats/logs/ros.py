@@ -122,7 +122,7 @@ class _Rosbag:
 
     def _reader(self) -> Any:
         from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415 - only where a bag is read
-        from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
+        from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415 - the same
 
         return (Reader1 if self._one else Reader2)(self._path)
 
