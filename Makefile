@@ -32,7 +32,7 @@ faults: $(READY)
 
 # Ten minutes for each parser; FUZZ=--seconds=60 for less.
 fuzz: $(READY)
-	$(BIN)/python -m stillcal.replay.trials.fuzz $(FUZZ)
+	$(BIN)/python -m tests.fuzz $(FUZZ)
 
 week: $(READY)
 	$(BIN)/python -m stillcal.replay.trials.week

@@ -53,10 +53,11 @@ class Android(Target):
             raise UserError("not JSON") from error
         if not isinstance(value, dict):
             raise UserError("expected a JSON object with accelerometer or gyroscope")
-        parts = {n: _part(value[n], n) for n in ("accelerometer", "gyroscope") if n in value}
-        if not parts:
-            raise UserError("holds neither accelerometer nor gyroscope")
-        return ImuParameters(accelerometer=parts.get("accelerometer"), gyroscope=parts.get("gyroscope"))
+        accelerometer, gyroscope = (_part(value.get(n), n) for n in ("accelerometer", "gyroscope"))
+        if accelerometer is None and gyroscope is None:
+            what = f"additional_info of type {VEC3_CALIBRATION} (TYPE_VEC3_CALIBRATION)"
+            raise UserError(f"neither accelerometer nor gyroscope has {what}")
+        return ImuParameters(accelerometer=accelerometer, gyroscope=gyroscope)
 
 
 def _frames(part: SensorPart, delay: float | None) -> dict[str, Any]:
@@ -77,7 +78,8 @@ def _frame(kind: int, values: list[float]) -> dict[str, Any]:
     return {"type": kind, "name": NAMES[kind], "floatValues": values}
 
 
-def _part(value: Any, name: str) -> SensorPart:
+def _part(value: Any, name: str) -> SensorPart | None:
+    """Return a sensor's correction, None where it has none: a sensor may be listed for its delay alone."""
     frames = value.get("additional_info") if isinstance(value, dict) else None
     for frame in frames if isinstance(frames, list) else []:
         if isinstance(frame, dict) and frame.get("type") == VEC3_CALIBRATION:
@@ -86,4 +88,4 @@ def _part(value: Any, name: str) -> SensorPart:
             if abs(np.linalg.det(scale)) < 1e-6:
                 raise UserError(f"{name}: floatValues have no inverse")
             return SensorPart(scale=scale, bias=np.asarray(-np.linalg.solve(scale, rows[:, 3]), np.float64))
-    raise UserError(f"{name}: no additional_info of type {VEC3_CALIBRATION} (TYPE_VEC3_CALIBRATION)")
+    return None

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.commands.convert import convert_command
 from stillcal.replay.formats.trace import Claims, Recording, TraceWriter, open_trace, read_all
-from tests.replay.formats.test_recognition import rows
+from tests.support.log_files import rows
 
 
 def recording(*, shared: bool = True) -> Recording:

@@ -7,24 +7,31 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
-import scipy.io
 from mcap.writer import Writer as McapWriter
 from pyarrow import parquet
-from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from stillcal.replay.formats.logs import extras
 from stillcal.replay.formats.trace import Recording, TraceError, open_trace, read_all
-from tests.replay.formats.test_recognition import rows
-
-IMU = "sensor_msgs/msg/Imu"
-DATA = rows(600)
+from tests.support.log_files import (
+    DATA,
+    IMU,
+    axivity,
+    dataflash,
+    dataflash_file,
+    hdf5,
+    imu_message,
+    mat,
+    npz,
+    parquet_file,
+    ros1_bag,
+    ros2_bag,
+    ulog,
+)
 
 
 def assert_same(recording: Recording, tolerance: float = 1e-12, start: float = 0.0) -> None:
@@ -32,50 +39,6 @@ def assert_same(recording: Recording, tolerance: float = 1e-12, start: float = 0
     np.testing.assert_allclose(recording.accelerometer.xyz, DATA[:, 1:4], rtol=tolerance, atol=tolerance)
     assert recording.gyroscope is not None
     np.testing.assert_allclose(recording.gyroscope.xyz, DATA[:, 4:], rtol=tolerance, atol=tolerance)
-
-
-def imu_message(store, row: np.ndarray, *, force: bool = True, rate: bool = True, stamped: bool = True):
-    """Return a sensor_msgs/Imu as the library defines it; without a quantity as Imu.msg says."""
-    types = store.types
-    vector = types["geometry_msgs/msg/Vector3"]
-    ns = round((1000 + row[0]) * 1e9) if stamped else 0
-    stamp = types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
-    more = {"seq": 0} if "seq" in types["std_msgs/msg/Header"].__dataclass_fields__ else {}
-    absent = np.array([-1.0] + [0.0] * 8)
-    return types[IMU](
-        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="imu_link", **more),
-        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-        orientation_covariance=absent,
-        angular_velocity=vector(*(row[4:] if rate else np.zeros(3)).tolist()),
-        angular_velocity_covariance=np.zeros(9) if rate else absent,
-        linear_acceleration=vector(*(row[1:4] if force else np.zeros(3)).tolist()),
-        linear_acceleration_covariance=np.zeros(9) if force else absent,
-    )
-
-
-def ros1_bag(folder: Path, **what: bool) -> Path:
-    store = get_typestore(Stores.ROS1_NOETIC)
-    path = folder / "walk.bag"
-    with Writer1(path) as writer:
-        topic = writer.add_connection("/imu/data", IMU, typestore=store)
-        for row in DATA:
-            message = store.serialize_ros1(imu_message(store, row, **what), IMU)
-            writer.write(topic, round((2000 + row[0]) * 1e9), message)
-    return path
-
-
-def ros2_bag(folder: Path, storage: StoragePlugin = StoragePlugin.SQLITE3, split: bool = False) -> Path:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    path = folder / "walk"
-    with Writer2(path, version=9, storage_plugin=storage) as writer:
-        names = ["/camera/accel/sample", "/camera/gyro/sample"] if split else ["/imu"]
-        topics = [writer.add_connection(name, IMU, typestore=store) for name in names]
-        for row in DATA:
-            for i, topic in enumerate(topics):
-                which = {"force": i == 0, "rate": i == 1} if split else {}
-                message = store.serialize_cdr(imu_message(store, row, **which), IMU)
-                writer.write(topic, round((1000 + row[0]) * 1e9) + 500, message)
-    return path
 
 
 def test_a_ros_1_bag(tmp_path: Path) -> None:
@@ -125,32 +88,6 @@ def test_an_mcap_file_of_any_profile_and_one_of_other_messages(tmp_path: Path) -
         read_all(write("b.mcap", "json"))
 
 
-def dataflash(imu: str = "IMU", instances: int = 2) -> bytes:
-    """Return a log as ArduPilot's libraries/AP_Logger/LogStructure.h lays it out."""
-
-    def fmt(kind: int, name: str, letters: str, columns: str) -> bytes:
-        length = 3 + struct.calcsize("<" + letters.translate(LETTERS))
-        texts = (name.encode(), letters.encode(), columns.encode())
-        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, length, *texts)
-
-    out = [fmt(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")]
-    out.append(fmt(64, "PARM", "QNff", "TimeUS,Name,Value,Default"))
-    out.append(fmt(130, imu, "QBffffffIIfBBHH", IMU_FIELDS))
-    for name, value in (("INS_ACCOFFS_X", 0.25), ("INS_TCAL1_ENABLE", 1.0)):
-        out.append(b"\xa3\x95\x40" + struct.pack("<Q16sff", 10, name.encode(), value, 0.0))
-    for row in DATA:
-        for instance in range(instances):
-            values = [*(row[4:] + instance), *row[1:4], 0, 0, 31.5, 1, 1, 1000, 1000]
-            out.append(
-                b"\xa3\x95\x82" + struct.pack("<QBffffffIIfBBHH", round(row[0] * 1e6), instance, *values)
-            )
-    return b"".join(out)
-
-
-IMU_FIELDS = "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"
-LETTERS = str.maketrans({"n": "4s", "N": "16s", "Z": "64s", "b": "b", "B": "B"})  # others are struct's own
-
-
 def test_a_dataflash_log_with_two_sensors_and_its_corrections(tmp_path: Path) -> None:
     path = tmp_path / "00000012.BIN"
     path.write_bytes(dataflash())
@@ -174,37 +111,6 @@ def test_damage_in_a_dataflash_log_is_skipped_and_said(tmp_path: Path) -> None:
     recording = read_all(path)
     assert 590 <= len(recording.accelerometer) < 600
     assert any("bytes are damaged and were skipped" in note for note in recording.notes)
-
-
-def arrays() -> dict[str, np.ndarray]:
-    return {"time": DATA[:, 0], "acc": DATA[:, 1:4], "gyr": DATA[:, 4:]}
-
-
-def npz(folder: Path) -> Path:
-    np.savez_compressed(folder / "walk.npz", **arrays())
-    return folder / "walk.npz"
-
-
-def mat(folder: Path) -> Path:
-    scipy.io.savemat(folder / "walk.mat", {"imu": arrays(), "fs": 100.0})
-    return folder / "walk.mat"
-
-
-def hdf5(folder: Path) -> Path:
-    with h5py.File(folder / "walk.h5", "w") as file:
-        for name, values in arrays().items():
-            file[f"left/{name}"] = values.T  # as MATLAB 7.3 stores them
-            file[f"right/{name}"] = values
-    return folder / "walk.h5"
-
-
-def parquet_file(folder: Path) -> Path:
-    names = ["time", "ax", "ay", "az", "gx", "gy", "gz"]
-    columns = {name: DATA[:, i] for i, name in enumerate(names)}
-    parquet.write_table(
-        pa.table({"label": ["w"] * len(DATA)} | columns), folder / "w.parquet", row_group_size=70
-    )
-    return folder / "w.parquet"
 
 
 MAKERS: list[Callable[[Path], Path]] = [npz, mat, hdf5, parquet_file]
@@ -231,11 +137,6 @@ def test_a_column_map_says_what_arrays_are(tmp_path: Path) -> None:
     (tmp_path / "odd.toml").write_text(text)
     recording = read_all(tmp_path / "odd.npz", tmp_path / "odd.toml")
     np.testing.assert_allclose(recording.accelerometer.xyz, DATA[:, 1:4])
-
-
-def dataflash_file(folder: Path) -> Path:
-    (folder / "log.bin").write_bytes(dataflash())
-    return folder / "log.bin"
 
 
 @pytest.mark.parametrize("make", [*MAKERS, ros1_bag, dataflash_file])
@@ -265,13 +166,10 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path: Path, monkeypatch: 
         read_all(path)
 
 
-def test_a_bag_in_g_is_noticed_by_the_size_of_gravity(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bag_in_g_is_noticed_by_the_size_of_gravity(tmp_path: Path) -> None:
     in_g = DATA.copy()
     in_g[:, 1:4] /= 9.80665
-    monkeypatch.setattr("tests.replay.formats.test_logs.DATA", in_g)
-    recording = read_all(ros1_bag(tmp_path))
+    recording = read_all(ros1_bag(tmp_path, in_g))
     np.testing.assert_allclose(recording.accelerometer.xyz, in_g[:, 1:4] * 9.80665)
     assert any("is in g, by the size of gravity" in note for note in recording.notes)
 
@@ -317,3 +215,27 @@ def test_a_ulog_in_which_the_library_would_search_for_ever_is_given_up(
     (tmp_path / "log.ulg").write_bytes(header + bytes(70_000) + struct.pack("<HB", 12_000, 1) + bytes(9))
     with pytest.raises(TraceError, match=r"the ULog is damaged .*no message is found any more"):
         read_all(tmp_path / "log.ulg")
+
+
+def written(name: str, make: Callable[[], bytes]) -> Callable[[Path], Path]:
+    def path(folder: Path) -> Path:
+        (folder / name).write_bytes(make())
+        return folder / name
+
+    return path
+
+
+def test_a_ulog_is_read_with_the_parameters_that_px4_corrects_by(tmp_path: Path) -> None:
+    recording = read_all(written("log.ulg", ulog)(tmp_path))
+    assert_same(recording, 1e-6)
+    assert recording.accelerometer.temperature is not None
+    assert recording.accelerometer.temperature[0] == 31.5
+
+
+def test_an_axivity_recording_of_both_sensors(tmp_path: Path) -> None:
+    recording = read_all(written("log.cwa", axivity)(tmp_path))
+    assert recording.gyroscope is not None
+    start = recording.accelerometer.t[0]
+    np.testing.assert_allclose(recording.accelerometer.t - start, DATA[:, 0], atol=1e-4)
+    np.testing.assert_allclose(recording.accelerometer.xyz, DATA[:, 1:4], atol=0.51 * 9.80665 / 2048)
+    np.testing.assert_allclose(recording.gyroscope.xyz, DATA[:, 4:], atol=np.deg2rad(0.51 * 500 / 32768))

@@ -19,69 +19,17 @@ import stillcal
 from stillcal.replay.formats import sources
 from stillcal.replay.formats.recognition.opened import is_rest_table
 from stillcal.replay.formats.trace import TraceError, open_trace, read_all
+from tests.support.log_files import (
+    as_folder,
+    as_zip,
+    gnss_logger,
+    phyphox_files,
+    rows,
+    sensor_logger_files,
+    text,
+)
 
 DEGREES = 180 / np.pi
-RNG = np.random.default_rng(3)
-
-
-def rows(n: int = 400, rate: float = 100.0) -> np.ndarray:
-    """Return t, force and rate of a phone that is turned about its x axis, (n, 7) SI."""
-    t = np.arange(n) / rate
-    angle = 1.2 * np.sin(2 * np.pi * 0.3 * t)
-    omega = 1.2 * 2 * np.pi * 0.3 * np.cos(2 * np.pi * 0.3 * t)
-    force = 9.81 * np.column_stack([np.zeros(n), np.sin(angle), np.cos(angle)])
-    rate_xyz = np.column_stack([omega, np.zeros(n), np.zeros(n)])
-    return np.column_stack([t, force + RNG.normal(0, 0.02, (n, 3)), rate_xyz + RNG.normal(0, 1e-3, (n, 3))])
-
-
-def text(header: str, table: np.ndarray, mark: str = ",") -> str:
-    return "\n".join([header, *(mark.join(map(repr, row)) for row in table.tolist())]) + "\n"
-
-
-def sensor_logger_files(bias: tuple[float, float, float] = (0.01, -0.02, 0.03)) -> dict[str, str]:
-    data = rows()
-    ns = np.round(1.7e18 + data[:, :1] * 1e9)
-    files = {}
-    for name, xyz in (
-        ("TotalAcceleration", data[:, 1:4]),
-        ("AccelerometerUncalibrated", data[:, 1:4] + 0.1),
-        ("Gyroscope", data[:, 4:]),
-        ("GyroscopeUncalibrated", data[:, 4:] + bias),
-        ("Accelerometer", data[:, 1:4] * 0.01),
-    ):
-        table = np.column_stack([ns, data[:, 0], xyz[:, ::-1]])
-        files[f"{name}.csv"] = text("time,seconds_elapsed,z,y,x", table)
-    files["Metadata.csv"] = "version,device name\n3,phone\n"
-    return files
-
-
-def phyphox_files() -> dict[str, str]:
-    data = rows()
-    acceleration = ",".join(["Time (s)", *(f"Acceleration {a} (m/s^2)" for a in "xyz")])
-    gyroscope = ",".join(["Time (s)", *(f"Gyroscope {a} (rad/s)" for a in "xyz")])
-    device = '"property","value"\n"deviceModel","Pixel 9a"\n"accelerometer Range","78.4532"\n'
-    return {
-        "Accelerometer.csv": text(acceleration, data[:, :4]),
-        "Gyroscope.csv": text(gyroscope, data[:, [0, 4, 5, 6]]),
-        "meta/device.csv": device + '"accelerometer Resolution","0.0011901855"\n"gyroscope Range","null"\n',
-        "meta/time.csv": '"event","experiment time"\n"START",0.0\n',
-    }
-
-
-def as_folder(folder: Path, files: dict[str, str]) -> Path:
-    for name, content in files.items():
-        path = folder / "export" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(content)
-    return folder / "export"
-
-
-def as_zip(folder: Path, files: dict[str, str]) -> Path:
-    with zipfile.ZipFile(folder / "export.zip", "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in files.items():
-            archive.writestr(f"2026-03-01 walk/{name}", content)
-        archive.writestr("__MACOSX/._Accelerometer.csv", b"\0\0")
-    return folder / "export.zip"
 
 
 @pytest.mark.parametrize("pack", [as_folder, as_zip])
@@ -275,18 +223,6 @@ def test_the_gyroscopes_file_of_a_pair_names_the_other(tmp_path: Path) -> None:
     with pytest.raises(TraceError, match=r"gyroscope's file of a pair; give Phones_accelerometer.csv"):
         read_all(tmp_path / "Phones_gyroscope.csv")
     assert read_all(tmp_path / "Phones_accelerometer.csv").gyroscope is not None
-
-
-def gnss_logger(folder: Path) -> Path:
-    header = "utcTimeMillis,elapsedRealtimeNanos,UncalAccelXMps2,UncalAccelYMps2,UncalAccelZMps2,BiasXMps2"
-    lines = ["# ", "# Header Description:", f"# UncalAccel,{header}", "Raw,1,2,3", "Fix,GPS,52.2"]
-    for row in rows().tolist():
-        stamp = f"1700000000000,{round(row[0] * 1e9)}"
-        lines.append(f"UncalAccel,{stamp},{row[1]},{row[2]},{row[3]},0.1,0.2,0.3")
-        lines.append(f"UncalGyro,{stamp},{row[4]},{row[5]},{row[6]},0.01,-0.02,0.03")
-        lines.append(f"Accel,{stamp},{row[1]},{row[2]},{row[3]}")
-    (folder / "gnss_log.txt").write_text("\n".join(lines) + "\nUncalAccel,17000")
-    return folder / "gnss_log.txt"
 
 
 def test_a_gnss_logger_file_is_read_with_the_phones_own_bias(tmp_path: Path) -> None:

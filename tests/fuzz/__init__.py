@@ -1,0 +1,1 @@
+"""Parsers tried with bytes that nobody meant: `make fuzz`."""
