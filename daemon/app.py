@@ -11,10 +11,11 @@ import contextlib
 import copy
 import os
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Publish, Reject
@@ -22,6 +23,7 @@ from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.daemon.app_launch import LaunchOptions, needs_restart, serial_settings
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
+from stillcal.daemon.service.live_stream import Live, LiveStream
 from stillcal.daemon.service.phone_session import PhoneSession, Recorded
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.service.storage import Storage, with_provenance
@@ -42,6 +44,8 @@ from stillcal.daemon.system.log import say
 from stillcal.daemon.system.systemd import Notifier
 from stillcal.daemon.varlink.address import socket_path
 from stillcal.daemon.varlink.server import serving
+
+T = TypeVar("T")
 
 SAVE_EVERY_S = 10.0
 """Least time between two writes of the state for new rests, s: so much a crash can lose."""
@@ -85,6 +89,7 @@ class Service:
         self.saved = SavedState(EngineState())
         self.subscribers = CalibrationSubscribers()
         self.recorders = Subscribers[Recorded]()
+        self.live = LiveStream()
         self._keeping_on = 0
         self._started_at = self._clock()
         self._stop = asyncio.Event()
@@ -368,17 +373,27 @@ class Service:
             rate_hz,
             self.act,
             recorders=self.recorders,
+            live=self.live,
             keep_on=lambda: self._keeping_on > 0,
             clock=self._clock,
         )
 
-    @contextlib.contextmanager
-    def recording(self, sparing: bool) -> Iterator[Subscriber[Recorded]]:
-        """Subscribe to samples and events while the block lasts.
+    def recording(self, sparing: bool) -> AbstractContextManager[Subscriber[Recorded]]:
+        """Subscribe to raw samples and events while the block lasts.
 
         sparing: leave the sensors to the engine; otherwise they stay on meanwhile.
         """
-        subscriber, unsubscribe = self.recorders.subscribe()
+        return self._subscribed(self.recorders.subscribe(), sparing)
+
+    def streaming(self, sparing: bool, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
+        """Subscribe to corrected samples, which may gather for `patience_s`; sparing: as in `recording`."""
+        return self._subscribed(self.live.subscribe(patience_s), sparing)
+
+    @contextlib.contextmanager
+    def _subscribed(
+        self, subscription: tuple[Subscriber[T], Callable[[], None]], sparing: bool
+    ) -> Iterator[Subscriber[T]]:
+        subscriber, unsubscribe = subscription
         self._keeping_on += not sparing
         self.session.send_commands()
         try:

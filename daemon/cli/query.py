@@ -26,7 +26,7 @@ from stillcal.daemon.varlink.address import NAME, answering_path
 TIMEOUT_S = 10.0
 """Longest wait for an answer, s: most take milliseconds, a full calibration takes seconds."""
 
-STREAMS = ("Monitor", "Record")
+STREAMS = ("Monitor", "Record", "Stream")
 """Methods that answer until they are interrupted."""
 
 
@@ -56,8 +56,8 @@ def query_command(method: str, parameters: str, path: str, as_json: bool) -> Non
     """Ask a running daemon.
 
     METHOD is GetCalibration (the default), GetStatus, GetStillness, GetHistory, GetEnergy,
-    Correct, Monitor and Record (until interrupted), Calibrate, ZeroNow, Rollback or Reload; or any method by
-    its full name. PARAMETERS is a JSON object. Exit codes: 1 refused by the daemon, 2 bad input,
+    Correct, Monitor, Stream and Record (until interrupted), Calibrate, ZeroNow, Rollback or Reload; or any
+    method by its full name. PARAMETERS is a JSON object. Exit codes: 1 refused by the daemon, 2 bad input,
     3 no calibration yet, 4 no daemon.
     """
     where = answering_path(path)

@@ -22,6 +22,7 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.duty_commands import DutyCommands, credit
 from stillcal.daemon.service.engine_thread import EngineThread
+from stillcal.daemon.service.live_stream import LiveStream
 from stillcal.daemon.service.phone_clock import Timed
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.service.subscribers import Subscribers
@@ -54,7 +55,8 @@ class PhoneSession:
     """The session on one source.
 
     saved: what outlives the daemon. act: takes the engine's actions. recorders: are given all samples and
-    events. keep_on: whether somebody else than the engine wants the sensors on.
+    events. live: is given all samples, and corrects them for who listens. keep_on: whether somebody else than
+    the engine wants the sensors on.
     """
 
     def __init__(
@@ -66,12 +68,15 @@ class PhoneSession:
         act: Callable[[list[Action]], None],
         *,
         recorders: Subscribers[Recorded] | None = None,
+        live: LiveStream | None = None,
         keep_on: Callable[[], bool] = lambda: False,
         clock: Clock = host_time,
         cpu_time: Clock = time.process_time,
     ) -> None:
         self.source = source
         self._recorders, self._keep_on = Subscribers[Recorded]() if recorders is None else recorders, keep_on
+        self._live = LiveStream() if live is None else live
+        self._fresh: list[Samples] = []
         self.rate_hz = rate_hz
         self._engine_thread, self._saved, self._act = engine_thread, saved, act
         self._clock, self._cpu_time = clock, cpu_time
@@ -88,10 +93,11 @@ class PhoneSession:
         while (records := await self._receive()) is not None:
             for record in join_blocks(records):
                 await self._on_record(record)
+            self._send_live()
             if self._must_feed_now(records):
                 await self._feed_engine()
             if records and not self._in_step:
-                await self.source.let_gather(BATCH_S)
+                await self.source.let_gather(min(BATCH_S, self._live.patience_s))
 
     def _must_feed_now(self, records: list[Record]) -> bool:
         """Return whether these records must reach the engine now, rather than gather."""
@@ -178,9 +184,18 @@ class PhoneSession:
         if isinstance(item, Samples):
             self._saved.energy.samples(float(item.t[-1]), len(item))
             item = self._with_temperature(item)
+            self._fresh.append(item)
         if item is not None:
             self._items.append(item)
             self._recorders.notify(item)
+
+    def _send_live(self) -> None:
+        fresh, self._fresh = self._fresh, []
+        self._live.take(fresh, self._engine_thread.view.record, self._clock())
+
+    def _interrupt_live(self, reason: str) -> None:
+        self._send_live()
+        self._live.interrupt(reason)
 
     def _with_temperature(self, samples: Samples) -> Samples:
         """Add the thermometer's last reading to samples without a temperature."""
@@ -201,6 +216,7 @@ class PhoneSession:
         self._commands.forget()
         if self._saved.clock.meet(hello.session):
             self._saved.energy.told = None
+            self._interrupt_live("the phone restarted")
             say(
                 "warning",
                 "restarted",
@@ -246,6 +262,7 @@ class PhoneSession:
                 attempts=record.attempts,
             )
         elif record.device:
+            self._interrupt_live(f"the phone was lost: {record.reason}")
             say("warning", "disconnected", record.reason, device=record.device)
         else:
             say("info", "waiting", f"no phone: {record.reason}")

@@ -37,7 +37,8 @@ MAX_RATE_HZ = 50.0
 """Sampling rate unless [source] rate_hz sets one: each axis costs a system call and a bus transfer."""
 
 BATCH_S = 0.1
-"""How long samples gather before they are handed on, s."""
+"""How long samples gather before they are handed on, s, unless somebody listens who wants them sooner."""
+
 STATUS_S = 10.0
 """Time between two readings of the thermometer and two status records, s."""
 
@@ -50,7 +51,7 @@ class IioSource(Source):
     def __init__(self, settings: SerialSettings, clock: Clock = host_time) -> None:
         super().__init__(settings)
         self._clock = clock
-        self._rate_hz = 0.0
+        self._rate_hz, self._batch_s = 0.0, BATCH_S
         self._counters = WireCounters()
         self._sensors: Sensors | None = None
         self._gathered: dict[Sensor, tuple[list[float], list[Array]]] = {}
@@ -89,6 +90,11 @@ class IioSource(Source):
         elif isinstance(command, Identify):
             self._greet(self._sensors)
         return True
+
+    async def let_gather(self, seconds: float) -> None:
+        """Let records gather for this long, s; samples are handed on as often."""
+        self._batch_s = min(seconds, BATCH_S)
+        await super().let_gather(seconds)
 
     # Finding and losing the sensors
 
@@ -163,7 +169,7 @@ class IioSource(Source):
             return
         self._failures = 0
         self._on_time, self._last = self._on_time + begin - self._last, begin
-        if begin - self._oldest(begin) >= BATCH_S:
+        if begin - self._oldest(begin) >= self._batch_s:
             self._flush()
         step = 1.0 / self._hz(sensors)
         now = loop.time()

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextvars import ContextVar
 from typing import Protocol
 
+import msgspec
 import numpy as np
 from asyncvarlink import (
     LastResult,
@@ -27,7 +28,10 @@ from stillcal.calib_core.streams.smoothing import RollingMean
 from stillcal.daemon.varlink import types as api
 from stillcal.daemon.varlink import views
 from stillcal.daemon.varlink.address import NAME as INTERFACE
-from stillcal.daemon.varlink.rows import Rows
+from stillcal.daemon.varlink.rows import Encoded, Rows
+
+DEFAULT_BATCH_S = 0.02
+"""How long the samples of Stream gather unless the caller says otherwise, s."""
 
 MAX_ENTRIES = 400
 """Most entries of one answer: more than the history or the energy ledger usually hold."""
@@ -188,6 +192,27 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
             raise TooSlow()
         raise LastResult(api.Block())
 
+    @varlinkmethod(return_parameter="block", return_type=api.StreamBlock, delay_generator=False)
+    async def Stream(
+        self, *, batch_s: float = DEFAULT_BATCH_S, sparing: bool = False
+    ) -> AsyncIterator[msgspec.Raw]:
+        """Send corrected samples as they come. Call it with `more`.
+
+        batch_s: how long samples may gather before they are sent, 0..1 s; 0 sends each as soon as it is read.
+        Another caller's wish may bring them sooner. The phone's sensors stay on meanwhile, unless `sparing`.
+        A caller that does not read is dropped (TooSlow).
+        """
+        if not 0.0 <= batch_s <= 1.0:
+            raise InvalidParameter(parameter="batch_s")
+        with self._daemon.streaming(sparing, batch_s) as subscriber:
+            CALLER.get().on_disconnect(subscriber)
+            yield views.stream_begun()
+            while (item := await subscriber.queue.get()) is not None:
+                yield views.stream_block(item)
+        if subscriber.overflowed:
+            raise TooSlow()
+        raise LastResult(views.stream_ended())
+
     @varlinkmethod(return_parameter="calibration")
     async def Rollback(self, *, to: str = "") -> api.Calibration:
         """Make an earlier calibration current: the previous one, or the one whose id begins with `to`.
@@ -229,7 +254,10 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
 
 def _with_quick_tables() -> None:
-    """Have the tables of Correct checked and converted at once (rows.py); the description stays as it is."""
+    """Have the tables of Correct and Stream converted at once (rows.py); the description stays as it is."""
+    stream = varlinksignature(CalibrationInterface.Stream)
+    assert stream is not None
+    stream.return_type = ObjectVarlinkType({"block": Encoded(api.StreamBlock)})
     signature = varlinksignature(CalibrationInterface.Correct)
     assert signature is not None
     optional_number = VarlinkType.from_type_annotation(float).optional()

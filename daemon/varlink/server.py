@@ -27,8 +27,8 @@ from stillcal.daemon.varlink.views import Daemon
 TURN_S = 0.01
 """How long clients are answered before the event loop serves everything else, s."""
 
-CLOSING_S = 0.02
-"""How long subscribers have to read the last notification when the daemon stops, s."""
+CLOSING_S = 0.2
+"""Longest wait, when the daemon stops, for the last message of each subscription to be sent, s."""
 
 LISTEN_BACKLOG = 1024
 """Clients that the kernel queues before they are accepted (listen(2))."""
@@ -105,9 +105,13 @@ class Server:
 
     async def close(self) -> None:
         """End all subscriptions and disconnect all clients."""
-        for client in list(self._clients):
+        ending = [client for client in self._clients if client.listening]
+        for client in ending:
             client.end_subscription()
-        await asyncio.sleep(CLOSING_S)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSING_S):
+                while any(client.answering for client in ending):
+                    await asyncio.sleep(0.001)
         for client in list(self._clients):
             client.hang_up()
 

@@ -235,3 +235,20 @@ class Block:
     t_s: float | None = None
     charging: bool | None = None
     location: list[float] | None = None
+
+
+@dataclass(frozen=True)
+class StreamBlock:
+    """A piece of the live stream: corrected samples of one sensor, or a notice.
+
+    notice: "begun" first of all; later, why samples before and after do not belong together (the phone was
+    lost, or restarted). calibrated: whether the samples are corrected; without a calibration of their sensor
+    they are raw. samples: rows [t, x, y, z], t in s of GetStatus's time_s, m/s^2 or rad/s, axes as
+    on Android. host_s: CLOCK_BOOTTIME of this computer when they were read, s.
+    """
+
+    notice: str | None = None
+    sensor: SensorName | None = None
+    calibrated: bool | None = None
+    host_s: float | None = None
+    samples: list[list[float]] | None = None

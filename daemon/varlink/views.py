@@ -22,9 +22,10 @@ from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service.energy_ledger import Day
 from stillcal.daemon.service.engine_thread import View
+from stillcal.daemon.service.live_stream import Interruption, Live
 from stillcal.daemon.service.phone_session import Recorded
 from stillcal.daemon.service.saved_state import SavedState
-from stillcal.daemon.service.subscribers import CalibrationSubscribers, Notification, Subscriber
+from stillcal.daemon.service.subscribers import BACKLOG, CalibrationSubscribers, Notification, Subscriber
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument
 from stillcal.daemon.varlink import types as api
@@ -69,6 +70,9 @@ class Daemon(Protocol):
 
     def recording(self, sparing: bool) -> AbstractContextManager[Subscriber[Recorded]]:
         """Subscribe to samples and events while the block lasts."""
+
+    def streaming(self, sparing: bool, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
+        """Subscribe to corrected samples while the block lasts."""
 
     @property
     def uptime_s(self) -> float:
@@ -278,6 +282,35 @@ def first_block(daemon: Daemon) -> api.Block:
 
 def _claims_block(claims: Mapping[str, Any]) -> api.Block:
     return api.Block(claims=msgspec.json.encode(claims).decode())
+
+
+@functools.lru_cache(maxsize=BACKLOG)
+def stream_block(item: Live) -> msgspec.Raw:
+    """Return a piece of the live stream as JSON of a StreamBlock, made once for all clients."""
+    if isinstance(item, Interruption):
+        return _notice(item.reason)
+    samples = item.samples
+    content = {
+        "sensor": samples.sensor.value,
+        "calibrated": item.calibrated,
+        "host_s": item.host_s,
+        "samples": np.column_stack((samples.t, samples.xyz)).tolist(),
+    }
+    return msgspec.Raw(msgspec.json.encode(content))
+
+
+def stream_begun() -> msgspec.Raw:
+    """Return the first piece of a live stream."""
+    return _notice("begun")
+
+
+def stream_ended() -> msgspec.Raw:
+    """Return the last piece of a live stream."""
+    return _notice("the daemon is stopping")
+
+
+def _notice(text: str) -> msgspec.Raw:
+    return msgspec.Raw(msgspec.json.encode({"notice": text}))
 
 
 def standing(daemon: Daemon) -> api.Event:

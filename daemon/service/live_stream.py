@@ -1,0 +1,108 @@
+"""Corrected samples as they come: each block is corrected once, for all who listen.
+
+Nothing is computed while nobody listens. A listener says how long samples may gather before it gets them, and
+the phone's line is read as often as the most impatient one wants.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
+from stillcal.calib_core.calibration.terms import correct, interpolated
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.service.batching import join_blocks
+from stillcal.daemon.service.subscribers import Subscriber, Subscribers
+
+BLOCK_ROWS = 200
+"""Most samples of one block: it then takes some 20 kB as JSON, which any client can hold."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveBlock:
+    """Samples of one sensor. calibrated: whether they are corrected; raw ones are sent without a calibration.
+
+    host_s: CLOCK_BOOTTIME of this computer when they were read, s.
+    """
+
+    samples: Samples
+    calibrated: bool
+    host_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Interruption:
+    """Why samples before and after this do not belong together, such as a phone that was pulled out."""
+
+    reason: str
+
+
+Live = LiveBlock | Interruption
+
+
+class LiveStream:
+    """All listeners to corrected samples."""
+
+    def __init__(self) -> None:
+        self._listeners = Subscribers[Live]()
+        self._patience: dict[Subscriber[Live], float] = {}
+        self._force: Samples | None = None
+
+    def __len__(self) -> int:
+        return len(self._listeners)
+
+    @property
+    def patience_s(self) -> float:
+        """How long samples may gather before they are sent, s; inf while nobody listens."""
+        return min(self._patience.values(), default=math.inf)
+
+    def subscribe(self, patience_s: float) -> tuple[Subscriber[Live], Callable[[], None]]:
+        """Subscribe; the second value is a function that unsubscribes."""
+        listener, unsubscribe = self._listeners.subscribe()
+        self._patience[listener] = patience_s
+
+        def leave() -> None:
+            unsubscribe()
+            self._patience.pop(listener, None)
+
+        return listener, leave
+
+    def take(self, blocks: Sequence[Samples], record: CalibrationRecord | None, host_s: float) -> None:
+        """Correct the samples of one reading, the accelerometer's first, and send them on."""
+        if not len(self):
+            self._force = None
+            return
+        gyroscope_first = list(join_blocks(blocks))
+        for block in sorted(gyroscope_first, key=lambda block: block.sensor):
+            corrected = self._corrected(block, record)
+            for first in range(0, len(block), BLOCK_ROWS):
+                rows = (corrected or block)[first : first + BLOCK_ROWS]
+                self._listeners.notify(LiveBlock(rows, corrected is not None, host_s))
+        if self._force is not None:
+            self._force = self._force[-1:]
+
+    def interrupt(self, reason: str) -> None:
+        """Tell all listeners that the samples do not continue."""
+        self._force = None
+        self._listeners.notify(Interruption(reason))
+
+    def _corrected(self, block: Samples, record: CalibrationRecord | None) -> Samples | None:
+        """Return corrected samples; None without a calibration of their sensor."""
+        if record is None:
+            return None
+        try:
+            if block.sensor is Sensor.GYROSCOPE:
+                return correct(record, block, self._force_at(block.t))
+            force = correct(record, block)
+        except NotCalibratedError:
+            return None
+        bare = Samples(force.sensor, force.t, force.xyz)
+        self._force = bare if self._force is None else Samples.joined([self._force, bare])
+        return force
+
+    def _force_at(self, t: Array) -> Array | None:
+        """Return the newest corrected specific force at times t (n,), s; held where it has not come yet."""
+        return None if self._force is None else interpolated(self._force, t)
