@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PYTEST := $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist worksteal
 
-.PHONY: run test test-fast mutants check faults fuzz week evaluate bench clean
+.PHONY: run test test-fast mutants check faults fuzz week year evaluate bench clean
 
 run: $(READY)
 	$(BIN)/python -m stillcal.replay.trials.demo.tour
@@ -36,6 +36,9 @@ fuzz: $(READY)
 
 week: $(READY)
 	$(BIN)/python -m stillcal.replay.trials.week
+
+year: $(READY)
+	$(BIN)/python -m stillcal.replay.trials.year
 
 bench: $(READY)
 	$(BIN)/python -m pip install --quiet --editable '.[benchmarks]'

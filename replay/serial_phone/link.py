@@ -34,9 +34,6 @@ from stillcal.replay.serial_phone.stream import Chunk, PhoneStream
 READ_BYTES = 65_536
 """Bytes read from the terminal at a time, at most."""
 
-STRIDE_S = 10.0
-"""Most time, s of the phone's, that is in transit at once and lost by unplugging."""
-
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
@@ -44,7 +41,8 @@ class LinkSettings:
 
     speed: s of its time in a s of ours, inf for as fast as it is taken. credit: whether it waits for
     grants; a phone faster than time should. step_s: how much of its time a paced phone sends at once.
-    repeat_s: after how long, in s of ours, a waiting phone says again where it stands.
+    repeat_s: after how long, in s of ours, a waiting phone says again where it stands. stride_s: most of its
+    time that is in transit at once, and lost by unplugging.
     """
 
     wire: WireSettings = field(default_factory=WireSettings)
@@ -52,9 +50,10 @@ class LinkSettings:
     credit: bool = True
     step_s: float = 0.1
     repeat_s: float = 1.0
+    stride_s: float = 10.0
 
     def __post_init__(self) -> None:
-        for name in ("speed", "step_s", "repeat_s"):
+        for name in ("speed", "step_s", "repeat_s", "stride_s"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be positive")
 
@@ -120,21 +119,25 @@ class PhoneLink:
                 await self._answer()
             elif self.stream.waiting:
                 await self._patience()
-            elif (limit := self._limit()) < (due := self.stream.t + min(self.settings.step_s, STRIDE_S)):
+            elif (limit := self._limit()) < (due := self.stream.t + self._step_s):
                 await self._nap(due)
             else:
                 await self._say(self.stream.advance(limit))
 
     # Time
 
+    @property
+    def _step_s(self) -> float:
+        return min(self.settings.step_s, self.settings.stride_s)
+
     def _limit(self) -> float:
         """Return how far the stream may come now, s."""
         t, speed = self.stream.t, self.settings.speed
         if math.isinf(speed):
-            return t + STRIDE_S
+            return t + self.settings.stride_s
         now = asyncio.get_running_loop().time()
         began, t_began = self._began = self._began or (now, t)
-        return min(t_began + speed * (now - began), t + STRIDE_S)
+        return min(t_began + speed * (now - began), t + self.settings.stride_s)
 
     async def _nap(self, until: float) -> None:
         """Wait until the stream's time is due to reach `until`, s, or for a command."""

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import click
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 from hypothesis import strategies as st
 
 from tests.fuzz import files, protocols, recordings
@@ -42,32 +42,32 @@ class TooMuchError(BaseException):
 
 def inputs(seeds: list[bytes]) -> st.SearchStrategy[bytes]:
     """Return a strategy for changed seeds: pieces of them joined by anything, and anything alone."""
-    anything = st.binary(max_size=40)
-
-    def piece(data: bytes) -> st.SearchStrategy[bytes]:
-        ends = st.tuples(st.integers(0, len(data)), st.integers(0, len(data)))
-        return ends.map(lambda at: data[min(at) : max(at)])
-
-    pieces = st.one_of([st.just(data) for data in seeds] + [piece(data) for data in seeds])
-    change = st.tuples(st.integers(0, 1 << 20), st.binary(min_size=1, max_size=8) | st.sampled_from(_ENDS))
-    changed = st.tuples(st.sampled_from(seeds), st.lists(change, min_size=1, max_size=6)).map(_changed)
-    return st.one_of(
-        st.binary(max_size=MOST_BYTES),
-        st.lists(pieces | anything, max_size=5).map(b"".join),
-        changed,
-        changed,
+    which = st.integers(0, len(seeds) - 1)
+    piece = st.tuples(which, st.integers(0, _PLACES), st.integers(0, _PLACES)).map(
+        lambda cut: _piece(seeds[cut[0]], *sorted(cut[1:]))
     )
+    change = st.tuples(st.integers(0, _PLACES), st.binary(min_size=1, max_size=8) | st.sampled_from(_ENDS))
+    changed = st.tuples(which, st.lists(change, min_size=1, max_size=6)).map(
+        lambda change: _changed(seeds[change[0]], change[1])
+    )
+    spliced = st.lists(piece | which.map(lambda i: seeds[i]) | st.binary(max_size=40), max_size=5)
+    return st.one_of(st.binary(max_size=MOST_BYTES), spliced.map(b"".join), changed, changed)
 
 
+_PLACES = 1 << 20
 _ENDS = [bytes(4), bytes(8), b"\xff" * 4, b"\xff" * 8, b"\xff\xff\xff\x7f", b"\0\0\xc0\x7f"]
 _ENDS += [b"1e308", b"-1,", b"nan", b"99999999999999999999"]
 """Ends of ranges, as binary and as text."""
 
 
-def _changed(change: tuple[bytes, list[tuple[int, bytes]]]) -> bytes:
+def _piece(data: bytes, first: int, last: int) -> bytes:
+    """Return a stretch of a seed. first, last: shares of its length, in _PLACES."""
+    return data[first * len(data) // _PLACES : last * len(data) // _PLACES]
+
+
+def _changed(data: bytes, changes: list[tuple[int, bytes]]) -> bytes:
     """Write some bytes over a seed at places within it."""
-    data, overs = change
-    for place, over in overs:
+    for place, over in changes:
         at = place % (len(data) + 1)
         data = data[:at] + over + data[at + len(over) :]
     return data
@@ -114,6 +114,7 @@ def fuzzed(
             phases=[Phase.generate, Phase.shrink],
             deadline=None,
             database=None,
+            verbosity=Verbosity.quiet,
             suppress_health_check=list(HealthCheck),
         )
         @given(strategy)

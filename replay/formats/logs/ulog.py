@@ -69,7 +69,11 @@ def open_ulog(source: Source) -> Log:
         raise TraceError(source.path, what, "copy it from the vehicle again") from None
     topics = {(d.name, d.multi_id): d.data for d in ulog.data_list}
     read = _Reader(source, stored.size, topics)
-    sensors = sorted(read.sensors(ulog.initial_parameters), key=lambda found: found[0] < _USABLE_HZ)
+    try:
+        sensors = sorted(read.sensors(ulog.initial_parameters), key=lambda found: found[0] < _USABLE_HZ)
+    except (LookupError, TypeError, ValueError) as error:
+        what = f"the ULog is damaged (the fields of a topic are not PX4's: {error})"
+        raise TraceError(source.path, what, "copy it from the vehicle again") from None
     if not sensors:
         what = f"none of {', '.join(_TOPICS)} was logged"
         raise TraceError(source.path, what, "log sensor_accel and sensor_gyro (SDLOG_PROFILE, raw sensors)")

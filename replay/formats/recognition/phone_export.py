@@ -64,7 +64,8 @@ def members_of_zip(archive: Source) -> dict[str, Source]:
     found = {}
     for info in opened.infolist():
         parts = PurePosixPath(info.filename).parts
-        if not info.is_dir() and not any(part.startswith((".", "__MACOSX")) for part in parts):
+        hidden = any(part.startswith((".", "__MACOSX")) for part in parts)
+        if info.filename and not info.is_dir() and not hidden:
             found[info.filename] = _member(archive, opened, info)
     return found
 

@@ -235,10 +235,10 @@ class TextTable:
 
 def text_head(source: Source) -> str:
     """Return the first characters of a text file. Raises TraceError where it is empty or no text."""
-    head = source.head()
-    if not head.strip():
+    text = _decoded(source.path, source.head())
+    if not text.strip():
         raise TraceError(source.path, "the file is empty", "give a recording with samples")
-    return _decoded(source.path, head)
+    return text
 
 
 def _decoded(path: Path, head: bytes) -> str:

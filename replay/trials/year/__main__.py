@@ -1,0 +1,198 @@
+"""A year of a phone before the daemon itself, as fast as it goes: `python -m stillcal.replay.trials.year`.
+
+`stillcal run` in a process of its own, on a pseudo-terminal, with a phone that waits for grants and leaves
+out what is not asked for. At every midnight of the phone's it notes memory, descriptors, threads, and bytes
+of state, store and log. Each day a client asks and one listens and leaves; each week the phone is pulled out
+and comes back as a new session; each month the settings are read again. What grows shows by the quarters: the
+largest of the last must not exceed the largest of the second by more than SLACK, or the exit code is 1.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.daemon.cli.query import replies
+from stillcal.daemon.service.saved_state import state_path
+from stillcal.daemon.varlink.address import NAME
+from stillcal.daemon.wire.messages import Hello
+from stillcal.replay.serial_phone.link import LinkSettings, PhoneLink
+from stillcal.replay.serial_phone.stream import PhoneStream
+from stillcal.replay.trials.faults.endure import RUN
+from stillcal.replay.trials.faults.target import question
+from stillcal.replay.trials.year.phone import YEAR_DAYS, YearPhone
+
+SLACK = 0.05
+"""Share by which a figure may be larger in the last quarter than in the second: it goes up and down."""
+
+WEEK, MONTH = 7, 30
+PATIENCE_S = 60.0
+
+MIDNIGHT = np.dtype(
+    [
+        (name, np.int64)
+        for name in ("day", "memory", "descriptors", "threads", "state", "store", "log", "files")
+    ]
+)
+"""How things stood at a midnight. memory, state, store: bytes; log: of the day; files: in the folder."""
+
+JUDGED = ("memory", "descriptors", "threads", "state", "store", "log", "files")
+
+
+@dataclass(frozen=True, slots=True)
+class Lived:
+    """What came of it. midnights: (n,) of MIDNIGHT. status: the daemon's last answer."""
+
+    midnights: NDArray[np.void]
+    status: Mapping[str, object]
+    exit_code: int
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """How a figure went. second, last: the largest of those quarters of the time."""
+
+    name: str
+    first_day: int
+    second: int
+    last: int
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is no larger at the end than after half the time."""
+        return self.last <= self.second * (1 + SLACK)
+
+
+def live(days: int, seed: int, rate_hz: float, folder: Path, told: Callable[[str], None]) -> Lived:
+    """Let the daemon live for so many days in an empty folder; told: is given a line for each week."""
+    return asyncio.run(_live(days, YearPhone(seed, rate_hz), rate_hz, folder, told))
+
+
+async def _live(
+    days: int, phone: YearPhone, rate_hz: float, folder: Path, told: Callable[[str], None]
+) -> Lived:
+    (folder / "stillcal.toml").write_text(f"[source]\nrate_hz = {rate_hz}\n")
+    names = {"config": "stillcal.toml", "port": "tty", "store": "store.json", "socket": "socket"}
+    options = [part for option, name in names.items() for part in (f"--{option}", str(folder / name))]
+    with (folder / "log").open("wb") as log:
+        daemon = subprocess.Popen([sys.executable, "-c", RUN, "run", *options], stderr=log)
+    rows: list[tuple[int, ...]] = []
+    loop = asyncio.get_running_loop()
+    link: PhoneLink
+
+    def midnight(day: int) -> None:
+        if daemon.poll() is not None:
+            raise RuntimeError(f"the daemon ended with exit code {daemon.returncode}")
+        _ask(folder / "socket")
+        rows.append(_looked(day, daemon.pid, folder, sum(row[6] for row in rows)))
+        if day % WEEK == 0:
+            told(_line(rows[-1]))
+            loop.call_soon(_come_back, link, day, folder / "tty")
+        if day % MONTH == 0:
+            daemon.send_signal(signal.SIGHUP)
+
+    try:
+        stream = PhoneStream(phone.chunks(days + 1, midnight))
+        hello = Hello(session=1, flow="credit", claims={"device": "year"})
+        settings = LinkSettings(credit=True, stride_s=600.0, repeat_s=0.2)
+        async with PhoneLink(stream, hello, settings) as link:
+            link.plug(folder / "tty")
+            await link.serve()
+        (answer,) = replies(folder / "socket", {"method": f"{NAME}.GetStatus"})
+    finally:
+        daemon.terminate()
+        code = await asyncio.to_thread(daemon.wait, PATIENCE_S)
+    return Lived(np.array(rows, MIDNIGHT), answer["parameters"]["status"], code)
+
+
+def _come_back(link: PhoneLink, session: int, path: Path) -> None:
+    """Pull the phone out, and plug it in as one that was started again."""
+    link.unplug()
+    link.hello = Hello(session=session, flow="credit", claims={"device": "year"})
+    link.plug(path)
+
+
+def _ask(path: Path) -> None:
+    """Ask for all there is as one client, listen as another, and leave both without a word."""
+    for method in ("GetStatus", "GetHistory", "GetEnergy"):
+        list(replies(path, {"method": f"{NAME}.{method}"}))
+    with socket.socket(socket.AF_UNIX) as line:
+        line.connect(str(path))
+        line.sendall(question("Monitor").replace(b"}", b', "more": true}', 1))
+
+
+def _looked(day: int, pid: int, folder: Path, logged: int) -> tuple[int, ...]:
+    status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+    store = folder / "store.json"
+    return (
+        day,
+        int(status["VmRSS"].split()[0]) * 1024,
+        len(list(Path(f"/proc/{pid}/fd").iterdir())),
+        int(status["Threads"]),
+        _size(state_path(store)),
+        _size(store),
+        _size(folder / "log") - logged,
+        len(list(folder.iterdir())),
+    )
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
+
+
+def _line(row: tuple[int, ...]) -> str:
+    day, memory, descriptors, threads, state, store, log, files = row
+    return (
+        f"{day:4} {memory / 2**20:8.2f} {descriptors:6} {threads:8} {state / 1024:10.1f}"
+        f" {store / 1024:10.1f} {log:8} {files:6}"
+    )
+
+
+def growth(midnights: NDArray[np.void]) -> list[Growth]:
+    """Return how each figure went. Raises ValueError for less than four days."""
+    n = len(midnights)
+    if n < 4:
+        raise ValueError(f"{n} days: four are needed, for quarters")
+    second, last = midnights[n // 4 : n // 2], midnights[n - n // 4 :]
+    return [
+        Growth(name, int(midnights[name][0]), int(second[name].max()), int(last[name].max()))
+        for name in JUDGED
+    ]
+
+
+@click.command()
+@click.option("--days", type=click.IntRange(4), default=YEAR_DAYS, show_default=True)
+@click.option("--seed", default=1, show_default=True)
+@click.option("--rate", default=25.0, show_default=True, help="Hz of both sensors.")
+@click.option(
+    "--keep", type=click.Path(path_type=Path), help="Folder for store, state and log; else thrown away."
+)
+def main(days: int, seed: int, rate: float, keep: Path | None) -> None:
+    """Let the daemon live for a year of a phone's time; exit code 1 where something grows."""
+    click.echo(" day  RSS MiB  files  threads  state KiB  store KiB  log B/d folder")
+    with tempfile.TemporaryDirectory(prefix="stillcal-") as scratch:
+        folder = Path(scratch) if keep is None else keep
+        folder.mkdir(parents=True, exist_ok=True)
+        lived = live(days, seed, rate, folder, click.echo)
+    found = growth(lived.midnights)
+    click.echo(f"\n{'':12} {'first day':>12} {'2nd quarter':>12} {'last quarter':>12}")
+    for g in found:
+        click.echo(f"{g.name:12} {g.first_day:12} {g.second:12} {g.last:12} {'flat' if g.flat else 'GROWS'}")
+    counters = lived.status.get("counters")
+    click.echo(f"exit code {lived.exit_code}; {counters}")
+    sys.exit(not all(g.flat for g in found) or lived.exit_code != 0)
+
+
+if __name__ == "__main__":
+    main()
