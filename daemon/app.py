@@ -21,7 +21,10 @@ from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Publish, Reject
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState
+from stillcal.calib_core.errors import TryAgainError
 from stillcal.daemon.app_launch import LaunchOptions, needs_restart, serial_settings
+from stillcal.daemon.publish.publishing import Publisher, publishing
+from stillcal.daemon.publish.targets import publishers
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
 from stillcal.daemon.service.live_stream import Live, LiveStream
 from stillcal.daemon.service.phone_session import PhoneSession, Recorded
@@ -40,6 +43,7 @@ from stillcal.daemon.store.document import StoreDocument
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system import log
 from stillcal.daemon.system.clock import Clock, host_time
+from stillcal.daemon.system.files import passing
 from stillcal.daemon.system.log import say
 from stillcal.daemon.system.systemd import Notifier
 from stillcal.daemon.varlink.address import socket_path
@@ -74,6 +78,15 @@ def _drawn_seed() -> int:
     return 1 + int.from_bytes(os.urandom(4), "little")
 
 
+def _open(publisher: Publisher) -> None:
+    """Open a publisher. Raises SettingsError, and TryAgainError after a passing fault."""
+    try:
+        publisher.open()
+    except OSError as error:
+        kind = TryAgainError if passing(error) else SettingsError
+        raise kind(f"--publish {publisher.name}: {error.strerror}") from error
+
+
 class Service:
     """The daemon. `open` first, then `run`."""
 
@@ -91,13 +104,17 @@ class Service:
         self.recorders = Subscribers[Recorded]()
         self.live = LiveStream()
         self._keeping_on = 0
+        self._publishers = list(publishers(settings.publish))
         self._started_at = self._clock()
         self._stop = asyncio.Event()
         self._unsaved = asyncio.Event()
         self._save_now = False
 
     def open(self) -> None:
-        """Lock the store and continue from the saved state. Raises StoreError and SettingsError."""
+        """Lock the store, continue from the saved state, open what is published to.
+
+        Raises StoreError, SettingsError and TryAgainError.
+        """
         self._refuse_shared_paths()
         loaded = self.storage.open()
         if loaded.note:
@@ -111,6 +128,8 @@ class Service:
         settings = self._engine_settings(self.settings)
         self.engine_thread = EngineThread(settings, engine, self.storage.document.current)
         rests = self.engine_thread.view.rests_held
+        for publisher in self._publishers:
+            _open(publisher)
         say("info", "opened", store=self.storage.path, rests=rests, calibration=self.current_id)
 
     def _refuse_shared_paths(self) -> None:
@@ -185,6 +204,7 @@ class Service:
                     self._saving(),
                     self._holding_the_store(),
                     self._sending_heartbeats(),
+                    *(publishing(publisher, self._for_publisher) for publisher in self._publishers),
                 )
             ]
             self._notifier.ready(self.describe())
@@ -388,6 +408,9 @@ class Service:
     def streaming(self, sparing: bool, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
         """Subscribe to corrected samples, which may gather for `patience_s`; sparing: as in `recording`."""
         return self._subscribed(self.live.subscribe(patience_s), sparing)
+
+    def _for_publisher(self, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
+        return self.streaming(sparing=False, patience_s=patience_s)
 
     @contextlib.contextmanager
     def _subscribed(

@@ -8,19 +8,26 @@ from pathlib import Path
 from socket import socket as Socket  # noqa: N812 - `socket` is a setting here
 from typing import Any, TypeVar
 
-from stillcal.daemon.settings import Settings, SettingsError, SocketSettings, SourceSettings, load_settings
+from stillcal.daemon.settings import (
+    PublishSettings,
+    Settings,
+    SettingsError,
+    SocketSettings,
+    SourceSettings,
+    load_settings,
+)
 from stillcal.daemon.sources.base import SerialSettings
 from stillcal.daemon.sources.sysfs import DEVICES
 from stillcal.daemon.store.store import StoreSettings
 
-Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings)
+Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings, PublishSettings)
 
 
 @dataclass(frozen=True, slots=True)
 class LaunchOptions:
     """The command line's options and systemd's sockets. config: the settings file, read again on SIGHUP.
 
-    port, store, socket: override the file where they are given. passed: sockets that systemd opened.
+    port, store, socket, publish: override the file where they are given. passed: sockets that systemd opened.
     """
 
     config: Path | None = None
@@ -28,15 +35,21 @@ class LaunchOptions:
     store: str | None = None
     socket: str | None = None
     passed: Sequence[Socket] = ()
+    publish: tuple[str, ...] = ()
 
     def settings(self) -> Settings:
         """Read the settings file and apply the options. Raises SettingsError."""
         from_file = load_settings(self.config)
+        try:
+            publish = _with(from_file.publish, to=self.publish or None)
+        except ValueError as error:
+            raise SettingsError(f"--publish: {error}") from None
         settings = replace(
             from_file,
             source=_with(from_file.source, port=self.port),
             store=_with(from_file.store, path=self.store),
             socket=_with(from_file.socket, path=self.socket),
+            publish=publish,
         )
         serial_settings(settings)
         return settings
@@ -64,5 +77,6 @@ def needs_restart(old: Settings, new: Settings) -> list[str]:
         "[store] path": (old.store.path, new.store.path),
         "[socket] path": (old.socket.path, new.socket.path),
         "[socket] mode": (old.socket.mode, new.socket.mode),
+        "[publish] to": (old.publish.to, new.publish.to),
     }
     return [name for name, (before, after) in changed.items() if before != after]

@@ -110,6 +110,23 @@ class SocketSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class PublishSettings:
+    """Where corrected samples go besides the socket.
+
+    to: "uinput" for an input device, and paths that end in .mcap.
+    """
+
+    to: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for target in self.to:
+            if target != "uinput" and not target.endswith(".mcap"):
+                raise ValueError(f'to = {target!r}: must be "uinput" or a path that ends in .mcap')
+        if len(set(self.to)) < len(self.to):
+            raise ValueError(f"to = {list(self.to)}: names a target twice")
+
+
+@dataclass(frozen=True, slots=True)
 class LogSettings:
     """The log. level: the least that is logged."""
 
@@ -124,6 +141,7 @@ class Settings:
     store: StoreSettings = field(default_factory=StoreSettings)
     source: SourceSettings = field(default_factory=SourceSettings)
     socket: SocketSettings = field(default_factory=SocketSettings)
+    publish: PublishSettings = field(default_factory=PublishSettings)
     log: LogSettings = field(default_factory=LogSettings)
 
 

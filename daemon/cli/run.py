@@ -24,13 +24,21 @@ from stillcal.daemon.system.systemd import Notifier, passed_sockets
         "stillcal run --port /dev/ttyACM0",
         "stillcal run --port '/dev/serial/by-id/usb-Arduino*' --store store.json",
         "stillcal run --config stillcal.toml",
+        "stillcal run --port /dev/ttyACM0 --publish live.mcap",
     ),
 )
 @config_option
 @click.option("--port", help="The phone's serial device or a pattern; overrides [source] port.")
 @click.option("--store", type=click.Path(path_type=Path), help="The store's file; overrides [store] path.")
 @click.option("--socket", help="The socket for queries; overrides [socket] path.")
-def run_command(config: Path | None, port: str | None, store: Path | None, socket: str | None) -> None:
+@click.option(
+    "--publish",
+    multiple=True,
+    help="Send corrected samples to FILE.mcap or to an input device (uinput); several times for several.",
+)
+def run_command(
+    config: Path | None, port: str | None, store: Path | None, socket: str | None, publish: tuple[str, ...]
+) -> None:
     """Run the daemon: read a phone's sensors, keep it calibrated and answer queries until SIGTERM.
 
     The phone is connected by a serial line. With kind = "iio" under [source], the daemon reads this machine's
@@ -41,7 +49,9 @@ def run_command(config: Path | None, port: str | None, store: Path | None, socke
     require("stillcal run", DAEMON)
     from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has
 
-    options = LaunchOptions(config, port, str(store) if store else None, socket, tuple(passed_sockets()))
+    options = LaunchOptions(
+        config, port, str(store) if store else None, socket, tuple(passed_sockets()), publish
+    )
     settings = options.settings()
     log.set_up(settings.log.level)
     memory.limit_arenas()

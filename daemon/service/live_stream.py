@@ -23,14 +23,19 @@ BLOCK_ROWS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveBlock:
-    """Samples of one sensor. calibrated: whether they are corrected; raw ones are sent without a calibration.
+    """Samples of one sensor. record: the calibration that they are corrected by; None where they are raw.
 
     host_s: CLOCK_BOOTTIME of this computer when they were read, s.
     """
 
     samples: Samples
-    calibrated: bool
+    record: CalibrationRecord | None
     host_s: float
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the samples are corrected."""
+        return self.record is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,9 +83,9 @@ class LiveStream:
         gyroscope_first = list(join_blocks(blocks))
         for block in sorted(gyroscope_first, key=lambda block: block.sensor):
             corrected = self._corrected(block, record)
-            for first in range(0, len(block), BLOCK_ROWS):
-                rows = (corrected or block)[first : first + BLOCK_ROWS]
-                self._listeners.notify(LiveBlock(rows, corrected is not None, host_s))
+            shown, by = (block, None) if corrected is None else (corrected, record)
+            for first in range(0, len(shown), BLOCK_ROWS):
+                self._listeners.notify(LiveBlock(shown[first : first + BLOCK_ROWS], by, host_s))
         if self._force is not None:
             self._force = self._force[-1:]
 

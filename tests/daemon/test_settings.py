@@ -33,7 +33,8 @@ def knobs(value: dict, *above: str) -> dict[tuple[str, ...], object]:
     """Flatten nested tables into {path: value}."""
     flat = {}
     for key, item in value.items():
-        flat |= knobs(item, *above, key) if isinstance(item, dict) else {(*above, key): item}
+        one = {(*above, key): tuple(item) if isinstance(item, list) else item}
+        flat |= knobs(item, *above, key) if isinstance(item, dict) else one
     return flat
 
 

@@ -7,10 +7,11 @@ alone is paired with one of rates alone, as depth cameras publish them.
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -40,6 +41,9 @@ _NEAR_ONE = 0.3
 """g: a driver that publishes g against REP 145 shows gravity as one, with bias, scale and motion."""
 
 _NS = 1e-9
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+"""Begins a file, and ends one that was completed."""
+
 _NAMES = ["stamp", "logged", "gx", "gy", "gz", "ax", "ay", "az", "temperature"]
 _MOST_TEMPERATURES = 1_000_000
 
@@ -104,6 +108,11 @@ def _ending_in(stored: Source, ending: str) -> tuple[Path, Any]:
 class _Container(Protocol):
     """A file or folder of messages."""
 
+    @property
+    def unfinished(self) -> bool:
+        """Whether it breaks off."""
+        ...
+
     def topics(self) -> list[_Stored]:
         """Return what is stored."""
         ...
@@ -115,6 +124,8 @@ class _Container(Protocol):
 
 class _Rosbag:
     """A bag read by `rosbags`. keep: what must live as long as it."""
+
+    unfinished = False
 
     def __init__(self, path: Path, keep: Any) -> None:
         self._path, self._keep = path, keep
@@ -141,36 +152,75 @@ class _Rosbag:
 
 
 class _Mcap:
-    """A file read by `mcap`, which takes any profile; ROS 1 messages name their type without `msg`."""
+    """A file read by `mcap`, which takes any profile; ROS 1 messages name their type without `msg`.
+
+    One that ends without its index is read from its beginning up to its last whole chunk.
+    """
 
     def __init__(self, stored: Source) -> None:
         self._stored = stored
+        with stored.open() as file:
+            file.seek(-len(_MCAP_MAGIC), os.SEEK_END)
+            self._whole = file.read() == _MCAP_MAGIC
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether it breaks off."""
+        return not self._whole
 
     def topics(self) -> list[_Stored]:
         """Return what is stored."""
         from mcap.reader import make_reader  # noqa: PLC0415 - only where MCAP is read
 
+        if self.unfinished:
+            counts = Counter((_type(s), c.topic, c.message_encoding) for s, c, _ in self._scanned())
+            return [_Stored(topic, kind, layout, n) for (kind, topic, layout), n in counts.items()]
         with self._stored.open() as file:
             summary = make_reader(file).get_summary()
         if summary is None:
             raise ValueError("it has no summary")
-        counts = summary.statistics.channel_message_counts if summary.statistics is not None else {}
-        found = []
-        for channel in summary.channels.values():
-            schema = summary.schemas.get(channel.schema_id)
-            kind = schema.name if schema is not None else "unknown"
-            kind = kind if "/msg/" in kind else kind.replace("/", "/msg/")
-            stored = _Stored(channel.topic, kind, channel.message_encoding, counts.get(channel.id, 0))
-            found.append(stored)
-        return found
+        per_channel = summary.statistics.channel_message_counts if summary.statistics is not None else {}
+        return [
+            _Stored(
+                c.topic, _type(summary.schemas.get(c.schema_id)), c.message_encoding, per_channel.get(c.id, 0)
+            )
+            for c in summary.channels.values()
+        ]
 
     def messages(self, topic: str) -> Iterator[Message]:
-        """Yield the messages of a topic as they were logged."""
+        """Yield the messages of a topic in the order in which they were written."""
         from mcap.reader import make_reader  # noqa: PLC0415 - only where MCAP is read
 
+        if self.unfinished:
+            yield from ((m.log_time, m.data) for _, c, m in self._scanned() if c.topic == topic)
+            return
         with self._stored.open() as file:
-            for _, _, message in make_reader(file).iter_messages(topics=[topic]):
+            for _, _, message in make_reader(file).iter_messages(topics=[topic], log_time_order=False):
                 yield message.log_time, message.data
+
+    def _scanned(self) -> Iterator[tuple[Any, Any, Any]]:
+        """Yield the schema, channel and message of each message up to where the file breaks off."""
+        from mcap import records  # noqa: PLC0415 - only where MCAP is read
+        from mcap.exceptions import EndOfFile  # noqa: PLC0415 - the same
+        from mcap.stream_reader import StreamReader  # noqa: PLC0415 - the same
+
+        schemas: dict[int, Any] = {}
+        channels: dict[int, Any] = {}
+        with self._stored.open() as file, suppress(EndOfFile):
+            for record in StreamReader(file).records:
+                if isinstance(record, records.Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, records.Channel):
+                    channels[record.id] = record
+                elif isinstance(record, records.Message):
+                    channel = channels[record.channel_id]
+                    yield schemas.get(channel.schema_id), channel, record
+
+
+def _type(schema: Any) -> str:
+    """Return the type of a channel's messages, as ROS 2 spells it."""
+    kind: str = schema.name if schema is not None else "unknown"
+    return kind if "/msg/" in kind else kind.replace("/", "/msg/")
 
 
 class _Bag:
@@ -193,7 +243,9 @@ class _Bag:
         if not sensors:
             what = f"the Imu topics {', '.join(t.name for t in topics) or 'of it'} hold no acceleration"
             raise TraceError(self._path, what, "record the topic of the accelerometer")
-        return Log(self._path, self._kind, sensors, beside=self._beside)
+        cut = f"{self._path.name}: its writer did not complete it; read up to where it breaks off"
+        notes = [cut] if self._container.unfinished else []
+        return Log(self._path, self._kind, sensors, notes, beside=self._beside)
 
     @contextmanager
     def _understood(self) -> Iterator[None]:

@@ -1,0 +1,77 @@
+"""Hand corrected samples to a publisher, in a thread of its own, so that no disk or device delays the daemon.
+
+A publisher that falls behind loses samples, and one that fails is opened again after a while. Both are
+logged, and the daemon goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import Protocol
+
+from stillcal.daemon.service.live_stream import Live
+from stillcal.daemon.service.subscribers import Subscriber
+from stillcal.daemon.system.log import say
+from stillcal.daemon.system.worker import Worker
+
+RETRY_S = 30.0
+"""Pause before a publisher that failed is opened again, s."""
+
+CLOSE_S = 1.0
+"""Longest wait for a publisher to close when the daemon stops, s."""
+
+
+class Publisher(Protocol):
+    """Takes live samples. name: for the log. patience_s: how long samples may gather before it gets them."""
+
+    name: str
+    patience_s: float
+
+    def open(self) -> None:
+        """Open it. Raises OSError, and SettingsError where it can never be opened."""
+
+    def take(self, items: Sequence[Live]) -> None:
+        """Publish samples. Raises OSError; it is then closed."""
+
+    def close(self) -> None:
+        """Close it; twice does no harm."""
+
+
+Subscribe = Callable[[float], AbstractContextManager[Subscriber[Live]]]
+"""Subscribes to live samples that may gather for so long, s."""
+
+
+async def publishing(publisher: Publisher, subscribe: Subscribe) -> None:
+    """Publish until cancelled. The publisher is open."""
+    worker = Worker("publish")
+    try:
+        while True:
+            try:
+                await _handed_on(publisher, subscribe, worker)
+                say("warning", "publish", f"{publisher.name} is too slow: samples are left out")
+            except OSError as error:
+                say("warning", "publish", f"{publisher.name}: {error.strerror or error}: opened again later")
+                await worker.run(publisher.close)
+                await asyncio.sleep(RETRY_S)
+                with contextlib.suppress(OSError):
+                    await worker.run(publisher.open)
+    finally:
+        with contextlib.suppress(TimeoutError, OSError):
+            async with asyncio.timeout(CLOSE_S):
+                await worker.run(publisher.close)
+        worker.close()
+
+
+async def _handed_on(publisher: Publisher, subscribe: Subscribe, worker: Worker) -> None:
+    """Hand on samples until the subscription ends because the publisher was too slow. Raises OSError."""
+    with subscribe(publisher.patience_s) as listener:
+        while (item := await listener.queue.get()) is not None:
+            items = [item]
+            while not listener.queue.empty() and (item := listener.queue.get_nowait()) is not None:
+                items.append(item)
+            await worker.run(publisher.take, items)
+            if item is None:
+                return
