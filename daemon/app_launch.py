@@ -27,7 +27,8 @@ Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings, PublishSet
 class LaunchOptions:
     """The command line's options and systemd's sockets. config: the settings file, read again on SIGHUP.
 
-    port, store, socket, publish: override the file where they are given. passed: sockets that systemd opened.
+    port, store, socket, socket_group, publish: override the file where they are given. passed: sockets that
+    systemd opened.
     """
 
     config: Path | None = None
@@ -36,6 +37,7 @@ class LaunchOptions:
     socket: str | None = None
     passed: Sequence[Socket] = ()
     publish: tuple[str, ...] = ()
+    socket_group: str | None = None
 
     def settings(self) -> Settings:
         """Read the settings file and apply the options. Raises SettingsError."""
@@ -48,7 +50,7 @@ class LaunchOptions:
             from_file,
             source=_with(from_file.source, port=self.port),
             store=_with(from_file.store, path=self.store),
-            socket=_with(from_file.socket, path=self.socket),
+            socket=_with(from_file.socket, path=self.socket, group=self.socket_group),
             publish=publish,
         )
         serial_settings(settings)
@@ -77,6 +79,7 @@ def needs_restart(old: Settings, new: Settings) -> list[str]:
         "[store] path": (old.store.path, new.store.path),
         "[socket] path": (old.socket.path, new.socket.path),
         "[socket] mode": (old.socket.mode, new.socket.mode),
+        "[socket] group": (old.socket.group, new.socket.group),
         "[publish] to": (old.publish.to, new.publish.to),
     }
     return [name for name, (before, after) in changed.items() if before != after]

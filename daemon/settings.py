@@ -83,14 +83,15 @@ class SourceSettings:
 class SocketSettings:
     """The socket, and limits for its clients.
 
-    path: "" for the service's runtime folder. mode: permissions. connections: open at once; a further one
-    takes the place of the one that has been idle longest. message_bytes: of one question. calls_per_s: of
-    one client, above which it waits. stall_s: a client that takes so long to finish a question or to take
-    an answer is dropped.
+    path: "" for the service's runtime folder. mode: permissions. group: of the system, to which the socket
+    belongs; "" for the daemon's own. connections: open at once; a further one takes the place of the one that
+    has been idle longest. message_bytes: of one question. calls_per_s: of one client, above which it waits.
+    stall_s: a client that takes so long to finish a question or to take an answer is dropped.
     """
 
     path: str = ""
     mode: int = 0o660
+    group: str = ""
     connections: int = 128
     message_bytes: int = 262_144
     calls_per_s: float = 100.0

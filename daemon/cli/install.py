@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.resources
 import json
 import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,8 +13,10 @@ from pathlib import Path
 import click
 
 from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.settings import SettingsError
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.system.files import make_folder
+from stillcal.daemon.varlink.socket import group_id
 
 SHIPPED = "/usr/local/bin/stillcal"
 """The path of the command in the shipped unit, which installing replaces."""
@@ -23,6 +26,9 @@ PLACES = {
     "stillcal.socket": "etc/systemd/system",
     "70-stillcal.rules": "etc/udev/rules.d",
 }
+SHIPPED_GROUP = "SocketGroup=dialout"
+"""The group of the shipped socket, which --socket-group replaces."""
+
 DEFAULT_PORT = "/dev/ttyACM0"
 UNREACHABLE = {"ProtectHome": ("/home", "/root", "/run/user"), "PrivateTmp": ("/tmp", "/var/tmp")}
 """Settings of the unit, and the folders that they hide from the service."""
@@ -42,9 +48,15 @@ SETTINGS = Path("etc/stillcal/stillcal.toml")
 @click.option(
     "--iio", is_flag=True, help="This machine is the phone: read its own sensors, as the kernel has them."
 )
+@click.option(
+    "--socket-group",
+    default="dialout",
+    show_default=True,
+    help="Group of the system whose members may connect to the daemon's socket.",
+)
 @click.option("--root", type=click.Path(path_type=Path), default=Path("/"), help="Install below this folder.")
 @click.option("--print", "only_print", is_flag=True, help="Print the files, change nothing.")
-def install_command(port: str | None, iio: bool, root: Path, only_print: bool) -> None:
+def install_command(port: str | None, iio: bool, socket_group: str, root: Path, only_print: bool) -> None:
     """Install the systemd service.
 
     Units go to /etc/systemd/system, the udev rule to /etc/udev/rules.d, and settings to
@@ -55,7 +67,8 @@ def install_command(port: str | None, iio: bool, root: Path, only_print: bool) -
     if not only_print:
         for path in (_command(), port or DEFAULT_PORT):
             _warn_unreachable(path)
-    for place, text in files(port or DEFAULT_PORT, iio):
+    _check_group(socket_group, there=not only_print and root == Path("/"))
+    for place, text in files(port or DEFAULT_PORT, iio, socket_group):
         target = root / place
         if only_print:
             click.echo(f"# /{place}\n{text}")
@@ -70,17 +83,29 @@ def install_command(port: str | None, iio: bool, root: Path, only_print: bool) -
         )
 
 
-def files(port: str, iio: bool = False) -> Iterator[tuple[Path, str]]:
+def files(port: str, iio: bool = False, socket_group: str = "dialout") -> Iterator[tuple[Path, str]]:
     """Yield each file to install: its path below the root and its contents."""
     source = 'kind = "iio"' if iio else f"port = {_toml(port)}"
     shipped = importlib.resources.files("stillcal.config") / "systemd"
     for name, folder in PLACES.items():
         text = (shipped / name).read_text(encoding="utf-8")
+        text = text.replace(SHIPPED_GROUP, f"SocketGroup={socket_group}")
         yield Path(folder) / name, text.replace(SHIPPED, _unit_word(_command()))
     yield (
         SETTINGS,
         f"# See `stillcal run --help`. What is not set here has its default.\n[source]\n{source}\n",
     )
+
+
+def _check_group(name: str, there: bool) -> None:
+    """Refuse a name that no group can have, or (there) that no group of this system has."""
+    if not re.fullmatch(r"[A-Za-z_][\w.-]*\$?", name):
+        raise click.UsageError(f"--socket-group {name!r} is no name of a group")
+    if there:
+        try:
+            group_id(name)
+        except SettingsError as error:
+            raise click.UsageError(str(error).replace("[socket] group =", "--socket-group")) from None
 
 
 def _toml(text: str) -> str:

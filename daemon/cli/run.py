@@ -31,13 +31,19 @@ from stillcal.daemon.system.systemd import Notifier, passed_sockets
 @click.option("--port", help="The phone's serial device or a pattern; overrides [source] port.")
 @click.option("--store", type=click.Path(path_type=Path), help="The store's file; overrides [store] path.")
 @click.option("--socket", help="The socket for queries; overrides [socket] path.")
+@click.option("--socket-group", help="Group whose members may connect; overrides [socket] group.")
 @click.option(
     "--publish",
     multiple=True,
     help="Send corrected samples to FILE.mcap or to an input device (uinput); several times for several.",
 )
-def run_command(
-    config: Path | None, port: str | None, store: Path | None, socket: str | None, publish: tuple[str, ...]
+def run_command(  # noqa: PLR0917 - click hands every option over by name
+    config: Path | None,
+    port: str | None,
+    store: Path | None,
+    socket: str | None,
+    socket_group: str | None,
+    publish: tuple[str, ...],
 ) -> None:
     """Run the daemon: read a phone's sensors, keep it calibrated and answer queries until SIGTERM.
 

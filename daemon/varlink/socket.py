@@ -31,7 +31,7 @@ def opened(settings: SocketSettings, passed: Sequence[socket.socket]) -> Iterato
         return
     path = socket_path(settings.path)
     try:
-        line = _bound(path, settings.mode)
+        line = _bound(path, settings.mode, group_id(settings.group) if settings.group else None)
     except OSError as error:
         if passing(error):
             raise TryAgainError(f"cannot listen on {path}: {error.strerror}") from error
@@ -47,11 +47,23 @@ def opened(settings: SocketSettings, passed: Sequence[socket.socket]) -> Iterato
                 path.unlink()
 
 
-def _bound(path: Path, mode: int) -> socket.socket:
+def group_id(name: str) -> int:
+    """Return the number of a group of this system. Raises SettingsError where there is none of that name."""
+    import grp  # noqa: PLC0415 - only Linux has it
+
+    try:
+        return grp.getgrnam(name).gr_gid
+    except KeyError:
+        what = f"[socket] group = {name!r}: this system has no such group (`getent group` lists them)"
+        raise SettingsError(what) from None
+
+
+def _bound(path: Path, mode: int, group: int | None) -> socket.socket:
     """Bind a socket at `path` with permissions `mode` from its first moment; a dead daemon's socket goes.
 
-    Nothing else is replaced: bind(2) refuses a name that exists. Called before the daemon has other threads
-    that make files, because the process has one umask.
+    Where it is to belong to a group, nobody but the owner may use it before it does. Nothing else is
+    replaced: bind(2) refuses a name that exists. Called before the daemon has other threads that make files,
+    because the process has one umask.
     """
     make_folder(path.parent, 0o755)
     if _answers(path):
@@ -61,7 +73,7 @@ def _bound(path: Path, mode: int) -> socket.socket:
             raise FileExistsError(errno.EEXIST, "a file is there that is no socket", str(path))
         path.unlink()
     line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
-    before = os.umask(0o777 & ~mode)
+    before = os.umask(0o777 & ~(mode if group is None else mode & 0o700))
     try:
         line.bind(str(path))
     except BaseException:
@@ -69,6 +81,14 @@ def _bound(path: Path, mode: int) -> socket.socket:
         raise
     finally:
         os.umask(before)
+    if group is not None:
+        try:
+            os.chown(path, -1, group)
+            path.chmod(mode)
+        except OSError:
+            line.close()
+            path.unlink()
+            raise
     return line
 
 

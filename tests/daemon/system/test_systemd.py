@@ -45,6 +45,14 @@ def test_what_is_installed_is_for_this_installation(installed: Path) -> None:
     assert settings.read_text() == "# mine\n"
 
 
+def test_the_sockets_group_is_as_asked_and_must_be_one(tmp_path: Path) -> None:
+    found = run(STILLCAL, "install-service", "--print", "--socket-group", "sensors")
+    assert "SocketGroup=sensors\n" in found.stdout and "SocketGroup=dialout" not in found.stdout
+    for name in ("two words", "a\nb", ""):
+        found = run(STILLCAL, "install-service", "--root", tmp_path, "--socket-group", name)
+        assert found.returncode == 2 and not list(tmp_path.iterdir())
+
+
 def test_printing_changes_nothing(tmp_path: Path) -> None:
     found = run(STILLCAL, "install-service", "--print", "--root", tmp_path)
     assert "[Service]" in found.stdout and not list(tmp_path.iterdir())

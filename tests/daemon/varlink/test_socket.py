@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import grp
+import os
+import shutil
 import socket
+import subprocess
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -12,8 +16,9 @@ import pytest
 
 from stillcal.daemon.app import Service
 from stillcal.daemon.app_launch import LaunchOptions
+from stillcal.daemon.settings import SettingsError
 from stillcal.daemon.system.systemd import Notifier
-from tests.support.asking import connected
+from tests.support.asking import NAME, connected
 from tests.support.living import answering, within_reason
 
 
@@ -53,5 +58,54 @@ def test_the_sockets_permissions_are_the_settings(folder: Path, mode: str) -> No
     async def test() -> None:
         async with answering(folder, f"[socket]\nmode = {mode}\n"):
             assert (folder / "socket").stat().st_mode & 0o777 == int(mode, 8)
+
+    within_reason(test())
+
+
+def groups() -> list[str]:
+    """Return groups of this system that the socket may be given to."""
+    mine = set(os.getgroups()) | {os.getegid()}
+    return [g.gr_name for g in grp.getgrall() if os.geteuid() == 0 or g.gr_gid in mine]
+
+
+def test_the_sockets_group_is_the_settings(folder: Path) -> None:
+    name = groups()[-1]
+
+    async def test() -> None:
+        async with answering(folder, f'[socket]\ngroup = "{name}"\nmode = 0o660\n'):
+            there = (folder / "socket").stat()
+            assert (there.st_gid, there.st_mode & 0o777) == (grp.getgrnam(name).gr_gid, 0o660)
+
+    within_reason(test())
+
+
+def test_a_member_of_the_group_may_read_and_others_may_not(folder: Path) -> None:
+    """The kernel decides: a process of another user, once with the socket's group and once without."""
+    if os.geteuid() != 0 or shutil.which("setpriv") is None:
+        pytest.skip("needs root and setpriv, to become another user")
+    name = next(g.gr_name for g in grp.getgrall() if g.gr_gid not in (0, 65534))
+    ask = (
+        f"import socket; s = socket.socket(socket.AF_UNIX); s.connect({str(folder / 'socket')!r});"
+        f's.sendall(b\'{{"method": "{NAME}.Stream", "more": true}}\' + bytes(1)); print(s.recv(999).decode())'
+    )
+
+    def asked(*groups: str) -> subprocess.CompletedProcess[str]:
+        words = ["setpriv", "--reuid=65534", "--regid=65534", *groups, "/usr/bin/python3", "-S", "-c", ask]
+        return subprocess.run(words, check=False, capture_output=True, text=True)
+
+    async def test() -> None:
+        folder.chmod(0o755)
+        async with answering(folder, f'[socket]\ngroup = "{name}"\n'):
+            assert "begun" in (await asyncio.to_thread(asked, f"--groups={name}")).stdout
+            assert "PermissionError" in (await asyncio.to_thread(asked, "--clear-groups")).stderr
+
+    within_reason(test())
+
+
+def test_a_group_that_is_not_there_is_said(folder: Path) -> None:
+    async def test() -> None:
+        with pytest.raises(SettingsError, match=r"no such group \(`getent group` lists them\)"):
+            async with answering(folder, '[socket]\ngroup = "no-such-group"\n'):
+                pass
 
     within_reason(test())
