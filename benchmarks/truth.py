@@ -29,6 +29,7 @@ from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.terms import bias_terms
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.streams.events import Temperature
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.phone import Chunk
 
@@ -74,6 +75,14 @@ class Answer:
     age_s: float = float("nan")
 
 
+def read_every_minute(chunk: Chunk) -> list[Temperature]:
+    """Return the thermometer's readings, once a minute, as a phone tells them with its sensors off too."""
+    accel = chunk.accelerometer
+    assert accel.temperature is not None
+    rows = np.unique(np.floor(accel.t / 60.0), return_index=True)[1]
+    return [Temperature(float(accel.t[k]), float(accel.temperature[k])) for k in rows]
+
+
 class Contest:
     """All contenders, living one life. met: degC, temperatures of the rests so far."""
 
@@ -86,7 +95,7 @@ class Contest:
         """Give everybody the same samples; the table takes the rests that stillcal finds."""
         assert chunk.gyroscope is not None
         for engine in self.engines.values():
-            engine.feed(chunk.gyroscope, chunk.accelerometer, *chunk.events)
+            engine.feed(*read_every_minute(chunk), chunk.gyroscope, chunk.accelerometer, *chunk.events)
         pool = self.engines["stillcal"].present.pool
         for held in pool.since(np.nextafter(self._last_rest, np.inf)).held:
             self._table.take(held.rest)
@@ -107,21 +116,26 @@ class Contest:
             for name, engine in self.engines.items():
                 record = engine.present.record
                 if record is not None:
-                    yield from told_by(name, record, sensor, t, celsius)
+                    lagged = engine.present.thermometer.lagged(t, celsius)
+                    yield from told_by(name, record, sensor, t, (celsius, lagged))
         for name, bias in (("offset table", self._table.bias(celsius)), ("vqf", self._vqf.bias())):
             if bias is not None:
                 yield Answer(name, GYRO, bias)
 
 
 def told_by(
-    name: str, record: CalibrationRecord, sensor: Sensor, t: float, celsius: float
+    name: str, record: CalibrationRecord, sensor: Sensor, t: float, warmth: tuple[float, Array]
 ) -> Iterator[Answer]:
-    """Yield what a calibration tells of a sensor at t (s) and a temperature, degC; nothing without a part."""
+    """Yield what a calibration tells of a sensor at t (s); nothing without a part.
+
+    warmth: temperature, degC, and those of sensors that follow the thermometer late, by its readings so far.
+    """
+    celsius, lagged = warmth
     part = record.accelerometer if sensor is ACCEL else record.gyroscope
     if part is None:
         return
-    bias = part.bias + np.atleast_2d(bias_terms(record, sensor, np.array([celsius])))[0]
-    sd = record.bias_uncertainty_at(sensor, t, celsius)
+    bias = part.bias + np.atleast_2d(bias_terms(record, sensor, np.array([celsius]), None, lagged))[0]
+    sd = record.bias_uncertainty_at(sensor, t, celsius, lagged)
     measured = getattr(part, "zeroed_at", record.fitted_at)
     age = np.nan if measured is None else t - measured
     yield Answer(name, sensor, bias, part.scale, _UNKNOWN if sd is None else sd, age)

@@ -4,6 +4,7 @@ calibrated = scale @ (raw - bias) such that every rest has gravity's norm. The c
 squared-norm difference weighted by its rest's own uncertainty and by the scatter of rests beyond it. The
 steps are Eq. 6-8 (maths/levenberg_marquardt.py). Rests that share an attitude count once together. Which
 model the attitudes support is judged in observability.py; known attitudes are fitted in known_attitudes.py.
+Attitudes that do not support all nine parameters can be fitted with a prior (prior.py).
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stillcal.calib_core.accelerometer import observability
+from stillcal.calib_core.accelerometer import prior as prior_fit
 from stillcal.calib_core.accelerometer.equations import Norms, Solution, solve
 from stillcal.calib_core.accelerometer.observability import Attitude
 from stillcal.calib_core.accelerometer.parameters import Form, basis, names
+from stillcal.calib_core.accelerometer.prior import FleetPrior
 from stillcal.calib_core.accelerometer.result import AccelerometerFit, Dropped
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
@@ -42,7 +45,9 @@ class AccelerometerSettings:
     with this many more attitudes than parameters, so that the fit can be checked at all. outlier_level:
     probability of dropping any rest where none is bad; 0 drops none. max_outliers: largest fraction of rests
     dropped. max_bias, m/s^2, and max_scale_error: a fit beyond these is refused, as of no phone's
-    accelerometer. rounds: of weighting anew.
+    accelerometer. rounds: of weighting anew. prior_attitudes: so many are needed with a prior.
+    max_prior_sd: m/s^2, with a prior, the calibrated norm may be known so badly along the worst direction:
+    half of what the prior of sound phones alone leaves.
     """
 
     damping: Damping = field(default_factory=Damping)
@@ -55,6 +60,8 @@ class AccelerometerSettings:
     max_bias: float = 5.0
     max_scale_error: float = 0.3
     rounds: int = 10
+    prior_attitudes: int = 8
+    max_prior_sd: float = 0.25
 
     def __post_init__(self) -> None:
         allowed = {
@@ -67,6 +74,8 @@ class AccelerometerSettings:
             "max_bias": (0.0, np.inf),
             "max_scale_error": (0.0, 1.0),
             "rounds": (1, 1000),
+            "prior_attitudes": (1, 1000),
+            "max_prior_sd": (0.0, np.inf),
         }
         check_ranges(self, allowed)
 
@@ -174,15 +183,17 @@ def fit(
     parameters: Parameters = "auto",
     form: Form = "symmetric",
     settings: AccelerometerSettings = _DEFAULT,
+    prior: FleetPrior | None = None,
 ) -> AccelerometerFit:
     """Fit bias and scale to rests of unknown attitude.
 
     forces: (n, 3) mean raw specific forces, m/s^2. uncertainties: (n, 3) standard uncertainties, or None to
     weight all rests equally. gravity: m/s^2, one value or (n,) where the place changed. gravity_uncertainty:
-    its standard uncertainty, common to all rests. parameters: "auto" takes the largest model that the
-    attitudes support. form: of a 9-parameter scale, see parameters.py. Raises AttitudesMissing (a
-    NotSupported) where the attitudes do not support the model, or not even 6 parameters; NotSupported where
-    the result cannot be a phone's accelerometer; ValueError on arrays of wrong shape or value.
+    its standard uncertainty, common to all rests. parameters: "auto" takes nine where the attitudes support
+    them, else nine with the prior if one is given, else six. form: of a 9-parameter scale, see parameters.py.
+    Raises AttitudesMissing (a NotSupported) where the attitudes do not support the model, or not even 6
+    parameters; NotSupported where the result cannot be a phone's accelerometer; ValueError on arrays of wrong
+    shape or value.
 
     A sensor with bias and 1 % of scale in eighteen attitudes:
 
@@ -196,11 +207,13 @@ def fit(
     """
     if parameters != "auto":
         return _fit(task_of(forces, uncertainties, gravity, gravity_uncertainty, parameters, form, settings))
+    task = task_of(forces, uncertainties, gravity, gravity_uncertainty, 9, form, settings)
     try:
-        task = task_of(forces, uncertainties, gravity, gravity_uncertainty, 9, form, settings)
         return _fit(replace(task, least=9 + settings.spare_attitudes))
     except AttitudesMissing:
-        return _fit(task_of(forces, uncertainties, gravity, gravity_uncertainty, 6, form, settings))
+        known = None if prior is None else _fit_with_prior(task, prior)
+        six = task_of(forces, uncertainties, gravity, gravity_uncertainty, 6, form, settings)
+        return known or _fit(six)
 
 
 def _fit(task: Task) -> AccelerometerFit:
@@ -217,6 +230,60 @@ def _fit(task: Task) -> AccelerometerFit:
         )
         raise AttitudesMissing(f"{reason}, more than {limit:g}", (wanted,))
     return result
+
+
+_RESCALED, _UNLIKE = 4, 40.0
+"""Rounds of weighting anew with a prior, and the squared distance from it that one device in 100 000
+exceeds (chi-squared with nine degrees of freedom)."""
+
+
+def _fit_with_prior(task: Task, prior: FleetPrior) -> AccelerometerFit | None:
+    """Fit nine parameters with a prior; None where even so too much stays unknown.
+
+    The scatter of attitudes is the prior's, or larger where they disagree by more. None too for a phone that
+    is unlike its prior, for rests that disagree too much, and for attitudes too few.
+    """
+    settings, g = task.settings, task.g
+    raw, sd = task.norms.raw * g, task.norms.sd * g
+    states = int(task.norms.labels.max()) + 1
+    if states < settings.prior_attitudes or task.form != "symmetric":
+        return None
+    known = prior
+    try:
+        fitted = prior_fit.fit(raw, sd, task.local, known, settings.damping)
+        for _ in range(_RESCALED):
+            excess = fitted.squares / max(states - float(fitted.shown.sum()), 1.0)
+            if excess <= 1.0:
+                break
+            known = replace(known, scatter=known.scatter * float(np.sqrt(excess)))
+            fitted = prior_fit.fit(raw, sd, task.local, known, settings.damping)
+    except NotSupported:
+        return None
+    if known.scatter > settings.max_norm_sd or prior_fit.distance(fitted, known) > _UNLIKE:
+        return None
+    if fitted.worst_norm_uncertainty > settings.max_prior_sd:
+        return None
+    return AccelerometerFit(
+        model=fitted.model,
+        parameters=9,
+        form=task.form,
+        names=names(9),
+        covariance=fitted.covariance,
+        degrees_of_freedom=float("inf"),
+        coverage=observability.coverage(task.norms.directions(), 9),
+        residuals=fitted.residuals,
+        rms_residual=float(np.sqrt(np.mean(fitted.residuals**2))),
+        dropped=(),
+        n_rests=len(raw),
+        n_states=states,
+        repeatability=_repeatability(fitted.residuals, task.norms.labels),
+        excess_rest=0.0,
+        excess_attitude=known.scatter,
+        gravity=g,
+        gravity_uncertainty=task.gravity_uncertainty,
+        iterations=fitted.iterations,
+        with_prior=True,
+    )
 
 
 def _require_support(task: Task) -> None:

@@ -41,6 +41,7 @@ class AccelerometerFit:
     attitude, None where none was held twice. excess_rest, excess_attitude: standard deviation beyond the
     declared uncertainty, between rests of one attitude and between attitudes. gravity: mean local g that the
     norm was fitted to. iterations: number of Gauss-Newton steps tried.
+    with_prior: whether a prior entered; the covariance holds it.
     """
 
     model: SensorModel
@@ -61,6 +62,7 @@ class AccelerometerFit:
     gravity: float
     gravity_uncertainty: float
     iterations: int
+    with_prior: bool = False
 
     @property
     def values(self) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.accelerometer.parameters import BIAS, basis, norm_rows
+from stillcal.calib_core.accelerometer.prior import SOUND_PHONES
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.candidate import ASSUMED_SCATTER, Candidate, fit_accelerometer
 from stillcal.calib_core.calibration.drift_check import QualitySettings, norm_residuals
@@ -78,7 +79,8 @@ def decide(
 
     degraded: the old calibration has failed its check. The rests that it failed on are then the evidence
     against it, and the new one only has to be no worse. A first calibration is always accepted. One that is
-    not worse by more than chance is accepted too where its stated uncertainty is clearly smaller.
+    not worse by more than chance is accepted too where its stated uncertainty is clearly smaller; a prior
+    that entered the old one holds no rest out, and then few of them suffice.
     """
     if old is None or old.accelerometer is None:
         return Decision(True, "the first calibration", {"rms_residual": new.accelerometer.rms_residual})
@@ -92,7 +94,7 @@ def decide(
         return Decision(True, f"better by more than chance: {figures}", evidence)
     if degraded and comparison.rests and comparison.rms_new < comparison.rms_old:
         return Decision(True, f"the old one failed its check: {figures}", evidence)
-    enough = comparison.rests >= settings.held_out_rests
+    enough = comparison.rests >= settings.held_out_rests or old.accelerometer.with_prior
     as_good = enough and comparison.chance_worse > settings.chance
     if as_good and new.record.accelerometer and clearly_smaller(new.record.accelerometer, old.accelerometer):
         return Decision(True, f"as good and less uncertain: {figures}", evidence)
@@ -129,7 +131,13 @@ def with_decision(new: Candidate, decision: Decision, occasion: str) -> Calibrat
     if new.change is not None:
         evidence |= {"bias_change": new.change.largest, "bias_change_p": new.change.p_value}
         reason = f"{reason}; {new.change.words()}, which widens its interval"
-    if new.accelerometer.n_states <= new.accelerometer.parameters:
+    if new.accelerometer.with_prior:
+        evidence |= {"with_prior": True, "worst_direction": new.accelerometer.worst_norm_uncertainty}
+        reason = (
+            f"{reason}; {new.accelerometer.n_states} attitudes and what is known of sound phones: gravity is "
+            f"known to {new.accelerometer.worst_norm_uncertainty:.2g} m/s^2 along the least known direction"
+        )
+    elif new.accelerometer.n_states <= new.accelerometer.parameters:
         evidence["untested"] = True
         reason = (
             f"{reason}; as many parameters as attitudes: nothing is left to test it, and its interval "
@@ -191,14 +199,14 @@ def _cross_validated(new: Candidate, asked: NDArray[np.bool_]) -> Array:
     held = compensated(new.pool, new.record).held
     residuals = np.full(len(held), np.nan)
     folds = new.labels % new.settings.folds
+    fitted = new.accelerometer
+    parameters, prior = (None, SOUND_PHONES) if fitted.with_prior else (fitted.parameters, None)
     for fold in np.unique(folds[asked]):
         out = folds == fold
         training = [h for h, left_out in zip(held, out, strict=True) if not left_out]
         test = [h for h, left_out in zip(held, out, strict=True) if left_out]
         try:
-            fit = fit_accelerometer(
-                training, new.gravity, new.settings.accelerometer, new.accelerometer.parameters
-            )
+            fit = fit_accelerometer(training, new.gravity, new.settings.accelerometer, parameters, prior)
         except NotSupported:
             continue
         residuals[out] = norm_residuals(fit.model, test)[0]

@@ -23,7 +23,7 @@ from stillcal.calib_core.calibration.record import (
     Term,
     TermParameter,
 )
-from stillcal.calib_core.calibration.terms import POWER_NAMES, force_terms, polynomial
+from stillcal.calib_core.calibration.terms import POWER_NAMES, force_terms, lag_of, polynomial
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast, plausible, thermometer_step
@@ -35,9 +35,11 @@ from stillcal.calib_core.temperature.regression import (
     Fit,
     Model,
     Observations,
+    Regression,
     Wander,
     learn,
 )
+from stillcal.calib_core.temperature.thermometer import LAGS_S, felt
 
 LEAST_RESTS = 8
 LEAST_SPAN_K = 2.0
@@ -119,7 +121,7 @@ def learn_gyroscope(
     level, level_sd = np.ones((len(memory), 1)), np.array([_RATE_SPREAD])
     sd = memory.rate_sd.mean(axis=1)
     seen = Observations(memory.t, memory.celsius, rate - middle, sd, level, level_sd)
-    return _learn(Sensor.GYROSCOPE, seen, middle=middle, record=record, t=t, settings=settings)
+    return _learn(Sensor.GYROSCOPE, seen, memory.lagged, middle=middle, record=record, t=t, settings=settings)
 
 
 def learn_accelerometer(
@@ -144,7 +146,10 @@ def learn_accelerometer(
     sd = np.linalg.norm(towards * memory.force_sd, axis=1)
     value = (memory.gravity - norm)[:, None]
     seen = Observations(memory.t, memory.celsius, value, sd, level, level_sd, towards)
-    return _learn(Sensor.ACCELEROMETER, seen, middle=model.bias, record=record, t=t, settings=settings)
+    middle = model.bias
+    return _learn(
+        Sensor.ACCELEROMETER, seen, memory.lagged, middle=middle, record=record, t=t, settings=settings
+    )
 
 
 _RATE_SPREAD, _FORCE_SPREAD, _SCALE_SPREAD = 0.05, 0.1, 0.01
@@ -155,6 +160,7 @@ nothing of temperature from the true bias, m/s^2, and scale."""
 def _learn(
     sensor: Sensor,
     seen: Observations,
+    lagged: Array,
     *,
     middle: Array,
     record: CalibrationRecord | None,
@@ -163,9 +169,11 @@ def _learn(
 ) -> Learnt:
     """Fit with and without a curve, decide which is used, and return what follows.
 
-    middle: (3,) the bias that the observations count from.
+    lagged: (n, k) degC, as thermometer.py has it. middle: (3,) the bias that the observations count from.
     """
     seen = replace(seen, celsius=plausible(seen.celsius))
+    lagged = np.where(np.isfinite(seen.celsius)[:, None], lagged, np.nan)
+    read = seen.celsius
     before = None if record is None else record.forecast.get(str(sensor))
     term = None if record is None else held_term(record.terms, sensor)
     known = seen.celsius[np.isfinite(seen.celsius)]
@@ -177,12 +185,22 @@ def _learn(
     if not np.isfinite(seen.celsius[-1]):
         return _without_temperature(sensor, seen, model, middle=middle, term=term, t=t, start=start)
     if known.size <= seen.celsius.size / 2 or np.ptp(known) < LEAST_SPAN_K:
-        return _without_evidence(sensor, seen, model, middle=middle, term=term, t=t, start=start)
+        return _without_evidence(sensor, seen, lagged, model, middle=middle, term=term, t=t, start=start)
     without = learn(seen, model, t, start)
-    curved = learn(_wider(seen, term), replace(model, with_curve=True), t, start)
+    lag, seen, curved = _at_likeliest_lag(
+        _wider(seen, term), lagged, replace(model, with_curve=True), t, before
+    )
     change, evidence = _change(curved, without, seen, term is not None, settings)
     applied = change == TAKEN_UP or (term is not None and change != DROPPED)
     forecast = _forecast(curved if applied else without, curved, seen.celsius, t)
+    behind = seen.celsius - read
+    known_behind = behind[np.isfinite(behind) & (behind != 0.0)]
+    forecast = replace(
+        forecast,
+        thermometer_sd=thermometer_step(read) / np.sqrt(12.0),
+        lag_s=lag,
+        behind_sd=float(np.sqrt(np.mean(known_behind**2))) if known_behind.size else 0.0,
+    )
     held = _term(sensor, forecast) if applied else None
     return _learnt(
         sensor,
@@ -194,6 +212,55 @@ def _learn(
         change=change,
         evidence=evidence,
     )
+
+
+_LIKELIER_LAG = 3.0
+"""nats by which another lag must explain the rests better than the one in use."""
+
+
+def _at_likeliest_lag(
+    seen: Observations, lagged: Array, model: Model, t: float, before: Forecast | None
+) -> tuple[float, Observations, Fit]:
+    """Return the lag, s, that explains the rests best, the observations with it, and their fit.
+
+    before: the forecast in use, whose lag stays unless another one is clearly likelier.
+    """
+    lag_s, start = (0.0, None) if before is None else (before.lag_s, before.wander)
+    known = 0.0 if before is None else float(np.linalg.norm(before.curve[0])) / UNIT_K
+    here = _with_lag(seen, lagged, lag_s, known)
+    fit = learn(here, model, t, start)
+    slope = float(np.linalg.norm(fit.curve[0])) / UNIT_K
+    scores = {}
+    for other in (0.0, *LAGS_S):
+        if other and np.isfinite(lagged[:, LAGS_S.index(other)]).mean() < _ENOUGH_LAGGED:
+            continue
+        tried = _with_lag(seen, lagged, other, slope)
+        scores[other] = Regression(tried, model).fit(t, fit.steps, fit.wander, search=False).log_likelihood
+    best = max(scores, key=lambda lag: scores[lag])
+    if lag_s in scores and scores[best] <= scores[lag_s] + _LIKELIER_LAG:
+        best = lag_s
+    if best == lag_s:
+        return best, here, fit
+    there = _with_lag(seen, lagged, best, slope)
+    return best, there, learn(there, model, t, fit.wander)
+
+
+_ENOUGH_LAGGED = 0.3
+"""Share of rests of known lagged temperature from which on a lag is considered."""
+
+
+def _with_lag(seen: Observations, lagged: Array, lag_s: float, slope: float) -> Observations:
+    """Return observations by the temperature of a sensor that follows with a lag, s.
+
+    slope: change of bias per K, by which rests of unknown lagged temperature are more uncertain.
+    """
+    if not lag_s:
+        return seen
+    own = felt(seen.celsius, lagged, lag_s)
+    late = lagged[:, LAGS_S.index(lag_s)]
+    behind = (late - seen.celsius)[np.isfinite(late)]
+    more = slope * float(np.sqrt(np.mean(behind**2))) if behind.size else 0.0
+    return replace(seen, celsius=own, sd=np.where(np.isfinite(late), seen.sd, np.hypot(seen.sd, more)))
 
 
 def _wider(seen: Observations, term: Term | None) -> Observations:
@@ -227,6 +294,7 @@ def _without_temperature(
 def _without_evidence(
     sensor: Sensor,
     seen: Observations,
+    lagged: Array,
     model: Model,
     *,
     middle: Array,
@@ -236,7 +304,7 @@ def _without_evidence(
 ) -> Learnt:
     """Return the bias where temperatures are unknown or all alike: a term that is held stays as it is."""
     if term is not None:
-        offset = polynomial(term, seen.celsius)
+        offset = polynomial(term, felt(seen.celsius, lagged, lag_of(term)))
         along = offset if seen.towards is None else (offset * seen.towards).sum(axis=1)[:, None]
         seen = replace(seen, value=seen.value - along)
     return _without_temperature(sensor, seen, model, middle=middle, term=term, t=t, start=start)
@@ -351,4 +419,6 @@ def _term(sensor: Sensor, forecast: Forecast) -> Term:
             "temperature_min": forecast.temperature_min,
             "temperature_max": forecast.temperature_max,
         }
+    if forecast.lag_s:
+        reference["lag_s"] = forecast.lag_s
     return Term(effect=effect, sensor=sensor, parameters=parameters, reference=reference)

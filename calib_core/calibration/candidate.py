@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit, AccelerometerSettings
+from stillcal.calib_core.accelerometer.prior import SOUND_PHONES, FleetPrior
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.constancy import Change, find_change, norm_jacobian
 from stillcal.calib_core.calibration.record import (
@@ -92,14 +93,16 @@ def fit_candidate(
     """Fit both sensors to a pool of rests at sample time t (s), under the present local gravity.
 
     known: the calibration whose terms the new one keeps. The rests are corrected by them first, so that its
-    biases are those at the terms' reference temperature.
+    biases are those at the terms' reference temperature. Where there is none that stands on its rests alone,
+    what is known of sound phones helps where the attitudes do not suffice.
 
     Raises NotSupported where the rests do not support an accelerometer fit. Where they do not support a
     gyroscope fit, the record has the gyroscope's bias alone, or no gyroscope part.
     """
     known = _usable(known, pool)
     steady = pool if known is None else compensated(pool, known)
-    fit = fit_accelerometer(steady.held, gravity, settings.accelerometer)
+    prior = SOUND_PHONES if _is_first(known) else None
+    fit = fit_accelerometer(steady.held, gravity, settings.accelerometer, prior=prior)
     change = find_change(fit, steady.held)
     gyro = fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
     labels = attitude_labels(forces(pool.rests), settings.accelerometer.attitude_angle)
@@ -119,6 +122,11 @@ def fit_candidate(
     return Candidate(record, fit, gyro, pool, settings, labels, change)
 
 
+def _is_first(known: CalibrationRecord | None) -> bool:
+    """Tell whether there is no calibration yet that stands on its rests alone."""
+    return known is None or known.accelerometer is None or known.accelerometer.with_prior
+
+
 def _usable(known: CalibrationRecord | None, pool: Pool) -> CalibrationRecord | None:
     """Return a record without the terms that need a temperature where no rest has one."""
     if known is None or any(rest.temperature is not None for rest in pool.rests):
@@ -135,11 +143,16 @@ def _at_reference(part: GyroscopeRecord, steady: Pool, known: CalibrationRecord 
 
 
 def fit_accelerometer(
-    held: Sequence[HeldRest], gravity: Gravity, settings: AccelerometerSettings, parameters: int | None = None
+    held: Sequence[HeldRest],
+    gravity: Gravity,
+    settings: AccelerometerSettings,
+    parameters: int | None = None,
+    prior: FleetPrior | None = None,
 ) -> AccelerometerFit:
     """Fit the accelerometer to rests, each with the gravity of its own place.
 
-    parameters: 6, 9 or 12; None takes the largest model that the attitudes support. Raises NotSupported.
+    parameters: 6, 9 or 12; None takes the largest model that the attitudes support, with a prior if one is
+    given and needed. Raises NotSupported.
     """
     rests = [h.rest for h in held]
     local = np.array([h.gravity.value for h in held])
@@ -151,6 +164,7 @@ def fit_accelerometer(
         gravity.uncertainty,
         parameters=wanted,
         settings=settings,
+        prior=prior,
     )
 
 
@@ -219,7 +233,7 @@ def _accelerometer_record(fit: AccelerometerFit, change: Change | None, raw: Arr
     covariance = np.array(fit.total_covariance)
     if change is not None:
         covariance += change.covariance
-    if fit.n_states <= fit.parameters:
+    if fit.n_states <= fit.parameters and not fit.with_prior:
         covariance += ASSUMED_SCATTER**2 * np.linalg.pinv(_normal_matrix(fit, raw))
     return AccelerometerRecord(
         scale=fit.model.scale,
@@ -237,6 +251,7 @@ def _accelerometer_record(fit: AccelerometerFit, change: Change | None, raw: Arr
         most_helpful_attitude=fit.coverage.weakest.words,
         n_dropped=len(fit.dropped),
         iterations=fit.iterations,
+        with_prior=fit.with_prior,
     )
 
 

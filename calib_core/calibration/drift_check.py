@@ -14,12 +14,13 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from stillcal.calib_core.accelerometer.prior import norm_variances
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, Evidence
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.model import SensorModel
-from stillcal.calib_core.static.rest import force_uncertainties, forces
+from stillcal.calib_core.static.rest import directions, force_uncertainties, forces
 
 Number = float | Array
 
@@ -125,23 +126,24 @@ def check_calibration(record: CalibrationRecord, recent: Pool, settings: Quality
     assert record.accelerometer is not None
     recent = compensated(recent, record)
     bias = None if record.gyroscope is None else record.gyroscope.bias
-    uncertainty = np.hypot(norm_uncertainty(record.accelerometer), _gravity_change(record, recent))
-    return check_rests(record.accelerometer.model, float(uncertainty), bias, recent.held, settings)
+    part = record.accelerometer
+    uncertainty = np.hypot(norm_uncertainty(part, forces(recent.rests)), _gravity_change(record, recent))
+    return check_rests(part.model, uncertainty, bias, recent.held, settings)
 
 
 def check_rests(
     accelerometer: SensorModel,
-    norm_uncertainty: float,
+    norm_uncertainty: Number,
     gyro_bias: Array | None,
     held: Sequence[HeldRest],
     settings: QualitySettings,
 ) -> Check:
     """Check an accelerometer's model and a gyroscope's bias, (3,) rad/s or None, on rests.
 
-    norm_uncertainty: m/s^2, what the calibration itself leaves uncertain in a norm, the repeatability of
-    rests included. The accelerometer has drifted where two rests disagree or where the mean does: a change
-    of bias lengthens one norm and shortens another, and their mean may not show it. One rest alone may be a
-    bad one: among few rests it leads to waiting for more, by many it is outvoted.
+    norm_uncertainty: m/s^2, one or (n,), what the calibration itself leaves uncertain in a rest's norm, the
+    repeatability of rests included. The accelerometer has drifted where two rests disagree or where the mean
+    does: a change of bias lengthens one norm and shortens another, and their mean may not show it. One rest
+    alone may be a bad one: among few rests it leads to waiting for more, by many it is outvoted.
     """
     if not held:
         return Check(Drift.UNKNOWN, Drift.UNKNOWN, Verdict.WAIT, 0)
@@ -202,13 +204,17 @@ def norm_residuals(model: SensorModel, held: Sequence[HeldRest]) -> tuple[Array,
     return norm - np.array([h.gravity.value for h in held]), own
 
 
-def norm_uncertainty(part: AccelerometerRecord) -> float:
-    """Return what a calibration leaves uncertain in the norm of a rest, m/s^2.
+def norm_uncertainty(part: AccelerometerRecord, raw: Array) -> Array:
+    """Return what a calibration leaves uncertain in the norms of rests of raw force (n, 3), (n,) m/s^2.
 
-    The scatter of the rests it was fitted to and, without cross-axis terms, what these may amount to.
+    The scatter of the rests it was fitted to and, without cross-axis terms, what these may amount to. A
+    calibration that a prior entered is known unequally well by direction, as its covariance says.
     """
-    omitted = _OMITTED_CROSS_AXIS if part.parameters == 6 else 0.0
-    return float(np.hypot(part.rms_residual or 0.0, omitted))
+    unknown = np.full(len(raw), _OMITTED_CROSS_AXIS if part.parameters == 6 else 0.0)
+    if part.with_prior and part.covariance is not None:
+        up = directions(part.model.apply(raw))
+        unknown = np.sqrt(norm_variances(up, part.covariance, part.gravity))
+    return np.asarray(np.hypot(part.rms_residual or 0.0, unknown))
 
 
 def _gravity_change(record: CalibrationRecord, recent: Pool) -> float:
@@ -222,8 +228,9 @@ def _gravity_change(record: CalibrationRecord, recent: Pool) -> float:
     return record.gravity.uncertainty
 
 
-def _accel_drift(residual: Array, own: Array, norm_uncertainty: float, settings: QualitySettings) -> Drift:
+def _accel_drift(residual: Array, own: Array, norm_uncertainty: Number, settings: QualitySettings) -> Drift:
     """Decide whether two rests disagree, or the mean does without the rest that disagrees most."""
+    common = np.broadcast_to(norm_uncertainty, residual.shape)
     apart = np.abs(residual) / np.hypot(own, norm_uncertainty)
     off = _is_off(residual, np.hypot(own, norm_uncertainty), settings.significance, settings.accel_limit)
     if off.sum() >= 2:
@@ -233,15 +240,16 @@ def _accel_drift(residual: Array, own: Array, norm_uncertainty: float, settings:
     others = np.arange(residual.size) != apart.argmax()
     if not others.any():
         return Drift.NONE
-    mean = _weighted_mean(residual[others], own[others], norm_uncertainty)
+    mean = _weighted_mean(residual[others], own[others], common[others])
     return _drift(mean, settings.significance, settings.accel_limit)
 
 
-def _weighted_mean(values: Array, own: Array, common: float) -> tuple[float, float]:
-    """Return the mean of residuals that share one common error, and its standard uncertainty."""
+def _weighted_mean(values: Array, own: Array, common: Number) -> tuple[float, float]:
+    """Return the mean of residuals that share a common error, one or (n,), and its standard uncertainty."""
     weight = 1 / np.maximum(own, 1e-9) ** 2
     mean = float(weight @ values / weight.sum())
-    return mean, float(np.hypot(1 / np.sqrt(weight.sum()), common))
+    shared = weight @ np.broadcast_to(common, values.shape) / weight.sum()
+    return mean, float(np.hypot(1 / np.sqrt(weight.sum()), shared))
 
 
 def _rate_residual(bias: Array | None, held: Sequence[HeldRest]) -> tuple[float, float] | None:

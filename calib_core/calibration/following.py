@@ -26,12 +26,13 @@ from stillcal.calib_core.calibration.record import (
     Evidence,
     Validity,
 )
-from stillcal.calib_core.calibration.terms import polynomial
+from stillcal.calib_core.calibration.terms import lag_of, polynomial
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast
 from stillcal.calib_core.temperature.memory import Memory
 from stillcal.calib_core.temperature.regression import UNIT_K
+from stillcal.calib_core.temperature.thermometer import felt
 
 _ALL = 12
 """Parameters of a calibration that holds a rotation common to all axes."""
@@ -137,7 +138,7 @@ def _residuals(record: CalibrationRecord, part: AccelerometerRecord, memory: Mem
     force = memory.force
     for term in record.terms:
         if term.effect == EFFECTS[Sensor.ACCELEROMETER][0]:
-            force = force - polynomial(term, memory.celsius)
+            force = force - polynomial(term, felt(memory.celsius, memory.lagged, lag_of(term)))
     norm = np.linalg.norm(part.model.apply(force), axis=1)
     return np.asarray(norm - memory.gravity)
 
@@ -204,6 +205,7 @@ def _part(part: AccelerometerRecord, learnt: Learnt, memory: Memory) -> Accelero
         unobservable=part.unobservable,
         n_dropped=0,
         iterations=None,
+        with_prior=part.with_prior and int(labels.max()) + 1 <= 9,
     )
 
 

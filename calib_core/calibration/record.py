@@ -133,7 +133,8 @@ class AccelerometerRecord(SensorRecord):
     norm between rests of one attitude, None where no attitude was held twice. observability: (p,) how well
     the attitudes show each parameter, from 0, not at all, to 1, as well as evenly spread ones. unobservable:
     what no rest can show. most_helpful_attitude: the attitude to add, in words. n_dropped: number of rests
-    left out as outliers. iterations: number of steps of the fit.
+    left out as outliers. iterations: number of steps of the fit. with_prior: whether what is known of sound
+    phones entered, because the attitudes alone do not show all parameters; the covariance holds it.
     """
 
     gravity: float
@@ -143,12 +144,18 @@ class AccelerometerRecord(SensorRecord):
     most_helpful_attitude: str | None = None
     n_dropped: int = 0
     iterations: int | None = None
+    with_prior: bool = False
     unit: Literal["m/s^2"] = "m/s^2"
     residual_unit: Literal["m/s^2"] = "m/s^2"
 
     def __post_init__(self) -> None:
         SensorRecord.__post_init__(self)  # super() does not reach through slots=True
         _require_within("gravity", self.gravity, 9.7, 9.9)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Distinct attitudes less parameters; with a prior, which counts as an observation of each, all."""
+        return self.n_states - (0 if self.with_prior else self.parameters)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -325,14 +332,17 @@ class CalibrationRecord:
             )
         return part.model
 
-    def bias_uncertainty_at(self, sensor: Sensor, t: float | None, celsius: float | None) -> Array | None:
+    def bias_uncertainty_at(
+        self, sensor: Sensor, t: float | None, celsius: float | None, lagged: Array | None = None
+    ) -> Array | None:
         """Return the standard uncertainty (3,) of a bias at t (s) and a temperature, degC; None if unknown.
 
-        celsius: None where unknown. Where no forecast was learnt, it is that of the time of the fit.
+        celsius: None where unknown. lagged: (k,) degC, of sensors that follow the thermometer late. Where no
+        forecast was learnt, it is that of the time of the fit.
         """
         forecast = self.forecast.get(str(sensor))
         if forecast is not None and t is not None:
-            return forecast.bias_uncertainty(t, celsius)
+            return forecast.bias_uncertainty(t, celsius, lagged)
         part = self.accelerometer if sensor == Sensor.ACCELEROMETER else self.gyroscope
         return None if part is None else part.bias_uncertainty
 

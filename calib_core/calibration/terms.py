@@ -24,6 +24,9 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.temperature.forecast import PLAUSIBLE_K
+from stillcal.calib_core.temperature.thermometer import Thermometer, felt
+
+NO_READINGS = Thermometer()
 
 _KINDS: dict[str, tuple[Sensor, str, tuple[int, ...]]] = {
     "accel_bias_temperature": (Sensor.ACCELEROMETER, "slope", (3,)),
@@ -51,43 +54,63 @@ def with_terms(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]])
     return replace(record, terms=(*others, *fresh.values()))
 
 
-def correct(record: CalibrationRecord, samples: Samples, force: Array | None = None) -> Samples:
+def correct(
+    record: CalibrationRecord,
+    samples: Samples,
+    force: Array | None = None,
+    thermometer: Thermometer = NO_READINGS,
+) -> Samples:
     """Correct a run of samples by the model and by those terms whose temperature or force is known.
 
     force: (n, 3) m/s^2, the calibrated specific force at these samples' times, or None. The temperature comes
-    with the samples. Raises NotCalibratedError where the record has no part of their sensor.
+    with the samples; thermometer: its readings before them. Raises NotCalibratedError where the record has no
+    part of their sensor.
     """
-    offset = bias_terms(record, samples.sensor, samples.temperature, force)
+    celsius = samples.temperature
+    late = celsius is not None and any(lag_of(term) for term in record.terms)
+    lagged = thermometer.course(samples.t, celsius) if late and celsius is not None else None
+    offset = bias_terms(record, samples.sensor, celsius, force, lagged)
     return record.model(samples.sensor).correct(replace(samples, xyz=samples.xyz - offset))
 
 
 def correct_both(
-    record: CalibrationRecord, accelerometer: Samples, gyroscope: Samples | None
+    record: CalibrationRecord,
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    thermometer: Thermometer = NO_READINGS,
 ) -> tuple[Samples, Samples | None]:
     """Correct both sensors' samples; a sensor that the record holds nothing of stays as it is.
 
     The gyroscope's terms that follow force take it from the corrected accelerometer, interpolated to the
-    gyroscope's times.
+    gyroscope's times. thermometer: its readings before them.
     """
-    accel = _corrected(record, accelerometer)
+    accel = _corrected(record, accelerometer, None, thermometer)
     if gyroscope is None:
         return accel, None
-    return accel, _corrected(record, gyroscope, interpolated(accel, gyroscope.t))
+    force = interpolated(accel, gyroscope.t)
+    return accel, _corrected(record, gyroscope, force, thermometer)
 
 
-def _corrected(record: CalibrationRecord, samples: Samples, force: Array | None = None) -> Samples:
+def _corrected(
+    record: CalibrationRecord, samples: Samples, force: Array | None, thermometer: Thermometer
+) -> Samples:
     try:
-        return correct(record, samples, force)
+        return correct(record, samples, force, thermometer)
     except NotCalibratedError:
         return samples
 
 
 def bias_terms(
-    record: CalibrationRecord, sensor: Sensor, temperature: Array | None, force: Array | None = None
+    record: CalibrationRecord,
+    sensor: Sensor,
+    temperature: Array | None,
+    force: Array | None = None,
+    lagged: Array | None = None,
 ) -> Array:
     """Return what the terms add to the bias, (n, 3) in raw units, or (3,) zeros where no term applies.
 
-    temperature: (n,) degC, NaN where unknown, or None. force: (n, 3) m/s^2, calibrated, or None. Outside the
+    temperature: (n,) degC, NaN where unknown, or None. force: (n, 3) m/s^2, calibrated, or None. lagged:
+    (n, k) degC, of sensors that follow the thermometer late, as thermometer.py has it, or None. Outside the
     temperatures that the calibration was measured at, a slope is extrapolated as a straight line.
     """
     offset = np.zeros(3)
@@ -95,10 +118,15 @@ def bias_terms(
         if term.sensor != sensor or term.effect not in _KINDS:
             continue
         if "slope" in term.parameters and temperature is not None:
-            offset = offset + polynomial(term, temperature)
+            offset = offset + polynomial(term, felt(temperature, lagged, lag_of(term)))
         elif "matrix" in term.parameters and force is not None:
             offset = offset + force @ term.parameters["matrix"].value.T
     return offset
+
+
+def lag_of(term: Term) -> float:
+    """Return with what lag (s) a term follows the thermometer; 0 for none."""
+    return term.reference.get("lag_s", 0.0)
 
 
 POWER_NAMES = ("slope", "quadratic", "cubic")
@@ -122,6 +150,8 @@ def learnt_between(low: float, high: float) -> tuple[float, float]:
 
 def polynomial(term: Term, temperature: Array) -> Array:
     """Return a temperature term's bias at temperatures (n,), degC: (n, 3); zero where they are unknown.
+
+    The temperatures are those of the sensor, which may follow the thermometer late (thermometer.felt).
 
     A term that knows the span of temperatures that it was learnt at is followed beyond them by a quarter of
     the span and 1 K at most; there it stays as it is. Beyond the span by more than the span and 10 K the
@@ -153,10 +183,11 @@ def compensated(pool: Pool, record: CalibrationRecord) -> Pool:
 
 def _compensated(rest: RestState, record: CalibrationRecord) -> RestState:
     at = None if rest.temperature is None else np.array([rest.temperature])
-    force = rest.specific_force - np.ravel(bias_terms(record, Sensor.ACCELEROMETER, at))
+    by_temperature = bias_terms(record, Sensor.ACCELEROMETER, at, None, rest.lagged)
+    force = rest.specific_force - np.ravel(by_temperature)
     if rest.rate is None:
         return msgspec.structs.replace(rest, specific_force=frozen(force))
-    by_temperature = bias_terms(record, Sensor.GYROSCOPE, at)
+    by_temperature = bias_terms(record, Sensor.GYROSCOPE, at, None, rest.lagged)
     rate = rest.rate - np.ravel(by_temperature) - force_terms(record, force[None])[0]
     return msgspec.structs.replace(rest, specific_force=frozen(force), rate=frozen(rate))
 

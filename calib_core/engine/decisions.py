@@ -179,9 +179,9 @@ def _candidate_or_refusal(pool: Pool, task: FitTask) -> Candidate | NotSupported
         return refusal
 
 
-def _rank(fit: AccelerometerFit) -> tuple[int, float]:
-    """Order fits: more parameters first, then the smaller uncertainty along the worst direction."""
-    return -fit.parameters, fit.worst_norm_uncertainty
+def _rank(fit: AccelerometerFit) -> tuple[bool, int, float]:
+    """Order fits: those without a prior, more parameters, less uncertain along the worst direction first."""
+    return fit.with_prior, -fit.parameters, fit.worst_norm_uncertainty
 
 
 class CalibrationPolicy:
@@ -362,7 +362,7 @@ class CalibrationPolicy:
         """Try a full calibration at t (s) if one is due on this occasion."""
         state = self._state
         since_try = math.inf if state.tried is None else t - state.tried
-        status = CalibrationStatus(state.calibrated, state.degraded, state.fresh, since_try)
+        status = CalibrationStatus(state.complete, state.degraded, state.fresh, since_try)
         if not calibration_due(status, occasion, self._settings.schedule):
             return
         state.fresh, state.tried = 0, t
@@ -411,6 +411,9 @@ class CalibrationPolicy:
         fields = {"occasion": str(occasion)}
         if not outcome.accepted:
             state.degraded = state.degraded and not outcome.settled
+            if state.calibrated and not state.complete:
+                self._actions.append(Log(t, Level.DEBUG, "rejected", outcome.reason, fields))
+                return
             state.counters.rejected += 1
             self._actions.append(Reject(t, outcome.record, outcome.reason))
             self._actions.append(Log(t, Level.INFO, "rejected", outcome.reason, fields))

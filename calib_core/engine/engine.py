@@ -40,7 +40,7 @@ from stillcal.calib_core.engine.state import EngineState, first_state, without_p
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Ledger, Mode, Sense, Sleep
-from stillcal.calib_core.streams.events import Charging, End, Event, Location, Tick
+from stillcal.calib_core.streams.events import Charging, End, Event, Location, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.temperature.memory import Memory
 
@@ -186,6 +186,8 @@ class Engine:
     def _take_event(self, event: Event) -> None:
         if isinstance(event, Tick):
             self._state.heard = event.t if self._state.heard is None else max(event.t, self._state.heard)
+        elif isinstance(event, Temperature):
+            self._intake.hear(np.array([event.t]), np.array([event.celsius]))
         else:
             insort_right(self._state.events, event, key=lambda e: e.t)
             if len(self._state.events) > MAX_EVENTS:

@@ -8,9 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+import msgspec
 import numpy as np
 
 from stillcal.calib_core import gravity as local_gravity
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.rest_pool import AttitudeIndex, HeldRest
 from stillcal.calib_core.engine.actions import Action, Level, Log
 from stillcal.calib_core.engine.settings import EngineSettings, Watch
@@ -57,6 +59,12 @@ class Intake:
         state.waiting[sensor] = samples if waiting is None else Samples.joined([waiting, samples])
         state.latest[sensor] = float(samples.t[-1])
 
+    def hear(self, t: Array, celsius: Array) -> None:
+        """Take readings of the thermometer, degC at times t (s), both (n,)."""
+        state = self._state
+        now = self.known_until()
+        state.thermometer = state.thermometer.with_readings(t, celsius, now if math.isfinite(now) else t[0])
+
     def known_until(self) -> float:
         """Return the time (s) up to which both streams are known; -inf before the first sample.
 
@@ -75,6 +83,8 @@ class Intake:
         if not due or state.watch is Watch.IDLE:
             return
         for block in due:
+            if state.watch is Watch.CONTINUOUS and block.temperature is not None:
+                self.hear(block.t, block.temperature)
             if block.sensor is Sensor.GYROSCOPE and state.watch is Watch.CONTINUOUS:
                 tail = state.gyro_tail
                 state.gyro_tail = block if tail is None else Samples.joined([tail, block])
@@ -129,6 +139,11 @@ class Intake:
 
     def _gather(self, rest: RestState) -> None:
         state = self._state
+        if rest.temperature is not None:
+            middle = 0.5 * (rest.t_start + rest.t_end)
+            lagged = state.thermometer.lagged(middle, rest.temperature)
+            rest = msgspec.structs.replace(rest, lagged=frozen(lagged))
+            self.hear(np.array([middle]), np.array([rest.temperature]))
         state.pool = self._index.with_rest(state.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
         state.attitudes = self._index.attitudes(state.pool)
         state.memory = state.memory.with_rest(rest, state.pool.held[-1].gravity.value)

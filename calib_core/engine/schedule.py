@@ -69,11 +69,12 @@ class Occasion(StrEnum):
 class CalibrationStatus:
     """What decides whether a full calibration is due.
 
-    has_record: whether there is a full calibration. degraded: whether that failed its check. fresh: rests
-    gathered since the last attempt to fit. since_try: s since that attempt, inf where there was none.
+    complete: whether there is a full calibration that no prior entered. degraded: whether that failed its
+    check. fresh: rests gathered since the last attempt to fit. since_try: s since that attempt, inf where
+    there was none.
     """
 
-    has_record: bool
+    complete: bool
     degraded: bool
     fresh: int
     since_try: float
@@ -83,14 +84,14 @@ def calibration_due(standing: CalibrationStatus, occasion: Occasion, settings: S
     """Say whether a full calibration is due on this occasion.
 
     A request is always answered. Otherwise there must be rests gathered since the last attempt. A phone
-    without a calibration does not wait, nor does the end of a recording, after which there is no other
-    chance. A phone with a calibration waits for `least_wait` since the last attempt.
+    without a complete calibration does not wait, nor does the end of a recording, after which there is no
+    other chance. A phone with a complete calibration waits for `least_wait` since the last attempt.
     """
     if occasion is Occasion.ASKED:
         return True
     if standing.fresh == 0:
         return False
-    if not standing.has_record or occasion is Occasion.END:
+    if not standing.complete or occasion is Occasion.END:
         return True
     return standing.since_try >= least_wait(standing.degraded, settings)
 
@@ -119,7 +120,7 @@ def first_of_use(state: EngineState, t: float, step: float, settings: ScheduleSe
     For times when a review cannot change how the sensors are used. The reviews before the next full
     calibration or check have nothing to do and are left out; a check or an event plans the next review anew.
     """
-    if not state.calibrated or state.check_due or state.tried is None or state.next_check is None:
+    if not state.complete or state.check_due or state.tried is None or state.next_check is None:
         return t
     until = state.next_check if state.early_check is None else min(state.next_check, state.early_check)
     if state.charging is not False:

@@ -19,6 +19,7 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.events import Event
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.temperature.memory import Memory
+from stillcal.calib_core.temperature.thermometer import Thermometer
 
 
 @dataclass(slots=True)
@@ -87,11 +88,11 @@ class EngineState:
     next_review: the coming deadlines. early_check: when a bias is expected to have wandered too far.
     check_due: a check waits for a rest. checked, tried: times of the last check and of the last attempt to
     fit. allowance: the duty-cycle budget. degraded: the calibration failed its check. moves: recent changes
-    of place. memory: the rests that temperature and wander are learnt from.
-    attitudes: number of distinct ones in the pool. fresh: rests gathered since the last attempt to fit.
+    of place. memory: the rests that temperature and wander are learnt from. thermometer: its readings of
+    late. attitudes: number of distinct ones in the pool. fresh: rests gathered since the last attempt to fit.
     gyro_tail: gyroscope samples that the next rotation segment may be cut from. sound_until: when a
-    calibration that now fails last passed a check. refusal: why the last attempt to fit was refused.
-    trouble: None where the last check passed.
+    calibration that now fails last passed a check. refusal: why the last attempt to fit was refused. trouble:
+    None where the last check passed.
     """
 
     detector: DetectorState | None = None
@@ -114,6 +115,7 @@ class EngineState:
     moves: list[Move] = field(default_factory=list)
     pool: Pool = field(default_factory=Pool)
     memory: Memory = field(default_factory=Memory)
+    thermometer: Thermometer = field(default_factory=Thermometer)
     attitudes: int = 0
     fresh: int = 0
     last_rest: RestState | None = None
@@ -128,6 +130,12 @@ class EngineState:
     def calibrated(self) -> bool:
         """Whether there is a full calibration; before the first one there may be a gyroscope part alone."""
         return self.record is not None and self.record.accelerometer is not None
+
+    @property
+    def complete(self) -> bool:
+        """Whether there is a full calibration that stands on its rests alone, without a prior."""
+        part = None if self.record is None else self.record.accelerometer
+        return part is not None and not part.with_prior
 
 
 def first_state(settings: EngineSettings) -> EngineState:

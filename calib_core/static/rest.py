@@ -30,7 +30,8 @@ class RestState(msgspec.Struct, frozen=True, eq=False, rename={"undetected_rotat
     without gyroscope. tilt_rate_limit: rad/s, the fastest rotation about a horizontal axis that the direction
     of gravity would not have shown. undetected_rotation_bound: rad/s, the rotation about the vertical that
     this rest alone cannot tell from gyroscope bias, None where nothing bounds it; saved states call it
-    spin_admitted. temperature: degC or None.
+    spin_admitted. temperature: degC or None. lagged: (k,) degC, temperatures of sensors that follow the
+    thermometer late (temperature/thermometer.py), NaN where unknown; None where nothing is known.
     """
 
     t_start: float
@@ -47,6 +48,7 @@ class RestState(msgspec.Struct, frozen=True, eq=False, rename={"undetected_rotat
     tilt_rate_limit: float | None = None
     undetected_rotation_bound: float | None = None
     temperature: float | None = None
+    lagged: Array | None = None
 
     @property
     def duration(self) -> float:

@@ -25,6 +25,13 @@ class Location(msgspec.Struct, frozen=True, tag_field="event", tag="location"):
     altitude: float | None = None
 
 
+class Temperature(msgspec.Struct, frozen=True, tag_field="event", tag="temperature"):
+    """A thermometer's reading at t (s). celsius: degC."""
+
+    t: float
+    celsius: float
+
+
 class Tick(msgspec.Struct, frozen=True, tag_field="event", tag="tick"):
     """Time has reached t (s), and no earlier sample is still on its way: the clock of a sleeping phone."""
 
@@ -37,4 +44,4 @@ class End(msgspec.Struct, frozen=True, tag_field="event", tag="end"):
     t: float
 
 
-Event = Charging | Location | Tick | End
+Event = Charging | Location | Temperature | Tick | End

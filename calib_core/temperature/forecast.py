@@ -8,6 +8,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.temperature.regression import Wander, curve_basis
+from stillcal.calib_core.temperature.thermometer import felt
 
 _LEAST_SPAN_K = 1.0
 
@@ -17,12 +18,15 @@ class Forecast:
     """What is known of a sensor's bias besides its value; in the sensor's unit, K and s.
 
     at: s, time that the bias holds for. reference: degC, temperature that it holds for. temperature_min,
-    temperature_max: degC, span of the rests, None without a thermometer. curve: (3, 3) coefficients of
-    u, u^2, u^3 by axis, u = (T - reference) / 10 K. error: (4, 3) what is expected of the true bias beyond
-    the bias and the terms of the calibration: at the reference, and coefficients; not zero where the evidence
+    temperature_max: degC, span of the rests, None without a thermometer. curve: (3, 3) coefficients of u,
+    u^2, u^3 by axis, u = (T - reference) / 10 K. error: (4, 3) what is expected of the true bias beyond the
+    bias and the terms of the calibration: at the reference, and coefficients; not zero where the evidence
     does not suffice to correct it. covariance: (12, 12) of the bias and the coefficients, axes innermost.
     white, flicker, walk: the wander measured on this phone (regression.Wander). thermometer_sd: K, standard
-    uncertainty of a temperature for the thermometer's steps.
+    uncertainty of a temperature for the thermometer's steps. lag_s: s, with which the sensor follows the
+    thermometer; all temperatures here are the sensor's. behind_sd: K, how far the two were apart in the
+    rests, root mean square: what is unknown of the sensor's temperature where only the thermometer's is
+    known.
     """
 
     at: float
@@ -36,20 +40,27 @@ class Forecast:
     temperature_min: float | None = None
     temperature_max: float | None = None
     thermometer_sd: float = 0.0
+    lag_s: float = 0.0
+    behind_sd: float = 0.0
 
     @property
     def wander(self) -> Wander:
         """How the bias wanders."""
         return Wander(self.white, self.flicker, self.walk)
 
-    def bias_uncertainty(self, t: float, celsius: float | None) -> Array:
+    def bias_uncertainty(self, t: float, celsius: float | None, lagged: Array | None = None) -> Array:
         """Return the standard uncertainty (3,) of the bias at t (s) and a temperature, degC.
 
-        Without a temperature, it is taken to be anywhere in the span of the rests.
+        lagged: (k,) degC, of sensors that follow the thermometer late. Without a temperature, it is taken to
+        be anywhere in the span of the rests.
         """
         grown = self.wander.growth(t - self.at)
         if celsius is not None and np.isfinite(celsius):
-            return np.sqrt(self._variance(celsius, self.error, self.thermometer_sd) + grown)
+            own = felt(np.array([np.nan]), lagged, self.lag_s)[0] if self.lag_s else celsius
+            if np.isfinite(own):
+                return np.sqrt(self._variance(float(own), self.error, self.thermometer_sd) + grown)
+            either = float(np.hypot(self.thermometer_sd, self.behind_sd))
+            return np.sqrt(self._variance(celsius, self.error, either) + grown)
         error = np.vstack((self.error[:1], self.curve))
         unknown = [self._variance(float(c), error, 0.0) for c in np.linspace(*self._span(), 7)]
         total: Array = np.sqrt(np.mean(unknown, axis=0) + grown)

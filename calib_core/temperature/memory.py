@@ -8,7 +8,7 @@ is dropped where most others are like it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.temperature.thermometer import LAGS_S
 
 MOST_RESTS = 240
 """Rests kept: a fit costs the third power, 2 ms at 240."""
@@ -36,7 +37,7 @@ class Memory:
 
     t: (n,) s, middle of the rest. celsius: (n,) degC, NaN where unknown. force, force_sd: (n, 3) raw m/s^2
     and standard uncertainty. rate, rate_sd: (n, 3) raw rad/s, NaN without a gyroscope. gravity: (n,) m/s^2 at
-    the place of the rest.
+    the place of the rest. lagged: (n, k) degC, of sensors that follow the thermometer with each of LAGS_S.
     """
 
     t: Array = field(default_factory=lambda: _empty(0))
@@ -46,15 +47,14 @@ class Memory:
     rate: Array = field(default_factory=lambda: _empty(0, 3))
     rate_sd: Array = field(default_factory=lambda: _empty(0, 3))
     gravity: Array = field(default_factory=lambda: _empty(0))
+    lagged: Array = field(default_factory=lambda: _empty(0, len(LAGS_S)))
 
     def __post_init__(self) -> None:
-        for name in (
-            "force",
-            "force_sd",
-            "rate",
-            "rate_sd",
-        ):  # an empty table is read back without its columns
+        for name in ("force", "force_sd", "rate", "rate_sd"):  # an empty table is read back without columns
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name)).reshape(-1, 3)))
+        shape = (len(self.t), len(LAGS_S))
+        if np.shape(self.lagged) != shape:  # a state saved before lags were learnt has none
+            object.__setattr__(self, "lagged", frozen(np.full(shape, np.nan)))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -71,6 +71,7 @@ class Memory:
             rest.rate if has_rate else none,
             rest.rate_uncertainty if has_rate else none,
             gravity,
+            np.full(len(LAGS_S), np.nan) if rest.lagged is None else rest.lagged,
         )
         longer = self._of(
             np.concatenate((column, [v])) for column, v in zip(self._columns(), row, strict=True)
@@ -92,11 +93,10 @@ class Memory:
 
     @staticmethod
     def _of(columns: Iterable[Array]) -> Memory:
-        t, celsius, force, force_sd, rate, rate_sd, gravity = map(frozen, columns)
-        return Memory(t, celsius, force, force_sd, rate, rate_sd, gravity)
+        return Memory(*map(frozen, columns))
 
     def _columns(self) -> tuple[Array, ...]:
-        return (self.t, self.celsius, self.force, self.force_sd, self.rate, self.rate_sd, self.gravity)
+        return tuple(getattr(self, column.name) for column in fields(self))
 
     def _most_crowded(self) -> int:
         """Return the oldest rest of those that most others are like."""

@@ -11,7 +11,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
@@ -24,6 +24,7 @@ from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.settings import Ledger, Sense, Sleep
 from stillcal.calib_core.streams.events import End, Event
 from stillcal.calib_core.streams.samples import SampleError, Samples
+from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.service.saved_state import SavedState, encode
 from stillcal.daemon.system.clock import Clock
 from stillcal.daemon.system.worker import Worker
@@ -55,6 +56,7 @@ class View:
     next_check: float | None
     rests_held: int
     pool: Pool
+    thermometer: Thermometer = field(default_factory=Thermometer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +189,7 @@ def _view(engine: Engine) -> View:
         next_check=s.next_check,
         rests_held=len(s.pool.held),
         pool=s.pool,
+        thermometer=s.thermometer,
     )
 
 

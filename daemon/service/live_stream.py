@@ -14,6 +14,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.calibration.terms import correct, interpolated
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.subscribers import Subscriber, Subscribers
 
@@ -75,14 +76,23 @@ class LiveStream:
 
         return listener, leave
 
-    def take(self, blocks: Sequence[Samples], record: CalibrationRecord | None, host_s: float) -> None:
-        """Correct the samples of one reading, the accelerometer's first, and send them on."""
+    def take(
+        self,
+        blocks: Sequence[Samples],
+        record: CalibrationRecord | None,
+        host_s: float,
+        thermometer: Thermometer,
+    ) -> None:
+        """Correct the samples of one reading, the accelerometer's first, and send them on.
+
+        thermometer: its readings before them.
+        """
         if not len(self):
             self._force = None
             return
         gyroscope_first = list(join_blocks(blocks))
         for block in sorted(gyroscope_first, key=lambda block: block.sensor):
-            corrected = self._corrected(block, record)
+            corrected = self._corrected(block, record, thermometer)
             shown, by = (block, None) if corrected is None else (corrected, record)
             for first in range(0, len(shown), BLOCK_ROWS):
                 self._listeners.notify(LiveBlock(shown[first : first + BLOCK_ROWS], by, host_s))
@@ -94,14 +104,16 @@ class LiveStream:
         self._force = None
         self._listeners.notify(Interruption(reason))
 
-    def _corrected(self, block: Samples, record: CalibrationRecord | None) -> Samples | None:
+    def _corrected(
+        self, block: Samples, record: CalibrationRecord | None, thermometer: Thermometer
+    ) -> Samples | None:
         """Return corrected samples; None without a calibration of their sensor."""
         if record is None:
             return None
         try:
             if block.sensor is Sensor.GYROSCOPE:
-                return correct(record, block, self._force_at(block.t))
-            force = correct(record, block)
+                return correct(record, block, self._force_at(block.t), thermometer)
+            force = correct(record, block, None, thermometer)
         except NotCalibratedError:
             return None
         bare = Samples(force.sensor, force.t, force.xyz)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.streams.events import Charging, End, Location, Tick
+from stillcal.calib_core.streams.events import Charging, End, Event, Location, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 LEAP_S = 86400.0
@@ -26,7 +26,7 @@ BACK_S = 1.0
 LEAST_GAP_S = 1.0
 """Least engine time that a restart takes, s."""
 
-Timed = Samples | Charging | Location | Tick | End
+Timed = Samples | Event
 
 
 @dataclass(slots=True)
@@ -101,9 +101,11 @@ class PhoneClock:
             self.newest, self.host = t, host
 
 
-def _at(event: Charging | Location | Tick | End, t: float) -> Charging | Location | Tick | End:
+def _at(event: Event, t: float) -> Event:
     if isinstance(event, Charging):
         return Charging(t, event.on)
     if isinstance(event, Location):
         return Location(t, event.latitude, event.longitude, event.altitude)
+    if isinstance(event, Temperature):
+        return Temperature(t, event.celsius)
     return Tick(t) if isinstance(event, Tick) else End(t)

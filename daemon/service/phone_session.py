@@ -17,7 +17,7 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.engine.actions import Action
 from stillcal.calib_core.engine.settings import Watch
 from stillcal.calib_core.static.settings import Sense, Sleep
-from stillcal.calib_core.streams.events import Charging, End, Event, Location, Tick
+from stillcal.calib_core.streams.events import Charging, End, Event, Location, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.duty_commands import DutyCommands, credit
@@ -30,7 +30,7 @@ from stillcal.daemon.sources.base import LinkDown, LinkUp, Record, Source
 from stillcal.daemon.system.clock import Clock, host_time
 from stillcal.daemon.system.log import say
 from stillcal.daemon.system.printable import printable
-from stillcal.daemon.wire.messages import Hello, Identify, Rate, Status, Temperature
+from stillcal.daemon.wire.messages import Hello, Identify, Rate, Status
 
 BATCH_S = 0.2
 """How long records of a real-time phone gather before they are read, s: fewer wake-ups cost less power."""
@@ -102,7 +102,9 @@ class PhoneSession:
     def _must_feed_now(self, records: list[Record]) -> bool:
         """Return whether these records must reach the engine now, rather than gather."""
         only_samples = (
-            records and not self._in_step and all(isinstance(record, Samples) for record in records)
+            records
+            and not self._in_step
+            and all(isinstance(record, Samples | Temperature) for record in records)
         )
         view = self._engine_thread.view
         no_decision_due = view.watch is Watch.CONTINUOUS and self._saved.clock.newest < view.decides
@@ -174,6 +176,7 @@ class PhoneSession:
             self._on_status(record)
         elif isinstance(record, Temperature):
             self._celsius = record.celsius
+            self._queue(record)
         elif isinstance(record, Hello):
             await self._on_hello(record)
         elif isinstance(record, LinkUp | LinkDown):
@@ -191,7 +194,8 @@ class PhoneSession:
 
     def _send_live(self) -> None:
         fresh, self._fresh = self._fresh, []
-        self._live.take(fresh, self._engine_thread.view.record, self._clock())
+        view = self._engine_thread.view
+        self._live.take(fresh, view.record, self._clock(), view.thermometer)
 
     def _interrupt_live(self, reason: str) -> None:
         self._send_live()

@@ -141,13 +141,12 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         rate; also remove noise by a rolling mean of 3 to 20 samples, which goes on from this client's
         last call for the sensor. delay_s: how late the samples come because of it.
         """
-        record = self._daemon.view.record
-        if record is None:
+        if self._daemon.view.record is None:
             raise NotCalibrated(reason="no calibration yet", missing=[])
         raw = np.array(samples, dtype=np.float64).reshape(-1, 3)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
-                corrected = views.corrected(record, Sensor(sensor), raw, temperature_c, force)
+                corrected = views.corrected(self._daemon, Sensor(sensor), raw, temperature_c, force)
         except NotCalibratedError as error:
             raise NotCalibrated(reason=str(error), missing=[sensor]) from None
         except ValueError:

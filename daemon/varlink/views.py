@@ -109,10 +109,10 @@ def calibration(
     current = daemon.document.current
     accelerometer = _sensor(record.accelerometer, None)
     gyroscope = _sensor(record.gyroscope, _age(getattr(record.gyroscope, "zeroed_at", None), now))
-    accelerometer = _at_present(record, Sensor.ACCELEROMETER, accelerometer, now, temperature_c)
+    accelerometer = _at_present(record, Sensor.ACCELEROMETER, accelerometer, daemon, temperature_c)
     if view.degraded and view.trouble is not None:
         accelerometer = _widened(accelerometer, view.trouble.size)
-    gyroscope = _at_present(record, Sensor.GYROSCOPE, gyroscope, now, temperature_c)
+    gyroscope = _at_present(record, Sensor.GYROSCOPE, gyroscope, daemon, temperature_c)
     if gyroscope is not None and record.provisional:
         gyroscope = dataclasses.replace(gyroscope, provisional=True)
     return api.Calibration(
@@ -137,19 +137,20 @@ def _at_present(
     record: CalibrationRecord,
     sensor: Sensor,
     part: api.SensorCalibration | None,
-    now: float | None,
+    daemon: Daemon,
     temperature_c: float | None,
 ) -> api.SensorCalibration | None:
-    """Add a sensor's bias now (s) at a temperature, and what was learnt of its temperature and wander."""
+    """Add a sensor's bias now at a temperature, and what was learnt of its temperature and wander."""
     if part is None:
         return None
-    at = None if temperature_c is None else np.array([temperature_c])
-    bias = np.array(part.bias) + np.ravel(bias_terms(record, sensor, at))
+    now, at = daemon.now, None if temperature_c is None else np.array([temperature_c])
+    late = _lagged(daemon, temperature_c)
+    bias = np.array(part.bias) + np.ravel(bias_terms(record, sensor, at, None, late))
     forecast = record.forecast.get(str(sensor))
     told = dataclasses.replace(
         part,
         bias_now=_finite(bias),
-        bias_uncertainty_now=_finite(record.bias_uncertainty_at(sensor, now, temperature_c)),
+        bias_uncertainty_now=_finite(record.bias_uncertainty_at(sensor, now, temperature_c, late)),
         follows_temperature=any("slope" in t.parameters and t.sensor == sensor for t in record.terms),
     )
     if forecast is None:
@@ -162,6 +163,13 @@ def _at_present(
     )
 
 
+def _lagged(daemon: Daemon, temperature_c: float | None) -> Array | None:
+    """Return the temperatures now of sensors that follow the thermometer late, (k,), None where unknown."""
+    if temperature_c is None or daemon.now is None:
+        return None
+    return daemon.view.thermometer.lagged(daemon.now, temperature_c)
+
+
 def _widened(part: api.SensorCalibration | None, size: float) -> api.SensorCalibration | None:
     """Return the accelerometer's answer with its present uncertainty as large as its check was off."""
     if part is None or part.bias_uncertainty_now is None:
@@ -171,21 +179,24 @@ def _widened(part: api.SensorCalibration | None, size: float) -> api.SensorCalib
 
 
 def corrected(
-    record: CalibrationRecord,
+    daemon: Daemon,
     sensor: Sensor,
     raw: Array,
     temperature_c: float | None,
     force: list[list[float]] | None,
 ) -> Array:
-    """Correct raw readings (n, 3). A term applies where the quantity that it depends on is given.
+    """Correct raw readings (n, 3) by the current calibration. A term applies where its quantity is given.
 
     Raises NotCalibratedError, and ValueError where `force` does not go with the readings.
     """
+    record = daemon.view.record
+    assert record is not None
     forces = None if force is None else np.array(force, dtype=np.float64).reshape(-1, 3)
     if forces is not None and forces.shape != raw.shape:
         raise ValueError(f"force has {len(forces)} rows, the samples have {len(raw)}")
     temperatures = None if temperature_c is None else np.full(len(raw), temperature_c)
-    return record.apply(raw - bias_terms(record, sensor, temperatures, forces), sensor)
+    offset = bias_terms(record, sensor, temperatures, forces, _lagged(daemon, temperature_c))
+    return record.apply(raw - offset, sensor)
 
 
 def status(daemon: Daemon) -> api.Status:

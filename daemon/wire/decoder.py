@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 from enum import Enum, auto
 
+from stillcal.calib_core.streams.events import Temperature
 from stillcal.daemon.wire.cobs import MARKER, MARKERS, MAX_FRAME, FrameError, unframed
 from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
 from stillcal.daemon.wire.frames import PayloadError, parse_payload
@@ -24,7 +25,6 @@ from stillcal.daemon.wire.messages import (
     Message,
     Rate,
     Status,
-    Temperature,
 )
 from stillcal.daemon.wire.reassembly import WireCounters, WireDelivery
 from stillcal.daemon.wire.sample_blocks import Coding

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from stillcal.calib_core.static.detector import Sense, Sleep
-from stillcal.calib_core.streams.events import Charging, End, Location, Tick
+from stillcal.calib_core.streams.events import Charging, End, Location, Temperature, Tick
 from stillcal.daemon.wire.messages import (
     Grant,
     Hello,
@@ -22,7 +22,6 @@ from stillcal.daemon.wire.messages import (
     Message,
     Rate,
     Status,
-    Temperature,
     within_limits,
 )
 from stillcal.daemon.wire.sample_blocks import HEADER, SENSORS, parse_samples

@@ -13,7 +13,7 @@ import msgspec
 
 from stillcal.calib_core.static.detector import Sense, Sleep
 from stillcal.calib_core.streams import limits
-from stillcal.calib_core.streams.events import Charging, End, Location, Tick
+from stillcal.calib_core.streams.events import Charging, End, Location, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples
 
 VERSION = 1
@@ -36,14 +36,6 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     session: Annotated[int, msgspec.Meta(ge=0, le=SEQUENCE_MASK)] = 0
     flow: Literal["free", "credit"] = "free"
     claims: dict[str, Claim] = {}
-
-
-@dataclass(frozen=True, slots=True)
-class Temperature:
-    """A thermometer's reading. t: s; celsius: degC."""
-
-    t: float
-    celsius: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ import msgspec
 
 from stillcal.calib_core.static.detector import Sense, Sleep
 from stillcal.calib_core.streams import limits
-from stillcal.calib_core.streams.events import Charging, End, Location, Tick
+from stillcal.calib_core.streams.events import Charging, End, Location, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.wire.frames import parse_hello
 from stillcal.daemon.wire.messages import (
@@ -28,7 +28,6 @@ from stillcal.daemon.wire.messages import (
     Message,
     Rate,
     Status,
-    Temperature,
     within_limits,
 )
 

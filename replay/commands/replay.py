@@ -20,6 +20,7 @@ from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.streams.smoothing import RollingMean
+from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option, quiet_option
@@ -199,10 +200,14 @@ def _writer(
         arrival=first.accelerometer.t_arrival is not None,
         claims=claims.without_noise() if means else claims,
     ) as writer:
+        thermometer = Thermometer()
 
         def write(chunk: Chunk) -> None:
+            nonlocal thermometer
             gyroscope = chunk.gyroscope if opened.has_gyroscope else None
-            accel, gyro = correct_both(record, chunk.accelerometer, gyroscope)
+            accel, gyro = correct_both(record, chunk.accelerometer, gyroscope, thermometer)
+            if len(accel) and accel.temperature is not None:
+                thermometer = thermometer.with_readings(accel.t, accel.temperature, float(accel.t[-1]))
             if means:
                 accel = means[accel.sensor].smoothed_samples(accel)
                 gyro = None if gyro is None else means[gyro.sensor].smoothed_samples(gyro)

@@ -110,14 +110,13 @@ def ways(device: Device, rows: Sequence[int], fleet: FleetPrior, model: FleetPri
     errors = {"factory": device.error(SensorModel.identity()), "rests alone": np.nan}
     with suppress(NotSupported):
         errors["rests alone"] = device.error(accelerometer.fit(forces, sd, g).model)
-    for name, prior in (("datasheet", DATASHEET), ("fleet", fleet), ("fleet, by model", model)):
+    for name, prior in (
+        ("datasheet", fleet_prior.SOUND_PHONES),
+        ("fleet", fleet),
+        ("fleet, by model", model),
+    ):
         errors[name] = device.error(fleet_prior.fit(forces, sd, g, prior).model)
     return errors
-
-
-DATASHEET = FleetPrior(fleet_prior.NOMINAL, np.diag(np.repeat([0.4, 0.015, 0.005], 3) ** 2))
-"""A prior that asks no fleet: biases of 40 mg, scale errors of 1.5 %, half a percent of cross-axis
-sensitivity, of the size that phones' datasheets give (MPU-6050: zero-g output of 50 and 80 mg, 3 %, 2 %)."""
 
 
 def points(errors: dict[int, list[list[Arms]]], seed: int = 0) -> list[Point]:

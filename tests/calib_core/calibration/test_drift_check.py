@@ -294,9 +294,10 @@ def test_a_calibration_without_cross_axis_terms_leaves_their_size_open() -> None
             scale=np.eye(3), bias=np.zeros(3), parameters=parameters, rms_residual=rms, gravity=9.8
         )
 
-    assert norm_uncertainty(part(9, 0.012)) == pytest.approx(0.012)
-    assert norm_uncertainty(part(6, 0.012)) == pytest.approx(0.0514, abs=1e-4)  # hypot(0.012, 0.05)
-    assert norm_uncertainty(part(9, None)) == 0.0
+    up = 9.8 * np.eye(3)
+    assert norm_uncertainty(part(9, 0.012), up) == pytest.approx(0.012)
+    assert norm_uncertainty(part(6, 0.012), up) == pytest.approx(0.0514, abs=1e-4)  # hypot(0.012, 0.05)
+    assert norm_uncertainty(part(9, None), up).tolist() == [0.0] * 3
 
 
 @pytest.mark.parametrize(("source", "verdict"), [("given", Verdict.KEEP), ("location", Verdict.RECALIBRATE)])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.calibration.acceptance import decide
+from stillcal.calib_core.calibration.acceptance import decide, stated_uncertainty
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
@@ -171,7 +171,7 @@ def test_a_changed_sensor_is_noticed_and_calibrated_anew_the_old_kept_meanwhile(
     )
     jumped = 450.0
     day.biased_after(jumped, JUMP).lived()
-    first, last = day.stored[0], day.stored[-1]
+    first, last = [s for s in day.stored if s.t < jumped][-1], day.stored[-1]
     assert first.t < jumped < last.t
     verdicts = [entry.why for entry in day.logged("check") if entry.t < jumped]
     assert verdicts and set(verdicts) == {"keep"}
@@ -187,7 +187,7 @@ def test_a_changed_sensor_is_noticed_and_calibrated_anew_the_old_kept_meanwhile(
     assert not day.engine.state.degraded
 
 
-def test_six_parameters_become_nine_when_the_attitudes_allow() -> None:
+def test_a_first_calibration_with_a_prior_gives_way_when_the_attitudes_allow() -> None:
     faces = {name: 1.0 for name in ("screen_up", "screen_down", "on_long_edge", "upright", "upside_down")}
     day = Day(
         Table(duration_s=300.0, rest_s=(8.0, 12.0), look=0.0, supports=faces),
@@ -196,8 +196,10 @@ def test_six_parameters_become_nine_when_the_attitudes_allow() -> None:
         Rest(duration_s=20.0),
         Rest(duration_s=100.0, charging=True),
     ).lived()
-    parameters = [s.record.accelerometer.parameters for s in day.stored if s.record.accelerometer]
-    assert parameters == [6, 9]
+    parts = [s.record.accelerometer for s in day.stored if s.record.accelerometer]
+    assert [part.with_prior for part in parts] == [True, False]
+    before, after = (stated_uncertainty(part) for part in parts)
+    assert before is not None and after is not None and after < 0.2 * before
 
 
 def test_on_time_stays_within_burst_and_fraction() -> None:

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from stillcal.calib_core.codec import packed
 from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.streams.events import Temperature
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.service.batching import join_blocks
@@ -29,7 +30,7 @@ from stillcal.daemon.sources.base import Record
 from stillcal.daemon.store.msgpack_arrays import encoded
 from stillcal.daemon.system import log
 from stillcal.daemon.system.systemd import Notifier, passed_sockets
-from stillcal.daemon.wire.messages import Status, Temperature
+from stillcal.daemon.wire.messages import Status
 
 # The energy ledger
 

@@ -1,0 +1,100 @@
+"""The thermometer's readings of late, and how warm a sensor is that follows them late.
+
+A thermometer and a sensor seldom sit in one place: while the phone warms up, one runs ahead of the other. A
+sensor that follows the thermometer with a lag has the temperature of a first-order filter of its readings.
+The lag is one of LAGS_S, or none; which one, the rests decide (calibration/bias_curve.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array, frozen
+
+LAGS_S = (60.0, 120.0, 240.0, 480.0)
+"""Lags that are tried, s: a chip's and a phone's warm-up take 2 to 20 min."""
+
+CELL_S = 30.0
+"""One reading is kept for each of these cells of time, its first."""
+
+SPAN_S = 3600.0
+"""Readings older than this are forgotten: of a lag of 480 s, 0.06 % of a difference is left by then."""
+
+_UNKNOWN_K = 0.5
+"""A lagged temperature that may be off by more is unknown."""
+
+_FIRST_K, _DRIFT_K, _DRIFT_S = 3.0, 1.0, 1800.0
+"""How far a sensor may be from the first reading, and how far a temperature may stray between two readings
+that lie this long apart or longer."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Thermometer:
+    """Readings, oldest first, at most one for each cell. t: (n,) s. celsius: (n,) degC."""
+
+    t: Array = field(default_factory=lambda: frozen(np.empty(0)))
+    celsius: Array = field(default_factory=lambda: frozen(np.empty(0)))
+
+    def with_readings(self, t: Array, celsius: Array, now: float) -> Thermometer:
+        """Return the thermometer with readings (n,) more, whatever their order. now: s, for forgetting.
+
+        What is kept of the same readings does not depend on how they were cut into calls.
+        """
+        known = np.isfinite(celsius)
+        times, values = np.r_[self.t, t[known]], np.r_[self.celsius, celsius[known]]
+        order = np.argsort(times, kind="stable")
+        times, values = times[order], values[order]
+        _, first = np.unique(np.floor(times / CELL_S), return_index=True)
+        kept = first[times[first] >= now - SPAN_S]
+        return Thermometer(frozen(times[kept]), frozen(values[kept]))
+
+    def lagged(self, t: float, celsius: float) -> Array:
+        """Return the temperatures of sensors that follow with each of LAGS_S, (k,) degC, NaN where unknown.
+
+        t: s. celsius: degC, the reading then.
+        """
+        past = (self.t < t) & (self.t >= t - SPAN_S)
+        return frozen(_followed(np.r_[self.t[past], t], np.r_[self.celsius[past], celsius]))
+
+    def course(self, t: Array, celsius: Array) -> Array:
+        """Return the same for a run of readings (n,) degC at times t (n,) s: (n, k), NaN where unknown.
+
+        It is computed for one reading of each cell and the last one; between these, what the sensor is behind
+        is a straight line.
+        """
+        known = np.flatnonzero(np.isfinite(celsius))
+        if not known.size:
+            return frozen(np.full((len(t), len(LAGS_S)), np.nan))
+        heard = self.with_readings(t, celsius, float(t[0]))
+        _, first = np.unique(np.floor(t[known] / CELL_S), return_index=True)
+        rows = known[np.unique(np.r_[first, known.size - 1])]
+        behind = np.array([heard.lagged(float(t[k]), float(celsius[k])) - celsius[k] for k in rows]).T
+        return frozen(celsius[:, None] + np.column_stack([np.interp(t, t[rows], lag) for lag in behind]))
+
+
+def felt(celsius: Array, lagged: Array | None, lag_s: float) -> Array:
+    """Return the temperatures (n,) degC of a sensor that follows the thermometer with a lag, s.
+
+    celsius: (n,) readings. lagged: (n, k), for each of LAGS_S, None where unknown. Where a lagged temperature
+    is unknown, it is the reading.
+    """
+    if lag_s not in LAGS_S or lagged is None:
+        return celsius
+    late = np.atleast_2d(lagged)[:, LAGS_S.index(lag_s)]
+    return np.asarray(np.where(np.isfinite(late), late, celsius))
+
+
+def _followed(t: Array, celsius: Array) -> Array:
+    """Return the temperatures of lagging sensors at the last of readings (n,), (k,), NaN where unknown.
+
+    A first-order filter's answer to readings that are joined by straight lines, from the first reading on.
+    """
+    lags = np.array(LAGS_S)
+    left = np.exp((t - t[-1])[:, None] / lags)
+    gained, gaps, rises = np.diff(left, axis=0), np.diff(t), np.diff(celsius)
+    behind = ((rises / np.maximum(gaps, 1e-9))[:, None] * gained).sum(axis=0) * lags
+    stray = 0.5 * np.abs(rises) + _DRIFT_K * np.minimum(gaps / _DRIFT_S, 1.0)
+    doubt = _FIRST_K * left[0] + (np.where(gaps <= 3 * CELL_S, 0.0, stray)[:, None] * gained).sum(axis=0)
+    return np.asarray(np.where(doubt <= _UNKNOWN_K, celsius[-1] - behind, np.nan))
