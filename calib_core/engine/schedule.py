@@ -51,9 +51,12 @@ def watch_for(
 def next_on_grid(began: float, interval: float, after: float) -> float:
     """Return the first of the times began + k interval (k = 1, 2, ...) that lies after `after`, in s.
 
-    Deadlines stay on this grid across gaps, so that the schedule does not drift.
+    Deadlines stay on this grid across gaps, so that the schedule does not drift. `after` may be one of them,
+    rounded down: its quotient then falls short of k, and k would come again without end.
     """
-    return began + interval * max(1, math.floor((after - began) / interval) + 1)
+    k = max(1, math.floor((after - began) / interval) + 1)
+    t = began + interval * k
+    return t if t > after else began + interval * (k + 1)
 
 
 class Occasion(StrEnum):

@@ -152,7 +152,8 @@ def _learn(scan: _Scan, content: mmap.mmap, at: int) -> int | None:
     kind, length, name, letters, columns = _FMT_LAYOUT.unpack_from(content, at + 3)
     texts = [part.split(b"\0")[0].decode("ascii", "replace") for part in (name, letters, columns)]
     fields = texts[2].split(",") if texts[2] else []
-    if len(fields) != len(texts[1]) or len(set(fields)) != len(fields) or kind == _FMT:
+    named = len(set(fields)) == len(fields) == len(texts[1]) and all(fields)
+    if not named or kind == _FMT:
         return None
     try:
         layout = np.dtype([(n, _LETTERS[c]) for n, c in zip(fields, texts[1], strict=True)])

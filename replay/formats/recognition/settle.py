@@ -121,16 +121,19 @@ class _Probe:
 
     def column(self, name: str) -> Array:
         """Return the first values of a column, (n,), NaN where a cell is empty."""
-        places = find_columns([name], self._table.names, self._table.width) or []
-        block = next(iter(self._table.blocks(places)), None)
-        values = np.empty(0) if block is None else block.values[:_PROBED_ROWS, 0]
-        return np.where(values == EMPTY, np.nan, values)
+        return self._columns([name])[:, 0]
 
     def norms(self, axes: Axes) -> Array:
         """Return the sizes of the first vectors, (n,)."""
         with np.errstate(over="ignore"):  # a damaged file holds numbers of any size
-            norms: Array = np.linalg.norm(np.column_stack([self.column(c) for c in axes.columns]), axis=1)
+            norms: Array = np.linalg.norm(self._columns(axes.columns), axis=1)
         return norms[np.isfinite(norms)]
+
+    def _columns(self, names: Sequence[str]) -> Array:
+        places = find_columns(list(names), self._table.names, self._table.width) or []
+        block = next(iter(self._table.blocks(places)), None)
+        values = np.empty((0, len(names))) if block is None else block.values[:_PROBED_ROWS]
+        return np.where(values == EMPTY, np.nan, values)
 
     def plausible_temperature(self, thermometer: tuple[str, str]) -> bool:
         """Whether a column holds temperatures that a sensor can have."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -50,9 +51,19 @@ def test_a_forced_way_of_looking_is_kept(forced: str) -> None:
 @given(st.floats(-1e9, 1e9), st.floats(1, 1e5), st.floats(0, 1e7))
 def test_deadlines_stay_on_their_grid(began: float, interval: float, later: float) -> None:
     found = next_on_grid(began, interval, began + later)
-    assert found > began + later or found == pytest.approx(began + later, rel=1e-9)
+    assert found > began + later
     assert found - (began + later) <= interval * (1 + 1e-6) + 1e-6
     assert (found - began) / interval == pytest.approx(round((found - began) / interval), abs=1e-3)
+
+
+@pytest.mark.parametrize("power", [13, 17, 20, 24])
+def test_a_deadline_is_followed_by_a_later_one(power: int) -> None:
+    """Beyond a power of two seconds deadlines are rounded more coarsely than `began`: none may come again."""
+    for began in np.random.default_rng(power).uniform(2**power - 20_000.0, 2**power, 50).tolist():
+        t = began
+        for _ in range(20):
+            before, t = t, next_on_grid(began, 3600.0, t)
+            assert before < t <= before + 3600.0 * (1 + 1e-9)
 
 
 def test_no_calibration_without_new_rests() -> None:
