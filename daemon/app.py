@@ -23,6 +23,7 @@ from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.errors import TryAgainError
 from stillcal.daemon.app_launch import LaunchOptions, needs_restart, serial_settings
+from stillcal.daemon.publish.chip import keeping_chip, memory_path
 from stillcal.daemon.publish.publishing import Publisher, publishing
 from stillcal.daemon.publish.targets import publishers
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
@@ -205,6 +206,7 @@ class Service:
                     self._holding_the_store(),
                     self._sending_heartbeats(),
                     *(publishing(publisher, self._for_publisher) for publisher in self._publishers),
+                    *([self._keeping_chip()] if "iio" in self.settings.publish.to else []),
                 )
             ]
             self._notifier.ready(self.describe())
@@ -257,6 +259,11 @@ class Service:
         while True:
             await self.storage.check_lock()
             await asyncio.sleep(HEARTBEAT_S)
+
+    async def _keeping_chip(self) -> None:
+        """Keep the calibration in the registers of the machine's own sensors."""
+        memory = memory_path(self.storage.path)
+        await keeping_chip(lambda: self.source, lambda: self.view.record, self.subscribers, memory)
 
     async def _sending_heartbeats(self) -> None:
         """Tell systemd that the service is alive, unless the engine's thread is stuck."""

@@ -54,6 +54,9 @@ class LaunchOptions:
             publish=publish,
         )
         serial_settings(settings)
+        if "iio" in settings.publish.to and settings.source.kind != "iio":
+            what = "publishing to iio writes to this machine's own sensors"
+            raise SettingsError(f'{what}: set kind = "iio" under [source], or leave it out')
         return settings
 
 

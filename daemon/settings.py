@@ -114,15 +114,16 @@ class SocketSettings:
 class PublishSettings:
     """Where corrected samples go besides the socket.
 
-    to: "uinput" for an input device, and paths that end in .mcap.
+    to: "uinput" for an input device, "iio" for the registers of this machine's own sensors, and paths that
+    end in .mcap.
     """
 
     to: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for target in self.to:
-            if target != "uinput" and not target.endswith(".mcap"):
-                raise ValueError(f'to = {target!r}: must be "uinput" or a path that ends in .mcap')
+            if target not in {"uinput", "iio"} and not target.endswith(".mcap"):
+                raise ValueError(f'to = {target!r}: must be "uinput", "iio" or a path that ends in .mcap')
         if len(set(self.to)) < len(self.to):
             raise ValueError(f"to = {list(self.to)}: names a target twice")
 

@@ -26,6 +26,12 @@ PLACES = {
     "stillcal.socket": "etc/systemd/system",
     "70-stillcal.rules": "etc/udev/rules.d",
 }
+IIO_PLACES = {
+    "stillcal-iio.conf": "etc/systemd/system/stillcal.service.d",
+    "71-stillcal-iio.rules": "etc/udev/rules.d",
+}
+"""What the machine's own sensors take besides: their files in /sys may be written."""
+
 SHIPPED_GROUP = "SocketGroup=dialout"
 """The group of the shipped socket, which --socket-group replaces."""
 
@@ -59,7 +65,7 @@ SETTINGS = Path("etc/stillcal/stillcal.toml")
 def install_command(port: str | None, iio: bool, socket_group: str, root: Path, only_print: bool) -> None:
     """Install the systemd service.
 
-    Units go to /etc/systemd/system, the udev rule to /etc/udev/rules.d, and settings to
+    Units go to /etc/systemd/system, udev rules to /etc/udev/rules.d, and settings to
     /etc/stillcal/stillcal.toml unless there are some. Nothing is started.
     """
     if iio and port is not None:
@@ -87,7 +93,7 @@ def files(port: str, iio: bool = False, socket_group: str = "dialout") -> Iterat
     """Yield each file to install: its path below the root and its contents."""
     source = 'kind = "iio"' if iio else f"port = {_toml(port)}"
     shipped = importlib.resources.files("stillcal.config") / "systemd"
-    for name, folder in PLACES.items():
+    for name, folder in (PLACES | (IIO_PLACES if iio else {})).items():
         text = (shipped / name).read_text(encoding="utf-8")
         text = text.replace(SHIPPED_GROUP, f"SocketGroup={socket_group}")
         yield Path(folder) / name, text.replace(SHIPPED, _unit_word(_command()))

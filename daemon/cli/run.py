@@ -35,7 +35,7 @@ from stillcal.daemon.system.systemd import Notifier, passed_sockets
 @click.option(
     "--publish",
     multiple=True,
-    help="Send corrected samples to FILE.mcap or to an input device (uinput); several times for several.",
+    help="Send corrected samples to FILE.mcap or an input device (uinput), or correct the chip (iio).",
 )
 def run_command(  # noqa: PLR0917 - click hands every option over by name
     config: Path | None,

@@ -39,6 +39,9 @@ MAX_RATE_HZ = 50.0
 BATCH_S = 0.1
 """How long samples gather before they are handed on, s, unless somebody listens who wants them sooner."""
 
+SLEPT_S = 2.0
+"""After a pause longer than this, s, the chip may have slept and lost its registers."""
+
 STATUS_S = 10.0
 """Time between two readings of the thermometer and two status records, s."""
 
@@ -55,8 +58,9 @@ class IioSource(Source):
         self._counters = WireCounters()
         self._sensors: Sensors | None = None
         self._gathered: dict[Sensor, tuple[list[float], list[Array]]] = {}
-        self._sensing, self._on_time, self._wakeups = False, 0.0, 0
+        self._sensing, self._on_time, self._wakeups, self._woken = False, 0.0, 0, False
         self._last = self._next_status = 0.0
+        self.celsius: float | None = None
 
     # For the one who takes
 
@@ -95,6 +99,24 @@ class IioSource(Source):
         """Let records gather for this long, s; samples are handed on as often."""
         self._batch_s = min(seconds, BATCH_S)
         await super().let_gather(seconds)
+
+    def correct_chip(self, sensor: Sensor, bias: Array, scale: Array, memory: Path) -> bool:
+        """Have the chip correct a sensor itself; return whether that was written.
+
+        bias: (3,), scale: (3, 3), SI, the phone's axes. memory: where the values of before are kept. What is
+        sent stays uncorrected, because it is taken off again (sysfs.Channel). Raises ChipError and OSError.
+        """
+        for channel in () if self._sensors is None else self._sensors.channels():
+            if channel.sensor is sensor and channel.correct_chip(bias, scale, memory):
+                assert self._sensors is not None
+                self._read_chip(self._sensors)
+                return True
+        return False
+
+    def _read_chip(self, sensors: Sensors) -> Sensors:
+        """Look what the chips correct by themselves, after a write or where they may have been reset."""
+        self._sensors = sensors.read_again()
+        return self._sensors
 
     # Finding and losing the sensors
 
@@ -135,7 +157,7 @@ class IioSource(Source):
             return
         self._cancel()
         now = self._clock()
-        self._sensing, self._last, self._next_status = True, now, now
+        self._sensing, self._last, self._next_status, self._woken = True, now, now, True
         self._wakeups += 1
         self._poll()
 
@@ -160,6 +182,9 @@ class IioSource(Source):
             return
         begin, loop = self._clock(), asyncio.get_running_loop()
         try:
+            if self._woken or begin - self._last > SLEPT_S:
+                sensors = self._read_chip(sensors)
+                self._woken = False
             for channel in sensors.channels():
                 self._sample(channel)
             if begin >= self._next_status:
@@ -188,6 +213,7 @@ class IioSource(Source):
     def _read_status(self, sensors: Sensors, now: float) -> None:
         self._next_status = now + STATUS_S
         celsius = sensors.celsius()
+        self.celsius = celsius
         if celsius is not None:
             self._emit(Temperature(now, celsius))
         self._emit(self._status(now))

@@ -11,13 +11,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.sources import chip_correction
 
 DEVICES = "/sys/bus/iio/devices"
 AXES = "xyz"
@@ -30,7 +31,11 @@ class SensorGoneError(OSError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channel:
-    """One sensor of one device. files: of its raw x, y and z. SI value: mount @ ((raw + offset) * scale)."""
+    """One sensor of one device. files: of its raw x, y and z. SI value: mount @ ((raw + offset) * scale).
+
+    chip_bias, chip_scale: (3,) what the chip corrects by itself, which is taken off again: the calibration is
+    of the sensor, whatever its registers hold.
+    """
 
     sensor: Sensor
     name: str
@@ -39,11 +44,30 @@ class Channel:
     scale: Array
     offset: Array
     mount: Array
+    chip_bias: Array
+    chip_scale: Array
 
     def read(self) -> Array:
         """Return one reading (3,), SI, the phone's axes. Raises SensorGoneError."""
         raw = np.array([number(file) for file in self.files])
-        return np.asarray(self.mount @ ((raw + self.offset) * self.scale))
+        return np.asarray(self.mount @ ((raw + self.offset) * self.scale / self.chip_scale - self.chip_bias))
+
+    def read_again(self) -> Channel:
+        """Return the channel with what the chip corrects by itself now. Raises SensorGoneError."""
+        bias, scale = _chip(self.folder, CHANNELS[self.sensor], self.name)
+        return replace(self, chip_bias=bias, chip_scale=scale)
+
+    def correct_chip(self, bias: Array, scale: Array, memory: Path) -> bool:
+        """Have the chip correct by bias (3,) and scale (3, 3), SI, the phone's axes; return whether it wrote.
+
+        The chip takes a scale by axis only, where it takes one. Raises ChipError, and OSError with nothing
+        changed.
+        """
+        own = self.mount.T @ bias, np.diag(self.mount.T @ scale @ self.mount)
+        values = chip_correction.wanted(self.folder, CHANNELS[self.sensor], self.name, *own)
+        if values:
+            chip_correction.write(values, memory)
+        return bool(values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +87,11 @@ class Sensors:
         yield self.accelerometer
         if self.gyroscope is not None:
             yield self.gyroscope
+
+    def read_again(self) -> Sensors:
+        """Return the sensors with what the chips correct by themselves now. Raises SensorGoneError."""
+        gyroscope = None if self.gyroscope is None else self.gyroscope.read_again()
+        return replace(self, accelerometer=self.accelerometer.read_again(), gyroscope=gyroscope)
 
     def celsius(self) -> float | None:
         """Return the accelerometer's temperature, °C; None without a thermometer."""
@@ -145,14 +174,16 @@ def _channel(folder: Path, sensor: Sensor) -> Channel:
     scale = np.array([_shared(folder, prefix, axis, "scale", 1.0) for axis in AXES])
     if not (np.isfinite(scale).all() and (scale > 0).all()):
         raise SensorGoneError(f"{folder}/{prefix}_scale is {scale.tolist()}: must be positive")
+    name = _text(folder / "name") if (folder / "name").exists() else folder.name
     return Channel(
         sensor,
-        _text(folder / "name") if (folder / "name").exists() else folder.name,
+        name,
         folder,
         tuple(folder / f"{prefix}_{axis}_raw" for axis in AXES),
         frozen(scale),
         frozen([_shared(folder, prefix, axis, "offset", 0.0) for axis in AXES]),
         _mount(folder, prefix),
+        *_chip(folder, prefix, name),
     )
 
 
@@ -164,6 +195,17 @@ def _shared(folder: Path, prefix: str, axis: str, what: str, default: float) -> 
 
 def _optional(file: Path, default: float) -> float:
     return number(file) if file.exists() else default
+
+
+def _chip(folder: Path, prefix: str, name: str) -> tuple[Array, Array]:
+    """Return the bias and the scale by which the chip corrects itself. Raises SensorGoneError."""
+    try:
+        bias, scale = chip_correction.applied(folder, prefix, name)
+    except (OSError, ValueError) as error:
+        raise SensorGoneError(f"{folder}/{prefix}_?_calibbias: {error}") from error
+    if not (np.isfinite(bias).all() and np.isfinite(scale).all() and (scale > 0).all()):
+        raise SensorGoneError(f"{folder}/{prefix}_?_calibscale: {scale.tolist()} must be positive")
+    return frozen(bias), frozen(scale)
 
 
 def _mount(folder: Path, prefix: str) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -62,6 +63,31 @@ def test_systemd_has_nothing_to_say_against_the_units(installed: Path) -> None:
     units = sorted((installed / "etc/systemd/system").iterdir())
     found = run(need("systemd-analyze"), "verify", "--man=no", *units)
     assert (found.returncode, found.stdout, found.stderr) == (0, "", "")
+
+
+def test_a_handheld_may_write_its_own_sensors_files_and_systemd_agrees(tmp_path: Path) -> None:
+    """The rule's command is run as udev runs it, on files laid out like the kernel's."""
+    found = run(STILLCAL, "install-service", "--root", tmp_path, "--iio")
+    assert found.returncode == 0, found.stderr
+    units = tmp_path / "etc/systemd/system"
+    drop_in = (units / "stillcal.service.d/stillcal-iio.conf").read_text()
+    assert "ProtectKernelTunables=no" in drop_in
+    rule = (tmp_path / "etc/udev/rules.d/71-stillcal-iio.rules").read_text()
+    device = tmp_path / "sys/devices/iio:device0"
+    device.mkdir(parents=True)
+    for name in ("sampling_frequency", "in_accel_x_calibbias", "in_accel_x_raw"):
+        (device / name).write_text("0")
+        (device / name).chmod(0o644)
+    command = re.search(r"RUN\+=\"/bin/sh -c '(.*)'\"", rule)
+    assert command is not None
+    script = command[1].replace("/sys%p", str(device)).replace("$$", "$")
+    script = script.replace("chgrp dialout", f"chgrp {os.getegid()}")
+    subprocess.run(["/bin/sh", "-c", script], check=True)
+    written = sorted(path.name for path in device.iterdir() if path.stat().st_mode & 0o020)
+    assert written == ["in_accel_x_calibbias", "sampling_frequency"]
+    services = [units / "stillcal.service", units / "stillcal.socket"]
+    verified = run(need("systemd-analyze"), "verify", "--man=no", *services)
+    assert (verified.returncode, verified.stdout, verified.stderr) == (0, "", "")
 
 
 def test_the_service_is_hardened(installed: Path) -> None:
