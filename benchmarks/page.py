@@ -49,8 +49,8 @@ SECTIONS = {
         "Every ten minutes after the first calibration: the mean vector error of calibrated specific force "
         "at rest, the common rotation taken out, and the error of rate. Intervals are those of the bias, by "
         "axis. The offset table keeps a gyroscope offset for every 2 K, our own reading of the idea that "
-        "Android's stack publishes; vqf is fed with all samples. *Without learning*: this program as it was "
-        "before temperature was learnt.",
+        "Android's stack publishes; vqf is fed with all samples. The thermometer is read once a minute. "
+        "*Without learning*: this program without learning temperature.",
     ),
 }
 

@@ -10,6 +10,7 @@ the truth.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
@@ -34,6 +35,7 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.phone import Chunk
 
 EVERY_S = 600.0
+DAY_S = 86400.0
 PHONES, DAYS = 8, 5.0
 """Of `make bench`, for the sake of its time; forty phones and seven days are `--phones 40 --days 7`."""
 
@@ -83,19 +85,50 @@ def read_every_minute(chunk: Chunk) -> list[Temperature]:
     return [Temperature(float(accel.t[k]), float(accel.temperature[k])) for k in rows]
 
 
+@dataclass(slots=True)
+class Cost:
+    """What the learning engine takes: processor and on-time of the sensors, s. t: s, how far it has come."""
+
+    t: float = 0.0
+    processor_s: float = 0.0
+    on_s: float = 0.0
+    on_first_day_s: float = 0.0
+
+    def add(self, t: float, processor_s: float, on_s: float) -> None:
+        """Add what one chunk took, and the on-time in all."""
+        self.t, self.processor_s, self.on_s = t, self.processor_s + processor_s, on_s
+        if t <= DAY_S:
+            self.on_first_day_s = on_s
+
+    @property
+    def processor(self) -> float:
+        """Share of a core, detection and fits, for all samples that a phone sends."""
+        return self.processor_s / self.t
+
+    @property
+    def on_later(self) -> float:
+        """Share of the time after the first day for which the sensors are on."""
+        return (self.on_s - self.on_first_day_s) / max(self.t - DAY_S, 1.0)
+
+
 class Contest:
     """All contenders, living one life. met: degC, temperatures of the rests so far."""
 
     def __init__(self) -> None:
         self.engines = {name: Engine(settings) for name, settings in ENGINES.items()}
         self.met: list[float] = []
+        self.cost = Cost()
         self._table, self._vqf, self._last_rest = OffsetTable(), Vqf(RATE_HZ), -np.inf
 
     def feed(self, chunk: Chunk) -> None:
         """Give everybody the same samples; the table takes the rests that stillcal finds."""
         assert chunk.gyroscope is not None
-        for engine in self.engines.values():
-            engine.feed(*read_every_minute(chunk), chunk.gyroscope, chunk.accelerometer, *chunk.events)
+        items = (*read_every_minute(chunk), chunk.gyroscope, chunk.accelerometer, *chunk.events)
+        for name, engine in self.engines.items():
+            began = time.process_time()
+            engine.feed(*items)
+            if name == "stillcal":
+                self.cost.add(chunk.t_end, time.process_time() - began, engine.ledger.asked_s)
         pool = self.engines["stillcal"].present.pool
         for held in pool.since(np.nextafter(self._last_rest, np.inf)).held:
             self._table.take(held.rest)
@@ -149,7 +182,7 @@ def force_error(scale: Array, bias: Array, forward: Array, true_bias: Array) -> 
     return float(np.linalg.norm(told - _FORCE @ rotation.T, axis=1).mean() / MG)
 
 
-def moments(number: int, seed: int, days: float) -> tuple[np.ndarray, str]:
+def moments(number: int, seed: int, days: float) -> tuple[np.ndarray, str, Cost]:
     """Live one life with all contenders; return its moments, of dtype MOMENT, and a line on each engine."""
     life, contest, rows = live(number, seed, days), Contest(), []
     for chunk in life.simulation.chunks(EVERY_S):
@@ -166,7 +199,7 @@ def moments(number: int, seed: int, days: float) -> tuple[np.ndarray, str]:
             at = (number, t, celsius, outside, a.age_s)
             rows.append((*at, a.who, str(a.sensor), error, truth - a.bias, a.stated))
     lines = [f"phone {number} ({', '.join(life.kinds)}): {_line(n, e)}" for n, e in contest.engines.items()]
-    return np.array(rows, MOMENT), "\n".join(lines)
+    return np.array(rows, MOMENT), "\n".join(lines), contest.cost
 
 
 def _line(name: str, engine: Engine) -> str:
@@ -224,6 +257,9 @@ def _parts(rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
             f"{low} to {high:g} h old" if high < 1e9 else "older than a day",
             rows[(age >= low) & (age < high)],
         )
+    first_day = rows["t"] <= DAY_S
+    yield "in the first day", rows[first_day]
+    yield "later", rows[~first_day]
     for low, high in ((-1, 0), (0, 2), (2, 1e9)):
         words = {0: "at temperatures met", 2: "up to 2 K beyond them", 1e9: "further beyond"}[high]
         yield words, rows[(rows["outside_k"] > low) & (rows["outside_k"] <= high)]
@@ -241,21 +277,25 @@ def _share_held(rows: np.ndarray) -> float:
     return float((np.abs(rows["apart"][known]) <= 1.96 * rows["stated"][known]).mean())
 
 
-def measured(phones: int, days: float, seed: int, jobs: int, first: int = 0) -> tuple[np.ndarray, list[str]]:
-    """Live all lives, `jobs` at once; return the moments and a line for each phone."""
+def measured(
+    phones: int, days: float, seed: int, jobs: int, first: int = 0
+) -> tuple[np.ndarray, list[str], list[Cost]]:
+    """Live all lives, `jobs` at once; return the moments, a line for each phone, and what each took."""
     numbers = range(first, first + phones)
     if jobs == 1:
         answers = [moments(number, seed, days) for number in numbers]
     else:
         with ProcessPoolExecutor(jobs) as pool:
             answers = list(pool.map(moments, numbers, [seed] * phones, [days] * phones))
-    return np.concatenate([rows for rows, _ in answers]), [line for _, line in answers]
+    rows, lines, costs = zip(*answers, strict=True)
+    return np.concatenate(rows), list(lines), list(costs)
 
 
 def run(quick: bool) -> Iterator[Row]:
     """Yield the rows of item 7."""
     phones, days = (1, 2.0) if quick else (PHONES, DAYS)
-    rows, _ = measured(phones, days, 0, os.cpu_count() or 1)
+    rows, _, costs = measured(phones, days, 0, os.cpu_count() or 1)
+    yield from _costs(costs)
     for sensor, (median_goal, high_goal, unit) in GOALS.items():
         for who in (*RIVALS, *ENGINES):
             own = _of(rows, sensor, who)
@@ -278,6 +318,17 @@ def run(quick: bool) -> Iterator[Row]:
                 )
 
 
+def _costs(costs: list[Cost]) -> Iterator[Row]:
+    """Yield what the engine takes, means over the phones."""
+    shares = {
+        "sensors on after the first day": (np.mean([c.on_later for c in costs]), 4.0),
+        "processor, engine alone": (np.mean([c.processor for c in costs]), 0.12),
+    }
+    for what, (share, goal) in shares.items():
+        percent = 100.0 * float(share)
+        yield Row("7", what, percent, "%", goal=f"{goal:g} %", met=percent <= goal, margin=goal / percent)
+
+
 @click.command()
 @click.option("--phones", default=1, show_default=True)
 @click.option("--first", default=0, show_default=True, help="Number of the first phone.")
@@ -288,8 +339,8 @@ def run(quick: bool) -> Iterator[Row]:
 def main(**how: Any) -> None:
     """Print the tables."""
     npz = how.pop("npz")
-    rows, lines = measured(**how)
-    for text in (*lines, "", *table(rows)):
+    rows, lines, costs = measured(**how)
+    for text in (*lines, "", *table(rows), "", *(f"{c.what}: {c.value:.3g} {c.unit}" for c in _costs(costs))):
         click.echo(text)
     if npz:
         np.savez_compressed(npz, rows=rows)

@@ -312,10 +312,14 @@ class CalibrationRecord:
     def id(self) -> str:
         """The calibration's identifier: twelve hex digits of the digest of its values.
 
-        Acceptance and provenance do not enter, so that a live run and its replay give the same id.
+        Acceptance and provenance do not enter, so that a live run and its replay give the same id; a prior
+        does where there is one, so that older calibrations keep their ids.
         """
+        accelerometer = jsonable(self.accelerometer)
+        if accelerometer is not None and not accelerometer["with_prior"]:
+            del accelerometer["with_prior"]
         values = {
-            "accelerometer": self.accelerometer,
+            "accelerometer": accelerometer,
             "gyroscope": self.gyroscope,
             "gravity": self.gravity,
             "fitted_at": self.fitted_at,

@@ -159,6 +159,7 @@ def _at_present(
         told,
         learnt_min_c=forecast.temperature_min,
         learnt_max_c=forecast.temperature_max,
+        lag_s=forecast.lag_s,
         wander_per_day=float(np.sqrt(forecast.wander.growth(DAY_S))),
     )
 
@@ -367,6 +368,7 @@ def _sensor(part: SensorRecord | None, zeroed_age_s: float | None) -> api.Sensor
         rms_residual=part.rms_residual,
         zeroed_age_s=zeroed_age_s,
         most_helpful_attitude=getattr(part, "most_helpful_attitude", None),
+        with_prior=getattr(part, "with_prior", False),
         slow_rotation_deg_per_h=None if not isinstance(part, GyroscopeRecord) else _slow_rotation(part),
     )
 
