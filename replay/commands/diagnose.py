@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
+from stillcal.replay.commands.command_line import command_line
 from stillcal.replay.commands.fix_for import Correction
 from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
@@ -31,7 +33,7 @@ from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.diagnosis.words.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.covariates import read_covariates
-from stillcal.replay.formats.trace import open_trace
+from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.phone import Phone, dump_phone, load_phone
 
 _path = click.Path(path_type=Path)
@@ -43,7 +45,9 @@ class _Asked(NamedTuple):
     trace: Path
     phone: str | None
     simulated: Path | None
-    simulated_format: str | None
+    simulated_reading: Reading
+    paired: bool
+    witnesses: tuple[tuple[Path, str | None], ...]
     json: Path | None
     report: Path | None
     phone_out: Path | None
@@ -66,6 +70,8 @@ class _Asked(NamedTuple):
         "stillcal diagnose walk.csv --simulated sim.csv    # where does my simulator differ?",
         "stillcal diagnose walk.csv --simulated sim.csv --report difference.html",
         "stillcal diagnose walk.csv --simulated sim.csv --fix-for gazebo model.sdf",
+        "stillcal diagnose walk.csv --simulated same.csv --paired   # of the same motion",
+        "stillcal diagnose log.bin --sensor 2 --witness log.bin --witness-sensor 0",
         "stillcal diagnose Phones_accelerometer.csv --json -",
         "stillcal diagnose log.csv --covariate battery_v   # does a bias follow that column?",
         "stillcal diagnose esgi.csv                        # a table of rests",
@@ -73,8 +79,28 @@ class _Asked(NamedTuple):
 )
 @click.argument("trace", type=_path)
 @click.option("--phone", help="The simulated phone to compare with: a ready one, or a phone.toml.")
-@click.option("--simulated", type=_path, help="The simulation to be judged: a recording that it made.")
-@click.option("--simulated-format", default=None, help="The format of --simulated [default: by its content].")
+@click.option(
+    "--simulated", type=_path, metavar="SIM", help="The simulation to be judged: a recording that it made."
+)
+@reading_options("SIM", "simulated")
+@click.option(
+    "--paired", is_flag=True, help="SIM has the motion and the stamps of TRACE: judge what is between them."
+)
+@click.option(
+    "--witness",
+    "witnesses",
+    type=_path,
+    multiple=True,
+    metavar="OTHER",
+    help="A recording by another sensor on the same body at the same time; may be given several times.",
+)
+@click.option(
+    "--witness-sensor",
+    "witness_sensors",
+    multiple=True,
+    metavar="NAME",
+    help="Which sensor of OTHER, one for each --witness; or several of one OTHER.",
+)
 @click.option(
     "--fail-on",
     type=click.Choice(list(VERDICTS)),
@@ -111,7 +137,10 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     trace: Path,
     phone: str | None,
     simulated: Path | None,
-    simulated_format: str | None,
+    simulated_reading: Reading,
+    paired: bool,
+    witnesses: tuple[Path, ...],
+    witness_sensors: tuple[str, ...],
     fail_on: tuple[str, ...],
     json_path: Path | None,
     report: Path | None,
@@ -132,7 +161,9 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
         trace,
         phone,
         simulated,
-        simulated_format,
+        simulated_reading,
+        paired,
+        _witnesses(witnesses, witness_sensors),
         json_path,
         report,
         phone_out,
@@ -170,8 +201,23 @@ def _correction(asked: _Asked) -> Correction | None:
     return Correction(tool, path, None if judged is None else dump_phone(_loaded(judged)))
 
 
+def _witnesses(paths: Sequence[Path], sensors: Sequence[str]) -> tuple[tuple[Path, str | None], ...]:
+    """Return each witness with its sensor. Raises UsageError where they do not belong together."""
+    if not sensors:
+        return tuple((path, None) for path in paths)
+    if len(paths) == 1:
+        return tuple((paths[0], sensor) for sensor in sensors)
+    if len(paths) != len(sensors):
+        raise click.UsageError(
+            f"--witness-sensor is given {len(sensors)} times and --witness {len(paths)} times:"
+            " give one sensor for each witness"
+        )
+    return tuple(zip(paths, sensors, strict=True))
+
+
 def _check(asked: _Asked) -> None:
     """Refuse early what would fail late. Raises UsageError."""
+    _check_of_one_motion(asked)
     report, phone_out = asked.report, asked.phone_out
     if report is not None:
         require_matplotlib()
@@ -186,6 +232,7 @@ def _check(asked: _Asked) -> None:
         for x in (
             asked.phone,
             asked.simulated,
+            asked.witnesses,
             report,
             phone_out,
             asked.fix_for,
@@ -194,8 +241,8 @@ def _check(asked: _Asked) -> None:
         )
     ):
         raise click.UsageError(
-            "a rest table has no samples: --phone, --simulated, --report, --phone-out, --fix-for, --covariate"
-            " and --residuals need them"
+            "a rest table has no samples: --phone, --simulated, --witness, --report, --phone-out, --fix-for,"
+            " --covariate and --residuals need them"
         )
     if asked.simulated is not None and (asked.phone is not None or phone_out is not None):
         raise click.UsageError("give --simulated, or --phone and --phone-out: each is another simulation")
@@ -203,15 +250,30 @@ def _check(asked: _Asked) -> None:
         raise click.UsageError(
             "--fix-for corrects the simulation that is judged: give it as --simulated SIM or --phone PHONE"
         )
-    if asked.simulated_format is not None and asked.simulated is None:
-        raise click.UsageError("--simulated-format goes with --simulated")
+    if asked.simulated_reading != Reading() and asked.simulated is None:
+        raise click.UsageError("--simulated-format, -sensor, -gyro, -from and -to go with --simulated")
     reads = [*recording_files(asked.trace), *files(asked.reading.gyro)]
     reads += [] if asked.simulated is None else recording_files(asked.simulated)
+    reads += files(asked.simulated_reading.gyro)
+    reads += [file for path, _ in asked.witnesses for file in recording_files(path)]
     reads += [Path(asked.phone)] if asked.phone and asked.phone.endswith(".toml") else []
     fixed = None if asked.fix_for is None else asked.fix_for[1]
     if fixed is not None and asked.phone and fixed.resolve() == Path(asked.phone).resolve():
         reads.remove(Path(asked.phone))  # the phone file that was judged is the one to be corrected
     refuse_collisions(files(report, phone_out, fixed, asked.residuals, asked.json), reads)
+
+
+def _check_of_one_motion(asked: _Asked) -> None:
+    """Refuse what does not go with --paired or --witness. Raises UsageError."""
+    if asked.paired and asked.simulated is None:
+        raise click.UsageError("--paired goes with --simulated SIM")
+    if asked.witnesses and (asked.simulated is not None or asked.phone is not None):
+        raise click.UsageError("--witness is for the built-in simulation: leave out --simulated and --phone")
+    if not (asked.paired or asked.witnesses):
+        return
+    one = "--paired" if asked.paired else "--witness"
+    if asked.phone_out is not None or asked.residuals is not None or asked.covariates:
+        raise click.UsageError(f"{one} does not go with --phone-out, --residuals or --covariate")
 
 
 class _Outputs(NamedTuple):
@@ -230,22 +292,36 @@ def _table(asked: _Asked) -> _Outputs:
 
 def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> _Outputs:
     show_stage(f"reading {asked.trace.name}")
-    recording = read_condensed(asked.reading.open(asked.trace), asked.trace)
+    whole = asked.paired or bool(asked.witnesses)
+    recording = _read(asked.reading, asked.trace, whole=whole)
     if asked.covariates:
         recording = replace(recording, covariates=read_covariates(asked.trace, asked.covariates))
     simulated = None
     if asked.simulated is not None:
         show_stage(f"reading {asked.simulated.name}")
-        simulated = read_condensed(open_trace(asked.simulated, asked.simulated_format), asked.simulated)
+        simulated = _read(asked.simulated_reading, asked.simulated, whole=whole)
+    witnesses = tuple(_witness(path, sensor, show_stage) for path, sensor in asked.witnesses)
     phone = None if asked.phone is None else _loaded(asked.phone)
     name = "" if asked.phone is None else Path(asked.phone).name
-    request = Request(simulated, phone, name, asked.phone_out is not None)
+    request = Request(simulated, phone, name, asked.phone_out is not None, asked.paired, witnesses)
     outcome = diagnose(recording, request, show_stage)
     show_stage("writing")
-    text = page(outcome.judged) if asked.report is not None else None
+    made = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC: {command_line()}"
+    text = page(outcome.judged, made) if asked.report is not None else None
     notes = [*recording.notes, *(simulated.notes if simulated is not None else ())]
     left = None if asked.residuals is None else residuals_csv(outcome.judged.recorded)
     return _Outputs(outcome.judged.answer, text, outcome.phone_text, notes, left)
+
+
+def _read(reading: Reading, path: Path, *, whole: bool) -> Recording:
+    """Read a recording, of a long one only what is needed unless it is wanted `whole`."""
+    return reading.read(path) if whole else read_condensed(reading.open(path), path)
+
+
+def _witness(path: Path, sensor: str | None, show_stage: Callable[[str], None]) -> Recording:
+    name = path.name if sensor is None else f"{path.name}, sensor {sensor}"
+    show_stage(f"reading {name}")
+    return replace(Reading(sensor=sensor).read(path), name=name)
 
 
 def _loaded(name: str) -> Phone:

@@ -20,12 +20,16 @@ from stillcal.replay.export.target import MAX_BYTES, text_of
 class Correction:
     """One configuration that is to be corrected; it is read, and refused if it must be, before the diagnosis.
 
-    base: the configuration to begin with where `path` does not exist yet; None for one of an ideal sensor.
-    Raises UserError where the file is not the tool's.
+    base: the configuration to begin with where `path` does not exist yet; None where it must exist.
+    Raises UserError where the file does not exist, or is not the tool's.
     """
 
     def __init__(self, tool: str, path: Path, base: str | None = None) -> None:
         self._tool, self._path, self._base = tool, path, base
+        if base is None and not path.exists():
+            raise UserError(
+                f"{path}: no such file; give the {tool} configuration that the simulation was made with"
+            )
         self._before = read_regular(path, MAX_BYTES) if path.exists() else None
         self._fixed({"findings": []})
 

@@ -53,41 +53,53 @@ def show_notes(notes: Iterable[str], quiet: bool) -> None:
         click.echo(f"stillcal: {note}", err=True)
 
 
-def reading_options(what: str = "TRACE") -> Callable[[Command], Command]:
-    """Return a decorator that gives a command the options of reading `what`, as one argument `reading`."""
+def reading_options(what: str = "TRACE", prefix: str = "") -> Callable[[Command], Command]:
+    """Return a decorator that gives a command the options of reading `what`, as one argument `reading`.
+
+    prefix: with "simulated" they are --simulated-format and so on, and the argument is `simulated_reading`.
+    """
+    dash, under = (f"{prefix}-", f"{prefix}_") if prefix else ("", "")
+    ours = f" [{what}]" if prefix else ""
     options = (
         click.option(
-            "--format",
-            "format_",
+            f"--{dash}format",
+            f"{under}format_",
             help=f"Format of {what} (docs/formats.md), or a column map (.toml) [default: by its content].",
         ),
-        click.option("--sensor", help="Which sensor of a log that has several; a wrong name lists them."),
         click.option(
-            "--gyro",
+            f"--{dash}sensor",
+            f"{under}sensor",
+            help=f"Which sensor of a log that has several; a wrong name lists them.{ours}",
+        ),
+        click.option(
+            f"--{dash}gyro",
+            f"{under}gyro",
             type=click.Path(path_type=Path),
-            help="The gyroscope's file, where the format has a file for each sensor.",
+            help=f"The gyroscope's file, where the format has a file for each sensor.{ours}",
         ),
         click.option(
-            "--from", "start", type=click.FloatRange(0), help="Leave out what is earlier, s after the start."
+            f"--{dash}from",
+            f"{under}start",
+            type=click.FloatRange(0),
+            help=f"Leave out what is earlier, s after the start.{ours}",
         ),
         click.option(
-            "--to", "stop", type=click.FloatRange(0), help="Leave out what is later, s after the start."
+            f"--{dash}to",
+            f"{under}stop",
+            type=click.FloatRange(0),
+            help=f"Leave out what is later, s after the start.{ours}",
         ),
     )
+    names = [f"{under}{name}" for name in ("format_", "gyro", "sensor", "start", "stop")]
 
     def decorate(command: Command) -> Command:
         @functools.wraps(command)
-        def called(
-            format_: str | None,
-            sensor: str | None,
-            gyro: Path | None,
-            start: float | None,
-            stop: float | None,
-            **others: Any,
-        ) -> Any:
+        def called(**given: Any) -> Any:
+            reading = Reading(*(given.pop(name) for name in names))
+            start, stop = reading.start, reading.stop
             if start is not None and stop is not None and stop <= start:
-                raise click.UsageError(f"--to {stop:g} is not after --from {start:g}")
-            return command(reading=Reading(format_, gyro, sensor, start, stop), **others)
+                raise click.UsageError(f"--{dash}to {stop:g} is not after --{dash}from {start:g}")
+            return command(**{f"{under}reading": reading}, **given)
 
         decorated: Any = called
         for option in reversed(options):

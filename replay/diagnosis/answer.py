@@ -34,12 +34,18 @@ WITHOUT_ZERO = frozenset({"limit", "cutoff", "frequency", "tau_s", "period_s", "
 class Fit:
     """How well the simulation fits before and after what was found was put into it.
 
-    p_after: None where the corrected simulation could not be played; not_put_in: what could not be added.
+    p_after: None where the corrected simulation could not be played; not_put_in: what could not be added,
+    and counts in neither.
     """
 
     p_before: float
     p_after: float | None
     not_put_in: Sequence[str] = ()
+
+    @classmethod
+    def of(cls, before: Comparison, after: Comparison | None, not_put_in: Sequence[str] = ()) -> Fit:
+        """Return the fit of two comparisons, both without what could not be put in."""
+        return cls(before.p(not_put_in), None if after is None else after.p(not_put_in), not_put_in)
 
     def plain(self) -> dict[str, Any]:
         """Return the fields that have a value."""
@@ -69,8 +75,8 @@ def answer_of(
         "verdict": before.verdict(fit.p_after),
         "findings": [_finding(d, names, stated, mean) for d in before.discrepancies],
         "agreed": [
-            {"effect": d.recorded.effect, "sensor": d.recorded.sensor, "parameters": _values(d.recorded)}
-            for d in before.agreed
+            *(_agreed(d.recorded) for d in before.agreed),
+            *(_agreed(c.quantity) | {"note": c.note} for c in before.common),
         ],
         "not_compared": [_not_compared(n) for n in (*before.not_compared, *before.undecided)],
         "checks": {"made": before.comparisons, "of": before.comparisons + len(before.not_compared)},
@@ -83,6 +89,10 @@ def answer_of(
 def findings_stated(findings: Sequence[Finding], side: str) -> dict[tuple[str, str, str], Finding]:
     """Return findings by side, effect and sensor; of several of one kind the first."""
     return {(side, f.effect, f.sensor): f for f in reversed(findings)}
+
+
+def _agreed(quantity: Quantity) -> dict[str, Any]:
+    return {"effect": quantity.effect, "sensor": quantity.sensor, "parameters": _values(quantity)}
 
 
 def _not_compared(one: NotCompared) -> dict[str, str]:

@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.corrected import with_columns
-from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent, without_left_out
+from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent
 from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.formats.trace import Recording
@@ -38,7 +38,7 @@ def judge_built_in(
     show_stage("comparing")
     before = compare_with_ideal(recorded)
     case = case_of(recording, recorded, before)
-    fit, after, corrected = Fit(before.p, before.p), None, None
+    fit, after, corrected = Fit.of(before, before), None, None
     if before.discrepancies:
         fit, after, corrected = _played(case, recorded, before, names, show_stage)
     answer = answer_of(before, names, fit, {}, recorded.bins.temperature)
@@ -56,7 +56,7 @@ def _played(
 ) -> tuple[Fit, Comparison | None, Recording | None]:
     """Play the phone with the effects found and compare it; nothing is played where nothing is at rest."""
     if not len(case.bins):
-        return Fit(before.p, None, case.not_in_phone()), None, None
+        return Fit.of(before, None, case.not_in_phone()), None, None
     show_stage("simulating the recording's motion with the effects found")
     corrected = named(case.played(case.phone()), f"{BUILT_IN}, corrected")
     left_out = case.not_in_phone()
@@ -66,4 +66,4 @@ def _played(
     # What another recording can have as well is measured in both; the rest must be found again.
     search = any(s.hypothesis and not transferable(s.hypothesis) for s in recorded.statements)
     after = compare(recorded, examined(corrected, show_stage, search=search), names)
-    return Fit(before.p, without_left_out(after, left_out), left_out), after, corrected
+    return Fit.of(before, after, left_out), after, corrected

@@ -109,13 +109,18 @@ def _with_added(
         "gyro": simulation.gyroscope,
     }
     # A scale acts on what the simulation's sensor read, hence before anything is added to that.
-    for one in sorted(discrepancies, key=lambda d: not d.effect.endswith("_scale")):
+    linear = [d for d in discrepancies if _limit(d) is None]
+    for one in sorted(linear, key=lambda d: not d.effect.endswith("_scale")):
         samples = streams.get(one.sensor)
         added = None if samples is None else _added(drivers, samples, one, biases, rng)
         if samples is None or added is None:
             left_out.append(one.effect)
         else:
             streams[one.sensor] = replace(samples, xyz=frozen(samples.xyz + added))
+    for one in discrepancies:
+        limit, samples = _limit(one), streams.get(one.sensor)
+        if limit is not None and samples is not None:
+            streams[one.sensor] = replace(samples, xyz=frozen(np.clip(samples.xyz, -limit, limit)))
     accelerometer = streams["accel"]
     assert accelerometer is not None, "every recording has an accelerometer"
     return Corrected(replace(simulation, accelerometer=accelerometer, gyroscope=streams["gyro"]), left_out)
@@ -159,6 +164,15 @@ def _added(
     if kind == "bias":
         return np.asarray(np.broadcast_to(one.difference.value, samples.xyz.shape))
     return _by_physics(drivers, samples, one.difference)
+
+
+def _limit(one: Discrepancy) -> float | None:
+    """Return the limit at which the recording's sensor stops below the simulation's; None for all else."""
+    if not one.effect.endswith("_saturation"):
+        return None
+    if one.difference is None:
+        return None if one.recorded is None else float(np.min(one.recorded.parameters["limit"].value))
+    return float(np.exp(one.difference.recorded.value.min())) if one.relation == "too_large" else None
 
 
 def _by_physics(drivers: _Drivers, samples: Samples, difference: Difference) -> Array | None:

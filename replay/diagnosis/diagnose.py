@@ -9,6 +9,7 @@ from stillcal.replay.diagnosis.built_in import judge_built_in
 from stillcal.replay.diagnosis.condense import condensed
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, silent
+from stillcal.replay.diagnosis.paired import judge_paired, judge_with_witnesses
 from stillcal.replay.diagnosis.phone.phone_file import phone_text
 from stillcal.replay.diagnosis.phone.phone_simulation import judge_phone
 from stillcal.replay.formats.trace import Recording
@@ -20,13 +21,16 @@ class Request:
     """What a recording is compared with, and what is wanted beside the findings.
 
     simulated: what a simulator recorded; phone: a simulated phone, named `phone_name`; with neither it is the
-    built-in simulation. phone_file: whether the phone with the effects found is wanted.
+    built-in simulation. paired: whether it simulates the recording's own motion, at the same stamps.
+    witnesses: other sensors on the same body. phone_file: whether the phone with the effects found is wanted.
     """
 
     simulated: Recording | None = None
     phone: Phone | None = None
     phone_name: str = ""
     phone_file: bool = False
+    paired: bool = False
+    witnesses: tuple[Recording, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +43,10 @@ class Outcome:
 
 def diagnose(recording: Recording, request: Request, show_stage: ShowStage = silent) -> Outcome:
     """Compare a recording with the simulation asked for. Raises NotSupported on too little data."""
+    if request.paired and request.simulated is not None:
+        return Outcome(judge_paired(recording, request.simulated, show_stage))
+    if request.witnesses:
+        return Outcome(judge_with_witnesses(recording, request.witnesses, show_stage))
     recording = condensed(recording)
     if request.simulated is not None:
         judged = judge_simulation(recording, condensed(request.simulated), show_stage)

@@ -5,43 +5,62 @@ Other motion, another rate and another length do not matter: both are fitted by 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from typing import Any
+
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, compare
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.corrected import Corrected, correct
-from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, silent, without_left_out
+from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, silent
 from stillcal.replay.formats.trace import Recording
+
+Correct = Callable[[Comparison, dict[str, Any]], Corrected]
+"""Puts what was found into a simulation: the comparison and its answer in plain values are given."""
+
+ON_VALUES = ("noise_level", "saturation")
+"""Effects, by the end of their names, that change a sensor's noise at rest or its single values."""
 
 
 def judge_simulation(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
     """Compare a recording with a simulation's. Raises NotSupported where either has too little data."""
-    return judge_examined(recording, examined(recording, show_stage), simulation, show_stage)
+    recorded = examined(recording, show_stage)
+    return judge_examined(recording, recorded, simulation, show_stage=show_stage)
 
 
 def judge_examined(
-    recording: Recording, recorded: Examination, simulation: Recording, show_stage: ShowStage = silent
+    recording: Recording,
+    recorded: Examination,
+    simulation: Recording,
+    again: Correct | None = None,
+    *,
+    show_stage: ShowStage = silent,
 ) -> Judged:
-    """Compare a recording that was examined with a simulation's."""
+    """Compare a recording that was examined with a simulation's.
+
+    again: makes the simulation anew with what was found; None where it is put into the samples.
+    """
     names = (recording.name, simulation.name)
     simulated = examined(simulation, show_stage)
     show_stage("comparing")
     before = compare(recorded, simulated, names)
-    after, corrected, fit = None, None, Fit(before.p, before.p)
-    if before.discrepancies:
-        corrected = _corrected(simulation, before)
-        again = examined(
-            corrected.recording, show_stage, name=f"{simulation.name} with the differences put in"
-        )
-        after = compare(recorded, again, names)
-        fit = Fit(before.p, without_left_out(after, corrected.left_out), corrected.left_out)
     stated = findings_stated([s.finding for s in recorded.statements], "recorded")
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
-    answer = answer_of(before, names, fit, stated)
-    played = None if corrected is None else corrected.recording
-    return Judged(recording, recorded, simulated, before, after, played, answer)
+    answer = answer_of(before, names, Fit.of(before, before), stated)
+    if not before.discrepancies:
+        return Judged(recording, recorded, simulated, before, None, None, answer)
+    made = _added(simulation, before) if again is None else again(before, answer)
+    measured = examined(made.recording, show_stage, name=f"{simulation.name} with the differences put in")
+    if again is None:
+        changed = {d.sensor for d in before.discrepancies if d.effect.endswith(ON_VALUES)}
+        measured = with_own_values(measured, simulated, changed)
+    after = compare(recorded, measured, names)
+    answer = answer_of(before, names, Fit.of(before, after, made.left_out), stated)
+    return Judged(recording, recorded, simulated, before, after, made.recording, answer)
 
 
-def _corrected(simulation: Recording, before: Comparison) -> Corrected:
+def _added(simulation: Recording, before: Comparison) -> Corrected:
     """Return the simulation with the differences put in, its biases known as they were measured."""
     biases = {
         d.simulated.sensor: d.simulated.value
@@ -49,3 +68,20 @@ def _corrected(simulation: Recording, before: Comparison) -> Corrected:
         if d.simulated.effect in ("accel_bias", "gyro_bias")
     }
     return correct(simulation, before.discrepancies, biases)
+
+
+def with_own_values(measured: Examination, simulated: Examination, changed: Collection[str]) -> Examination:
+    """Return what was measured of a corrected simulation, single values and stamps as the simulation's own.
+
+    What is added is slow, but it takes the values off the steps that they came in: the noise of rounding
+    would then count as the sensor's, and a value that repeats the one before would not any more. changed:
+    sensors whose noise or single values were changed on purpose.
+    """
+    own = {s.sensor: s for s in simulated.streams if s.sensor not in changed}
+    slow = [s for s in measured.statements if s.hypothesis is not None or s.finding.sensor in changed]
+    direct = [s for s in simulated.statements if s.hypothesis is None and s.finding.sensor not in changed]
+    return replace(
+        measured,
+        streams=[own.get(s.sensor, s) for s in measured.streams],
+        statements=[*direct, *slow],
+    )

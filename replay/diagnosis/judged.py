@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
 
-from stillcal.calib_core.diagnosis.comparison.compare import Comparison, p_of
+from stillcal.calib_core.diagnosis.comparison.compare import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine, still_bins
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -73,17 +73,6 @@ def examined(
     except NotSupported as refusal:
         where = f"{recording.name}: " if recording.name else ""
         raise NotSupported(f"{where}{refusal.reason}", refusal.missing) from refusal
-
-
-def without_left_out(comparison: Comparison, left_out: Sequence[str]) -> float:
-    """Return p of no difference but those that could not be put into the simulation."""
-    factors = [d.log_bayes_factor for d in comparison.compared if d.recorded.effect not in left_out]
-    factors += [
-        d.log_bayes_factor
-        for d in comparison.discrepancies
-        if d.difference is None and d.effect not in left_out
-    ]
-    return p_of(factors)
 
 
 def claims_of(recording: Recording) -> Claims:

@@ -44,11 +44,11 @@ def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None 
     claims, timed = claims or Claims(), _timed(rests)
     exam = _examined(merged(rest_bins(rests)), claims, timed=timed)
     before = compare_with_ideal(exam)
-    fit = Fit(before.p, before.p)
+    fit = Fit.of(before, before)
     if before.discrepancies:
         findings = [d.recorded for d in before.discrepancies if d.recorded is not None]
         corrected, left_out = _without_effects(exam.bins, findings, claims.gravity)
-        fit = Fit(before.p, compare_with_ideal(_examined(corrected, claims, timed=timed)).p, left_out)
+        fit = Fit.of(before, compare_with_ideal(_examined(corrected, claims, timed=timed)), left_out)
     return answer_of(before, (name, BUILT_IN), fit, {}, exam.bins.temperature)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -89,11 +89,20 @@ class NotCompared:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """The whole answer. comparisons: how many effects and constants were compared; p: of both being alike.
+class Common:
+    """What an ideal sensor does not do and sound phones do. note: how many of them do as much."""
 
-    undecided: compared, with a probability that is neither a difference nor agreement. smallest: how small
-    a difference would have been seen.
+    quantity: Quantity
+    note: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """The whole answer. comparisons: how many effects and constants were compared.
+
+    evidence: of all that was looked for, the effect and the log Bayes factor for a difference. undecided:
+    compared, with a probability that is neither a difference nor agreement. smallest: how small a difference
+    would have been seen. common: what is no difference because sound phones do it too.
     """
 
     discrepancies: list[Discrepancy] = field(default_factory=list)
@@ -102,8 +111,13 @@ class Comparison:
     not_compared: list[NotCompared] = field(default_factory=list)
     undecided: list[NotCompared] = field(default_factory=list)
     comparisons: int = 0
-    p: float = 1.0
+    evidence: list[tuple[str, float]] = field(default_factory=list)
     smallest: list[Smallest] = field(default_factory=list)
+    common: list[Common] = field(default_factory=list)
+
+    def p(self, left_out: Collection[str] = ()) -> float:
+        """Return a bound of p of no difference at all. left_out: effects that do not count."""
+        return p_of([nats for effect, nats in self.evidence if effect not in left_out])
 
     def verdict(self, p_after: float | None) -> Verdict:
         """Return the verdict.
@@ -155,7 +169,8 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     agreed = [d for d in pairs if d.probability <= 1.0 - CERTAIN and _worth_telling(d, had)]
     missing += unseen
     undecided = [_undecided(d, names) for d in pairs if 1.0 - CERTAIN < d.probability < CERTAIN]
-    factors = [d.log_bayes_factor for d in pairs] + [gain for _, gain, _ in more]
+    evidence = [(d.recorded.effect, d.log_bayes_factor) for d in pairs]
+    evidence += [(finding.effect, gain) for finding, gain, _ in more]
     found.sort(key=lambda d: -d.log_bayes_factor)
     told = {*map(_key, pairs), *((n.effect, n.sensor) for n in missing)}
     told |= {(finding.effect, finding.sensor) for finding, _, _ in more}
@@ -163,7 +178,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     smallest = [row for d in pairs for row in of_difference(d, max(count, 1))]
     smallest += [row for key in neither if key in looked[0].sought for row in _of_both(looked, key)]
     checks = count + len(neither)
-    return Comparison(found, agreed, pairs, [*missing, *not_both], undecided, checks, p_of(factors), smallest)
+    return Comparison(found, agreed, pairs, [*missing, *not_both], undecided, checks, evidence, smallest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,7 +373,7 @@ def _discrepancy(difference: Difference) -> Discrepancy:
     return Discrepancy(
         recorded.effect,
         recorded.sensor,
-        _axes(difference),
+        axes_of(difference),
         recorded.where,
         difference.relation(),
         difference.probability,
@@ -367,7 +382,7 @@ def _discrepancy(difference: Difference) -> Discrepancy:
     )
 
 
-def _axes(difference: Difference) -> list[str]:
+def axes_of(difference: Difference) -> list[str]:
     """Return the axes whose numbers differ beyond their errors and tolerance, at least the clearest one."""
     error = np.hypot(difference.sigma, difference.recorded.tolerance)
     strength = np.abs(difference.value) / np.maximum(error, 1e-300)

@@ -8,13 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared, p_of
-from stillcal.calib_core.diagnosis.comparison.direct import smallest_direct
+from stillcal.calib_core.diagnosis.comparison.compare import (
+    Common,
+    Comparison,
+    Discrepancy,
+    NotCompared,
+)
+from stillcal.calib_core.diagnosis.comparison.direct import measured_directly, smallest_direct
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
 
 
 def compare_with_ideal(exam: Examination) -> Comparison:
@@ -30,15 +36,31 @@ def compare_with_ideal(exam: Examination) -> Comparison:
         not_compared=missing,
         undecided=[_undecided(*one) for one in judged if one not in sure],
         comparisons=len(checks) - len(missing),
-        p=p_of([*(e for _, e in stated), *_not_stated(found, stated)]),
+        evidence=[*((f.effect, e) for f, e in stated), *_not_stated(found, stated)],
+        common=_common(exam, {f.effect for f, *_ in sure}),
         smallest=list(each_once([*(row for one in found for row in one.smallest), *smallest_direct(exam)])),
     )
 
 
-def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]) -> list[float]:
-    """Return the evidence for what was looked for and not found."""
+def _common(exam: Examination, found: set[str]) -> list[Common]:
+    """Return what stamps and values show more of than half of the real devices, where it is no finding."""
+    if exam.is_table:
+        return []
+    sound, nominal, out = sound_phones(), exam.claims.nominal_rate_hz, []
+    for (effect, _), (measured, quantity) in measured_directly(exam).items():
+        population = usual(sound, effect, nominal)
+        more, of = population.at_least(measured.value), population.devices.size
+        if effect not in found and of and measured.value > population.middle:
+            what = "one of them shows" if more == 1 else f"{more} of them show"
+            note = f"within what {of} real devices show; {what} as much"
+            out.append(Common(quantity, note))
+    return out
+
+
+def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]) -> list[tuple[str, float]]:
+    """Return the evidence for what was looked for and not found, by effect."""
     names = {(f.effect, f.sensor) for f, _ in stated}
-    return [s.log_bayes_factor for s in found if s.smallest and (s.effect, s.sensor) not in names]
+    return [(s.effect, s.log_bayes_factor) for s in found if s.smallest and (s.effect, s.sensor) not in names]
 
 
 def _undecided(finding: Finding, _evidence: float, probability: float) -> NotCompared:

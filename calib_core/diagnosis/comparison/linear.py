@@ -13,6 +13,7 @@ from itertools import pairwise
 from math import comb
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
@@ -125,17 +126,22 @@ def _fitted(
     fit = fit_hypothesis(reduce_scene(free, [whole]), 0)
     sizes = whole.sizes
     value, covariance = fit.beta * sizes, fit.covariance * np.outer(sizes, sizes)
-    ends = np.cumsum([h.sizes.size for h in hypotheses])
-    parts = [np.arange(end - h.sizes.size, end) for h, end in zip(hypotheses, ends, strict=True)]
+    parts = rows_of(hypotheses)
     turned = _at_reference(scene, hypotheses, parts, reference_c)
     stated, covariance = turned @ value, turned @ covariance @ turned.T
     out = _constant_quantities(exam, kind, stated, covariance, reference_c)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
-        effect = _effect_quantity(scene, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
+        effect = effect_quantity(scene, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
         if reference_c is not None and hypothesis.effect.name in SHIFTED:
             effect = replace(effect, reference=dict(effect.reference) | {"temperature_c": reference_c})
         out.append(effect)
     return out
+
+
+def rows_of(hypotheses: Sequence[Hypothesis]) -> list[NDArray[np.int64]]:
+    """Return which numbers of a joint fit belong to each of the hypotheses."""
+    ends = np.cumsum([0, *(h.sizes.size for h in hypotheses)])
+    return [np.arange(a, b) for a, b in pairwise(ends)]
 
 
 def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
@@ -198,7 +204,10 @@ the sign (the accelerometer's scale is that of the correction, so what the senso
 
 
 def _at_reference(
-    scene: Scene, hypotheses: Sequence[Hypothesis], parts: Sequence[Array], reference_c: float | None
+    scene: Scene,
+    hypotheses: Sequence[Hypothesis],
+    parts: Sequence[NDArray[np.int64]],
+    reference_c: float | None,
 ) -> Array:
     """Return the matrix that takes constants and polynomials about the mean temperature to the reference.
 
@@ -266,7 +275,8 @@ def _rows(hypothesis: Hypothesis) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
-def _effect_quantity(scene: Scene, hypothesis: Hypothesis, value: Array, covariance: Array) -> Quantity:
+def effect_quantity(scene: Scene, hypothesis: Hypothesis, value: Array, covariance: Array) -> Quantity:
+    """Return the numbers (k,) of an effect as a quantity, the model's own error in their covariance."""
     effect = hypothesis.effect
     largest = [float(np.abs(value[rows]).max()) for rows in _rows(hypothesis)]
     rough = np.concatenate(

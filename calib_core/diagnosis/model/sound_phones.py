@@ -81,13 +81,17 @@ class Usual:
         """Return the log density of a measured value among faulty phones: uniform over `faulty`."""
         return _log_uniform(value, error, *self.faulty)
 
+    def at_least(self, value: float) -> int:
+        """Return how many of the real devices show as much, or more."""
+        side = self.side or (1 if value >= self.middle else -1)
+        return int(np.sum(side * (self.devices - value) >= 0.0))
+
     def rarity(self, value: float) -> str:
         """Say how many of the real devices show as much; "" where the population is a stated range."""
         n = self.devices.size
         if n == 0:
             return ""
-        side = self.side or (1 if value >= self.middle else -1)
-        beyond = int(np.sum(side * (self.devices - value) >= 0.0))
+        beyond = self.at_least(value)
         count = "None" if beyond == 0 else str(beyond)
         return f"({count} of {n} real devices shows as much.)"
 

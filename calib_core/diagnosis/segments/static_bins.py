@@ -43,6 +43,12 @@ MOST_BINS = 300
 
 SHORTEST_BIN = 10.0
 POOLED_WEIGHT = 30.0
+NEAR_BINS = 5
+"""Neighbouring bins whose noise is taken to be alike where the phone moves in some."""
+
+BRIEFEST_BIN = 4
+"""Windows of a bin that may lie in motion: three differences tell its noise."""
+
 PER_BIN = (
     "t",
     "duration",
@@ -234,6 +240,38 @@ def cut(
     )
 
 
+def cut_all(
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    events: Sequence[Charging],
+    span: tuple[float, float],
+) -> Bins:
+    """Cut a whole recording into bins, whether the phone moved or not; all of it counts as one rest.
+
+    span: (start, end) s. A bin is 1/200 of it, and `BRIEFEST_BIN` windows at least.
+    """
+    force = windows(accelerometer, *span)
+    rate = None if gyroscope is None else windows(gyroscope, *span)
+    size = max(BRIEFEST_BIN, round((span[1] - span[0]) / WINDOW / BINS))
+    first = np.arange(0, force.t.size - size + 1, size, dtype=np.float64)
+    last = first + size
+    return Bins(
+        t=span[0] + (first + last) * 0.5 * WINDOW,
+        duration=(last - first) * WINDOW,
+        rest=np.zeros(first.size, dtype=np.int64),
+        pose=None,
+        force=_bin_means(force.mean, first, last),
+        force_variance=_near_variances(force.mean, first, last),
+        vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],
+        activity=np.stack([force.t, np.zeros(force.t.size)], axis=1),
+        span=span,
+        rate=None if rate is None else _bin_means(rate.mean, first, last),
+        rate_variance=None if rate is None else _near_variances(rate.mean, first, last),
+        temperature=_bin_temperatures(_readings(accelerometer), span[0], first, last),
+        **_charging(events, span, first, last),
+    )
+
+
 def _bin_edges(runs: list[tuple[int, int]], length: float) -> tuple[Array, Array, Index]:
     parts = [np.linspace(a, b, max(1, round((b - a) * WINDOW / length)) + 1).round() for a, b in runs]
     if not parts:
@@ -253,6 +291,33 @@ def _longest(length: Array) -> Index:
 def _bin_means(values: Array, first: Array, last: Array) -> Array:
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     return np.asarray((total[last.astype(int)] - total[first.astype(int)]) / (last - first)[:, None])
+
+
+def shaking(samples: Samples, bins: Bins) -> Array:
+    """Return the mean square (n,) of a sensor's samples about the mean of each second, over three axes."""
+    power = windows(samples, *bins.span).variance.sum(axis=1, keepdims=True)
+    first, last = ((bins.t + side * bins.duration / 2.0 - bins.span[0]) / WINDOW for side in (-1.0, 1.0))
+    return np.asarray(_bin_means(power, np.rint(first), np.rint(last))[:, 0])
+
+
+def _near_variances(values: Array, first: Array, last: Array) -> Array:
+    """Variance (n, 3) of bin means, from differences of window means inside bins.
+
+    It is the median of a bin and its neighbours, or the bin's own where that is louder by more than chance.
+    """
+    from scipy.special import chdtri  # noqa: PLC0415 - the daemon stays light
+
+    half = np.diff(values, axis=0) ** 2 / 2.0
+    own = _bin_means(half, first, last - 1.0)
+    freedom = last[0] - first[0] - 1.0 if first.size else 1.0
+    side = NEAR_BINS // 2
+    padded = np.pad(own, ((side, side), (0, 0)), mode="reflect") if len(own) > side else own
+    near = np.stack([padded[i : i + len(own)] for i in range(len(padded) - len(own) + 1)])
+    # Chi-squared: where its median is, and what one in twenty exceeds.
+    middle, loud = (float(chdtri(freedom, p)) / freedom for p in (0.5, 0.05))
+    common = np.median(near, axis=0) / middle
+    variance = np.where(own > loud * common, own, common)
+    return np.asarray(np.maximum(variance / (last - first)[:, None], 1e-18))
 
 
 def _white_variances(values: Array, first: Array, last: Array) -> Array:

@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.curves import Curve, running_median
+from stillcal.replay.diagnosis.words.names import parameter_noun
 from stillcal.replay.diagnosis.words.units import pretty, shown_in
 
 if TYPE_CHECKING:
@@ -240,6 +241,6 @@ def numbers_figure(sides: Sequence[Numbers], labels: Sequence[str], unit: str, n
         axes.axvline(0.0, color="#bbbbbb", lw=0.8)
         axes.set_yticks(np.arange(count)[::-1], labels)
         axes.set_ylim(-0.6, count - 0.4)
-        axes.set_xlabel(f"{name.replace('_', ' ')}{', ' if shown else ''}{shown}")
+        axes.set_xlabel(f"{parameter_noun(name)}{', ' if shown else ''}{shown}")
         axes.grid(axis="x", color="#dddddd", linewidth=0.6)
     return out[0]

@@ -18,9 +18,16 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.judged import Judged
 from stillcal.replay.diagnosis.report import tables
 from stillcal.replay.diagnosis.report.pictures import Album, Picture
-from stillcal.replay.diagnosis.words.names import BUILT_IN, THE_BUILT_IN, capital, noun, simulation_text
+from stillcal.replay.diagnosis.words.names import (
+    BUILT_IN,
+    THE_BUILT_IN,
+    capital,
+    noun,
+    parameter_noun,
+    simulation_text,
+)
 from stillcal.replay.diagnosis.words.next_recording import to_record
-from stillcal.replay.diagnosis.words.relation_text import probability_text, shown_of, with_interval
+from stillcal.replay.diagnosis.words.relation_text import probability_text, with_interval
 from stillcal.replay.diagnosis.words.summary import headline, outcome, reasons
 from stillcal.replay.diagnosis.words.units import pretty, shown_in
 
@@ -34,6 +41,7 @@ h1{font-size:1.5rem;line-height:1.25}h2{font-size:1.2rem;margin-top:2.2rem;borde
 .verdict.match{border-color:#2e7d32;background:#f0f7f0}
 .verdict.identified{border-color:#0b6e99;background:#f1f6f8}
 .verdict.not_judged{border-color:#777;background:#f4f4f4}
+.made{font-size:.85rem;color:#555}
 nav ul{columns:2 20rem;padding-left:1.2rem}
 .pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,27rem),1fr));gap:1rem}
 figure{margin:.6rem 0;max-width:31rem}
@@ -53,17 +61,21 @@ RELATIONS = {
 
 SIDES = ("parameters", "simulated", "difference")
 
+VECTOR = 3
+"""Numbers of a parameter that stand in one row of a table."""
+
 CONTENTS_FROM = 3
 """Findings from which the page has a list of its contents."""
 
 
-def page(judged: Judged) -> str:
-    """Return the page's HTML."""
+def page(judged: Judged, made: str = "") -> str:
+    """Return the page's HTML. made: when, and by which command, for its head; "" leaves that line out."""
     answer = judged.answer
     recording, simulation = escape(answer["recording"]), escape(simulation_text(answer["simulation"]))
     strong, _, rest = headline(answer).partition(" (")
     parts = [
         f"<h1>{recording} against {simulation}</h1>",
+        f'<p class="made">{escape(made)}</p>' if made else "",
         f'<p class="verdict {escape(answer["verdict"])}"><strong>{escape(strong)}</strong>'
         f" ({escape(rest)}. {escape(outcome(answer))}</p>",
         _files(judged),
@@ -192,21 +204,25 @@ def _sure(finding: Mapping[str, Any], start: float, simulation: str) -> str:
 
 def _table(finding: Mapping[str, Any]) -> str:
     names = list(dict.fromkeys(name for side in SIDES for name in finding[side]))
-    rows = [
-        (escape(name.replace("_", " ")), *(_cell(finding, side, name) for side in SIDES)) for name in names
-    ]
+    rows = [row for name in names for row in _rows(finding, name)]
     return tables.table(("parameter", "recorded", "simulated", "add to the simulation"), rows)
 
 
-def _cell(finding: Mapping[str, Any], side: str, name: str) -> str:
+def _rows(finding: Mapping[str, Any], name: str) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of one parameter: one, or of a matrix one for every element."""
+    size = max(np.size(finding[side][name]["value"]) for side in SIDES if name in finding[side])
+    groups = [[i] for i in range(size)] if size > VECTOR else [list(range(size))]
+    for shown in groups:
+        cells = (_cell(finding, side, name, shown) for side in SIDES)
+        yield escape(parameter_noun(name)), *cells
+
+
+def _cell(finding: Mapping[str, Any], side: str, name: str, shown: Sequence[int]) -> str:
     if name not in finding[side]:
         return ""
     parameter = finding[side][name]
-    shown = shown_of(finding, name, "xyz")
     beside = [finding[s][name] for s in SIDES if name in finding.get(s, {})]
-    text = escape(with_interval(name, parameter, shown, beside))
-    more = np.size(parameter["value"]) - len(shown)
-    return f"{text} (the largest of {more + len(shown)})" if more else text
+    return escape(with_interval(name, parameter, shown, beside))
 
 
 def _alternatives(finding: Mapping[str, Any]) -> str:
@@ -229,14 +245,16 @@ def _agreed(answer: Mapping[str, Any]) -> Iterator[str]:
     if not answer["agreed"]:
         return
     yield "<h2>What agrees</h2>"
-    rows = [
-        (
-            escape(capital(noun(a["effect"], a["sensor"]))),
-            "; ".join(f"{escape(k.replace('_', ' '))}: {_cell(a, 'parameters', k)}" for k in a["parameters"]),
-        )
-        for a in answer["agreed"]
-    ]
+    rows = [(escape(capital(noun(a["effect"], a["sensor"]))), _agreeing(a)) for a in answer["agreed"]]
     yield tables.table(("quantity", "recorded"), rows)
+
+
+def _agreeing(one: Mapping[str, Any]) -> str:
+    texts = []
+    for name, parameter in one["parameters"].items():
+        shown = range(np.size(parameter["value"]))
+        texts.append(f"{escape(parameter_noun(name))}: {_cell(one, 'parameters', name, shown)}")
+    return "; ".join(texts) + (f" ({escape(one['note'])})" if "note" in one else "")
 
 
 def _not_compared(answer: Mapping[str, Any]) -> Iterator[str]:
@@ -257,5 +275,5 @@ def _sensitivity(answer: Mapping[str, Any]) -> Iterator[str]:
         at = "".join(f" ({k.removesuffix('_s')} {v:.0f} s)" for k, v in s.get("reference", {}).items())
         what = capital(noun(s["effect"], s["sensor"]))
         size = f"{s['smallest_seen_90'] * factor:.2g} {unit}"
-        rows.append((escape(what), escape(s["parameter"].replace("_", " ") + at), escape(size)))
+        rows.append((escape(what), escape(parameter_noun(s["parameter"]) + at), escape(size)))
     yield tables.table(("effect", "parameter", "smallest size"), rows)

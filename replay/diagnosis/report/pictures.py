@@ -15,7 +15,7 @@ from stillcal.replay.diagnosis.judged import Judged, bins_of
 from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.report import figures
 from stillcal.replay.diagnosis.report.curves import Curve, curves_of
-from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
+from stillcal.replay.diagnosis.words.names import capital, noun, parameter_noun, simulation_text
 from stillcal.replay.diagnosis.words.relation_text import labels_of
 
 SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
@@ -112,7 +112,7 @@ def _of_numbers(finding: Mapping[str, Any]) -> list[Picture]:
         ]
         labels = labels_of(name, sides[0][2].size)
         what = capital(noun(finding["effect"], finding["sensor"]))
-        caption = f"{what}: {name.replace('_', ' ')}, recorded and simulated, with 95 % intervals."
+        caption = f"{what}: {parameter_noun(name)}, recorded and simulated, with 95 % intervals."
         svg = figures.numbers_figure(sides, labels, recorded["unit"], name)
         found.append(Picture(svg, caption, caption))
     return found

@@ -1,8 +1,8 @@
 """A finding as an equation, and as a NumPy function to paste that takes the effect out of samples.
 
 `to_paste` returns both for a finding in plain values (JSON schema 2). The function corrects the recording by
-the recording's own parameters. An effect that no function of samples can take out, such as noise or clipping,
-has an equation only.
+the recording's own parameters. An effect that no function of samples can take out, such as noise, has an
+equation only.
 """
 
 from __future__ import annotations
@@ -14,31 +14,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
+from stillcal.calib_core.diagnosis.effects.described import DESCRIBED
 
 Finding = Mapping[str, Any]
-
-EQUATIONS = {
-    "bias": "raw = inv(C) true + bias, C the correction's matrix",
-    "scale": "true = C (raw - bias), C = 1 + scale on its diagonal and misalignment xy, xz, yz beside it",
-    "bias_random_walk": "variance of bias(t + tau) - bias(t) = density^2 tau",
-    "slow_noise": "Allan deviation of the bias at 100 s = allan_deviation_100s",
-    "saturation": "raw = value, but at most limit and at least -limit",
-    "quantisation": "raw = step round(value / step)",
-    "noise_level": "standard deviation of a sample = density sqrt(sample rate / 2)",
-    "noise_unequal_axes": "white noise = ratio times that of the middle axis, axis by axis",
-    "noise_heavy_tailed": "a part of the samples has noise ratio times larger",
-    "vibration_tone": "raw = true + amplitude sin(2 pi frequency t + phase)",
-    "clock_skew": "stamp = (1 + relative) t",
-    "timestamp_jitter": "stamp = t + noise of standard deviation sigma",
-    "dropped_samples": "each sample is lost with probability fraction",
-    "arrival_bursts": "a fraction of the samples arrives late and at once",
-    "time_offset": "gyroscope(t) = rate(t - delay)",
-    "bandwidth": "raw = low-pass of the value with -3 dB at cutoff",
-    "lever_arm": "raw = force + w x (w x position) + dw/dt x position, w the rate",
-    "sample_rate": "samples in a second = rate",
-    "held_samples": "a fraction of the samples repeats the one before",
-}
-"""Equations of what is not in the catalogue of slow effects, by the end of the effect's name."""
 
 VARIABLE = {"accel": "force", "gyro": "rate"}
 
@@ -59,15 +37,15 @@ def equation_of(finding: Finding) -> str:
     for known in named_effects():
         if (known.name, known.sensor) == (effect, finding["sensor"]) and known.equation:
             return known.equation
-    fitting = [k for k in EQUATIONS if effect == k or effect.endswith(f"_{k}")]
-    return EQUATIONS[max(fitting, key=len)] if fitting else ""
+    return DESCRIBED[effect].equation if effect in DESCRIBED else ""
 
 
 def code_of(finding: Finding) -> str:
     """Return a module with the function `correct(t, temperature, force, rate)`; "" where there can be none.
 
     It takes t (n,) s, temperature (n,) degC or None, raw force (n, 3) m/s^2 and raw rate (n, 3) rad/s, all of
-    one length, and returns t, force and rate without the effect.
+    one length, and returns t, force and rate without the effect. What is clipped cannot be known: it becomes
+    NaN. Of a bias while charging the function takes that as well.
     """
     kind = finding["effect"].removeprefix("accel_").removeprefix("gyro_")
     body = CODE.get(finding["effect"]) or CODE.get(kind)
@@ -77,12 +55,16 @@ def code_of(finding: Finding) -> str:
         lines = body(finding)
     except KeyError:  # the finding lacks a number that the function needs
         return ""
+    charging = kind == "charging_bias"
+    arguments = "t, temperature, force, rate" + (", charging" if charging else "")
+    units = "t in s, temperature in degC, force and rate (n, 3), SI"
+    units += "; charging (n,) is 1 on the charger" if charging else ""
     text = [
         "import numpy as np",
         "",
         "",
-        "def correct(t, temperature, force, rate):",
-        f'    """Take out {finding["effect"]}: t in s, temperature in degC, force and rate (n, 3), SI."""',
+        f"def correct({arguments}):",
+        f'    """Take out {finding["effect"]}: {units}."""',
         *(f"    {line}" for line in lines),
         "    return t, force, rate",
     ]
@@ -168,6 +150,28 @@ def _step(finding: Finding) -> list[str]:
     return [_literal(finding, "step"), _less(finding, f"np.outer(t >= {at:.9g}, step)")]
 
 
+def _charging(finding: Finding) -> list[str]:
+    return [_literal(finding, "step"), _less(finding, "np.outer(charging, step)")]
+
+
+def _saturation(finding: Finding) -> list[str]:
+    x = VARIABLE[finding["sensor"]]
+    return [_literal(finding, "limit"), f"{x} = np.where(np.abs({x}) < limit, {x}, np.nan)"]
+
+
+def _tone(finding: Finding) -> list[str]:
+    x, hertz = VARIABLE[finding["sensor"]], _literal(finding, "frequency")
+    start, end = (float(finding["where"][name]) for name in ("t_start", "t_end"))
+    return [
+        hertz,
+        f"there = (t >= {start:.9g}) & (t <= {end:.9g})",
+        "phase = 2.0 * np.pi * frequency * (t - t[0])",
+        "wave = np.column_stack([np.cos(phase), np.sin(phase)]) * there[:, None]",
+        f"line = np.linalg.lstsq(wave[there], ({x} - {x}[there].mean(axis=0))[there], rcond=None)[0]",
+        _less(finding, "wave @ line"),
+    ]
+
+
 def _matrix(finding: Finding) -> list[str]:
     return [_literal(finding, "matrix"), _less(finding, "force @ matrix.T")]
 
@@ -208,6 +212,9 @@ CODE: dict[str, Callable[[Finding], list[str]]] = {
     "warmup": _warmup,
     "bias_drift": _drift,
     "bias_step": _step,
+    "charging_bias": _charging,
+    "saturation": _saturation,
+    "vibration_tone": _tone,
     "g_sensitivity": _matrix,
     "nonlinearity": _nonlinearity,
     "clock_skew": _skew,

@@ -3,38 +3,8 @@
 from __future__ import annotations
 
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
-
-NOUNS = {
-    "accel_bias": "accelerometer bias",
-    "gyro_bias": "gyroscope bias",
-    "accel_scale": "accelerometer scale and misalignment",
-    "gyro_scale": "gyroscope scale and misalignment",
-    "noise_level": "white noise",
-    "accel_slow_noise": "slow noise of the accelerometer's bias",
-    "gyro_slow_noise": "slow noise of the gyroscope's bias",
-    "sample_rate": "sample rate",
-    "noise_unequal_axes": "white noise that differs between axes",
-    "accel_bias_random_walk": "random walk of the accelerometer's bias",
-    "gyro_bias_random_walk": "random walk of the gyroscope's bias",
-    "held_samples": "samples that repeat the one before",
-    "missing_codes": "values that never occur",
-    "axis_exchange": "exchanged axes",
-    "accel_saturation": "limit of the accelerometer's range",
-    "gyro_saturation": "limit of the gyroscope's range",
-    "accel_quantisation": "step of the accelerometer's values",
-    "gyro_quantisation": "step of the gyroscope's values",
-    "noise_heavy_tailed": "heavy tails of the noise",
-    "vibration_tone": "vibration at one frequency",
-    "clock_skew": "error of the clock's rate",
-    "timestamp_jitter": "jitter of the time stamps",
-    "dropped_samples": "share of samples lost",
-    "arrival_bursts": "share of samples that arrive in bursts",
-    "accel_gyro_time_offset": "delay between the sensors",
-    "bandwidth": "limit of the bandwidth",
-    "lever_arm": "distance of the accelerometer from the pivot",
-    "unknown": "something that no named effect explains",
-}
-"""What differences are called within a sentence; effects of the catalogue have their own noun."""
+from stillcal.calib_core.diagnosis.effects.described import DESCRIBED
+from stillcal.calib_core.diagnosis.model.records import NAME as SENSORS
 
 THE_BUILT_IN = "the built-in simulation"
 
@@ -57,8 +27,6 @@ OF_EITHER = frozenset(
 BUILT_IN = "built-in"
 """The built-in simulation's name: an ideal affine sensor with plain noise, moved as the recording moved."""
 
-SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
-
 
 def _of_column(effect: str, sensor: str) -> str:
     """Return the noun of a bias that follows a logged column, or an unknown effect's own words."""
@@ -71,8 +39,23 @@ def _of_column(effect: str, sensor: str) -> str:
 def noun(effect: str, sensor: str) -> str:
     """Return what an effect is called in a sentence."""
     named = {e.name: e.called() for e in named_effects()}
-    name = NOUNS.get(effect) or named.get(effect) or _of_column(effect, sensor)
+    known = DESCRIBED.get(effect)
+    name = known.noun if known else named.get(effect) or _of_column(effect, sensor)
     return f"{name} ({SENSORS[sensor]})" if effect in OF_EITHER and sensor in SENSORS else name
+
+
+PARAMETERS = {
+    "tau_s": "time constant",
+    "period_s": "period",
+    "relative": "error of the rate",
+    "allan_deviation_100s": "Allan deviation at 100 s",
+}
+"""What parameters are called whose name in JSON is not a word."""
+
+
+def parameter_noun(name: str) -> str:
+    """Return what a parameter is called in a sentence, a table or a figure."""
+    return PARAMETERS.get(name) or name.replace("_", " ")
 
 
 def simulation_text(name: str) -> str:

@@ -7,13 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.replay.diagnosis.words.names import THE_BUILT_IN, capital, noun, simulation_text
+from stillcal.calib_core.diagnosis.comparison.compare import AXIS_SIGMA
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
+from stillcal.replay.diagnosis.words.names import (
+    THE_BUILT_IN,
+    capital,
+    noun,
+    parameter_noun,
+    simulation_text,
+)
 from stillcal.replay.diagnosis.words.units import shown_in
 
 AXES = "xyz"
 
 MOST_PARAMETERS = 3
 """Parameters that a sentence names."""
+
+MOST_ELEMENTS = 3
+"""Elements of a matrix that a sentence gives; the page and --json have all nine."""
 
 NEARLY_CERTAIN = 0.9995
 """Probability that three digits would round to one."""
@@ -57,14 +68,27 @@ def with_interval(
 def shown_of(finding: Mapping[str, Any], name: str, axes: Sequence[str]) -> list[int]:
     """Return which numbers of a parameter to show: the same ones for the recording and the simulation.
 
-    Of a matrix it is the one that differs most, of three axes the named ones, else all.
+    Of a matrix it is those that differ beyond their errors, the largest `MOST_ELEMENTS` of them at most; of
+    three axes the named ones, else all.
     """
     sides = [finding.get(side, {}) for side in ("difference", "parameters", "simulated")]
-    values = np.asarray(next(s[name] for s in sides if name in s)["value"], dtype=np.float64).ravel()
+    parameter = next(s[name] for s in sides if name in s)
+    values = np.asarray(parameter["value"], dtype=np.float64).ravel()
     labels = labels_of(name, values.size)
     if values.size == len(AXES) ** 2:
-        return [int(np.abs(values).argmax())]
+        largest = np.argsort(-np.abs(values))[:MOST_ELEMENTS]
+        clear = set(_clear(parameter)) or {int(largest[0])}
+        return sorted(int(i) for i in largest if int(i) in clear)
     return [i for i, label in enumerate(labels) if label in axes] or list(range(values.size))
+
+
+def _clear(parameter: Mapping[str, Any]) -> list[int]:
+    """Return which numbers of a parameter are beyond their errors."""
+    values = np.abs(np.asarray(parameter["value"], dtype=np.float64).ravel())
+    if "ci95" not in parameter:
+        return np.flatnonzero(values > 0.0).tolist()
+    half = np.ptp(np.asarray(parameter["ci95"], dtype=np.float64).reshape(values.size, 2), axis=1) / 2.0
+    return np.flatnonzero(values > AXIS_SIGMA / NORMAL_95 * half).tolist()
 
 
 OF_CORRECTION = (
@@ -77,8 +101,17 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     """Return what differs and what to do about it in the simulation, in one to three sentences."""
     text = _statement(finding, names).replace(f". {THE_BUILT_IN}", f". {capital(THE_BUILT_IN)}")
     text = capital(text) if text.startswith(THE_BUILT_IN) else text
-    text += _undistinguished(finding)
+    text += _at_temperature(finding) + _undistinguished(finding)
     return text + OF_CORRECTION if finding["effect"] in ("accel_scale", "gyro_scale") else text
+
+
+def _at_temperature(finding: Mapping[str, Any]) -> str:
+    """Return at which temperature numbers hold that are others at another; "" where they hold at any."""
+    at = finding.get("reference", {}).get("temperature_c")
+    bends = not {"quadratic", "cubic"}.isdisjoint(finding["parameters"])
+    if at is None or not (bends or finding["effect"].endswith(("_bias", "_scale"))):
+        return ""
+    return f" The numbers hold at {at:.1f} °C."
 
 
 def _undistinguished(finding: Mapping[str, Any]) -> str:
@@ -125,9 +158,7 @@ def _every(finding: Mapping[str, Any], side: str) -> str:
     texts = {name: _side(finding, side, name) for name in list(finding[side])[:MOST_PARAMETERS]}
     if len(texts) < 2:
         return "".join(texts.values()) or "no value"
-    named = [
-        t if t.startswith(n.replace("_", " ")) else f"{n.replace('_', ' ')} {t}" for n, t in texts.items()
-    ]
+    named = [t if t.startswith(parameter_noun(n)) else f"{parameter_noun(n)} {t}" for n, t in texts.items()]
     return "; ".join(named)
 
 
@@ -136,10 +167,13 @@ def _side(finding: Mapping[str, Any], side: str, name: str | None) -> str:
         return "no value"
     parameter = finding[side][name]
     beside = [finding[s][name] for s in ("parameters", "simulated") if name in finding[s]]
-    text = with_interval(name, parameter, shown_of(finding, name, finding["axes"]), beside)
+    shown = shown_of(finding, name, finding["axes"])
+    text = with_interval(name, parameter, shown, beside)
+    if np.size(parameter["value"]) == len(AXES) ** 2:
+        text += f" ({len(shown)} of 9 elements)"
     # A number without a unit, or one that belongs to a pair of axes, says too little without its name.
     named = name == "misalignment" or parameter["unit"] == "1"
-    return f"{name.replace('_', ' ')} {text}" if named else text
+    return f"{parameter_noun(name)} {text}" if named else text
 
 
 def _word(finding: Mapping[str, Any], name: str | None) -> str:

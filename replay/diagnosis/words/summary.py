@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from stillcal.calib_core.diagnosis.comparison.compare import LEVEL
 from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
-from stillcal.replay.diagnosis.words.relation_text import probability_text
+from stillcal.replay.diagnosis.words.relation_text import probability_text, with_interval
 
 VERDICTS = {
     "match": "No difference found",
@@ -37,10 +39,10 @@ def outcome(answer: Mapping[str, Any]) -> str:
     if "p_after" not in fit:
         return f"{capital(simulation)} could not be played with what was found: the phone is never at rest."
     passes = "passes" if fit["p_after"] >= LEVEL else "still fails"
-    numbers = f"p = {fit['p_after']:.2g}; before {fit['p_before']:.2g}"
+    numbers = f"bound of p: {fit['p_after']:.2g}; before {fit['p_before']:.2g}"
     # One effect on both sensors is named once.
     left = ", ".join(dict.fromkeys(noun(effect, "") for effect in fit["not_put_in"]))
-    but = f" These could not be put in and are left out of it: {left}." if left else ""
+    but = f" These could not be put in and are left out of both: {left}." if left else ""
     return f"With what was found put in, {simulation} {passes} the same comparison ({numbers}).{but}"
 
 
@@ -52,13 +54,22 @@ def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
         f"  {f['statement']} (probability {probability_text(f['probability'])})" for f in answer["findings"]
     ]
     out += [f"  {text}" for text in [outcome(answer)] if text]
-    agreed = ", ".join(noun(a["effect"], a["sensor"]) for a in answer["agreed"])
+    agreed = ", ".join(noun(a["effect"], a["sensor"]) for a in answer["agreed"] if "note" not in a)
     if agreed:
         out.append(f"  agreed: {agreed}")
+    out += [f"  no finding: {_noted(a)}" for a in answer["agreed"] if "note" in a]
     out += [f"  not compared: {_some(what)} - {why}" for why, what in reasons(answer).items()]
     if len(out) > lines:
         out = [*out[: lines - 1], f"  and {len(out) - lines + 1} more lines in --json and --report"]
     return out
+
+
+def _noted(one: Mapping[str, Any]) -> str:
+    """Return what agrees only because sound phones do it too, with its numbers."""
+    numbers = "; ".join(
+        with_interval(name, p, range(np.size(p["value"]))) for name, p in one["parameters"].items()
+    )
+    return f"{noun(one['effect'], one['sensor'])}, {numbers}: {one['note']}"
 
 
 def _some(what: Sequence[str], most: int = 3) -> str:

@@ -20,11 +20,15 @@ ORDER = ("sample_rate", "accel_scale", "gyro_scale")
 
 @dataclass(slots=True)
 class Fixed:
-    """A corrected configuration. changed: what was, a line each. not_held: effects, and why, a line each."""
+    """A corrected configuration. changed: what was, a line each. not_held: effects, and why, a line each.
+
+    left_out: the names of these effects.
+    """
 
     text: str
     changed: list[str] = field(default_factory=list)
     not_held: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
 
 
 class CannotHold(Exception):  # noqa: N818 - a refusal is not a failure
@@ -47,6 +51,7 @@ def apply_findings(
             handler(finding)
         except CannotHold as reason:
             fixed.not_held.append(f"{title(finding)}: {reason}")
+            fixed.left_out.append(finding["effect"])
 
 
 def title(finding: Finding) -> str:

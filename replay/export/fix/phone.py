@@ -213,7 +213,7 @@ def _vector(values: Array) -> tuple[float, float, float]:
 
 def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     """Return a phone file with the differences in it; of a phone without errors where there is none."""
-    before = Phone() if text is None else _parsed(text)
+    before = Phone() if text is None else phone_from(text)
     fixed = Fixed("")
     work = _Phone(before, fixed)
     handlers: dict[str, Callable[[Finding], None]] = {"noise_level": work.white, "sample_rate": work.rate}
@@ -230,7 +230,8 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     return fixed
 
 
-def _parsed(text: str) -> Phone:
+def phone_from(text: str) -> Phone:
+    """Return the phone of a file's text. Raises UserError where it is none."""
     try:
         return msgspec.convert(tomllib.loads(text), type=Phone)
     except (tomllib.TOMLDecodeError, msgspec.ValidationError, ValueError) as error:
@@ -244,7 +245,7 @@ def _text(text: str | None, before: Phone, after: Phone, fixed: Fixed) -> str:
         return whole
     changed = edited(text, msgspec.to_builtins(before), msgspec.to_builtins(after))
     try:
-        if _parsed(changed) == after:
+        if phone_from(changed) == after:
             return changed
     except UserError:
         pass

@@ -121,8 +121,31 @@ def test_curved_temperature_and_an_unknown_temperature() -> None:
     assert np.isfinite(force).all()
 
 
+def test_a_bias_while_charging_takes_when_it_charged() -> None:
+    on, step = (T > 20.0).astype(float), np.array([0.02, 0.0, -0.01])
+    found = finding("accel_charging_bias", "accel", {"step": step.tolist()})
+    _, force, _ = pasted(found)(T, None, FORCE + np.outer(on, step), RATE, on)
+    assert np.abs(force - FORCE).max() < 1e-12
+
+
+def test_what_is_clipped_becomes_nan_and_nothing_else_changes() -> None:
+    found = finding("gyro_saturation", "gyro", {"limit": 1.5})
+    _, _, rate = pasted(found)(T, None, FORCE, np.clip(RATE, -1.5, 1.5))
+    beyond = np.abs(RATE) >= 1.5
+    assert beyond.any() and np.isnan(rate[beyond]).all() and (rate[~beyond] == RATE[~beyond]).all()
+
+
+def test_a_tone_is_taken_out_while_it_lasts() -> None:
+    still = np.tile([0.0, 0.0, 9.8], (N, 1))
+    tone = np.outer(np.sin(2.0 * np.pi * 17.0 * T + 0.4) * (T >= 20.0) * (T <= 40.0), [0.0, 0.01, 0.02])
+    values = {"frequency": 17.0, "amplitude": [0.0, 0.01, 0.02]}
+    found = finding("vibration_tone", "accel", values, where={"t_start": 20.0, "t_end": 40.0})
+    _, force, _ = pasted(found)(T, None, still + tone, RATE)
+    assert np.abs(force - still).max() < 1e-4
+
+
 def test_what_no_function_can_take_out_has_an_equation_only() -> None:
-    found = to_paste(finding("accel_saturation", "accel", {"limit": 39.2}))
+    found = to_paste(finding("noise_level", "accel", {"density": [1e-3] * 3}))
     assert found.keys() == {"equation"}
     assert to_paste(finding("unknown", "gyro", {})) == {}
     assert code_of(finding("gyro_g_sensitivity", "gyro", {})) == ""

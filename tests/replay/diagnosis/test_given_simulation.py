@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
@@ -99,8 +100,15 @@ def test_a_simulation_that_has_the_effect_agrees() -> None:
     assert said["fit"]["p_before"] > 0.01
 
 
-def test_the_corrected_simulation_passes() -> None:
-    said = answer(real(), simulated(0.0))
+def coarse(recording: Recording, step: float = 0.012) -> Recording:
+    """Round the values to steps of more than two standard deviations of their noise."""
+    xyz = frozen(np.rint(recording.accelerometer.xyz / step) * step)
+    return replace(recording, accelerometer=replace(recording.accelerometer, xyz=xyz))
+
+
+def test_the_corrected_simulation_passes_though_its_values_came_in_steps() -> None:
+    """What is added lies between the steps: the noise of rounding must not count as the sensor's then."""
+    said = answer(coarse(real()), coarse(simulated(0.0)))
     assert said["verdict"] == "identified"
     assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
     assert said["fit"]["not_put_in"] == []
@@ -234,11 +242,27 @@ def test_the_command_judges_and_fails_where_it_is_asked_to(written: Any, tmp_pat
     assert (said["schema"], said["recording"], said["simulation"]) == (2, "real.csv", "sim.csv")
 
 
+def test_only_a_part_of_the_simulation_is_judged_where_it_is_asked_for(written: Any) -> None:
+    """Too short a part is refused with what is missing, which the whole is not."""
+    trace, other = written(real(0.0), "real.csv"), written(simulated(0.0), "sim.csv")
+    done = run(trace, "--simulated", other, "--simulated-from", 60, "--simulated-to", 65)
+    assert done.exit_code == 3
+    assert "sim.csv" in done.output and "too little data" in done.output
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         (["--simulated", "nowhere.csv"], "nowhere.csv"),
-        (["--simulated-format", "csv"], "--simulated-format goes with --simulated"),
+        (["--simulated-sensor", "1"], "-sensor, -gyro, -from and -to go with --simulated"),
+        (
+            ["--simulated", "sim.csv", "--simulated-from", "5", "--simulated-to", "5"],
+            "--simulated-to 5 is not",
+        ),
+        (["--paired"], "--paired goes with --simulated"),
+        (["--witness", "x.csv", "--phone", "typical"], "leave out --simulated and --phone"),
+        (["--witness", "x.csv", "--phone-out", "p.toml"], "--witness does not go with --phone-out"),
+        (["--witness", "x", "--witness", "y", "--witness-sensor", "1"], "give one sensor for each witness"),
         (["--simulated", "sim.csv", "--phone", "typical"], "each is another simulation"),
         (["--fail-on", "bad"], "bad"),
     ],

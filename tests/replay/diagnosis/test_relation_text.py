@@ -52,10 +52,18 @@ def test_both_sides_are_given_in_one_unit() -> None:
     assert "x 0.00573 " in text and "x 0.0115 " in text and "deg/h" not in text
 
 
-def test_of_a_matrix_the_same_element_is_shown_of_both() -> None:
+def test_of_a_matrix_the_elements_that_differ_are_shown_of_both() -> None:
     recorded, simulated = np.diag([-0.2, 0.0, 3.0]), np.diag([-1.0, 0.0, 0.5])
     text = told("gyro_scale", "too_small", ["z"], scale=(recorded.tolist(), simulated.tolist(), "1"))
-    assert "z by z 50 " in text and "z by z 300 " in text and "x by x" not in text
+    assert "x by x -100 " in text and "x by x -20 " in text
+    assert "z by z 50 " in text and "z by z 300 " in text
+    assert "y by y" not in text and "(2 of 9 elements)" in text
+
+
+def test_a_matrix_without_a_clear_element_shows_its_largest() -> None:
+    recorded = np.diag([0.0, 0.0, 0.06])
+    text = told("gyro_scale", "too_small", ["z"], scale=(recorded.tolist(), np.zeros((3, 3)).tolist(), "1"))
+    assert "z by z 6 " in text and "(1 of 9 elements)" in text
 
 
 def test_the_part_that_differs_is_shown_with_its_pairs_of_axes() -> None:
@@ -79,3 +87,25 @@ def test_a_number_without_a_unit_has_its_name() -> None:
 @pytest.mark.parametrize(("probability", "text"), [(1.0, "above 0.999"), (0.9994, "0.999"), (0.952, "0.952")])
 def test_no_probability_is_printed_as_certainty(probability: float, text: str) -> None:
     assert probability_text(probability) == text
+
+
+def test_a_bias_names_the_temperature_that_it_holds_at() -> None:
+    finding = {
+        "effect": "accel_bias",
+        "sensor": "accel",
+        "axes": ["x"],
+        "relation": "lacking",
+        "alternatives": [],
+        "parameters": {"bias": {"value": [0.1, 0.0, 0.0], "unit": "m/s^2"}},
+        "simulated": {},
+        "difference": {},
+    }
+    warm = finding | {"reference": {"temperature_c": 31.24}}
+    assert "The numbers hold at 31.2 °C." in statement(warm, ("real.csv", "sim.csv"))
+    assert "°C" not in statement(finding, ("real.csv", "sim.csv"))
+
+
+def test_a_time_constant_is_called_one() -> None:
+    text = told("gyro_warmup", "lacking", ["x"], amplitude=([2.0] * 3, [0.0] * 3, "rad/s"),
+                tau_s=([300.0], [0.0], "s"))  # fmt: skip
+    assert "time constant 300 " in text and "tau" not in text

@@ -66,3 +66,19 @@ def test_without_a_simulation_there_is_nothing_to_correct(tmp_path: Path) -> Non
     assert result.exit_code == 2
     assert "give it as --simulated SIM or --phone PHONE" in result.output
     assert not (tmp_path / "p.toml").exists()
+
+
+def test_a_configuration_that_does_not_exist_is_refused_and_not_made(tmp_path: Path) -> None:
+    path = tmp_path / "nosuch.sdf"
+    words = ["diagnose", "sample:lab", "--phone", "typical", "--fix-for", "gazebo", str(path)]
+    result = CliRunner().invoke(cli, words)
+    assert str(result.exception) == (
+        f"{path}: no such file; give the gazebo configuration that the simulation was made with"
+    )
+    assert not path.exists()
+
+
+def test_a_new_phone_file_begins_with_the_phone_that_is_judged(tmp_path: Path) -> None:
+    path = tmp_path / "new.toml"
+    Correction("phone", path, PHONE).write({"findings": [BIAS]})
+    assert "bias = [0.02, 0.0, 0.02]" in path.read_text()

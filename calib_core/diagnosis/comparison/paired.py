@@ -1,0 +1,262 @@
+"""Two sensors on one motion: what one reads less what the other reads holds no motion.
+
+All of the recording is judged, moved or not. The difference of the readings is the one's own error, as far as
+the other has none; everything else is as in a recording of rests: the same effects, the same noise, the same
+search. Bias, scale and misalignment of one against the other are nuisances of the search, and are measured
+with what it found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared, axes_of
+from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.comparison.linear import (
+    ALIKE_BIAS,
+    ALIKE_SCALE,
+    RATE_BIAS_SIZE,
+    effect_quantity,
+    rows_of,
+    transferable,
+)
+from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION
+from stillcal.calib_core.diagnosis.comparison.quantity import (
+    CERTAIN,
+    Difference,
+    Part,
+    Quantity,
+    subtract,
+    weighed,
+)
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
+from stillcal.calib_core.diagnosis.model.residuals import (
+    BIAS_SIZE,
+    MISALIGNMENT_SIZE,
+    SCALE_SIZE,
+    View,
+)
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, shaking
+from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements
+from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.samples import Samples
+
+BIAS = {"accel": Linear("bias", "m/s^2", 3, BIAS_SIZE), "gyro": Linear("bias", "rad/s", 3, RATE_BIAS_SIZE)}
+GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
+"""Prior size of what one sensor reads of the other's input: scale on the diagonal, misalignment beside it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """Both sensors of one device at the recording's stamps; the gyroscope's is None where one has none."""
+
+    force: Samples
+    rate: Samples | None
+
+
+def pair_scenes(
+    difference: Readings, true: Readings, events: Sequence[Charging], mismatch: float
+) -> tuple[Bins, list[Scene]]:
+    """Return the bins of a whole recording and a scene of each sensor.
+
+    difference: what the recording reads less what the other does, with the recording's temperature; true:
+    what the other reads, which stands for the true input. mismatch: part of what shakes both within a bin by
+    which their means differ. Raises NotSupported where it is too short.
+    """
+    t = difference.force.t
+    span = (float(t[0]), float(t[-1]))
+    left = cut_all(difference.force, difference.rate, events, span)
+    moved = cut_all(true.force, true.rate, events, span)
+    if len(left) < thresholds.LEAST_BINS:
+        least = thresholds.LEAST_BINS * 4
+        raise NotSupported(f"{span[1] - span[0]:.0f} s of the same motion", (f"at least {least} s",))
+    bins = replace(left, force=moved.force, rate=moved.rate, vibration=moved.vibration)
+    up = moved.force / STANDARD
+    shaken = mismatch**2 * shaking(true.force, left)[:, None]
+    views = _views(left, left.force, left.force_variance + shaken, moved.force)
+    scenes = [Scene("accel", bins, views, STANDARD, up)]
+    if left.rate is not None and left.rate_variance is not None and moved.rate is not None:
+        assert true.rate is not None, "it was cut"
+        shaken = mismatch**2 * shaking(true.rate, left)[:, None]
+        views = _views(left, left.rate, left.rate_variance + shaken, moved.rate)
+        scenes.append(Scene("gyro", bins, views, STANDARD, up))
+    return bins, scenes
+
+
+def _views(bins: Bins, left: Array, variance: Array, true: Array) -> tuple[View, ...]:
+    n = len(bins)
+    return tuple(
+        View(
+            name=f"pair_{'xyz'[a]}",
+            y=left[None, :, a],
+            baseline=np.ones((1, n, 1)),
+            variance=variance[:, a],
+            coupling=np.ones((n, n)),
+            project=np.broadcast_to(np.eye(3)[a], (1, n, 3)),
+            bins=np.arange(n),
+            t=bins.t,
+            duration=bins.duration,
+            rest=bins.rest,
+            absorbed=true * GAIN_SIZES[a],
+        )
+        for a in range(3)
+    )
+
+
+def examined_in_pair(
+    exam: Examination, bins: Bins, scenes: Sequence[Scene], direct: Sequence[Stated]
+) -> Examination:
+    """Return an examination whose slow effects are those of the pair. direct: what single samples show."""
+    slow = [s for scene in scenes for s in slow_statements(scene)]
+    return replace(exam, bins=bins, scenes=list(scenes), turns=None, statements=[*direct, *slow])
+
+
+def compare_in_pair(exam: Examination, *, constants: bool) -> Comparison:
+    """Return what the recording has and the other sensor has not. exam: from `examined_in_pair`.
+
+    constants: whether bias, scale and misalignment of one against the other are differences, or mounting.
+    """
+    found = compare_with_ideal(exam)
+    if constants:
+        found = _without_motion(found)
+    measured = [q for scene in exam.scenes for q in _measured(exam, scene)]
+    own = {(d.effect, d.sensor): d for d in found.discrepancies}
+    differences = [subtract(q, _none_of(q)) for q in measured]
+    fitted = {(d.recorded.effect, d.recorded.sensor): d for d in differences}
+    out = [_sized(d, fitted.get(key)) for key, d in own.items()]
+    if not constants:
+        return replace(found, discrepancies=out)
+    pairs = [d for key, d in fitted.items() if key[0].endswith(("_bias", "_scale"))]
+    count = found.comparisons + len(pairs)
+    pairs = weighed(pairs, max(count, 1))
+    out += [_of_constant(d) for d in pairs if d.probability >= CERTAIN]
+    return replace(
+        found,
+        discrepancies=sorted(out, key=lambda d: -d.log_bayes_factor),
+        compared=pairs,
+        comparisons=count,
+        evidence=[*found.evidence, *((d.recorded.effect, d.log_bayes_factor) for d in pairs)],
+    )
+
+
+def _without_motion(found: Comparison) -> Comparison:
+    """Leave out what one recording's own motion shows: a constant bias looks like it where nothing rests."""
+    told = {(n.effect, n.sensor) for n in found.not_compared}
+    unseen = [NotCompared(*key, "it is not looked for in a pair") for key in MOTION if key not in told]
+    return replace(
+        found,
+        not_compared=[*found.not_compared, *unseen],
+        comparisons=found.comparisons - len(unseen),
+    )
+
+
+def without_found(exam: Examination, found: Comparison, *, constants: bool) -> tuple[Comparison, list[str]]:
+    """Take what was found out of the difference of readings and judge what is left.
+
+    Returned are that comparison and the effects that no equation takes out.
+    """
+    names = {(d.effect, d.sensor) for d in found.discrepancies if d.difference is not None}
+    left_out = [d.effect for d in found.discrepancies if d.difference is None]
+    scenes = [_taken_out(exam, scene, names) for scene in exam.scenes]
+    direct = [s for s in exam.statements if s.hypothesis is None]
+    after = examined_in_pair(exam, exam.bins, scenes, direct)
+    return compare_in_pair(after, constants=constants), left_out
+
+
+def _constants(scene: Scene) -> Hypothesis:
+    """Return bias and what the sensor reads of the other's input, nine numbers row by row."""
+    true = scene.bins.force if scene.sensor == "accel" else scene.bins.rate
+    assert true is not None, "a scene of the gyroscope has rates"
+    n = len(scene.bins)
+    gain = (np.eye(3)[None, :, :, None] * true[:, None, None, :]).reshape(n, 3, 9)
+    response = np.concatenate([on_axes(np.ones(n)), gain], axis=2)
+    parameters = (BIAS[scene.sensor], *(Linear("gain", "1", 1, float(s)) for s in GAIN_SIZES.ravel()))
+    return Hypothesis(Parameters("constants", scene.sensor, parameters), {}, scene.columns_of(response))
+
+
+def _fitted(exam: Examination, scene: Scene) -> tuple[list[Hypothesis], Array, Array]:
+    """Fit constants and everything found; return hypotheses, values (k,) and covariance, in their units."""
+    bare = tuple(replace(v, baseline=v.baseline[:, :, :0], absorbed=None) for v in scene.views)
+    free = replace(scene, views=bare)
+    own = [s.hypothesis for s in exam.statements if s.scene is scene and s.hypothesis is not None]
+    every = [_constants(scene), *own]
+    whole = together(scene, every)
+    fit = fit_hypothesis(reduce_scene(free, [whole]), 0)
+    return every, fit.beta * whole.sizes, fit.covariance * np.outer(whole.sizes, whole.sizes)
+
+
+def _measured(exam: Examination, scene: Scene) -> list[Quantity]:
+    """Return bias, scale and every effect found in a scene, of the one sensor less the other."""
+    every, value, covariance = _fitted(exam, scene)
+    where = Where(*scene.bins.span, SLOW_BAND, "nothing")
+    reference = scene.moments.history.reference_c
+    at = {} if reference is None else {"temperature_c": reference}
+    out = [_bias(scene.sensor, value, covariance, where, at), _scale(scene.sensor, value, covariance, where)]
+    for hypothesis, rows in zip(every[1:], rows_of(every)[1:], strict=True):
+        if transferable(hypothesis):
+            one = effect_quantity(scene, hypothesis, value[rows], covariance[np.ix_(rows, rows)])
+            warm = at if one.effect.endswith("_temperature") else {}
+            out.append(replace(one, reference={**one.reference, **warm}))
+    return out
+
+
+def _bias(sensor: str, value: Array, covariance: Array, where: Where, at: dict[str, float]) -> Quantity:
+    own, axes = BIAS[sensor], np.arange(3)
+    alike = np.full(3, ALIKE_BIAS[sensor])
+    part = (Part("bias", own.unit, 3),)
+    return Quantity(f"{sensor}_bias", sensor, part, value[:3], covariance[:3, :3], np.full(3, own.size),
+                    alike, axes, reference=at, where=where)  # fmt: skip
+
+
+def _scale(sensor: str, value: Array, covariance: Array, where: Where) -> Quantity:
+    """Return the scale of the correction, nine numbers: what the sensor reads too much, negated."""
+    rows = slice(3, 12)
+    part = (Part("scale", "1", 9),)
+    return Quantity(f"{sensor}_scale", sensor, part, -value[rows], covariance[rows, rows], GAIN_SIZES.ravel(),
+                    np.full(9, ALIKE_SCALE), np.repeat(np.arange(3), 3), where=where)  # fmt: skip
+
+
+def _none_of(quantity: Quantity) -> Quantity:
+    """Return the other sensor's part: nothing, for it is what the one is measured against."""
+    k = quantity.value.size
+    return replace(quantity, value=np.zeros(k), covariance=np.zeros((k, k)))
+
+
+def _sized(found: Discrepancy, difference: Difference | None) -> Discrepancy:
+    return found if difference is None else replace(found, difference=difference)
+
+
+def _of_constant(difference: Difference) -> Discrepancy:
+    one = difference.recorded
+    assert one.where is not None, "constants say where they were measured"
+    return Discrepancy(one.effect, one.sensor, axes_of(difference), one.where, "lacking",
+                       difference.probability, difference.log_bayes_factor, difference)  # fmt: skip
+
+
+def _taken_out(exam: Examination, scene: Scene, names: set[tuple[str, str]]) -> Scene:
+    """Return a scene without the effects `names` and, where they are among them, the constants."""
+    every, value, _ = _fitted(exam, scene)
+    views = list(scene.views)
+    for hypothesis, rows in zip(every, rows_of(every), strict=True):
+        size = value[rows].copy()
+        if hypothesis is every[0]:
+            size[:3] *= (f"{scene.sensor}_bias", scene.sensor) in names
+            size[3:] *= (f"{scene.sensor}_scale", scene.sensor) in names
+        elif (hypothesis.effect.name, scene.sensor) not in names:
+            continue
+        views = [
+            replace(v, y=v.y - columns @ size) for v, columns in zip(views, hypothesis.columns, strict=True)
+        ]
+    return replace(scene, views=tuple(views))

@@ -1,0 +1,171 @@
+"""Recordings of one motion by two sensors: `--paired` (a simulation of it) and `--witness` (a second sensor).
+
+What the recording reads less what the other reads is judged itself, moved or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.direct import pair_of
+from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION
+from stillcal.calib_core.diagnosis.comparison.paired import (
+    Readings,
+    compare_in_pair,
+    examined_in_pair,
+    pair_scenes,
+    without_found,
+)
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.errors import UserError
+from stillcal.calib_core.streams.resample import interpolate, temperature_at
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.answer import Fit, answer_of
+from stillcal.replay.diagnosis.judged import Judged, ShowStage, charging_events, examined, silent
+from stillcal.replay.diagnosis.words.names import BUILT_IN
+from stillcal.replay.formats.trace import Recording
+
+SAME_STAMP = 0.1
+"""Part of the sample period by which two stamps of one moment may differ: rounding, and no more."""
+
+MISMATCH = 0.01
+"""Part of what shakes a body by which the means of two sensors on it differ: they rectify differently, and
+are not quite at one place and one time. A simulation at the same stamps is."""
+
+COMMON = 0.5
+"""Part of the recording that a witness must have been there for."""
+
+
+def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
+    """Judge a recording less a simulation of the same motion at the same stamps.
+
+    Raises UserError where stamps differ, NotSupported on too little data.
+    """
+    _refuse_other_stamps(recording, simulation)
+    recorded = examined(recording, show_stage, search=False)
+    simulated = examined(simulation, show_stage, search=False)
+    of_simulation = [s.finding for s in simulated.statements]
+    own = [s for s in recorded.statements if (s.finding.effect, s.finding.sensor) not in MOTION]
+    direct = [s for s in own if pair_of(s.finding, of_simulation) is None]
+    names = (recording.name, simulation.name)
+    judged = _judged(recording, recorded, [simulation], direct, names=names, show_stage=show_stage)
+    return replace(judged, simulated=simulated)
+
+
+def judge_with_witnesses(
+    recording: Recording, witnesses: Sequence[Recording], show_stage: ShowStage = silent
+) -> Judged:
+    """Judge a recording against the built-in simulation, slow effects by what other sensors read beside it.
+
+    How a witness is mounted, and its own bias and scale, do not matter. Of several the mean is taken. Raises
+    UserError where they were not there at the same time, NotSupported on too little data.
+    """
+    recording = _while_there(recording, witnesses)
+    recorded = examined(recording, show_stage, search=False)
+    names = (recording.name, BUILT_IN)
+    stated = recorded.statements
+    return _judged(recording, recorded, witnesses, stated, names=names, witnessed=True, show_stage=show_stage)
+
+
+def _judged(
+    recording: Recording,
+    recorded: Examination,
+    others: Sequence[Recording],
+    direct: Sequence[Stated],
+    *,
+    names: tuple[str, str],
+    witnessed: bool = False,
+    show_stage: ShowStage,
+) -> Judged:
+    show_stage("comparing the readings of one motion")
+    true = mean_readings(recording, others)
+    mismatch = MISMATCH if witnessed else 0.0
+    bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), mismatch)
+    exam = examined_in_pair(recorded, bins, scenes, direct)
+    before = compare_in_pair(exam, constants=not witnessed)
+    fit = Fit.of(before, before)
+    if before.discrepancies:
+        after, left_out = without_found(exam, before, constants=not witnessed)
+        fit = Fit.of(before, after, left_out)
+    answer = answer_of(before, names, fit, {}, bins.temperature)
+    return Judged(recording, exam, None, before, None, None, answer)
+
+
+def _refuse_other_stamps(recording: Recording, simulation: Recording) -> None:
+    """Raise UserError where two recordings are not of the same moments, naming the first that differs."""
+    streams = (
+        ("accelerometer", recording.accelerometer, simulation.accelerometer),
+        ("gyroscope", recording.gyroscope, simulation.gyroscope),
+    )
+    for sensor, own, other in streams:
+        if own is None or other is None:
+            continue
+        n = min(len(own), len(other))
+        apart = np.abs(own.t[:n] - other.t[:n]) > SAME_STAMP * float(np.median(np.diff(own.t)))
+        if apart.any():
+            i = int(np.argmax(apart))
+            why = f"sample {i + 1} of the {sensor} is stamped {other.t[i]:.6g} s, not {own.t[i]:.6g} s"
+        elif len(own) != len(other):
+            why = f"it has {len(other)} samples of the {sensor}, not {len(own)}"
+        else:
+            continue
+        raise UserError(
+            f"{simulation.name}: {why} as in {recording.name}; --paired needs the same motion at the same"
+            " stamps, leave it out for any other motion"
+        )
+
+
+def _while_there(recording: Recording, witnesses: Sequence[Recording]) -> Recording:
+    """Cut a recording to when all witnesses were there. Raises UserError where that is too little of it."""
+    t = recording.accelerometer.t
+    streams = [s for w in witnesses for s in (w.accelerometer, w.gyroscope) if s is not None]
+    start, end = max(float(s.t[0]) for s in streams), min(float(s.t[-1]) for s in streams)
+    if min(end, t[-1]) - max(start, t[0]) < COMMON * (t[-1] - t[0]):
+        name = next((w.name for w in witnesses), "the witness")
+        raise UserError(
+            f"{name}: recorded from {start:.6g} to {end:.6g} s, {recording.name} from {t[0]:.6g} to"
+            f" {t[-1]:.6g} s; a witness must have been there for at least half of the recording"
+        )
+
+    def cut(samples: Samples | None) -> Samples | None:
+        return None if samples is None else samples[_inside(samples.t, start, end)]
+
+    accelerometer = cut(recording.accelerometer)
+    assert accelerometer is not None, "half of it is left"
+    return replace(recording, accelerometer=accelerometer, gyroscope=cut(recording.gyroscope))
+
+
+def _inside(t: Array, start: float, end: float) -> slice:
+    return slice(int(np.searchsorted(t, start)), int(np.searchsorted(t, end, side="right")))
+
+
+def mean_readings(recording: Recording, others: Sequence[Recording]) -> Readings:
+    """Return what the others read at the recording's stamps, on average."""
+    force, rate = recording.accelerometer, recording.gyroscope
+    rates = [o.gyroscope for o in others if o.gyroscope is not None]
+    both = None if rate is None or not rates else _mean(rate, rates)
+    return Readings(_mean(force, [o.accelerometer for o in others]), both)
+
+
+def _mean(own: Samples, others: Sequence[Samples]) -> Samples:
+    every = [interpolate(own.t, o.t, o.xyz) for o in others]
+    return replace(own, xyz=frozen(np.mean(every, axis=0)))
+
+
+def less(recording: Recording, true: Readings) -> Readings:
+    """Return what the recording reads less what the others do, with the recording's own temperature."""
+    force, rate = recording.accelerometer, recording.gyroscope
+    warm = temperature_at(force, force.t)
+    left = replace(
+        force,
+        xyz=frozen(force.xyz - true.force.xyz),
+        temperature=None if warm is None else frozen(warm),
+    )
+    if rate is None or true.rate is None:
+        return Readings(left, None)
+    return Readings(left, replace(rate, xyz=frozen(rate.xyz - true.rate.xyz)))

@@ -1,0 +1,39 @@
+"""What real phones do to stamps is no difference from the built-in simulation, and is said."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.model.records import Claims
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+
+def still(lost: float) -> Samples:
+    """Return two minutes on a table with a part of the samples lost."""
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 120.0, 0.02)
+    t = t[rng.random(t.size) >= lost]
+    xyz = np.array([0.0, 0.0, 9.81]) + rng.normal(0.0, 0.01, (t.size, 3))
+    return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
+
+
+def test_a_tenth_of_the_samples_lost_is_said_and_no_finding() -> None:
+    said = compare_with_ideal(examine(still(0.1), None))
+    assert "dropped_samples" not in {d.effect for d in said.discrepancies}
+    (one,) = [c for c in said.common if c.quantity.effect == "dropped_samples"]
+    assert abs(np.exp(one.quantity.value[0]) - 0.1) < 0.01
+    assert one.note == "within what 40 real devices show; 7 of them show as much"
+
+
+def test_what_is_declared_otherwise_is_a_finding_and_not_common() -> None:
+    said = compare_with_ideal(examine(still(0.1), None, claims=Claims(nominal_rate_hz=50.0)))
+    assert "dropped_samples" in {d.effect for d in said.discrepancies}
+    assert "dropped_samples" not in {c.quantity.effect for c in said.common}
+
+
+def test_what_most_devices_show_is_not_worth_telling() -> None:
+    said = compare_with_ideal(examine(still(0.0), None))
+    assert "dropped_samples" not in {c.quantity.effect for c in said.common}

@@ -1,0 +1,167 @@
+"""Two sensors on one motion: a paired simulation, and witnesses on the same body."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.paired import pair_scenes
+from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
+from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.errors import NotSupported, UserError
+from stillcal.calib_core.streams.resample import temperature_at
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.diagnosis.paired import MISMATCH, judge_paired, judge_with_witnesses, less, mean_readings
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.trace import Recording, read_all
+
+RATE, LENGTH = 20.0, 480.0
+SLOPE = np.array([4e-4, 0.0, -2e-4])
+"""Of the gyroscope's bias, rad/s/K."""
+
+
+def motion(t: Array) -> tuple[Array, Array]:
+    """Return force and rate (n, 3) of a device that is turned to and fro in the hand."""
+    half = 0.5 / RATE
+    before, now, after = (_attitude(t + shift) for shift in (-half, 0.0, half))
+    rate = (before.inv() * after).as_rotvec() * RATE
+    return now.inv().apply([0.0, 0.0, 9.80665]), np.asarray(rate)
+
+
+def _attitude(t: Array) -> Rotation:
+    angles = np.stack([0.11 * t, 1.2 * np.sin(0.4 * t), np.sin(0.9 * t)], axis=1)
+    return Rotation.from_euler("ZYX", angles)
+
+
+def recording(
+    seed: int,
+    *,
+    name: str = "real.csv",
+    slope: Array | None = None,
+    bias: Array | None = None,
+    noise: float = 1.0,
+) -> Recording:
+    """Return a device that is never still, and warms and cools twice; seed: of its noise, not its motion."""
+    t = np.arange(0.0, LENGTH, 1.0 / RATE)
+    force, rate = motion(t)
+    temperature = 30.0 + 4.0 * np.sin(4.0 * np.pi * t / LENGTH)
+    rng = np.random.default_rng(seed)
+    rate = rate + (0.0 if slope is None else np.outer(temperature - 30.0, slope))
+    rate = rate + noise * rng.normal(0.0, 1e-3, rate.shape)
+    force = force + (0.0 if bias is None else bias) + noise * rng.normal(0.0, 0.01, force.shape)
+    accel = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(force), frozen(temperature))
+    gyro = Samples(Sensor.GYROSCOPE, frozen(t), frozen(rate))
+    return Recording(accel, gyro, [], Claims(), [], name=name)
+
+
+def test_what_a_paired_simulation_lacks_is_found_though_nothing_is_at_rest() -> None:
+    bias = np.array([0.05, 0.0, 0.0])
+    said = judge_paired(recording(1, slope=SLOPE, bias=bias), recording(2, name="sim.csv", noise=0.0)).answer
+    found = {f["effect"]: f for f in said["findings"]}
+    assert set(found) == {"accel_bias", "gyro_bias_temperature"}
+    assert {f["relation"] for f in found.values()} == {"lacking"}
+    for effect, name, truth in (("accel_bias", "bias", bias), ("gyro_bias_temperature", "slope", SLOPE)):
+        low, high = np.asarray(found[effect]["difference"][name]["ci95"]).T
+        assert (np.abs(truth - (low + high) / 2.0) < 0.75 * (high - low)).all()
+    assert said["verdict"] == "identified"
+    assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
+
+
+@pytest.mark.slow
+def test_a_paired_simulation_that_is_right_is_a_match() -> None:
+    said = judge_paired(
+        recording(1, slope=SLOPE), recording(2, name="sim.csv", slope=SLOPE, noise=0.0)
+    ).answer
+    assert (said["verdict"], said["findings"]) == ("match", [])
+
+
+def test_other_stamps_are_refused_with_the_first_that_differs() -> None:
+    real, other = recording(1), recording(2, name="sim.csv")
+    t = other.accelerometer.t.copy()
+    t[100:] += 0.02
+    late = replace(other, accelerometer=replace(other.accelerometer, t=frozen(t)))
+    with pytest.raises(
+        UserError, match=r"sim.csv: sample 101 of the accelerometer is stamped 5.02 s, not 5 s"
+    ):
+        judge_paired(real, late)
+    short = replace(other, accelerometer=other.accelerometer[:-1])
+    with pytest.raises(UserError, match=r"it has 9599 samples of the accelerometer, not 9600"):
+        judge_paired(real, short)
+
+
+def test_a_short_pair_is_too_little_data() -> None:
+    def brief(one: Recording) -> Recording:
+        assert one.gyroscope is not None
+        return replace(one, accelerometer=one.accelerometer[:600], gyroscope=one.gyroscope[:600])
+
+    with pytest.raises(NotSupported, match="30 s of the same motion"):
+        judge_paired(brief(recording(1)), brief(recording(2)))
+
+
+@pytest.mark.slow
+def test_how_a_witness_is_mounted_is_no_finding() -> None:
+    """Its bias and scale are its own; what changes with the recording's temperature is the recording's."""
+    witness = recording(2, name="witness.csv", bias=np.array([0.3, 0.0, 0.1]))
+    turned = frozen(
+        witness.accelerometer.xyz @ np.array([[1.0, 0.02, 0.0], [-0.02, 1.01, 0.0], [0.0, 0.0, 1.0]])
+    )
+    witness = replace(witness, accelerometer=replace(witness.accelerometer, xyz=turned))
+    said = judge_with_witnesses(recording(1, slope=SLOPE), [witness]).answer
+    assert {f["effect"] for f in said["findings"]} == {"gyro_bias_temperature"}
+
+
+def test_a_witness_of_another_time_is_refused() -> None:
+    witness = recording(2, name="witness.csv")
+    assert witness.gyroscope is not None
+    later = replace(
+        witness,
+        accelerometer=replace(witness.accelerometer, t=frozen(witness.accelerometer.t + 400.0)),
+        gyroscope=replace(witness.gyroscope, t=frozen(witness.gyroscope.t + 400.0)),
+    )
+    with pytest.raises(UserError, match=r"witness.csv: recorded from 400 to .* at least half"):
+        judge_with_witnesses(recording(1), [later])
+
+
+def test_carbonix_third_sensor_with_the_others_as_witnesses(data_dir: Path) -> None:
+    """ArduPilot's polynomial of temperature, undone, moves the estimated slopes by as much as it holds."""
+    log = data_dir / "carbonix/flight_three_imus.npz"
+    third, *others = (read_all(log, sensor=sensor) for sensor in ("2", "0", "1"))
+    settings = json.loads(str(np.load(log)["parameters"]))
+    logged, undone = (_slope(one, others) for one in (third, _undone(third, settings)))
+    warm = temperature_at(third.accelerometer, third.accelerometer.t)
+    assert warm is not None
+    truth = np.polyfit(warm - warm.mean(), _polynomial(settings, warm), 1)[0]
+    error = np.maximum(logged[1], undone[1])
+    assert (np.abs(undone[0] - logged[0] - truth) < 1.96 * error).all()
+    assert (error < 0.7 * np.abs(truth).max()).all()
+
+
+def _polynomial(settings: dict[str, float], warm: Array) -> Array:
+    """Return what ArduPilot takes off the third gyroscope (n, 3), rad/s, about 35 degC."""
+    k = np.arange(1, 4)
+    of = np.array([[settings[f"INS_TCAL3_GYR{power}_{axis}"] for power in k] for axis in "XYZ"])
+    return np.asarray((warm[:, None] - 35.0) ** k @ (1e-6 * of).T)
+
+
+def _undone(one: Recording, settings: dict[str, float]) -> Recording:
+    gyro = one.gyroscope
+    assert gyro is not None
+    warm = temperature_at(one.accelerometer, gyro.t)
+    assert warm is not None
+    return replace(one, gyroscope=replace(gyro, xyz=frozen(gyro.xyz + _polynomial(settings, warm))))
+
+
+def _slope(one: Recording, others: list[Recording]) -> tuple[Array, Array]:
+    """Return the slope of the gyroscope's bias in temperature (3,) and its standard errors, rad/s/K."""
+    true = mean_readings(one, others)
+    _, scenes = pair_scenes(less(one, true), true, [], MISMATCH)
+    wanted = scenes[1].hypothesis(BiasTemperature("gyro"), {})
+    fit = fit_hypothesis(reduce_scene(scenes[1], [wanted]), 0)
+    return fit.beta * wanted.sizes, np.sqrt(fit.covariance.diagonal()) * wanted.sizes
