@@ -17,11 +17,23 @@ from stillcal.calib_core.diagnosis.segments import orientation as poses
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
-from stillcal.calib_core.diagnosis.segments.windows import KNOCK, WINDOW, Windows, windows, without_spikes
+from stillcal.calib_core.diagnosis.segments.windows import (
+    KNOCK,
+    WINDOW,
+    Windows,
+    merged,
+    windows,
+    without_gaps,
+    without_spikes,
+)
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
 
 Index = NDArray[np.int64]
+
+FEWEST_TO_TELL, HELD = 3, 4
+"""Samples in a window without which its spread does not tell whether the phone moves; how many a window of a
+slow log holds on average: some have one less, because stamps jitter."""
 
 SHORTEST_REST = 5
 BRIEFEST_REST = 2
@@ -108,7 +120,7 @@ class Bins:
 
 def still_windows(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
     """Return which windows (n,) are still: quiet for this recording, and mean force and rate that stay."""
-    enough = force.count >= max(3.0, 0.5 * float(np.median(force.count)))
+    enough = force.count >= max(FEWEST_TO_TELL, 0.5 * float(np.median(force.count)))
     spread = np.sqrt(force.variance.sum(axis=1))
     floor = min(float(np.quantile(spread[enough], 0.1)), LOUDEST_FORCE) if enough.any() else 0.0
     still = enough & (spread < 3.0 * floor + STILL_FORCE)
@@ -183,7 +195,7 @@ def rest_edges(
     """Find the rests of a recording and cut them into bins of `bin_length` s (None: as in `cut`)."""
     if rate is not None:
         force, rate = without_spikes(force, rate), without_spikes(rate, force)
-    still = without_knocks(still_windows(force, rate), force, rate)
+    still = _still(force, rate)
     length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
     runs = rest_runs(still)
     first, last, rest = _bin_edges(runs, length)
@@ -192,6 +204,21 @@ def rest_edges(
         first, last, rest = _bin_edges(runs, length)
     kept = _longest(last - first)
     return RestEdges(still, runs, first[kept], last[kept], rest[kept])
+
+
+def _still(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
+    """Return which windows (n,) are still; of a slow log, several together have the samples to tell."""
+    there = force.count[force.count > 0.0]
+    slow = there.size > 0 and float(np.median(there)) < FEWEST_TO_TELL
+    size = int(np.ceil(HELD / float(force.count.mean()))) if slow else 1
+    if size == 1 or force.t.size < size:
+        return without_knocks(still_windows(force, rate), force, rate)
+    wide = merged(force, size)
+    turning = None if rate is None else merged(rate, size)
+    found = without_knocks(still_windows(wide, turning), wide, turning)
+    still = np.zeros(force.t.size, dtype=np.bool_)
+    still[: found.size * size] = np.repeat(found, size)
+    return still
 
 
 def overview_of(accelerometer: Samples, gyroscope: Samples | None) -> Overview:
@@ -217,6 +244,7 @@ def cut(
     edges = rest_edges(force, rate, span, bin_length)
     if rate is not None:
         force, rate = without_spikes(force, rate), without_spikes(rate, force)
+    force, rate = without_gaps(force), None if rate is None else without_gaps(rate)
     still, first, last, rest, pose = edges.still, edges.first, edges.last, edges.rest, None
     if rate is not None:
         one, turned = poses.poses(edges.runs, force.mean, rate.mean, rate.count, WINDOW)

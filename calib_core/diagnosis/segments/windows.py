@@ -50,6 +50,32 @@ def windows(samples: Samples, t_start: float, t_end: float) -> Windows:
     return Windows(middles, count, mean + center, square / others, mean + center - far / others, calm)
 
 
+def merged(parts: Windows, size: int) -> Windows:
+    """Return windows of `size` neighbours each, what is left over at the end in none."""
+    n = parts.t.size // size
+
+    def grouped(values: Array) -> Array:
+        return np.asarray(values[: n * size].reshape(n, size, *values.shape[1:]))
+
+    each, means = grouped(parts.count), grouped(parts.mean)
+    count = each.sum(axis=1)
+    weight = each[:, :, None] / np.maximum(count, 1.0)[:, None, None]
+    mean = (weight * means).sum(axis=1)
+    inside = (grouped(parts.variance) * np.maximum(each - 1.0, 0.0)[:, :, None]).sum(axis=1)
+    between = (each[:, :, None] * (means - mean[:, None]) ** 2).sum(axis=1)
+    variance = (inside + between) / np.maximum(count - 1.0, 1.0)[:, None]
+    return Windows(grouped(parts.t).mean(axis=1), count, mean, variance, mean, variance)
+
+
+def without_gaps(parts: Windows) -> Windows:
+    """Return windows whose means, where no sample fell into one, are those between their neighbours."""
+    full = parts.count > 0.0
+    if full.all() or not full.any():
+        return parts
+    mean = np.stack([np.interp(parts.t, parts.t[full], x[full]) for x in parts.mean.T], axis=1)
+    return replace(parts, mean=mean)
+
+
 def _sums(index: NDArray[np.int64], xyz: Array, n: int) -> Array:
     return np.stack([np.bincount(index, weights=xyz[:, a], minlength=n) for a in range(3)], axis=1)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -53,3 +54,24 @@ def test_a_phone_that_is_carried_all_day_rests_only_where_it_is_put_down() -> No
     steps = np.stack([np.sin(2 * np.pi * f * t) for f in (1.0, 2.0, 4.0)], axis=1)
     seen = bins(resting() + 2.5 * steps * walked[:, None])
     assert len(seen) and seen.t.min() > 0.95 * t[-1]
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 2.0])
+def test_a_slow_log_rests_where_it_is_not_turned(rate: float) -> None:
+    """An hour in two attitudes, turned over in a quarter of an hour between; stamps jitter."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 3600.0, 1.0 / rate)
+    t = np.sort(t + rng.normal(0.0, 0.05 / rate, t.size))
+    moving = (t > 1500.0) & (t < 2100.0)
+    angle = np.clip((t - 1500.0) / 600.0, 0.0, 1.0) * np.pi
+    force = 9.81 * np.stack([np.zeros(t.size), np.sin(angle), np.cos(angle)], axis=1)
+    force += rng.normal(0.0, 0.01, force.shape) + moving[:, None] * rng.normal(0.0, 1.0, force.shape)
+    spin = moving * np.pi / 600.0 + moving * rng.normal(0.0, 0.5, t.size)
+    turning = np.outer(spin, [1.0, 0.0, 0.0]) + rng.normal(0.0, 1e-3, force.shape)
+    found = cut(
+        Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, turning)
+    )
+    inside = (found.t > 1500.0) & (found.t < 2100.0)
+    assert not inside.any() and np.unique(found.rest).size == 2
+    assert found.duration.sum() > 0.9 * 3000.0
+    np.testing.assert_allclose(np.abs(found.force[:, 2]), 9.81, atol=0.02)
