@@ -79,17 +79,17 @@ def decide(
 
     degraded: the old calibration has failed its check. The rests that it failed on are then the evidence
     against it, and the new one only has to be no worse. A first calibration is always accepted. One that is
-    not worse by more than chance is accepted too where its stated uncertainty is clearly smaller; a prior
-    that entered the old one holds no rest out, and then few of them suffice.
+    not worse by more than chance is accepted too where its stated uncertainty is clearly smaller. Where a
+    prior entered the old one, any number of rests held out suffices for that: the new one assumes less.
     """
     if old is None or old.accelerometer is None:
         return Decision(True, "the first calibration", {"rms_residual": new.accelerometer.rms_residual})
     comparison = compare_on_held_out_rests(new, old.accelerometer.model, old.fitted_at, settings, old)
     evidence: Evidence = {f"held_out_{name}": value for name, value in asdict(comparison).items()}
-    figures = (
-        f"held-out rms {comparison.rms_new:.2g} after {comparison.rms_old:.2g} m/s^2"
-        f" on {comparison.rests} attitudes"
-    )
+    figures = "no attitude was held since the one in use was fitted"
+    if comparison.rests:
+        rms = f"{comparison.rms_new:.2g} after {comparison.rms_old:.2g} m/s^2"
+        figures = f"held-out rms {rms} on {comparison.rests} attitudes"
     if comparison.better:
         return Decision(True, f"better by more than chance: {figures}", evidence)
     if degraded and comparison.rests and comparison.rms_new < comparison.rms_old:
