@@ -45,6 +45,9 @@ SLEPT_S = 2.0
 STATUS_S = 10.0
 """Time between two readings of the thermometer and two status records, s."""
 
+THERMOMETER_S = 60.0
+"""The same for the thermometer while the sensors sleep, s."""
+
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -162,13 +165,37 @@ class IioSource(Source):
         self._poll()
 
     def _sleep(self, until: float) -> None:
-        """Read nothing before `until`, s of the stamps: the driver then puts the chip to sleep by itself."""
+        """Read no sensor before `until`, s of the stamps: the driver then puts the chip to sleep by itself.
+
+        The thermometer is still read now and then: a sensor that warms up late needs its past.
+        """
         self._cancel()
         self._flush()
         self._sensing = False
         self._emit_status(self._clock())
-        if math.isfinite(until):
-            self._schedule(max(until - self._clock(), 0.0), self._wake)
+        self._doze(until)
+
+    def _doze(self, until: float) -> None:
+        """Plan a reading of the thermometer, or waking at `until`, s of the stamps."""
+        remaining = until - self._clock()
+        if remaining <= THERMOMETER_S:
+            self._schedule(max(remaining, 0.0), self._wake)
+        elif self._sensors is not None and self.celsius is not None:
+            self._schedule(THERMOMETER_S, lambda: self._read_thermometer(until))
+        elif math.isfinite(until):
+            self._schedule(remaining, self._wake)
+
+    def _read_thermometer(self, until: float) -> None:
+        """Read the thermometer alone, and go on sleeping until a time, s of the stamps."""
+        self._timer = None
+        try:
+            self.celsius = None if self._sensors is None else self._sensors.celsius()
+        except SensorGoneError as error:
+            self._lose(f"sensor lost: {error}")
+            return
+        if self.celsius is not None:
+            self._emit(Temperature(self._clock(), self.celsius))
+        self._doze(until)
 
     def _poll(self) -> None:
         """Read each sensor once, and plan the next reading on the same grid."""

@@ -18,7 +18,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.app import Service
 from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.settings import SettingsError
-from stillcal.daemon.sources import sysfs
+from stillcal.daemon.sources import iio, sysfs
 from stillcal.daemon.sources.base import LinkDown, LinkUp, SerialSettings
 from stillcal.daemon.sources.iio import IioSource
 from stillcal.daemon.sources.sysfs import SensorGoneError, find, matrix
@@ -146,6 +146,29 @@ def test_it_is_a_phone_that_says_hello_and_sends_even_samples(tmp_path: Path) ->
             assert warm.celsius == pytest.approx(24.765, abs=1e-3)
             assert source.wire.samples == len(accel) + len(gyro)
         assert await source.take() != [] and await source.take() == []
+
+    within_reason(test())
+
+
+def test_while_the_sensors_sleep_the_thermometer_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(iio, "THERMOMETER_S", 0.05)
+    folder = imu(tmp_path)
+
+    async def test() -> None:
+        async with IioSource(settings(tmp_path)) as source:
+            records = await until(source, lambda r: len(of(Samples, r)) >= 2 and bool(of(Temperature, r)))
+            end = of(Samples, records)[-1].t[-1]
+            assert source.send(Sleep(end + 0.6))
+            slept = await until(source, lambda r: len(of(Temperature, r)) >= 3)
+            assert not of(Status, slept)[-1].sensing and source.connected
+            woken = await until(source, lambda r: bool(of(Samples, r)))
+            assert of(Status, woken)[-1].sensing and samples(woken, Sensor.ACCELEROMETER).t[0] >= end + 0.6
+            source.send(Sleep(math.inf))
+            shutil.rmtree(folder)
+            (lost,) = of(LinkDown, await until(source, lambda r: bool(of(LinkDown, r))))
+            assert "sensor lost" in lost.reason
 
     within_reason(test())
 
