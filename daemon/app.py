@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from stillcal.calib_core.calibration.fingerprint import is_other_phone
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Publish, Reject
 from stillcal.calib_core.engine.settings import EngineSettings
@@ -315,10 +316,26 @@ class Service:
                 self._enqueue(action)
 
     def _enqueue(self, action: Publish | Reject | Forget) -> None:
+        if isinstance(action, Publish):
+            self._say_whose(action.record)
         self.storage.enqueue(with_provenance(action, self.settings.source.port, self.saved.device))
         self._save_now = self._save_now or action.record.acceptance.how != "zeroing"
         self._unsaved.set()
         self.subscribers.announce(action)
+
+    def _say_whose(self, record: CalibrationRecord) -> None:
+        """Log where bias and scale are another phone's than those in use, and of which calibration before."""
+        document = self.storage.document
+        if not is_other_phone(record, document.current):
+            return
+        before = (
+            entry.calibration for entry in reversed(document.history) if entry.calibration.accelerometer
+        )
+        again = next((c.id for c in before if not is_other_phone(record, c)), None)
+        why = "bias and scale are not those of the phone before" + (
+            ", but of an earlier one" if again else ""
+        )
+        say("warning", "another phone", why, calibration=record.id, earlier=again)
 
     async def calibrate(self) -> CalibrationRecord:
         """Try a full calibration now. Raises ValueError with the reason where there is no better one."""

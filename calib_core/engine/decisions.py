@@ -27,6 +27,7 @@ from stillcal.calib_core.calibration.drift_check import (
     check_calibration,
     stepped_since,
 )
+from stillcal.calib_core.calibration.fingerprint import is_other_phone
 from stillcal.calib_core.calibration.following import follow_accelerometer, with_learnt_gyroscope
 from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed_up
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
@@ -82,7 +83,8 @@ class FitOutcome:
 
     record: None where the rests do not support a fit; `reason` then says why and `missing` what to gather.
     accepted: whether the record replaces the current one. settled: whether enough rests were held out to
-    tell. since: s, where the sensor has changed: rests from before were left out; else None.
+    tell. since: s, where the sensor has changed: rests from before were left out; else None. other_phone:
+    whether bias and scale are those of another phone than the current calibration's.
     """
 
     record: CalibrationRecord | None
@@ -91,20 +93,29 @@ class FitOutcome:
     missing: tuple[str, ...] = ()
     settled: bool = True
     since: float | None = None
+    other_phone: bool = False
 
 
 def fit_and_decide(task: FitTask) -> FitOutcome:
     """Fit the rests gathered, and decide whether the fit replaces the current calibration."""
     candidate, since = _candidate(task)
+    other_phone = isinstance(candidate, Candidate) and is_other_phone(candidate.record, task.current)
+    if other_phone:
+        candidate, since = _candidate(replace(task, current=None))  # nothing else is the other phone's either
     if isinstance(candidate, NotSupported):
         return FitOutcome(None, False, candidate.reason, candidate.missing)
     decision = decide(candidate, task.current, task.degraded, task.quality)
-    record = inherit_rotation(task.current, with_decision(candidate, decision, task.occasion))
+    record = with_decision(candidate, decision, task.occasion)
+    if other_phone:
+        record = _remarked(record, "bias and scale are as another phone's: no term of the old one is kept")
+    else:
+        record = inherit_rotation(task.current, record)
     if since is not None and not task.degraded:
         record = _remarked(record, f"the sensor changed: only its rests from {since:.0f} s on are used")
     if (unseen := _unseen(task)) is not None:
         record = _remarked(record, f"no rest in the last {unseen:.0f} s: unknown whether it holds there")
-    return FitOutcome(record, decision.accepted, record.acceptance.reason, (), decision.settled, since)
+    reason = record.acceptance.reason
+    return FitOutcome(record, decision.accepted, reason, (), decision.settled, since, other_phone)
 
 
 def _remarked(record: CalibrationRecord, remark: str) -> CalibrationRecord:
@@ -418,6 +429,8 @@ class CalibrationPolicy:
             self._actions.append(Reject(t, outcome.record, outcome.reason))
             self._actions.append(Log(t, Level.INFO, "rejected", outcome.reason, fields))
             return
+        if outcome.other_phone:
+            state.memory = state.memory.where(state.memory.t >= (outcome.since or state.sound_until or t))
         state.record, state.checked, state.degraded, state.refusal = outcome.record, t, False, None
         state.counters.calibrations += 1
         state.record = (

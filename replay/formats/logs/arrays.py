@@ -8,6 +8,8 @@ as --format overrides that. The axes of an array `acc` of three columns are call
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -213,6 +215,7 @@ def _matlab(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
     listed = scipy_io.whosmat(str(stored.local))
     if sum(int(np.prod(shape)) * 8 for _, shape, _ in listed) > MOST_BYTES:
         raise TraceError(stored.path, "holds more than 2 GiB of arrays", "save the sensors' arrays alone")
+    _refuse_what_crashes(stored)
     content = scipy_io.loadmat(str(stored.local), squeeze_me=True, struct_as_record=False)
     groups: dict[str, dict[str, Any]] = {}
     _walk_struct("", {k: v for k, v in content.items() if not k.startswith("__")}, groups, 0)
@@ -221,6 +224,16 @@ def _matlab(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
         group: _gathered({k: v for k, v in items.items() if np.ndim(v) > 0}, scalars)
         for group, items in groups.items()
     }, []
+
+
+_TRY = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])"
+
+
+def _refuse_what_crashes(stored: Source) -> None:
+    """Raise TraceError where scipy's reader, which is not Python, ends its process on a damaged file."""
+    tried = subprocess.run([sys.executable, "-c", _TRY, str(stored.local)], capture_output=True, check=False)
+    if tried.returncode < 0:
+        raise TraceError(stored.path, "the MATLAB file is damaged (its reader crashed)", "write it again")
 
 
 def _walk_struct(name: str, items: Mapping[str, Any], groups: dict[str, dict[str, Any]], depth: int) -> None:

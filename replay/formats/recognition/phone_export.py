@@ -61,6 +61,10 @@ def members_of_zip(archive: Source) -> dict[str, Source]:
         raise damaged(archive.path, error) from None
     except OSError as error:
         raise cannot_open(archive.path, error) from None
+    except (NotImplementedError, ValueError, struct.error) as error:  # a version of zip that is not known
+        raise TraceError(
+            archive.path, f"cannot be unpacked ({error})", "unpack it and give the folder"
+        ) from None
     found = {}
     for info in opened.infolist():
         parts = PurePosixPath(info.filename).parts

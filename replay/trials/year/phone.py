@@ -20,6 +20,9 @@ from stillcal.replay.phone.simulation import Chunk
 
 HOUR_S, DAY_S, YEAR_DAYS = 3600.0, 86400.0, 365
 EVENING_H, MORNING_H = 23, 7
+UPTIME_S = 100_000.37
+"""How long it has been up when the daemon meets it: no round number, as of any phone."""
+
 TURN_S, HANDLED_S = 3.0, (10.0, 60.0)
 SHORTEST_S, LONGEST_S = 120.0, 5400.0
 """How long it lies where it was laid by day; the exponent of the time is drawn evenly."""
@@ -59,7 +62,7 @@ class YearPhone:
                 self._wander *= 0.99
                 self._wander += self._rng.normal(size=6) * ([FORCE_WANDER] * 3 + [RATE_WANDER] * 3)
             events = {EVENING_H: True, MORNING_H: False}
-            start, clock = hour * HOUR_S, hour % 24
+            start, clock = UPTIME_S + hour * HOUR_S, hour % 24
             plugged = (Charging(start, events[clock]),) if clock in events else ()
             yield self._hour(start, plugged, by_night=not MORNING_H <= clock < EVENING_H)
 

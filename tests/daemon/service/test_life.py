@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from stillcal.daemon.wire.decoder import Hello
 from stillcal.replay.runner import replay
 from stillcal.replay.serial_phone.link import LinkSettings, PhoneLink, serve_phone
 from stillcal.replay.serial_phone.stream import PhoneStream
-from tests.support.living import given_in, running, until, within_reason
+from tests.support.living import answering, given_in, running, until, within_reason
 
 PROBING = """
 [engine.schedule]
@@ -195,3 +196,21 @@ def test_another_phone_begins_anew_and_the_olds_calibration_is_in_the_history(
     assert saved_state.load(tmp_path / "store.state").state.device == "new"
     found = Store(tmp_path / "store.json").rollback().document.current
     assert found is not None and found.acceptance.how == "rollback"
+
+
+def test_a_phone_that_comes_back_under_the_same_name_is_known_by_bias_and_scale(
+    tmp_path: Path, make_record: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def test() -> None:
+        first, other = make_record(0), make_record(300)  # 3 m/s^2 apart
+        again = replace(first, fitted_at=1e6)
+        async with answering(tmp_path) as service:
+            for record in (first, other, again):
+                caplog.clear()
+                service.act([Publish(1.0, record, "newer")])
+                await until(lambda record=record: service.current_id == record.id)
+                said = [r.getMessage() for r in caplog.records if r.getMessage().startswith("another phone")]
+                assert len(said) == (record is not first)
+            assert f"earlier={first.id}" in said[0]
+
+    within_reason(test())
