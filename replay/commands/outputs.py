@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 
 from stillcal.replay.formats.claims import beside, written_by_stillcal
+from stillcal.replay.formats.conversion.by_name import ENDINGS
 
 STANDARD_OUTPUT = Path("-")
 
@@ -29,8 +30,10 @@ def recording_files(path: Path) -> list[Path]:
 
 def new_recording_files(path: Path) -> list[Path]:
     """Return the files that a new recording consists of. Raises UsageError for another ending of the name."""
-    if not path.name.endswith((".csv", ".csv.gz")):
-        raise click.UsageError(f"{path}: choose a name that ends in .csv or .csv.gz for a recording")
+    if not path.name.endswith(ENDINGS):
+        raise click.UsageError(
+            f"{path}: choose a name that ends in .csv, .csv.gz or .parquet for a recording"
+        )
     return [path, beside(path, ".events.jsonl"), beside(path, ".json")]
 
 

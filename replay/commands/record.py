@@ -135,6 +135,8 @@ class _Stop:
 
 def _refuse_existing(out: Path) -> None:
     """Raise UsageError where a file of the new recording is there already, or cannot be written."""
+    if not out.name.endswith((".csv", ".csv.gz")):
+        raise click.UsageError(f"{out}: choose a name that ends in .csv or .csv.gz for a live recording")
     files = new_recording_files(out)
     refuse_collisions(files, [])
     for path in files:

@@ -37,10 +37,10 @@ from stillcal.replay.commands.outputs import (
     store_files,
 )
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
+from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.sources import STANDARD_INPUT_NAME
 from stillcal.replay.formats.trace import Chunk, Trace
-from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
 from stillcal.replay.runner import Outcome, calibrated_by_faces, replay, replay_rests, with_choices
 from stillcal.replay.suitability import Suitability
@@ -133,7 +133,9 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
 )
 @click.argument("trace", type=_existing)
 @click.option("--store", "store_path", type=_existing, required=True, help="The store with the calibration.")
-@click.option("--out", type=_existing, required=True, help="The corrected recording (.csv, .csv.gz).")
+@click.option(
+    "--out", type=_existing, required=True, help="The corrected recording (.csv, .csv.gz, .parquet)."
+)
 @reading_options()
 @click.option(
     "--smooth",
@@ -193,7 +195,7 @@ def _writer(
     """
     first = next(iter(opened.chunks(max_rows=64)))
     claims = opened.claims.without_counts()
-    with TraceWriter(
+    with writer_class(out)(
         out,
         gyroscope=opened.has_gyroscope,
         temperature=first.accelerometer.temperature is not None,

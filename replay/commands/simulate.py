@@ -22,6 +22,7 @@ from stillcal.daemon.system.requirements import PSEUDO_TERMINAL, require
 from stillcal.daemon.system.signals import run_until_signalled
 from stillcal.replay.commands.outputs import files, new_recording_files, refuse_collisions
 from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.phone import Simulation, load_phone, load_scenario, simulate
 from stillcal.replay.phone.simulation import Chunk, TrueModel
@@ -38,7 +39,7 @@ from stillcal.replay.phone.simulation import Chunk, TrueModel
     ),
 )
 @click.argument("scenario")
-@click.option("--out", type=click.Path(path_type=Path), help="The recording (.csv or .csv.gz).")
+@click.option("--out", type=click.Path(path_type=Path), help="The recording (.csv, .csv.gz or .parquet).")
 @click.option("--serial", is_flag=True, help="Stream on a pseudo-terminal instead; its path is printed.")
 @click.option(
     "--port", type=click.Path(path_type=Path), help="With --serial: make this a link to the terminal."
@@ -147,7 +148,7 @@ def _simulation(scenario: str, phone: str, seed: int) -> Simulation:
 
 def _writer(simulation: Simulation, out: Path, claims: Claims) -> TraceWriter:
     first = next(iter(simulation.chunks())).accelerometer
-    return TraceWriter(
+    return writer_class(out)(
         out,
         gyroscope=simulation.phone.gyro is not None,
         temperature=first.temperature is not None,

@@ -15,13 +15,13 @@ from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
+from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import Cut, cut, merged
 from stillcal.replay.formats.recognition.log import Log
 from stillcal.replay.formats.recognition.opened import open_log
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.sources import STANDARD_INPUT
-from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.notebook import html_table
 
 __all__ = [
@@ -31,7 +31,6 @@ __all__ = [
     "Recording",
     "Trace",
     "TraceError",
-    "TraceWriter",
     "open_trace",
     "read_all",
     "read_rest_table",
@@ -95,14 +94,12 @@ class Recording:
         return claimed_gravity(self.claims, self.events, Path(self.name))
 
     def save(self, path: Path | str) -> None:
-        """Write the recording: PATH (.csv or .csv.gz), with .events.jsonl and the claims' .json beside it.
+        """Write the recording to PATH (.csv, .csv.gz or .parquet), its events and claims beside it.
 
         All files are written whole or not at all. Raises ValueError where the name has another ending, and
         TraceError where the folder cannot be written to.
         """
-        if not str(path).endswith((".csv", ".csv.gz")):
-            raise ValueError(f"{path} is not a name for a recording: let it end in .csv or .csv.gz")
-        with TraceWriter(
+        with writer_class(path)(
             path,
             gyroscope=self.gyroscope is not None,
             temperature=self.accelerometer.temperature is not None,

@@ -72,7 +72,11 @@ class TraceWriter:
             self._file = self._temporary.open("wb")
         except OSError as error:
             raise self._refused(error) from None
-        self._begin(self._file)
+        try:
+            self._begin(self._file)
+        except BaseException:
+            self._discard()
+            raise
         return self
 
     def __exit__(

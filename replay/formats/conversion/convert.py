@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.errors import UserError
+from stillcal.replay.formats.conversion import by_name
+from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.conversion.mcap import McapTraceWriter
-from stillcal.replay.formats.conversion.parquet import ParquetTraceWriter
-from stillcal.replay.formats.trace import Trace, TraceWriter
+from stillcal.replay.formats.trace import Trace
+from stillcal.replay.formats.writer import TraceWriter
 
-ENDINGS = (".csv", ".csv.gz", ".parquet", ".mcap")
+ENDINGS = (*by_name.ENDINGS, ".mcap")
 
 
 def writer_for(trace: Trace, out: Path, *, side_files: bool = True) -> TraceWriter:
@@ -32,7 +34,7 @@ def writer_for(trace: Trace, out: Path, *, side_files: bool = True) -> TraceWrit
     }
     if out.suffix == ".mcap":
         return McapTraceWriter(out, shared=_stamps_are_shared(trace), **columns)
-    return (ParquetTraceWriter if out.suffix == ".parquet" else TraceWriter)(out, **columns)
+    return writer_class(out)(out, **columns)
 
 
 def _stamps_are_shared(trace: Trace) -> bool:

@@ -44,7 +44,8 @@ class NumberTable:
             self.bytes_read = int(share * self.size_bytes)
             lines = np.arange(line, line + len(values))
             line += len(values)
-            yield Block(np.where(np.isnan(values), EMPTY, values), lines)
+            whole = not values.size or not np.isnan(values.min())  # the least is NaN where one is
+            yield Block(values if whole else np.where(np.isnan(values), EMPTY, values), lines)
 
     def read_dates(self, place: int) -> None:
         """Refuse: these tables hold numbers only."""

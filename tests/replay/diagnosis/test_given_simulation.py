@@ -19,7 +19,8 @@ from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.diagnosis.report.page import page
-from stillcal.replay.formats.trace import Recording, TraceWriter
+from stillcal.replay.formats.trace import Recording
+from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.phone.phone import Phone
 from tests.support.report_days import phone_with, recorded
 

@@ -20,7 +20,8 @@ from stillcal.daemon.cli.main import cli
 from stillcal.replay.fleet.first_calibration import first_calibration
 from stillcal.replay.fleet.prior_file import read_prior
 from stillcal.replay.fleet.report import prior_document
-from stillcal.replay.formats.trace import Samples, TraceError, TraceWriter, open_trace
+from stillcal.replay.formats.trace import Samples, TraceError, open_trace
+from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.phone import load_phone, load_scenario, simulate
 
 SIZES = np.repeat([0.4, 0.015, 0.005], 3)

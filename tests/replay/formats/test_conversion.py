@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.cli.main import cli
+from stillcal.daemon.store.store import Store
 from stillcal.replay.commands.convert import convert_command
-from stillcal.replay.formats.trace import Claims, Recording, TraceWriter, open_trace, read_all
+from stillcal.replay.formats.trace import Claims, Recording, open_trace, read_all
+from stillcal.replay.formats.writer import TraceWriter
 from tests.support.log_files import rows
 
 
@@ -41,6 +45,28 @@ def test_it_is_read_back_the_same(tmp_path: Path, ending: str, shared: bool) -> 
     np.testing.assert_array_equal(again.accelerometer.temperature, first.accelerometer.temperature)
     assert again.claims == first.claims
     assert not list(tmp_path.glob(".*"))
+
+
+def test_simulated_and_corrected_recordings_may_be_parquet(tmp_path: Path, make_record: Any) -> None:
+    """They hold the same numbers as CSV."""
+    Store(tmp_path / "store.json").publish(make_record(1))
+    for ending in (".csv", ".parquet"):
+        made, corrected = tmp_path / f"lab{ending}", tmp_path / f"true{ending}"
+        commands = [["simulate", "tables", "--out", str(made), "--seed", "3"]]
+        commands.append(
+            ["apply", str(made), "--store", str(tmp_path / "store.json"), "--out", str(corrected)]
+        )
+        for words in commands:
+            assert CliRunner().invoke(cli, words).exit_code == 0
+    for name in ("lab", "true"):
+        text, parquet = (read_all(tmp_path / f"{name}{ending}") for ending in (".csv", ".parquet"))
+        np.testing.assert_array_equal(parquet.accelerometer.t, text.accelerometer.t)
+        np.testing.assert_array_equal(parquet.accelerometer.xyz, text.accelerometer.xyz)
+        assert parquet.claims == text.claims and parquet.events == text.events
+    text.save(tmp_path / "saved.parquet")
+    np.testing.assert_array_equal(
+        read_all(tmp_path / "saved.parquet").accelerometer.xyz, text.accelerometer.xyz
+    )
 
 
 def test_an_mcap_file_is_what_ros_2_reads(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ import pytest
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.diagnosis.phone.case import Case, case_of
-from stillcal.replay.formats.trace import Recording, TraceWriter
+from stillcal.replay.formats.trace import Recording
+from stillcal.replay.formats.writer import TraceWriter
 from tests.support.report_days import phone_with, recorded
 
 
