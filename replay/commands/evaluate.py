@@ -24,7 +24,7 @@ NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
     short_help="Test the claims of four papers and write the results.",
     epilog=examples(
         "stillcal evaluate --list",
-        "stillcal evaluate --data ~/recordings",
+        "stillcal evaluate --data ~/recordings --jobs 2",
         "stillcal evaluate laboratory --out report",
     ),
 )
@@ -46,9 +46,10 @@ NEEDED = {"matplotlib": "matplotlib", "sklearn": "scikit-learn"}
 @click.option(
     "--seed", default=0, type=click.IntRange(0), show_default=True, help="Seed of all random draws."
 )
+@click.option("--jobs", default=1, show_default=True, type=click.IntRange(1), help="Number of processes.")
 @quiet_option
 def evaluate_command(  # noqa: PLR0917 - click hands every option over by name
-    names: tuple[str, ...], listing: bool, out: Path, data: Path | None, seed: int, quiet: bool
+    names: tuple[str, ...], listing: bool, out: Path, data: Path | None, seed: int, jobs: int, quiet: bool
 ) -> None:
     """Run the studies (all, or each NAME) and write the page: claim, paper, ours, data, verdict.
 
@@ -63,7 +64,7 @@ def evaluate_command(  # noqa: PLR0917 - click hands every option over by name
         return
     chosen = evaluate.chosen(names)
     _require_extra()
-    evaluate.run(chosen, out, data, seed, quiet)
+    evaluate.run(chosen, out, data, seed, quiet, jobs=jobs)
 
 
 def _require_extra() -> None:

@@ -51,8 +51,9 @@ class Claim:
     """One claim of a paper beside our figure.
 
     source: the paper, as page.py lists them. where: its place in the paper, such as "Table 2" or "3.5.3".
-    data: what our figure was computed from. because: the tolerance and its reason, the tested cause of a
-    difference, or what is missing. evidence: the kind of evidence.
+    data: what our figure was computed from. because: the tolerance and its reason, or what is missing.
+    evidence: the kind of evidence. cause: why our figure differs, with the run that tested it; where that
+    does not explain it, "not known" and what was tried. It is told only where the verdict is DIFFERS.
     """
 
     source: str
@@ -64,6 +65,12 @@ class Claim:
     verdict: Verdict
     because: str = ""
     evidence: Evidence = field(kw_only=True)
+    cause: str = field(default="", kw_only=True)
+
+    @property
+    def why_it_differs(self) -> str:
+        """Return the cause of a difference, "not known" where none was given; empty where nothing differs."""
+        return (self.cause or "not known; nothing was tried") if self.verdict is Verdict.DIFFERS else ""
 
 
 @dataclass(frozen=True, slots=True)

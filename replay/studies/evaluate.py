@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 
 import click
@@ -12,7 +14,7 @@ from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.replay.studies import page
 from stillcal.replay.studies import registry as studies
-from stillcal.replay.studies.claim import Study
+from stillcal.replay.studies.claim import Progress, Study
 
 
 def listing() -> str:
@@ -29,23 +31,58 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names) or tuple(studies.STUDIES)
 
 
-def run(names: Sequence[str], out: Path, data: Path | None, seed: int, quiet: bool) -> None:
+def run(names: Sequence[str], out: Path, data: Path | None, seed: int, quiet: bool, *, jobs: int = 1) -> None:
     """Run studies and write the page and its figures into `out`. data: the folder of real recordings.
 
-    Raises UsageError where what an earlier study left there is damaged.
+    jobs: number of processes; a study is run by one of them. Raises UsageError where what an earlier study
+    left there is damaged.
     """
     folder = out / page.FOLDER
     folder.mkdir(parents=True, exist_ok=True)
+    begin, used = time.monotonic(), 0.0
     with progress("evaluating", float(len(names)), quiet) as step:
-        for done, name in enumerate(names):
-            begin = time.monotonic()
-            study = studies.run(name, data, folder, seed, _within(step, done))
-            write_atomically(page.kept_at(folder, name), page.encoded(study))
+        results = (
+            _each(names, data, folder, seed, step) if jobs == 1 else _pooled(names, data, folder, seed, jobs)
+        )
+        for done, (study, wall, processor) in enumerate(results):
+            write_atomically(page.kept_at(folder, study.name), page.encoded(study))
+            used += processor
+            step(done + 1.0)
             if not quiet:
-                click.echo(f"{name}: {len(study.claims)} claims, {time.monotonic() - begin:.0f} s")
+                click.echo(
+                    f"{study.name}: {len(study.claims)} claims, {wall:.0f} s ({processor:.0f} s of processor)"
+                )
     write_atomically(out / page.PAGE, page.page(_kept_studies(folder)).encode())
     if not quiet:
-        click.echo(f"{out / page.PAGE}")
+        wall = time.monotonic() - begin
+        click.echo(f"{out / page.PAGE}: {wall / 60.0:.1f} min, {used / 60.0:.1f} min of processor")
+
+
+Timed = tuple[Study, float, float]
+"""A study with the seconds that it took, by the clock and of processor."""
+
+
+def _timed(
+    name: str, data: Path | None, folder: Path, seed: int, tell: Progress = lambda share: None
+) -> Timed:
+    begin, used = time.monotonic(), time.process_time()
+    study = studies.run(name, data, folder, seed, tell)
+    return study, time.monotonic() - begin, time.process_time() - used
+
+
+def _each(
+    names: Sequence[str], data: Path | None, folder: Path, seed: int, step: Callable[[float], None]
+) -> Iterator[Timed]:
+    for done, name in enumerate(names):
+        yield _timed(name, data, folder, seed, _within(step, done))
+
+
+def _pooled(names: Sequence[str], data: Path | None, folder: Path, seed: int, jobs: int) -> Iterator[Timed]:
+    """Yield studies as they are done, each run in a process of its own."""
+    context = get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=1) as pool:
+        runs = [pool.submit(_timed, name, data, folder, seed) for name in names]
+        yield from (run.result() for run in as_completed(runs))
 
 
 def _within(step: Callable[[float], None], done: int) -> Callable[[float], None]:

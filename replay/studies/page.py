@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from string import ascii_uppercase
 
 import msgspec
 
@@ -73,9 +74,9 @@ _HEAD = """# What the papers claim, and what comes out here
 
 {claims} claims of four papers beside our figures, made by `stillcal evaluate` (extra `evaluation`). Every
 verdict is computed. *Reproduced*: our figure lies within a tolerance that is given with its reason.
-*Differs*: it lies outside; what was tested of the cause is given. *Left open by the paper*: we measured
-something that the paper does not claim, so nothing is reproduced. *Cannot be tested here*: the data that it
-needs are not to be had.
+*Differs*: it lies outside; the study says why, by a run that tested it, or that the cause is not known and
+what was tried. *Left open by the paper*: we measured something that the paper does not claim, so nothing is
+reproduced. *Cannot be tested here*: the data that it needs are not to be had.
 
 {papers}
 
@@ -116,10 +117,12 @@ bicycle or loads a phone with other work. Where nothing was recorded at all the 
 
 What a user needs is in the product: the accelerometer's fit, the gyroscope's fit, rests, gravity by place and
 the quality check are `stillcal.calib_core` ([api.md](api.md)). Methods that only the studies need are the
-package `stillcal.replay.studies.methods`. They are documented and tested there and may be imported from
-Python in a checkout; the wheel leaves them out, and they may change with the studies:
+package `stillcal.replay.studies.methods`. They are kept with the studies: documented and tested there, and
+imported from Python in a checkout. The wheel leaves them out, and they may change with the studies:
 
 {methods}
+
+{example}
 
 The studies are the package `stillcal.replay.studies`. It lies inside `replay` because all it does is feed
 recordings and simulated phones through the product, as the rest of `replay` does, and nothing of the product
@@ -130,11 +133,35 @@ METHODS = {
     "coning": "coning errors of a gyroscope's rates (Collin 2019, 4.2, Eq. 26-27)",
     "device_faces": "the six-face calibration of every device of the still experiment (`hhar_still`)",
     "esgi": "a fit of the angles between the sensor's axes (ESGI'95, section 2)",
-    "navigation": "strapdown navigation and dead reckoning by steps (Collin 2019, 3.1 and 3.4)",
+    "motion_modes": "features of motion and Bayes' rule on them (Collin 2019, 4.1 and 4.2)",
+    "navigation": "strapdown navigation, headings and dead reckoning by steps (Collin 2019, 3.1 and 3.4)",
     "smoothing": "rolling mean, its window by sampling rate, rolling median (Grammenos 2018, 4.6)",
+    "step_template": "steps by a template: correlation, dynamic time warping (Collin 2019, 3.2)",
     "steps": "step detection and step length from the norm of the force (Collin 2019, 3.2 and 3.3)",
 }
 """Modules of `stillcal.replay.studies.methods` and what each offers."""
+
+EXAMPLE = """Steps of a walk, and where they lead, from a recording with both sensors:
+
+```python
+import numpy as np
+import stillcal
+from stillcal.replay.studies.methods.navigation import dead_reckoning, headings, step_headings, up_in_body
+from stillcal.replay.studies.methods.steps import detect_steps, patterns, step_length
+
+walk = stillcal.load("walk.csv")
+force, rate = walk.accelerometer, walk.gyroscope
+steps = detect_steps(force.t, force.xyz, gravity=9.81)
+length = step_length(patterns(steps, 9.81)[:, 1], factor=0.5, exponent=0.25)
+forces = np.column_stack([np.interp(rate.t, force.t, axis) for axis in force.xyz.T])
+up = up_in_body(rate.t, rate.xyz, forces, span=10.0)
+heading = step_headings(rate.t, headings(rate.t, (rate.xyz * up).sum(axis=1)), steps.start, steps.end)
+print(dead_reckoning(length, heading)[-1])  # m, from the first step
+```"""
+"""How the methods are used; a test runs it."""
+
+_NO_DATA = ("", "-", "none")
+"""What claims without data say of them."""
 
 _COMMAND = "stillcal evaluate {name} --seed {seed}"
 
@@ -190,6 +217,7 @@ def page(studies: list[Study]) -> str:
         tally=tally(claims),
         summary=_summary(claims),
         details="\n\n".join(_details(source, studies) for source in PAPERS if _has(source, claims)),
+        example=EXAMPLE,
         methods="\n".join(f"- `{name}`: {words}." for name, words in METHODS.items()),
     )
     sections = [
@@ -279,9 +307,18 @@ def _details(source: str, studies: list[Study]) -> str:
 
 
 def _judged(study: Study) -> str:
-    """Return the table of a study's data, tolerances and causes, in the order of its claims."""
-    rows = [(f"{c.source}, {c.where}: {c.claim}", c.data, c.because) for c in study.claims]
-    return table(("claim", "data", "tolerance, cause or what is missing"), rows)
+    """Return what a study's claims were judged by, in their order: data by letter, tolerance, cause."""
+    sources = list(dict.fromkeys(c.data for c in study.claims if c.data not in _NO_DATA))
+    letters = {data: ascii_uppercase[k] for k, data in enumerate(sources)}
+    legend = "\n".join(f"- {letter}: {data}" for data, letter in letters.items())
+    rows = [(f"{c.where}: {c.claim}", letters.get(c.data, "-"), c.because) for c in study.claims]
+    causes = [f"- *{c.claim}* ({c.where}): {c.why_it_differs}." for c in study.claims if c.why_it_differs]
+    parts = [
+        f"Data:\n\n{legend}" if legend else "",
+        table(("claim", "data", "tolerance, or what is missing"), rows),
+        "Why figures differ, with the run that tested it:\n\n" + "\n".join(causes) if causes else "",
+    ]
+    return "\n\n".join(part for part in parts if part)
 
 
 def _verdict(claim: Claim) -> str:

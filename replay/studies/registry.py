@@ -38,6 +38,7 @@ STUDIES: dict[str, str] = {
     "coning": "stillcal.replay.studies.collin2019.coning:study",
     "biases": "stillcal.replay.studies.stisen2015.biases:study",
     "intervals": "stillcal.replay.studies.stisen2015.timing:study",
+    "washing-machine": "stillcal.replay.studies.stisen2015.washing_machine:study",
     "clusters": "stillcal.replay.studies.stisen2015.clusters:study",
     "still-devices": "stillcal.replay.studies.stisen2015.rests:study",
     "heterogeneity": "stillcal.replay.studies.stisen2015.families:study",

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, holds, picture, table
-from stillcal.replay.studies.collin2019.motion_features import NAMES, TWO, Motion, features
-from stillcal.replay.studies.collin2019.motion_modes import Bayes
+from stillcal.replay.studies.collin2019.motion_features import Motion
 from stillcal.replay.studies.har.data import ACTIVITIES, DATA, RATE_HZ, read_rates, without_recordings
 from stillcal.replay.studies.har.scoring import interval
+from stillcal.replay.studies.methods.motion_modes import NAMES, TWO, Bayes, features
 
 NAME, TITLE, WORK = "mode-sequences", "Motion modes in sequence, and windows not judged", "Collin 2019"
 CONFIDENCE = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)

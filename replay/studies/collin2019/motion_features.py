@@ -1,7 +1,6 @@
-"""Features of how a phone moves, and windows to take them from: the simulated phone's and UCI HAR's.
+"""Windows of how a phone moves, with their features: the simulated phone's and UCI HAR's.
 
-Collin et al. 2019, 4.2: standard deviation and peak frequency of the force's norm (Fig. 10), the list that
-follows, and the coning error of the rates. All work on windows (n, m) at once.
+Collin et al. 2019, 4.2; the features are those of `methods.motion_modes`.
 """
 
 from __future__ import annotations
@@ -18,28 +17,12 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.phone import Scenario, Truth, load_phone, simulate
 from stillcal.replay.phone.activities.carried import Carry, Drive, Stairs, Walk
 from stillcal.replay.phone.activities.resting import Table
-from stillcal.replay.studies.methods.coning import coning_errors
+from stillcal.replay.studies.methods.motion_modes import features
 
 MODES = ("walking", "driving", "stationary")
 WINDOW_S = 5.0
-BANDS_HZ = ((0.5, 3.0), (3.0, 8.0), (8.0, 20.0))
-NAMES = (
-    "standard deviation (log)",
-    "peak frequency",
-    "skewness",
-    "mean absolute deviation (log)",
-    "zero-crossing rate",
-    *(f"energy {low:g} to {high:g} Hz (log)" for low, high in BANDS_HZ),
-    "ratio of lowest to highest band (log)",
-    "change of peak frequency over 4 parts",
-    "spectral entropy",
-    "coning error (log)",
-)
-TWO = (0, 1)
-"""The features of Fig. 10."""
 CARRIES: tuple[Carry, ...] = ("pocket", "hand", "bag")
 MODE_OF = {"walk": "walking", "stairs": "walking", "drive": "driving"}
-_FLOOR = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,44 +36,6 @@ class Motion:
     mode: NDArray[np.intp]
     person: NDArray[np.intp]
     sd: Array
-
-
-def features(norms: Array, rates: Array, rate_hz: float) -> Array:
-    """Return NAMES of each window, (n, 12), from norms (n, m) m/s^2 and rates (n, m, 3) rad/s at rate_hz."""
-    centred = norms - norms.mean(axis=1, keepdims=True)
-    sd = centred.std(axis=1)
-    f, power = spectrum(centred, rate_hz)
-    share = power / np.maximum(power.sum(axis=1, keepdims=True), _FLOOR)
-    energies = [power[:, (f >= low) & (f < high)].sum(axis=1) for low, high in BANDS_HZ]
-    parts = [peak_frequency(part, rate_hz) for part in np.array_split(centred, 4, axis=1)]
-    return np.column_stack(
-        (
-            _log(sd),
-            peak_frequency(centred, rate_hz),
-            (centred**3).mean(axis=1) / np.maximum(sd, _FLOOR) ** 3,
-            _log(np.abs(centred).mean(axis=1)),
-            (np.diff(np.signbit(centred), axis=1)).mean(axis=1) * rate_hz,
-            *(_log(e) for e in energies),
-            _log(energies[0]) - _log(energies[-1]),
-            np.std(parts, axis=0),
-            -(share * np.log(np.maximum(share, _FLOOR))).sum(axis=1) / np.log(f.size),
-            _log(np.array([coning_errors(np.arange(len(w)) / rate_hz, w).max() for w in rates])),
-        )
-    )
-
-
-def spectrum(centred: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Return frequencies (k,) Hz above zero and the power of windows (n, m) at them under a Hann window."""
-    hann = np.hanning(centred.shape[1])
-    power = np.abs(np.fft.rfft(centred * hann, axis=1)) ** 2
-    f = np.fft.rfftfreq(centred.shape[1], 1.0 / rate_hz)
-    return np.asarray(f[1:], dtype=np.float64), np.asarray(power[:, 1:] / centred.shape[1])
-
-
-def peak_frequency(centred: Array, rate_hz: float) -> Array:
-    """Return the frequency of most power of each window, (n,) Hz."""
-    f, power = spectrum(centred, rate_hz)
-    return np.asarray(f[power.argmax(axis=1)])
 
 
 def simulated(people: int, seed: int, minutes: float = 8.0) -> Motion:
@@ -156,7 +101,3 @@ def _stretches(truth: Truth) -> list[tuple[int, float, float]]:
         else:
             found.append((mode, interval.t_start, interval.t_end))
     return found
-
-
-def _log(values: Array) -> Array:
-    return np.asarray(np.log10(np.maximum(values, _FLOOR)))

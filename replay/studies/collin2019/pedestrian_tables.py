@@ -102,8 +102,11 @@ def table4(grade: int) -> tuple[float, float]:
     return float(walked.heading_error[-1] / DEG), float(100.0 * walked.relative_error[-1])
 
 
-def scale_effect(seed: int, scale: float = 1.01, bias: float = 0.0) -> Array:
-    """Return by what share each pattern grows where forces are scaled and biased, mean over steps, (6,)."""
+def scale_effect(seed: int, scale: float = 1.01, bias: float = 0.0, reference: float = 1.0) -> Array:
+    """Return by what share each pattern grows where forces are scaled and biased, mean over steps, (6,).
+
+    reference: the g that the patterns are told, over the true one, with the forces scaled.
+    """
     scenario = Scenario(segments=(Walk(duration_s=300.0),))
     samples = simulate(scenario, load_phone("ideal"), seed).whole().accelerometer
     g = 9.81
@@ -112,14 +115,14 @@ def scale_effect(seed: int, scale: float = 1.01, bias: float = 0.0) -> Array:
     up = samples.xyz.mean(axis=0) / np.linalg.norm(samples.xyz.mean(axis=0))
     vertical = [np.interp(steps.t, samples.t, (f @ up)) for f in (samples.xyz, samples.xyz * scale + bias)]
     changed = Steps(steps.start, steps.end, raw.t, raw.norm)
-    before, after = (patterns(s, g, v) for s, v in zip((steps, changed), vertical, strict=True))
+    before, after = patterns(steps, g, vertical[0]), patterns(changed, g * reference, vertical[1])
     return np.asarray(after.mean(axis=0) / before.mean(axis=0) - 1.0)
 
 
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
     """Run the paper's simulations and its Table 2."""
     claims, scale, bias = [], scale_effect(seed), scale_effect(seed, 1.0, 0.03 * 9.81)
-    claims += _table2_claims(scale)
+    claims += _table2_claims(scale, scale_effect(seed, reference=1.01))
     claims.append(_bias_claim(bias))
     progress(0.3)
     for grade in range(3):
@@ -149,8 +152,19 @@ takes g off a norm that the scale has moved, and changes by more or less than 1 
 hard."""
 
 
-def _table2_claims(effect: Array) -> list[Claim]:
+def _table2_claims(effect: Array, followed: Array) -> list[Claim]:
+    """Compare Table 2. followed: the effect where g is scaled as the forces are."""
     claims = []
+    root = [100.0 * ((1.0 + effect[1]) ** (q / 2.0) - 1.0) for q in TABLE2]
+    along = [100.0 * ((1.0 + followed[3]) ** q - 1.0) for q in TABLE2]
+    causes = {
+        "variance": f"tested: the standard deviation in its place gives {_percent(root)}. A variance is of"
+        " the second"
+        " order: the table holds for it one root later than it says",
+        "area integral": f"tested: with g scaled as the forces are, it gives {_percent(along)}. The area"
+        " is that"
+        " between the norm and g, which the sensor's scale does not reach",
+    }
     for row, pattern in ((4, "largest difference"), (1, "variance"), (3, "area integral")):
         ours = [100.0 * ((1.0 + effect[row]) ** q - 1.0) for q in TABLE2]
         off = max(abs(o - p) for o, p in zip(ours, TABLE2.values(), strict=True))
@@ -160,14 +174,19 @@ def _table2_claims(effect: Array) -> list[Claim]:
                 "Table 2",
                 f"1 % of accelerometer scale, length from {pattern} to the power 1 to 1/4",
                 "1.00, 0.50, 0.33, 0.25 %",
-                ", ".join(f"{o:.2f}" for o in ours) + " %",
+                _percent(ours),
                 "simulated walk of 300 s",
                 agreement(0.0, off, 0.006),
                 "within 0.006 %: rounding, and 1.01^q against 1 + 0.01 q",
                 evidence=Evidence.SIMULATION,
+                cause=causes.get(pattern, ""),
             )
         )
     return claims
+
+
+def _percent(values: list[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values) + " %"
 
 
 def _bias_claim(effect: Array) -> Claim:

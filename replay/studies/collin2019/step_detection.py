@@ -18,7 +18,7 @@ from stillcal.replay.phone.activities.resting import Table
 from stillcal.replay.phone.motion.trajectory import Waves
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
-from stillcal.replay.studies.collin2019.motion_features import peak_frequency
+from stillcal.replay.studies.methods.motion_modes import peak_frequency
 from stillcal.replay.studies.methods.steps import detect_steps, patterns
 
 WORK, WHERE = "Collin 2019", "3.2, Fig. 4"

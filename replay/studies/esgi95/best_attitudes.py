@@ -268,8 +268,10 @@ def _upright_claim() -> Claim:
         f"{100 * before:.2f} %; with position 1 added {100 * after:.2f} %, positions 3 and 21 both kept",
         "its table 3",
         holds(after > 0.5 * before),
-        f"the missing attitude heals it, not the likeness: {named.words} is what stillcal asks for",
+        "would hold where more than half of the error stays with both like positions kept",
         evidence=Evidence.PRINTED,
+        cause="tested by adding position 1 and keeping both: the missing attitude heals it, not the likeness;"
+        f" {named.words} is what stillcal asks for",
     )
 
 

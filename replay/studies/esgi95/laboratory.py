@@ -56,6 +56,7 @@ def _claim(group: str, rows: list[Row]) -> Claim:
         holds(agreeing == len(rows)),
         rows[0].why if single else "within the rounding of table and figure" + _exceptions(rows),
         evidence=Evidence.PRINTED,
+        cause="; ".join(row.cause for row in rows if row.cause),
     )
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from stillcal.calib_core.accelerometer import fit as accelerometer
+from stillcal.calib_core.accelerometer.fit import AccelerometerSettings
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, agreement, holds, picture, table
@@ -25,6 +26,9 @@ LIMIT = 0.02
 FIG3_ANGLES = np.array([1.53938, 1.60221, 1.60221])
 """phi, psi, theta of the sensor behind Fig. 3."""
 DRAWS = 400_000
+UNCHECKED = AccelerometerSettings(max_amplification=np.inf, max_norm_sd=np.inf, spare_attitudes=0)
+"""A fit that only has to converge."""
+
 DATA = "computed; no data needed"
 
 
@@ -97,6 +101,27 @@ def left_out() -> list[tuple[int, float, float]]:
             errors.append(float(np.abs(norms / ESGI_GRAVITY - 1.0).max()))
         found.append((number, errors[0], errors[1]))
     return found
+
+
+def as_assumed() -> list[float]:
+    """Return how many times the largest error falls with the angles fitted, with axes off by the full 2 %.
+
+    By table: its own attitudes and its own scatter about the fit, read by axes at FIG3_ANGLES.
+    """
+    axes = np.linalg.cholesky(cosines(FIG3_ANGLES))
+    gains = []
+    for number in (1, 2, 3):
+        calibrated = accelerometer.fit(dataset(number), None, ESGI_GRAVITY, parameters=9).model.apply(
+            dataset(number)
+        )
+        forces = calibrated @ axes.T
+        errors = []
+        for parameters in (6, 9):
+            fit = accelerometer.fit(forces, None, ESGI_GRAVITY, parameters=parameters, settings=UNCHECKED)
+            norms = np.linalg.norm(fit.model.apply(forces), axis=1)
+            errors.append(float(np.abs(norms / ESGI_GRAVITY - 1.0).max()))
+        gains.append(errors[0] / errors[1])
+    return gains
 
 
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
@@ -251,9 +276,13 @@ def _worth_claim(tables: list[tuple[int, float, float]]) -> Claim:
         "largest error falls " + ", ".join(f"{gain:.2f}" for gain in gains) + " times with the angles fitted",
         "its three printed tables",
         holds(max(gains) >= 2.0),
-        f"would hold where halved on one of its own phones; their axes are off right angles by {off:.1%}"
-        " at most",
+        "would hold where halved on one of its own phones",
         evidence=Evidence.PRINTED,
+        cause=f"tested: their axes are off right angles by {off:.1%} at most, not by the 2 % that 2.3"
+        " supposes;"
+        " the same attitudes and scatter read by axes off by 2 % fall"
+        f" {', '.join(f'{g:.1f}' for g in as_assumed())}"
+        " times",
     )
 
 

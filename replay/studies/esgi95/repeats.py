@@ -185,9 +185,12 @@ def _small_claim() -> Claim:
         "its own printed figures",
         holds(ratio < 0.5),
         f"would hold where each is below half; X{row + 1}{column + 1} is known to {x[row, column]:.0%} of"
-        " itself, "
-        f"all of y to {y.max():.1%}",
+        " itself",
         evidence=Evidence.PRINTED,
+        cause=f"tested by kind: on the diagonal of X at most {x[~OFF].max():.2%}, of y {y.max():.1%}; off the"
+        f" diagonal {int(np.sum(x[OFF] >= 0.5))} of {int(OFF.sum())} are above half. These are near zero"
+        " where axes"
+        f" are near right angles: X{row + 1}{column + 1} is {PRINTED_X[row, column]:.2g}",
     )
 
 

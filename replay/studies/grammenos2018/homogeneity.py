@@ -58,10 +58,12 @@ class Homogeneity:
     """MSE of traces against their normalised aggregate, (m/s^2)^2, by person and by step (people, 4).
 
     devices: only devices differ, the same person's window through all. mixed: people and devices together.
+    levelled: as devices, each trace less its own mean.
     """
 
     devices: Array
     mixed: Array
+    levelled: Array
 
     def ratio(self, kind: str, step: int) -> float:
         """Return the MSE after a step as a share of that before."""
@@ -133,14 +135,16 @@ def activity(windows: Windows, devices: list[Device], seed: int, rng: np.random.
     raw = np.stack([d.carry(true, rng) for d in devices], axis=1)
     fixed = np.stack([d.calibrated(seed + k).apply(raw[:, k]) for k, d in enumerate(devices)], axis=1)
     steps: list[Callable[[Array], Array]] = [np.asarray, smoothed]
-    alone, mixed = [], []
+    alone, mixed, levelled = [], [], []
     for traces in (raw, fixed):
         for step in steps:
             ready = [step(person) for person in traces]
             alone.append([float(aggregate_error(t).mean()) for t in ready])
+            level = [t - t.mean(axis=1, keepdims=True) for t in ready]
+            levelled.append([float(aggregate_error(t).mean()) for t in level])
             whole = aggregate_error(np.concatenate(ready))
             mixed.append(whole.reshape(len(ready), -1).mean(axis=1))
-    return Homogeneity(np.array(alone).T, np.array(mixed).T)
+    return Homogeneity(np.array(alone).T, np.array(mixed).T, np.array(levelled).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,7 +246,10 @@ def _moving(name: str, found: Homogeneity, data: str, rng: np.random.Generator) 
     ours = f"{ratio:.2f} times ({low:.2f} to {high:.2f})"
     why = (
         f"ratio within {RATIO_TOLERANCE}, calibrated and smoothed against raw, over people and devices"
-        f" together as in the paper. Smoothing alone gives {found.ratio('mixed', 1):.2f}, calibration alone"
+        " together as in the paper"
+    )
+    cause = (
+        f"tested: smoothing alone gives {found.ratio('mixed', 1):.2f}, calibration alone"
         f" {found.ratio('mixed', 2):.2f}: people differ more than devices. Where only devices differ,"
         f" calibration alone gives {found.ratio('devices', 2):.2f}, with smoothing"
         f" {found.ratio('devices', METHOD):.2f}"
@@ -255,6 +262,7 @@ def _moving(name: str, found: Homogeneity, data: str, rng: np.random.Generator) 
         holds(abs(ratio - after / before) <= RATIO_TOLERANCE),
         why,
         evidence=Evidence.SEMI_SYNTHETIC,
+        cause=cause,
     )
 
 
@@ -264,12 +272,26 @@ def _rest(rest: Rest, sit: Homogeneity, rng: np.random.Generator) -> Claim:
     ours = f"{before:.4f} → {after:.4f} (m/s²)², {after / before:.2f} times"
     data = f"hhar_still: {rest.devices} real devices, each face calibrated from the other five"
     why = (
-        "would hold within 10 %: at rest nothing but the devices' errors differs, and they are taken off;"
-        f" sitting, carried through the devices: {sit.ratio('devices', 2):.2f} times ({low:.2f} to"
-        f" {high:.2f})"
+        f"would hold within 10 %; sitting, carried through the devices: {sit.ratio('devices', 2):.2f} times"
+        f" ({low:.2f} to {high:.2f})"
+    )
+    level = sit.levelled.mean(axis=0)
+    cause = (
+        "tested: what differs at rest is the level, which calibration takes off. With each trace's own"
+        " mean taken"
+        f" off first, sitting goes from {level[0]:.4f} to {level[2]:.4f} (m/s²)²,"
+        f" {level[2] / level[0]:.2f} times:"
+        " the paper's figures are those of traces brought to one level, as it normalises them (5.1)"
     )
     return Claim(
-        WORK, *PAPER["rest"], ours, data, holds(abs(after / before - 1) <= 0.1), why, evidence=Evidence.REAL
+        WORK,
+        *PAPER["rest"],
+        ours,
+        data,
+        holds(abs(after / before - 1) <= 0.1),
+        why,
+        evidence=Evidence.REAL,
+        cause=cause,
     )
 
 

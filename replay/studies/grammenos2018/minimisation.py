@@ -232,9 +232,10 @@ def _twelve(found: Found, data: str) -> Claim:
         f"norms determine {nine} of 9 and {twelve} of 12",
         data,
         holds(twelve == 12 and nine == 9),
-        "rank of Eq. 4's Jacobian. Cause, tested: S and QS give the same E for every rotation Q (Eq. 4"
-        f" changed by {found.turning:.0e} at most over ten rotations of each), so three of twelve stay open",
+        "rank of Eq. 4's Jacobian",
         evidence=Evidence.THEORY,
+        cause="tested: S and QS give the same E for every rotation Q (Eq. 4 changed by"
+        f" {found.turning:.0e} at most over ten rotations of each), so three of twelve stay open",
     )
 
 
@@ -267,11 +268,12 @@ def _convergence(found: Found, data: str) -> list[Claim]:
             f"order {damped:.2f} at delta 0.75: a step leaves {np.median(found.ratio):.3f} of the distance",
             data,
             holds(damped > 1.5),
-            "holds with an order nearer to 2 than to 1. Cause, tested: the factor delta, as a step leaves"
-            f" 1 - delta of the distance. With delta 1 the order is {order:.2f} (median), and with Gauss and"
-            " Newton's Hessian a step leaves"
-            f" {100 * float(np.median(found.gauss_newton)):.1g} %",
+            "holds with an order nearer to 2 than to 1",
             evidence=Evidence.SIMULATION,
+            cause="tested: the factor delta, as a step leaves 1 - delta of the distance. With delta 1 the"
+            " order"
+            f" is {order:.2f} (median), and with Gauss and Newton's Hessian a step leaves"
+            f" {100 * float(np.median(found.gauss_newton)):.1g} %",
         ),
         Claim(
             WORK,

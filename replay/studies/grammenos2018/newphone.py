@@ -11,7 +11,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.model import SensorModel
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, table
-from stillcal.replay.studies.grammenos2018.classes import PAIRS, SLICE, STILL_PAIR, flat, tilt
+from stillcal.replay.studies.grammenos2018.classes import PAIRS, STILL_PAIR
+from stillcal.replay.studies.grammenos2018.slices import SLICE, flat, tilt
 from stillcal.replay.studies.har.data import Windows, read_windows, without_recordings
 from stillcal.replay.studies.har.devices import CARRIED, Device, read_devices
 from stillcal.replay.studies.har.scoring import (

@@ -32,6 +32,15 @@ def time_features(windows: Array) -> Array:
     return np.concatenate([*parts, _correlations(windows)], axis=1)
 
 
+def without_counts(features: Array) -> Array:
+    """Return time features (n, 43) without those that count by the sample, (n, 35).
+
+    These are the mean step from sample to sample and the share of samples that cross the mean, of each axis
+    and of the norm: a device that samples twice as fast halves both.
+    """
+    return np.asarray(np.delete(features, np.s_[32:40], axis=1))
+
+
 def _correlations(windows: Array) -> Array:
     off = windows - windows.mean(axis=1, keepdims=True)
     size = np.sqrt(np.square(off).mean(axis=1))

@@ -74,8 +74,8 @@ LEARNERS: dict[str, Learner] = {"kNN": nearest, "tree": tree, "SVM": linear_svm,
 """Those of Stisen et al. 2015, 4.1."""
 
 
-def principal(learner: Learner, share: float = 0.95) -> Learner:
-    """Return the learner on the principal components that keep `share` of the variance of the features."""
+def principal(learner: Learner, share: float | None = 0.95) -> Learner:
+    """Return the learner on the components that keep `share` of the features' variance; None keeps all."""
 
     def make(seed: int) -> Any:
         from sklearn.decomposition import PCA  # noqa: PLC0415 - an extra

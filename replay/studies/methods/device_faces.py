@@ -1,4 +1,4 @@
-"""The six-face calibration of every device of the still experiment."""
+"""The six-face calibration (ESGI'95, approach 2) of every device of Stisen et al.'s still experiment."""
 
 from __future__ import annotations
 

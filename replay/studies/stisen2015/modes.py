@@ -86,8 +86,11 @@ Modes = dict[str, Array]
 PRINCIPAL = {name: principal(learner) for name, learner in LEARNERS.items()}
 """The learners on the principal components that keep 95 % of the features' variance (Figure 10)."""
 
-EVERY_COMPONENT = {"tree": principal(LEARNERS["tree"], 0.9999)}
-"""The tree on nearly all components: axes turned, nothing dropped."""
+EVERY_COMPONENT = {"tree": principal(LEARNERS["tree"], None)}
+"""The tree on all components: axes turned, nothing dropped."""
+
+NINE, DRAWS = 9, 3
+"""People of the paper; how often as many are drawn."""
 
 Split = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 """Rows to train on and rows to test, (n,) masks."""
@@ -186,9 +189,9 @@ def record_all(windows: Windows, devices: list[Device], seed: int) -> list[Recor
 
 
 def device_clusters(data: Path, devices: list[Device], seed: int) -> list[int]:
-    """Return the cluster of each device, of those that all still devices fall into (Figure 11)."""
+    """Return the cluster of each device, of those of all still devices by the features of Figure 12."""
     still = described(read_still(data))
-    labels = clusters(still.features[:, :2], seed)[0]
+    labels = clusters(still.features, seed)[0]
     return [int(labels[still.names.index(d.name)]) for d in devices]
 
 
@@ -227,26 +230,45 @@ def splits(rows: Rows, mode: str, seed: int) -> Iterator[Split]:
                 yield (inside == k) & ~out, tested & out
 
 
-def causes(rows: Rows, seed: int) -> dict[str, float]:
+def causes(rows: Rows, seed: int) -> dict[str, Array]:
     """Return the mean F1, percent, with one thing changed that may set our modes apart from the paper's.
 
-    "rows": ten-fold with all rows to train on instead of at most MOST. The others leave lying out, which
-    stands in for biking, with a user out, and on one model with a user out.
+    "rows": (1,) ten-fold with all rows to train on instead of at most MOST. By mode, with a user out and on
+    one model with a user out: with NINE people, and with lying left out as well, which stands in for biking;
+    (2, DRAWS). "combined": (2,) with all rows to train on, the three families together, the best one alone.
     """
     three = replace(rows, features={name: rows.features[name] for name in FAMILIES})
     upright = np.isin(rows.label, [k for k, name in enumerate(ACTIVITIES) if name != "lie"])
-    five = Rows(
-        {name: values[upright] for name, values in three.features.items()},
-        *(column[upright] for column in (rows.label, rows.person, rows.device, rows.model, rows.cluster)),
-    )
-    whole = score(three, list(splits(three, "ten-fold", seed))[:3], seed, most=len(rows.label))
-    return {
-        "rows": _mean(whole),
-        **{
-            mode: _mean(score(five, list(splits(five, mode, seed)), seed))
-            for mode in ("user out", "one model, user out")
-        },
+    found = {
+        "rows": np.array(
+            [_mean(score(three, list(splits(three, "ten-fold", seed))[:3], seed, most=len(rows.label)))]
+        )
     }
+    rng = np.random.default_rng(seed)
+    few = [np.isin(rows.person, rng.permutation(np.unique(rows.person))[:NINE]) for _ in range(DRAWS)]
+    for mode in ("user out", "one model, user out"):
+        found[mode] = np.array(
+            [
+                [
+                    _mean(score(own, list(splits(own, mode, seed)), seed))
+                    for own in (only(three, m & also) for m in few)
+                ]
+                for also in (np.ones_like(upright), upright)
+            ]
+        )
+    whole = score(rows, list(splits(rows, "fifth of users out", seed))[:2], seed, most=len(rows.label)).mean(
+        axis=2
+    )
+    found["combined"] = 100.0 * np.array([whole[3].mean(), whole[:3].max(axis=0).mean()])
+    return found
+
+
+def only(rows: Rows, mask: NDArray[np.bool_]) -> Rows:
+    """Return the rows of a mask (n,)."""
+    return Rows(
+        {name: values[mask] for name, values in rows.features.items()},
+        *(column[mask] for column in (rows.label, rows.person, rows.device, rows.model, rows.cluster)),
+    )
 
 
 def score(
@@ -300,16 +322,18 @@ def _mean(values: Array) -> float:
     return 100.0 * float(values[:3].mean())
 
 
-def _figure_5(found: Modes, changed: dict[str, float], data: str) -> list[Claim]:
+def _figure_5(found: Modes, changed: dict[str, Array], data: str) -> list[Claim]:
     ours = {mode: _mean(values) for mode, values in found.items()}
-    why = (
-        "within 5 points, half of what the paper's modes differ by; other people, one phone's walk behind all"
-        " devices. {}"
-    )
-    tested = {
-        "ten": f"Trained on all rows instead of {MOST}: {changed['rows']:.1f} %",
-        "user": f"Without lying, which stands in for biking: {changed['user out']:.1f} %",
-        "one": f"Without lying, which stands in for biking: {changed['one model, user out']:.1f} %",
+    why = "within 5 points, half of what the paper's modes differ by; other people, one phone's walk"
+    causes = {
+        "ten": f"tested: trained on all rows instead of {MOST} it is {changed['rows'][0]:.1f} %",
+        **{
+            key: f"tested: with {NINE} people, as in the paper, {_draws(changed[mode][0])} %; lying left out"
+            f" too, which stands in for biking, {_draws(changed[mode][1])} % (means and range of {DRAWS}"
+            " draws of"
+            " people). What is left of the difference has no known cause"
+            for key, mode in (("user", "user out"), ("one", "one model, user out"))
+        },
     }
     claims = [
         Claim(
@@ -318,8 +342,9 @@ def _figure_5(found: Modes, changed: dict[str, float], data: str) -> list[Claim]
             f"{ours[mode]:.1f} %",
             data,
             agreement(paper, ours[mode], 5.0),
-            why.format(tested[key]),
+            why,
             evidence=Evidence.SEMI_SYNTHETIC,
+            cause=causes[key],
         )
         for key, mode, paper in (
             ("ten", "ten-fold", 91.0),
@@ -329,7 +354,13 @@ def _figure_5(found: Modes, changed: dict[str, float], data: str) -> list[Claim]
     ]
     row = [ours[m] for m in ("ten-fold", "user out", "one model, user out")]
     order = ", ".join(f"{v:.1f}" for v in row) + " %"
-    claims.append(
+    together, alone = found["user out"][3], found["user out"][:3].max(axis=0)
+    cells = ", ".join(
+        f"{name} {100 * a:.1f} against {100 * b:.1f}"
+        for name, a, b in zip(LEARNERS, together, alone, strict=True)
+    )
+    return [
+        *claims,
         Claim(
             WORK,
             *PAPER["order"],
@@ -338,19 +369,30 @@ def _figure_5(found: Modes, changed: dict[str, float], data: str) -> list[Claim]
             holds(row[0] > row[1] > row[2]),
             "as stated",
             evidence=Evidence.SEMI_SYNTHETIC,
-        )
-    )
-    together, alone = found["user out"][3], found["user out"][:3].max(axis=0)
-    cells = ", ".join(
-        f"{name} {100 * a:.1f} against {100 * b:.1f}"
-        for name, a, b in zip(LEARNERS, together, alone, strict=True)
-    )
-    good = bool(np.mean(together) > np.mean(alone))
-    why = "F1 with a user out, against the best single family; holds where it is so on the mean of learners"
-    claims.append(
-        Claim(WORK, *PAPER["combined"], cells, data, holds(good), why, evidence=Evidence.SEMI_SYNTHETIC)
-    )
-    return claims
+        ),
+        Claim(
+            WORK,
+            *PAPER["combined"],
+            cells,
+            data,
+            holds(bool(np.mean(together) > np.mean(alone))),
+            "F1 with a user out, against the best single family; holds where it is so on the mean of"
+            " learners",
+            evidence=Evidence.SEMI_SYNTHETIC,
+            cause=f"tested: trained on all rows instead of {MOST}, a fifth of the people left out, the"
+            " three together"
+            f" have {changed['combined'][0]:.1f} %, the best one alone {changed['combined'][1]:.1f} %"
+            + (
+                ": more features want more rows"
+                if changed["combined"][0] > changed["combined"][1]
+                else "; so it is not the number of rows, and the cause is not known"
+            ),
+        ),
+    ]
+
+
+def _draws(values: Array) -> str:
+    return f"{values.mean():.1f} ({values.min():.1f} to {values.max():.1f})"
 
 
 def _models(found: Modes, kin: Siblings, data: str) -> list[Claim]:
@@ -407,9 +449,11 @@ def _principal(found: Modes, reduced: Array, every: float, data: str) -> list[Cl
             f"{tree:+.1f} points",
             data,
             holds(tree > 0.0),
-            f"{why}; ECDF by learner: {by_learner}. Tested: with every component kept the tree changes by"
-            f" {turned:+.1f} points, so the turn of the axes does that much and dropping components the rest",
+            f"{why}; ECDF by learner: {by_learner}",
             evidence=Evidence.SEMI_SYNTHETIC,
+            cause=f"tested: on every component, nothing dropped, the tree changes by {turned:+.1f} points:"
+            " the turn"
+            f" of the axes does that much, and dropping components the other {tree - turned:+.1f}",
         ),
         Claim(
             WORK,
@@ -469,7 +513,8 @@ def _text(found: Modes, devices: list[Device], labels: list[int], file: str) -> 
             f"Every window of thirty people through each of {len(devices)} devices, errors, rates and uneven"
             f" sampling on: as if each had carried all of them. A recogniser trains on {MOST} rows drawn at"
             f" most and is tested on {MOST}. *User out* leaves one of thirty people out; the modes of one"
-            " model and of a cluster leave a fifth of them out. Clusters are those of all still devices:"
+            " model and of a cluster leave a fifth of them out. Clusters are those of all still devices by"
+            " the four features behind Figure 12, rate among them:"
             f" {members}.",
             picture(file, "F1 by mode and family"),
             table(("mode", "features", *LEARNERS), rows),

@@ -1,11 +1,13 @@
 """What a study says, how it is kept, the page, and the command."""
 
+import importlib
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+import stillcal
 from stillcal.replay.commands.evaluate import evaluate_command
 from stillcal.replay.studies import methods, page
 from stillcal.replay.studies import registry as studies
@@ -45,8 +47,28 @@ def test_page_has_every_claim_and_the_command_of_each_section() -> None:
     text = page.page([a_study()])
     row = "| 2.4 | s1 \\| s2 | 0.3 | 0.4 | **differs** | the paper's own numbers | [laboratory](#a-title) |"
     assert row in text
-    assert "| ESGI'95, 2.4: s1 \\| s2 | its tables | off by 0.1 |" in text
+    assert "- A: its tables" in text
+    assert "| 2.4: s1 \\| s2 | A | off by 0.1 |" in text
     assert "`stillcal evaluate laboratory --seed 7`" in text
+
+
+def test_page_says_why_a_figure_differs_and_only_then() -> None:
+    """Without a cause it says that none is known, so that silence is not taken for an explanation."""
+    study = a_study()
+    claim = study.claims[0]
+    assert "- *s1 | s2* (2.4): not known; nothing was tried." in page.page([study])
+    told = replace(study, claims=(replace(claim, cause="tested: by rounding"),))
+    assert "- *s1 | s2* (2.4): tested: by rounding." in page.page([told])
+    agrees = replace(study, claims=(replace(claim, cause="tested: by rounding", verdict=Verdict.REPRODUCED),))
+    assert "by rounding" not in page.page([agrees])
+
+
+def test_every_difference_on_the_page_says_what_was_run() -> None:
+    for claim in (claim for study in page.kept(DOCS / page.FOLDER) for claim in study.claims):
+        if claim.verdict is Verdict.DIFFERS:
+            begins = claim.why_it_differs.startswith(("tested", "not known; tried"))
+            assert begins, f"{claim.claim}: {claim.why_it_differs}"
+            assert any(c.isdigit() for c in claim.why_it_differs), f"{claim.claim}: no figure is in the cause"
 
 
 def test_the_tally_counts_by_kind_and_paper_what_could_be_tested() -> None:
@@ -103,6 +125,33 @@ def test_the_page_names_every_method_that_the_studies_keep() -> None:
     assert set(page.METHODS) == {file.stem for file in folder.glob("*.py")} - {"__init__"}
 
 
+def test_the_example_of_the_methods_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page's own lines, on a simulated walk of two minutes with a faultless phone."""
+    scenario = tmp_path / "walk.toml"
+    scenario.write_text('description = "a walk"\n[[segment]]\nactivity = "walk"\nduration_s = 120.0\n')
+    stillcal.simulate(scenario, phone="ideal").save(tmp_path / "walk.csv")
+    monkeypatch.chdir(tmp_path)
+    code = page.EXAMPLE.split("```python")[1].split("```")[0]
+    assert code.strip() in (DOCS / page.PAGE).read_text()
+    names: dict[str, object] = {}
+    exec(code, names)
+    assert 150 < names["steps"].start.size < 300  # type: ignore[attr-defined]  # two a second, and stops
+
+
+def test_every_method_is_documented_with_its_source() -> None:
+    papers = ("Collin", "Grammenos", "ESGI", "Stisen")
+    for name in page.METHODS:
+        module = importlib.import_module(f"stillcal.replay.studies.methods.{name}")
+        assert any(paper in (module.__doc__ or "") for paper in papers), name
+        own = [
+            value
+            for key, value in vars(module).items()
+            if not key.startswith("_") and getattr(value, "__module__", "") == module.__name__
+        ]
+        assert own, name
+        assert all(value.__doc__ for value in own if callable(value)), name
+
+
 def test_table_has_a_row_a_line() -> None:
     assert table(("a", "b"), [("1", "2")]).splitlines() == ["| a | b |", "| --- | --- |", "| 1 | 2 |"]
 
@@ -119,6 +168,18 @@ def test_command_writes_the_page_and_runs_again(tmp_path: Path) -> None:
     text = (tmp_path / "evaluation.md").read_text()
     assert "dataset 1, positions 1-20: parameters" in text
     assert (tmp_path / "evaluation" / "laboratory.json").is_file()
+
+
+def test_two_processes_write_the_page_that_one_writes(tmp_path: Path) -> None:
+    pages = []
+    for jobs in ("1", "2"):
+        out = tmp_path / jobs
+        asked = ["laboratory", "grades", "--jobs", jobs, "--out", str(out)]
+        result = CliRunner().invoke(evaluate_command, asked)
+        assert result.exit_code == 0, result.output
+        assert "of processor" in result.output.splitlines()[-1]
+        pages.append((out / "evaluation.md").read_text())
+    assert pages[0] == pages[1]
 
 
 def test_unknown_study_is_refused_by_name(tmp_path: Path) -> None:

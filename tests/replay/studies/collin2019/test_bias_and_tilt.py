@@ -1,12 +1,22 @@
 """Prediction of 1/f noise beside its theory, and the tilt of a heading gyroscope on known turns."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stillcal.calib_core.maths.rotation import exponential, matrix
-from stillcal.replay.studies.collin2019.bias_prediction import ORDERS, one_over_f, predicted, theory
+from stillcal.replay.studies.claim import Verdict
+from stillcal.replay.studies.collin2019.bias_prediction import (
+    ORDERS,
+    Real,
+    _real,
+    on_real,
+    one_over_f,
+    predicted,
+    theory,
+)
 from stillcal.replay.studies.collin2019.heading_tilt import tilted, without_bias
 
 
@@ -51,3 +61,21 @@ def test_rates_lose_the_mean_at_rest_of_their_own_person() -> None:
     right = without_bias(rates, still, np.array([1, 1, 2, 2]))
     assert right[[0, 2, 3]] == pytest.approx(0.0)
     assert right[1] == pytest.approx(1.0)
+
+
+def test_the_real_gyroscope_is_predicted_from_its_first_half_alone(data_dir: Path) -> None:
+    """A second's mean hardly follows the last one: holding on to it nearly doubles the squared error."""
+    found = on_real(data_dir)
+    assert 600 <= found.means <= 660
+    assert (np.abs(found.together) < 0.6).all()
+    white = 2.0 * (1.0 - found.together)  # of a random walk's error over the variance
+    assert found.last == pytest.approx(white, rel=0.5)
+    assert (found.sure[:, 0] < found.sure[:, 1]).all()
+    better = np.minimum(found.last, found.one)
+    assert ((found.sure[:, 0] < better) & (better < found.sure[:, 1])).all()
+
+
+@pytest.mark.parametrize("least, verdict", [(1.01, Verdict.REPRODUCED), (1.0, Verdict.DIFFERS)])
+def test_every_axis_must_be_predicted_better_for_certain(least: float, verdict: Verdict) -> None:
+    sure = np.array([[1.1, 1.3], [1.2, 1.4], [least, 1.3]])
+    assert _real(Real(np.full(3, 1.5), np.full(3, 1.2), sure, np.zeros(3), 600)).verdict is verdict

@@ -46,6 +46,9 @@ def test_scale_moves_each_pattern_by_its_order() -> None:
     assert effect[0] == pytest.approx(0.0, abs=1e-12)  # the frequency does not change
     assert effect[[1, 2]] == pytest.approx(0.0201, rel=1e-3)
     assert effect[[4, 5]] == pytest.approx(0.01, rel=1e-3)
+    followed = scale_effect(3, reference=1.01)
+    assert followed[3] == pytest.approx(0.01, rel=1e-6)  # the area, where g is scaled with the forces
+    assert abs(effect[3] - 0.01) > 1e-4
 
 
 def test_powers_of_growth() -> None:

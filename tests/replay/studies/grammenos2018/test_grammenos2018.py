@@ -14,9 +14,9 @@ from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.phone import Truth, load_phone, load_scenario, population
+from stillcal.replay.phone.plan import play
 from stillcal.replay.phone.simulation import TrueInterval
 from stillcal.replay.studies.claim import Verdict
-from stillcal.replay.studies.grammenos2018 import classes as classes_study
 from stillcal.replay.studies.grammenos2018 import gravity as gravity_study
 from stillcal.replay.studies.grammenos2018 import gyroscope_bias as bias_study
 from stillcal.replay.studies.grammenos2018 import homogeneity as homogeneity_study
@@ -24,14 +24,16 @@ from stillcal.replay.studies.grammenos2018 import newphone as newphone_study
 from stillcal.replay.studies.grammenos2018 import people as people_study
 from stillcal.replay.studies.grammenos2018 import power as power_study
 from stillcal.replay.studies.grammenos2018 import quality_check as quality_study
+from stillcal.replay.studies.grammenos2018 import slices as slices_study
 from stillcal.replay.studies.grammenos2018 import smoothing as smoothing_study
 from stillcal.replay.studies.grammenos2018 import stationary_states as states_study
 from stillcal.replay.studies.grammenos2018.algorithm_1 import algorithm_1
 from stillcal.replay.studies.grammenos2018.homogeneity import aggregate_error, at_rest, similarity, smoothed
 from stillcal.replay.studies.grammenos2018.kalman import Kalman, inverse, settled, steady_gain
 from stillcal.replay.studies.grammenos2018.smoothing import filtered, middle
+from stillcal.replay.studies.har.data import Windows
 from stillcal.replay.studies.har.devices import Device, read_devices
-from stillcal.replay.studies.har.recordings import read_still
+from stillcal.replay.studies.har.recordings import Still, read_still
 from stillcal.replay.studies.har.scoring import network
 
 
@@ -123,7 +125,7 @@ def test_merged_states_are_one_an_attitude_in_order() -> None:
 
 def test_the_rolling_mean_is_causal_and_keeps_its_shape() -> None:
     ramp = np.tile(np.arange(20.0)[None, :, None], (2, 1, 3))
-    found = classes_study.filtered(ramp)
+    found = slices_study.filtered(ramp)
     assert found.shape == ramp.shape
     assert found[0, 4:, 0] == pytest.approx(np.arange(4.0, 20.0) - 2.0)  # five samples: two behind
 
@@ -133,9 +135,10 @@ def test_an_roc_curve_of_what_can_be_told_fills_the_square() -> None:
     n = 400
     label, person = rng.integers(0, 2, n), np.arange(n) % 8
     blind = rng.normal(size=(n, 40, 3))
-    ways = {"raw": blind, classes_study.METHOD: blind + 5.0 * label[:, None, None]}
-    data = classes_study.Slices(ways, label, person, rng.integers(0, 5, n))
-    found = classes_study.roc(data, network(10), 0)
+    told = blind + 5.0 * label[:, None, None]
+    ways = {"raw": blind, slices_study.METHOD: told, "no errors": told}
+    data = slices_study.Slices(ways, label, person, rng.integers(0, 5, n))
+    found = slices_study.roc(data, network(10), 0)
     assert found.areas[:, 1].mean() > 0.98
     assert abs(found.areas[:, 0].mean() - 0.5) < 0.1
 
@@ -190,10 +193,73 @@ def test_recovery_is_timed_from_the_step() -> None:
     t = np.arange(0.0, 100.0) * 3600.0
     norm = np.tile([0.3, 0.1, 0.1], (100, 1))
     norm[60:, 2] = 0.01
-    days = quality_study.Days(t, np.zeros((100, 3)), norm, 2)
+    hours = [np.array([3600.0 * h]) for h in (52.0, 65.0, 58.0)]
+    days = quality_study.Days(t, np.zeros((100, 3)), norm, 2, *hours)
     assert quality_study.recovery(days, 50 * 3600.0) == pytest.approx(15.0)  # six of ten rests are after it
     assert quality_study.recovery(days, 0.0) == pytest.approx(65.0)
     assert len(days.later(90 * 3600.0).t) == 10
+    told = quality_study.course(days, 50 * 3600.0)
+    assert "a check failed after 2.0 h" in told
+    assert "plugged in after 8.0 h" in told
+    assert "calibrated anew after 15.0 h" in told
+    assert "never a check failed" in quality_study.course(days, 53 * 3600.0)
+
+
+def test_probes_meet_rests_by_how_often_they_come() -> None:
+    """Every minute of a day that lies still for half of it, against every half hour."""
+    plan = play(people_study.day_scenario(), 0)
+    often, seldom = (people_study.probed(plan, pause, 0) for pause in (60.0, 1800.0))
+    probes = plan.duration / 1800.0
+    still = sum(min(p.t_end, plan.duration) - p.t_start for p in plan.pieces if p.still) / plan.duration
+    assert often[0] > 10 * seldom[0]
+    assert often[1] >= seldom[1]
+    assert seldom[0] == pytest.approx(probes * still, abs=4 * np.sqrt(probes))
+
+
+def test_a_bias_turns_by_its_size_times_the_time_of_a_turn() -> None:
+    """Two turns of 10 s between rests whose rates are 1 and 3 mrad/s about x."""
+
+    def rest(rate: float) -> RestState:
+        force, sd = np.array([0.0, 0.0, 9.8]), np.full(3, 1e-3)
+        return RestState(0.0, 5.0, 100, force, sd, sd, 1e-3, rate=np.array([rate, 0.0, 0.0]))
+
+    t = np.linspace(0.0, 10.0, 11)
+    turns = [RotationSegment(rest(r), rest(r), t, np.zeros((11, 3))) for r in (1e-3, 3e-3)]
+    whole, changed = bias_study.drifts(turns)
+    assert whole == pytest.approx(np.degrees(2e-2))
+    assert changed == pytest.approx(np.degrees(1e-2))
+
+
+def test_devices_are_louder_by_so_many_times_their_own_errors() -> None:
+    device = Device("a", "m", np.diag([1.01, 1.0, 0.98]), np.array([0.1, 0.0, -0.2]), ())
+    loud = slices_study.louder(device)
+    true = np.array([[3.0, -4.0, 9.0]])
+    assert loud.distort(true) - true == pytest.approx(slices_study.LOUDER * (device.distort(true) - true))
+
+
+def test_traces_brought_to_one_level_do_not_show_a_bias() -> None:
+    """Three devices that differ by their bias alone: all of the error is the level."""
+    rng = np.random.default_rng(3)
+    t = np.arange(4000) / 50.0
+    rest = Still("back", "d", "m", 9.8 + 0.01 * rng.normal(size=(4000, 3)), t, t)
+    devices = [Device(f"d{k}", "m", np.eye(3), np.array([0.3 * k, 0.0, -0.2 * k]), (rest,)) for k in range(3)]
+    sitting = np.tile([0.0, 3.0, 9.3], (4, 128, 1))
+    people = Windows(sitting, np.full(4, 3), np.arange(4))
+    found = homogeneity_study.activity(people, devices, 0, rng)
+    bias = np.array([d.bias for d in devices])
+    assert found.devices[:, 0].mean() == pytest.approx(np.square(bias - bias.mean(axis=0)).mean(), rel=0.02)
+    assert found.ratio("devices", 2) < 0.05
+    assert found.levelled[:, 0].mean() == pytest.approx(1e-4 * 2.0 / 3.0, rel=0.1)  # the noise, less its mean
+    assert found.ratio("levelled", 2) == pytest.approx(1.0, abs=0.1)
+
+
+def test_scattered_slices_have_everybody_on_both_sides() -> None:
+    person = np.repeat(np.arange(10), 60)
+    zeros = np.zeros(600, dtype=np.intp)
+    data = slices_study.Slices({}, zeros, person, zeros)
+    drawn = slices_study.scattered(data, 0).person
+    assert set(drawn) == set(range(10))
+    assert abs(np.corrcoef(drawn, person)[0, 1]) < 0.15
 
 
 @pytest.mark.slow

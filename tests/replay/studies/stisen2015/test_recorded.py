@@ -10,12 +10,16 @@ import pytest
 
 from stillcal.replay.studies.claim import Verdict
 from stillcal.replay.studies.grammenos2018 import classes as classes_study
+from stillcal.replay.studies.grammenos2018 import slices as slices_study
+from stillcal.replay.studies.har.data import Windows
 from stillcal.replay.studies.har.devices import Device
 from stillcal.replay.studies.har.recordings import Still
+from stillcal.replay.studies.har.scoring import radial_svm
 from stillcal.replay.studies.stisen2015 import families as families_study
 from stillcal.replay.studies.stisen2015 import gyroscope as gyroscope_study
 from stillcal.replay.studies.stisen2015 import modes as modes_study
 from stillcal.replay.studies.stisen2015 import remedies as remedies_study
+from stillcal.replay.studies.stisen2015 import remedy_causes as causes_study
 from stillcal.replay.studies.stisen2015.recorded import (
     METHODS,
     Kinds,
@@ -25,8 +29,11 @@ from stillcal.replay.studies.stisen2015.recorded import (
     reference,
     resample,
 )
+from stillcal.replay.studies.stisen2015.treated import Carried
+from stillcal.replay.studies.stisen2015.treated import parts as parts_of
 
 RNG = np.random.default_rng(0)
+NO_CAUSES = causes_study.Causes(0.0, 0.0, 0.0, 0.0, {}, np.zeros((3, 1)), 0.0, (0.0, 0.0))
 
 
 def a_device(rate: float = 100.0) -> Device:
@@ -119,8 +126,8 @@ def test_modes_keep_apart_what_they_say() -> None:
 def test_both_device_splits_test_the_same_devices() -> None:
     """Device 3 is in a cluster of its own: it is tested by neither; the others' training differs."""
     rows = replace(some_rows(), cluster=np.array([0, 0, 0, 1])[np.arange(240) // 60])
-    everywhere = list(remedies_study.parts(rows, "device out", 0))
-    inside = list(remedies_study.parts(rows, "device out, within cluster", 0))
+    everywhere = list(parts_of(rows, "device out", 0))
+    inside = list(parts_of(rows, "device out, within cluster", 0))
     for parts in (everywhere, inside):
         assert [sorted(set(rows.device[test])) for _, test in parts] == [[0], [1], [2]]
         assert all(not (train & test).any() for train, test in parts)
@@ -142,9 +149,7 @@ def test_calibration_and_interpolation_undo_a_device() -> None:
     device = a_device()
     accel = waves(frequency=0.5)
     recorded = record(accel, device, Kinds(), np.random.default_rng(2))
-    carried = remedies_study.Carried(
-        remedies_study.Windows(accel, np.zeros(4, int), np.arange(4)), [device], [0], [recorded], 0
-    )
+    carried = Carried(Windows(accel, np.zeros(4, int), np.arange(4)), [device], [0], [recorded], 0)
     clean = at_times(accel, np.tile(0.2 + np.arange(50) / 25.0, (4, 1)))
     off = {
         way: carried.handled(way, 25.0, 0)[:, :-3] - clean[:, :-3]
@@ -190,9 +195,9 @@ def test_comparison_of_ways_sees_what_is_there() -> None:
     blind = RNG.normal(size=(n, 40, 3))
     seeing = blind + 5.0 * label[:, None, None]
     ways = {"raw": blind, "calibrated": seeing, "Kalman": blind, "no errors": seeing}
-    ways |= {classes_study.METHOD: seeing, "filtered": blind}
-    data = classes_study.Slices(ways, label, person, RNG.integers(0, 5, n))
-    found = classes_study.compare(data, classes_study.radial_svm, classes_study.tilt, 0, False)
+    ways |= {slices_study.METHOD: seeing, "filtered": blind}
+    data = slices_study.Slices(ways, label, person, RNG.integers(0, 5, n))
+    found = slices_study.compare(data, radial_svm, slices_study.tilt, 0, False)
     assert found.values[:, 1].mean() > 0.95
     assert abs(found.values[:, 0].mean() - 0.5) < 0.1
     assert found.gain("Kalman") == pytest.approx(0.0)
@@ -200,7 +205,7 @@ def test_comparison_of_ways_sees_what_is_there() -> None:
 
 def test_tilt_is_the_angle_of_the_mean() -> None:
     slices = np.tile([0.0, 9.8 * np.sin(0.3), 9.8 * np.cos(0.3)], (2, 40, 1))
-    angle_y, angle_z, norm = classes_study.tilt(slices)[0]
+    angle_y, angle_z, norm = slices_study.tilt(slices)[0]
     assert (angle_y, angle_z, norm) == pytest.approx((0.3, np.pi / 2 - 0.3, 9.8))
 
 
@@ -217,7 +222,7 @@ def test_significance_has_the_sign_of_the_change() -> None:
     better[0, 0, :80] = True
     worse[1, 2, 10:50] = False
     right = {("model out", "raw"): raw, ("model out", "linear"): better, ("model out", "cubic"): worse}
-    found = remedies_study.Found({}, {}, right)
+    found = remedies_study.Found({}, {}, right, NO_CAUSES)
     up, down = (found.significance("model out", way) for way in ("linear", "cubic"))
     assert 0.0 < up[0, 0] < 1e-6
     assert -1e-6 < down[1, 2] < 0.0

@@ -1,0 +1,165 @@
+"""Each cause of a difference that was tried, where it is known whether it is one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillcal.replay.studies.claim import Verdict
+from stillcal.replay.studies.har.data import Windows
+from stillcal.replay.studies.har.features import FAMILIES, time_features, without_counts
+from stillcal.replay.studies.har.scoring import LEARNERS
+from stillcal.replay.studies.stisen2015 import families, gyroscope, remedies, remedy_causes
+from stillcal.replay.studies.stisen2015.modes import Rows, only
+from stillcal.replay.studies.stisen2015.recorded import METHODS
+
+RNG = np.random.default_rng(0)
+
+
+def test_features_that_count_by_the_sample_are_left_out_and_no_others() -> None:
+    """The same wave sampled twice as fast: what stays the same is kept, what halves is not."""
+    t = np.arange(200) / 100.0
+    wave = 9.8 + np.stack([np.sin(2 * np.pi * f * t) for f in (5.3, 6.1, 6.7)], axis=1)
+    fast, slow = (time_features(w[None])[0] for w in (wave, wave[::2]))
+    ratio = slow / fast
+    counted = (ratio > 1.7) & (ratio < 2.3)
+    assert counted.sum() == 8
+    kept = without_counts(fast[None])[0]
+    assert kept.size == fast.size - 8
+    assert kept == pytest.approx(fast[~counted])
+
+
+def a_score(lost_watch: float, lost_phone: float, by_rate: float = 0.0) -> families.Scores:
+    """Return F1 of 0.9 throughout, less what all heterogeneities cost two watches and two phones."""
+    shape = (len(FAMILIES), len(LEARNERS), len(families.COLUMNS), 4, families.FOLDS)
+    values = np.full(shape, 0.9) - 0.1 * np.arange(len(FAMILIES))[:, None, None, None, None]
+    values = values - 0.01 * np.arange(len(LEARNERS))[:, None, None, None]
+    column = families.COLUMNS.index("all")
+    values[:, :, column, :2] -= lost_watch
+    values[:, :, column, 2:] -= lost_phone
+    uncounted = np.full((len(LEARNERS), len(families.UNCOUNTED), 4, families.FOLDS), 0.9)
+    uncounted[:, families.UNCOUNTED.index("rate")] -= by_rate
+    return families.Scores(values, np.zeros((3, len(families.COLUMNS))), uncounted)
+
+
+def test_watches_are_held_against_phones() -> None:
+    alike, level, wrist = families._watches(a_score(0.3, 0.1), [True, True, False, False], "data")
+    assert alike.verdict is Verdict.REPRODUCED  # each loses alike in every cell
+    assert "watches lose -30.0, phones -10.0; apart -20.0" in level.ours
+    assert (level.verdict, wrist.verdict) == (Verdict.OPEN, Verdict.UNTESTED)
+    turned = a_score(0.0, 0.0)
+    turned.values[:, :, families.COLUMNS.index("all"), :2] = turned.values[::-1, ::-1, 0, :2]
+    assert families._watches(turned, [True, True, False, False], "data")[0].verdict is Verdict.DIFFERS
+
+
+def test_what_uncounted_features_lose_is_of_their_own_column() -> None:
+    found = a_score(0.0, 0.0, by_rate=0.2)
+    assert found.without_counts("rate") == pytest.approx(-20.0)
+    assert found.without_counts("errors") == pytest.approx(0.0)
+
+
+def test_devices_are_grouped_by_the_nearest_rate_and_the_widest_cluster_is_named() -> None:
+    rates = [39.0, 197.0, 99.0, 52.0]
+    device = np.repeat(np.arange(4), 3)
+    groups = remedy_causes._by_rate(device, rates)
+    assert [int(g) for g in groups[::3]] == [1, 3, 2, 1]
+    zeros = np.zeros(12, dtype=np.intp)
+    rows = Rows({}, zeros, zeros, device, zeros, np.array([0, 0, 1, 1])[device])
+    assert remedy_causes._most_mixed(rows, np.array(rates)) == (39.0, 197.0)
+    assert remedy_causes._most_mixed(replace(rows, cluster=device), np.array(rates))[1] < 198.0
+
+
+def test_only_keeps_the_rows_of_a_mask_together() -> None:
+    n = 10
+    column = np.arange(n)
+    rows = Rows({"a": column[:, None] + 0.5}, column, column, column, column, column)
+    kept = only(rows, column % 2 == 0)
+    assert kept.features["a"][:, 0] == pytest.approx(kept.label + 0.5)
+    assert list(kept.person) == [0, 2, 4, 6, 8]
+
+
+def found_remedies(known: float, within: dict[str, float]) -> remedies.Found:
+    """Return judgements of 400 windows a cell: raw right in half, after a way in a further share of them."""
+    shape = (len(FAMILIES), len(LEARNERS), 400)
+    raw = np.zeros(shape, dtype=bool)
+    raw[..., :200] = True
+    right = {(split, "raw"): raw for split in remedies.SPLITS}
+    for split in remedies.SPLITS:
+        for way in METHODS:
+            after = raw.copy()
+            for k, learner in enumerate(LEARNERS):
+                share = {"user out": known, remedies.SPLITS[3]: within[learner]}.get(split, 0.5)
+                after[:, k, 200 : 200 + int(200 * share)] = True
+            right[split, way] = after
+    causes = remedy_causes.Causes(80.0, 1.0, 5.0, -4.0, {}, np.zeros((3, 2)), 3.0, (39.0, 197.0))
+    return remedies.Found({}, {}, right, causes)
+
+
+@pytest.mark.parametrize("known, few", [(0.0, True), (0.5, False)])
+def test_gains_on_known_devices_are_counted_against_those_on_unknown_ones(known: float, few: bool) -> None:
+    sure = dict.fromkeys(LEARNERS, 0.5)
+    _, on_known, _ = remedies._significance(found_remedies(known, sure), "data")
+    assert (on_known.verdict is Verdict.REPRODUCED) is few
+
+
+@pytest.mark.parametrize("miss", [None, "SVM", "kNN", "forest", "tree"])
+def test_within_a_cluster_three_learners_must_gain_for_certain(miss: str | None) -> None:
+    """The tree is not one of the three."""
+    within = {name: 0.0 if name == miss else 0.5 for name in LEARNERS}
+    _, _, found = remedies._significance(found_remedies(0.0, within), "data")
+    assert (found.verdict is Verdict.REPRODUCED) is (miss in {None, "tree"})
+
+
+def some_scores(*means: float) -> gyroscope.Scores:
+    """Return F1 of these means by sensor, percent, in ten folds that scatter a little."""
+    noise = 0.1 * np.random.default_rng(1).normal(size=10)
+    f1 = np.array(means)[:, None, None, None] + noise * np.ones((1, len(FAMILIES), len(LEARNERS), 1))
+    return gyroscope.Scores(f1, np.tile(np.arange(100) < 50, (len(means), 1)))
+
+
+def test_attitude_is_the_part_of_the_difference_that_goes_with_the_mean_force() -> None:
+    """Of 20 points 5 are left without it, of 10 all."""
+    whole, moving = some_scores(80.0, 60.0, 81.0), some_scores(75.0, 65.0, 76.0)
+    without = {"six activities": (some_scores(65.0), whole), "in motion": (some_scores(75.0), moving)}
+    order, motion, _, _ = gyroscope._claims(whole, moving, without)
+    assert order.verdict is Verdict.DIFFERS
+    assert "65.0 against 60.0 %, +5.0" in order.why_it_differs
+    assert "attitude is 75% of the difference" in order.why_it_differs
+    assert "attitude is 0% of the difference" in motion.why_it_differs
+
+
+@pytest.mark.slow
+def test_supposed_causes_are_found_where_they_are_and_not_elsewhere() -> None:
+    """Smoothed: blind at rest, seeing in motion. Time: all in what counts. Clusters: by rate."""
+    n = 240
+    rng = np.random.default_rng(2)
+    device, person, label = np.arange(n) // 60, np.arange(n) % 12, rng.integers(0, 6, n)
+    told, blind = 6.0 * label[:, None] + rng.normal(size=(n, 4)), rng.normal(size=(n, 4))
+    moves = (label < 3)[:, None]
+    time = rng.normal(size=(n, 43))
+    counted, level = time.copy(), time.copy()
+    counted[:, 32:40] += 6.0 * label[:, None]
+    level[:, :32] += 6.0 * label[:, None]
+    rate_sign = np.where(device < 2, 1.0, -1.0)[:, None]  # devices of one rate agree, those of the other not
+
+    def rows(time: np.ndarray, frequency: np.ndarray) -> Rows:
+        features = {"time": time, "frequency": frequency, "ECDF": rate_sign * told}
+        return Rows(features, label, person, device, device // 2, device % 2)
+
+    ways = {
+        "raw": rows(counted, np.where(moves, blind, told)),
+        "smoothed": rows(level, np.where(moves, told, blind)),
+        **{way: rows(level, told) for way in ("nearest", "linear", "cubic")},
+    }
+    still = Windows(np.tile([0.0, 0.0, 9.8], (40, 128, 1)), label[:40], person[:40])
+    found = remedy_causes.tried(ways, [50.0, 52.0, 198.0, 200.0], still, still, 0)
+    assert found.moving > 30.0
+    assert found.still < -30.0
+    assert all(gain > 30.0 for gain in found.uncounted.values())
+    assert found.within > 10.0
+    assert found.same_rate[2].mean() > 10.0
+    assert found.mixed == (50.0, 198.0)
+    assert found.ceiling < 40.0  # nobody moves: nothing is to be told
+    assert found.slower == pytest.approx(0.0, abs=10.0)
