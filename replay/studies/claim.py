@@ -31,9 +31,8 @@ class Evidence(StrEnum):
 
     REAL: recordings of real devices. SEMI_SYNTHETIC: real activity carried through the measured errors of
     real devices. SIMULATION: simulated phones or random draws. THEORY: a derivation, checked numerically.
-    ARITHMETIC: counted, timed or computed from given numbers. CONFIGURATION: a parameter of our own simulator
-    compared with the figure it was taken from. PRINTED: the numbers that the paper itself prints.
-    NONE: nothing; the claim could not be tested.
+    ARITHMETIC: counted, timed or computed from given numbers. PRINTED: the numbers that the paper itself
+    prints. NONE: nothing; the claim could not be tested.
     """
 
     REAL = "real recordings"
@@ -41,7 +40,6 @@ class Evidence(StrEnum):
     SIMULATION = "simulation"
     THEORY = "theory"
     ARITHMETIC = "arithmetic"
-    CONFIGURATION = "configuration"
     PRINTED = "the paper's own numbers"
     NONE = "none"
 

@@ -83,7 +83,8 @@ reproduced. *Cannot be tested here*: the data that it needs are not to be had.
 ## Tally by kind of evidence
 
 Each cell: reproduced / differs / left open by the paper. Not in the table: {untested} claims that cannot be
-tested here.
+tested here. Of the {differ} figures that differ, {found} have a cause that a run showed; of {unknown} the cause is
+not known.
 
 {tally}
 
@@ -92,7 +93,6 @@ tested here.
 - *Simulation*: simulated phones or random draws. It shows that the methods behave as the paper says, and
   nothing about real sensors.
 - *Theory*: a derivation, checked numerically. *Arithmetic*: counted, timed or computed from given numbers.
-- *Configuration*: a parameter of our own simulator compared with the figure it was taken from.
 - *The paper's own numbers*: figures that the paper prints, used as data.
 
 ## Summary by paper
@@ -210,9 +210,13 @@ def _read(path: Path, name: str) -> Study:
 def page(studies: list[Study]) -> str:
     """Write all studies as one page of Markdown."""
     claims = [claim for study in studies for claim in study.claims]
+    causes = [c.why_it_differs for c in claims if c.verdict is Verdict.DIFFERS]
     head = _HEAD.format(
         claims=len(claims),
         papers="\n".join(f"- {source}: {title}." for source, title in PAPERS.items()),
+        differ=len(causes),
+        found=sum(cause.startswith("tested") for cause in causes),
+        unknown=sum(not cause.startswith("tested") for cause in causes),
         untested=sum(c.verdict is Verdict.UNTESTED for c in claims),
         tally=tally(claims),
         summary=_summary(claims),
@@ -258,7 +262,7 @@ def in_words(claims: list[Claim]) -> str:
         return sum(c.verdict is Verdict.REPRODUCED for c in own), len(own)
 
     real, semi, simulated = map(share, (Evidence.REAL, Evidence.SEMI_SYNTHETIC, Evidence.SIMULATION))
-    rest = share(Evidence.THEORY, Evidence.ARITHMETIC, Evidence.CONFIGURATION, Evidence.PRINTED)
+    rest = share(Evidence.THEORY, Evidence.ARITHMETIC, Evidence.PRINTED)
     return (
         f"{real[0]} of {real[1]} claims tested on real recordings came out as published, {semi[0]} of"
         f" {semi[1]} on semi-synthetic ones, {simulated[0]} of {simulated[1]} in simulation, {rest[0]} of"
