@@ -83,8 +83,8 @@ reproduced. *Cannot be tested here*: the data that it needs are not to be had.
 ## Tally by kind of evidence
 
 Each cell: reproduced / differs / left open by the paper. Not in the table: {untested} claims that cannot be
-tested here. Of the {differ} figures that differ, {found} have a cause that a run showed; of {unknown} the cause is
-not known.
+tested here. Of the {differ} figures that differ, {found} have a cause that a run showed; that of the other
+{unknown} is not known.
 
 {tally}
 
