@@ -221,4 +221,5 @@ def flipped_share(gains: Array) -> float:
     else:
         drawn = np.random.default_rng(n).integers(0, 2, (2**_ALL_SIGN_PATTERNS, n))
         signs = np.vstack((np.ones(n, dtype=np.int64), 1 - 2 * drawn))
-    return float(np.mean(signs @ gains >= gains.sum() * (1 - 1e-12)))
+    rounding = 1e-12 * float(np.abs(gains).sum())  # so that the unchanged pattern counts, whatever its sign
+    return float(np.mean(signs @ gains >= gains.sum() - rounding))

@@ -13,6 +13,7 @@ from stillcal.calib_core.calibration.acceptance import (
     compare_on_held_out_rests,
     compare_residuals,
     decide,
+    flipped_share,
     with_decision,
 )
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, Candidate, fit_candidate
@@ -238,3 +239,10 @@ def test_the_reason_and_the_figures_go_into_the_record() -> None:
     assert record.acceptance is not None and record.acceptance.reason == decision.reason
     assert record.acceptance.evidence == {"occasion": "hourly check", **decision.evidence}
     assert record.accelerometer is new.record.accelerometer
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_unchanged_pattern_is_among_those_that_reach_the_sum(sign: float) -> None:
+    """All gains of one sign: one pattern in 2^n reaches the sum from above, and all of them from below."""
+    gains = sign * np.array([0.1, 0.2, 0.3, 0.7, 0.9])
+    assert flipped_share(gains) == (1 / 32 if sign > 0 else 1.0)
