@@ -189,9 +189,6 @@ async def _left(number: int, folder: Path) -> Figures:
     return trial.figures(f"{number} clients that leave at every stage", counts, left <= 0 and bool(answers))
 
 
-MONITOR = json.loads(question("Monitor")[:-1]) | {"more": True}
-
-
 async def _says(path: str, data: bytes, answers: int = 0, half: bool = False, reset: bool = False) -> None:
     """Connect, say something, take so many answers, and leave: by closing, half closing or a reset."""
     reader, writer = await asyncio.open_unix_connection(path)
@@ -213,7 +210,12 @@ def _stage(data: bytes, **how: Any) -> Callable[[str], Coroutine[Any, Any, None]
     return lambda path: _says(path, data, **how)
 
 
-_LISTEN = json.dumps(MONITOR).encode() + b"\0"
+def _more(method: str) -> bytes:
+    """Return a question whose answers go on without end."""
+    return json.dumps(json.loads(question(method)[:-1]) | {"more": True}).encode() + b"\0"
+
+
+_LISTEN = _more("Monitor")
 STAGES: list[tuple[str, Callable[[str], Coroutine[Any, Any, None]]]] = [
     ("leaves at once", _stage(b"")),
     ("half a question", _stage(question("GetStatus")[:20])),
@@ -224,6 +226,10 @@ STAGES: list[tuple[str, Callable[[str], Coroutine[Any, Any, None]]]] = [
     ("listens, hears, and leaves", _stage(_LISTEN, answers=1)),
     ("listens and half closes", _stage(_LISTEN, answers=1, half=True)),
     ("listens and resets", _stage(_LISTEN, answers=1, reset=True)),
+    ("streams and leaves at once", _stage(_more("Stream"))),
+    ("streams, hears, and leaves", _stage(_more("Stream"), answers=1)),
+    ("streams and resets", _stage(_more("Stream"), answers=1, reset=True)),
+    ("records and half closes", _stage(_more("Record"), answers=1, half=True)),
     ("asks to calibrate and leaves", _stage(question("Calibrate"))),
     ("a table, and leaves", _stage(question("Correct", sensor="gyroscope", samples=[[1, 2, 3]] * MAX_ROWS))),
 ]
