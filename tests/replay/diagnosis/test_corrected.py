@@ -1,4 +1,4 @@
-"""A scale that is put into a simulation's samples is the recording's, to the second order too."""
+"""What is put into a simulation's samples is the recording's: a scale to the second order, a limit, a clip."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
+from stillcal.calib_core.diagnosis.comparison.direct import why_not_shown
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract
-from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.corrected import correct
 from stillcal.replay.formats.claims import Claims
@@ -55,3 +57,42 @@ def test_readings_become_those_of_the_recorded_sensor(sensor: str) -> None:
     out = done.recording.accelerometer if sensor == "accel" else done.recording.gyroscope
     assert out is not None and done.left_out == []
     np.testing.assert_allclose(out.xyz, recorded, rtol=0.0, atol=1e-12)
+
+
+EVERYWHERE = Where(0.0, 60.0, (0.0, 25.0), "rate of turn")
+
+
+def clipped_at(limit: float) -> Finding:
+    """Return that a gyroscope stops at a limit."""
+    parameter = Parameter(limit, [limit - 1e-3, limit + 1e-3], "rad/s")
+    return Finding(
+        "gyro_saturation", "gyro", ["x"], EVERYWHERE, {"limit": parameter}, Evidence(50.0), [], "It stops."
+    )
+
+
+def turned(most: float) -> Recording:
+    """Return a minute in which a device turns to and fro, at `most` rad/s."""
+    t = np.arange(0.0, 60.0, 0.02)
+    rate = most * np.sin(0.5 * t)[:, None] * np.array([1.0, 0.2, 0.1])
+    force = np.tile([0.0, 0.0, 9.8], (t.size, 1))
+    accel, gyro = (
+        Samples(kind, t, xyz) for kind, xyz in ((Sensor.ACCELEROMETER, force), (Sensor.GYROSCOPE, rate))
+    )
+    return Recording(accel, gyro, [], Claims(), [])
+
+
+def test_a_limit_that_the_simulation_lacks_clips_it_and_does_not_count_as_left_out() -> None:
+    found = clipped_at(3.0)
+    one = Discrepancy("gyro_saturation", "gyro", ["x"], EVERYWHERE, "lacking", 1.0, 50.0, recorded=found)
+    done = correct(turned(5.0), [one], {})
+    assert done.recording.gyroscope is not None and done.left_out == []
+    assert np.abs(done.recording.gyroscope.xyz).max() == 3.0
+
+
+@pytest.mark.parametrize(("most", "speaks_against"), [(2.0, False), (3.0, False), (5.0, True)])
+def test_only_motion_beyond_a_limit_speaks_against_it(most: float, speaks_against: bool) -> None:
+    """A corrected simulation stops at the limit itself, where too few samples may lie to find it."""
+    made = turned(most)
+    exam = examine(made.accelerometer, made.gyroscope, search=False)
+    reason = why_not_shown(clipped_at(3.0), exam)
+    assert reason == (None if speaks_against else "its motion does not go beyond the limit")

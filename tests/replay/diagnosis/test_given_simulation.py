@@ -133,7 +133,10 @@ def test_constants_and_noise_that_differ_are_told_in_their_own_units() -> None:
 def test_another_rate_is_one_finding_and_nothing_else() -> None:
     phone = phone_with()
     fast = changed(changed(phone, "accel", rate_hz=50.0), "gyro", rate_hz=50.0)
-    finding = only(answer(real(0.0), named(recorded(fast, 8, fast), "sim.csv")))
+    said = answer(real(0.0), named(recorded(fast, 8, fast), "sim.csv"))
+    finding = only(said)
+    assert said["fit"]["not_put_in"] == ["sample_rate"]
+    assert min(said["fit"]["p_before"], said["fit"]["p_after"]) > 0.01, "neither counts what cannot be put in"
     assert (finding["effect"], finding["relation"]) == ("sample_rate", "too_large")
     assert finding["difference"]["rate"]["value"] == pytest.approx(-25.0, abs=0.01)
 
