@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 
 from stillcal.replay.studies.collin2019.coning import at_20_hz
-from stillcal.replay.studies.collin2019.motion_features import (
-    MODES,
-    NAMES,
-    features,
-    peak_frequency,
-    simulated,
-)
-from stillcal.replay.studies.collin2019.motion_modes import Bayes, error_by_person, judge_by_bayes
+from stillcal.replay.studies.collin2019.motion_features import MODES, simulated
+from stillcal.replay.studies.collin2019.motion_modes import error_by_person, judge_by_bayes
+from stillcal.replay.studies.methods.motion_modes import NAMES, Bayes, features, peak_frequency
 
 RATE = 100.0
 T = np.arange(500) / RATE
