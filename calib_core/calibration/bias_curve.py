@@ -77,7 +77,8 @@ class Learnt:
     with this term. term: the curve to correct by, None for none. change: "taken up", "dropped" or empty.
     evidence: the figures of that decision. covariance: (9, 9) of bias and scale, as an accelerometer's record
     has it, else None. t, errors, errors_sd: (n,) times of the rests, s, errors of predicting each from those
-    before it, and standard uncertainties of the predictions.
+    before it, and standard uncertainties of the predictions. stepped: s, the rest at which the bias stepped
+    last, None where it did not.
     """
 
     sensor: Sensor
@@ -91,6 +92,7 @@ class Learnt:
     t: Array
     errors: Array
     errors_sd: Array
+    stepped: float | None = None
 
     @property
     def reason(self) -> str:
@@ -378,6 +380,7 @@ def _learnt(
         t,
         frozen(np.sqrt((fit.errors**2).mean(axis=1))),
         fit.errors_sd,
+        max(fit.steps, default=None),
     )
 
 

@@ -34,6 +34,13 @@ from stillcal.calib_core.temperature.memory import Memory
 from stillcal.calib_core.temperature.regression import UNIT_K
 from stillcal.calib_core.temperature.thermometer import felt
 
+STEP_S = 12 * BLOCK_S
+"""s: for so long after a step the calibration may be replaced on the evidence of the rests since then."""
+
+_MOST_GAIN, _STEP_GAIN = 4.5, 10.0
+"""nats that one rest may count, and nats that are needed. If the calibration in use were right, and the stated
+uncertainties too, the rests would gain as much once in 20 000 times at most (Ville's inequality)."""
+
 _ALL = 12
 """Parameters of a calibration that holds a rotation common to all axes."""
 
@@ -89,6 +96,8 @@ def follow_accelerometer(
     if learnt is None or learnt.covariance is None:
         return None
     reason, evidence = _accepted(record, part, learnt, memory, settings, degraded=degraded, fresh=fresh)
+    if not reason and not fresh:
+        reason, evidence = _stepped(record, part, learnt, memory, t)
     if not reason:
         forecast = replace(learnt.forecast, error=frozen(_error_of(record, part, learnt)))
         return Followed(_with_forecast(record, Sensor.ACCELEROMETER, forecast), False)
@@ -131,6 +140,27 @@ def _accepted(
     if not_worse and clearly_smaller(_part(part, learnt, memory), part):
         return f"as good and less uncertain: {figures}", evidence
     return "", evidence
+
+
+def _stepped(
+    record: CalibrationRecord, part: AccelerometerRecord, learnt: Learnt, memory: Memory, t: float
+) -> tuple[str, Evidence]:
+    """Return why the learnt calibration replaces the one in use after a step of its bias.
+
+    Few rests suffice where they leave little doubt. Each is predicted from those before it, and counts for
+    _MOST_GAIN nats at most, so that it takes three of them.
+    """
+    if learnt.stepped is None or t - learnt.stepped > STEP_S:
+        return "", {}
+    since = learnt.stepped if record.fitted_at is None else max(learnt.stepped, record.fitted_at)
+    after = learnt.t > since
+    old, new, sd = _residuals(record, part, memory)[after], learnt.errors[after], learnt.errors_sd[after]
+    gain = float(np.minimum((old**2 - new**2) / (2 * sd**2), _MOST_GAIN).sum())
+    if gain <= _STEP_GAIN:
+        return "", {}
+    n = int(after.sum())
+    evidence: Evidence = {"stepped_at": learnt.stepped, "rests": n, "gain": gain}
+    return f"the bias stepped at {learnt.stepped:.0f} s, as {n} rests since then show", evidence
 
 
 def _residuals(record: CalibrationRecord, part: AccelerometerRecord, memory: Memory) -> Array:

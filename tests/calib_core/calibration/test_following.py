@@ -190,10 +190,13 @@ def test_no_thermometer_makes_it_worse_than_none(read: Callable[[float, float], 
     assert error(read) < 1.1 * error(lambda t, celsius: None)
 
 
-def off_by(record: CalibrationRecord, celsius: float) -> float:
-    """Return the error of the accelerometer's bias at a temperature, mg, largest axis."""
+def off_by(record: CalibrationRecord, celsius: float, step: Array | float = 0.0) -> float:
+    """Return the error of the accelerometer's bias at a temperature, mg, largest axis.
+
+    step: m/s^2, by which the bias has stepped.
+    """
     told = record.accelerometer.bias + np.ravel(bias_terms(record, ACCEL, np.array([celsius])))
-    return float(np.abs(told - TRUE.bias - FORCE_SLOPE * (celsius - 25.0)).max() / MG)
+    return float(np.abs(told - TRUE.bias - step - FORCE_SLOPE * (celsius - 25.0)).max() / MG)
 
 
 def test_an_accelerometers_calibration_follows_temperature_on_evidence() -> None:
@@ -231,6 +234,41 @@ def test_a_knock_widens_what_is_told_at_the_next_rest() -> None:
         assert followed is not None
         stated.append(followed.record.bias_uncertainty_at(ACCEL, t, 25.0).max())
     assert stated[1] > 5 * stated[0]
+
+
+KNOCK = np.array([4.0, -3.0, 3.5]) * MG
+
+
+def followed_hourly(rests: list[RestState], hours: range) -> list[tuple[int, CalibrationRecord]]:
+    """Learn a calibration at the first of `hours`, follow it at the others; return when and what replaced it."""
+    start, replaced = hours[0] * HOUR, []
+    first = follow_accelerometer(
+        accelerometer_record(), remembered([r for r in rests if r.t_end <= start]), start, SETTINGS
+    )
+    assert first is not None and first.accepted
+    record = first.record
+    for hour in hours[1:]:
+        memory = remembered([r for r in rests if r.t_end <= hour * HOUR])
+        followed = follow_accelerometer(record, memory, hour * HOUR, SETTINGS)
+        assert followed is not None
+        record = followed.record
+        replaced += [(hour, record)] if followed.accepted else []
+    return replaced
+
+
+def test_a_knock_is_followed_within_hours() -> None:
+    """The rule of held-out hours needs six of them; the rests since the step decide sooner."""
+    replaced = followed_hourly(lived(40.0, knock=(30.5 * HOUR, KNOCK)), range(30, 40))
+    hour, record = replaced[0]
+    assert hour < 30.5 + SETTINGS.held_out_rests and "the bias stepped" in record.acceptance.reason
+    assert max(off_by(record, 19.0, KNOCK), off_by(record, 31.0, KNOCK)) < 0.5
+
+
+def test_one_bad_rest_is_no_knock() -> None:
+    rests = lived(36.0)
+    bad = next(k for k, r in enumerate(rests) if r.t_start > 30.5 * HOUR)
+    rests[bad] = structs.replace(rests[bad], specific_force=frozen(rests[bad].specific_force * 1.01))
+    assert followed_hourly(rests, range(30, 36)) == []
 
 
 def test_a_chain_of_less_uncertain_calibrations_cannot_creep() -> None:

@@ -1,4 +1,4 @@
-"""What is put into a simulation's samples is the recording's: a scale to the second order, a limit, a clip."""
+"""What is put into a simulation's samples is the recording's: a scale to second order, a limit, a clip."""
 
 from __future__ import annotations
 
