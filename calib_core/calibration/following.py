@@ -38,8 +38,8 @@ STEP_S = 12 * BLOCK_S
 """s: for so long after a step the calibration may be replaced on the evidence of the rests since then."""
 
 _MOST_GAIN, _STEP_GAIN = 4.5, 10.0
-"""nats that one rest may count, and nats that are needed. If the calibration in use were right, and the stated
-uncertainties too, the rests would gain as much once in 20 000 times at most (Ville's inequality)."""
+"""nats that one rest may count, and nats that are needed. If the calibration in use were right, and what is
+stated of the rests too, they would gain as much once in 20 000 times at most (Ville's inequality)."""
 
 _ALL = 12
 """Parameters of a calibration that holds a rotation common to all axes."""

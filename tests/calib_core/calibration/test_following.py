@@ -240,7 +240,7 @@ KNOCK = np.array([4.0, -3.0, 3.5]) * MG
 
 
 def followed_hourly(rests: list[RestState], hours: range) -> list[tuple[int, CalibrationRecord]]:
-    """Learn a calibration at the first of `hours`, follow it at the others; return when and what replaced it."""
+    """Learn a calibration at the first of `hours`, follow it at the others; return what replaced it."""
     start, replaced = hours[0] * HOUR, []
     first = follow_accelerometer(
         accelerometer_record(), remembered([r for r in rests if r.t_end <= start]), start, SETTINGS
