@@ -8,8 +8,6 @@ as --format overrides that. The axes of an array `acc` of three columns are call
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +21,7 @@ from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
+from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
 from stillcal.replay.formats.recognition.names import is_rate_hz
@@ -211,40 +210,18 @@ def _note_rate(scalars: dict[str, float], name: str, value: Any) -> None:
 
 def _matlab(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
     """Return the arrays of a MATLAB file up to version 7, those of structs by the struct's name."""
-    scipy_io = library("scipy.io", "matlab", stored.path, magic.MATLAB)
-    listed = scipy_io.whosmat(str(stored.local))
-    if sum(int(np.prod(shape)) * 8 for _, shape, _ in listed) > MOST_BYTES:
-        raise TraceError(stored.path, "holds more than 2 GiB of arrays", "save the sensors' arrays alone")
-    _refuse_what_crashes(stored)
-    content = scipy_io.loadmat(str(stored.local), squeeze_me=True, struct_as_record=False)
-    groups: dict[str, dict[str, Any]] = {}
-    _walk_struct("", {k: v for k, v in content.items() if not k.startswith("__")}, groups, 0)
-    scalars = {k: float(v) for items in groups.values() for k, v in items.items() if np.ndim(v) == 0}
+    too_long = TraceError(stored.path, "holds more than 2 GiB of arrays", "save the sensors' arrays alone")
+    if stored.size > MOST_BYTES:
+        raise too_long
+    try:
+        groups = read_matlab(Path(str(stored.local)).read_bytes(), MOST_BYTES)
+    except TooLongError:
+        raise too_long from None
+    scalars = {k: float(v) for items in groups.values() for k, v in items.items() if v.ndim == 0}
     return {
-        group: _gathered({k: v for k, v in items.items() if np.ndim(v) > 0}, scalars)
+        group: _gathered({k: v for k, v in items.items() if v.ndim > 0}, scalars)
         for group, items in groups.items()
     }, []
-
-
-_TRY = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])"
-
-
-def _refuse_what_crashes(stored: Source) -> None:
-    """Raise TraceError where scipy's reader, which is not Python, ends its process on a damaged file."""
-    tried = subprocess.run([sys.executable, "-c", _TRY, str(stored.local)], capture_output=True, check=False)
-    if tried.returncode < 0:
-        raise TraceError(stored.path, "the MATLAB file is damaged (its reader crashed)", "write it again")
-
-
-def _walk_struct(name: str, items: Mapping[str, Any], groups: dict[str, dict[str, Any]], depth: int) -> None:
-    """Sort the arrays of numbers by the struct that they stand in."""
-    for key, value in items.items():
-        fields = getattr(value, "_fieldnames", None)
-        if fields is not None and depth < 5:
-            inner = {f: getattr(value, f) for f in fields}
-            _walk_struct(f"{name}/{key}".strip("/"), inner, groups, depth + 1)
-        elif np.asarray(value).dtype.kind in "iuf":
-            groups.setdefault(name, {})[key] = np.asarray(value)
 
 
 def _numpy(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 import struct
 from collections.abc import Callable
@@ -14,8 +15,10 @@ from mcap.writer import Writer as McapWriter
 from pyarrow import parquet
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
 
 from stillcal.replay.formats.logs import extras
+from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
 from stillcal.replay.formats.trace import Recording, TraceError, open_trace, read_all
 from tests.support.log_files import (
     DATA,
@@ -39,6 +42,33 @@ def assert_same(recording: Recording, tolerance: float = 1e-12, start: float = 0
     np.testing.assert_allclose(recording.accelerometer.xyz, DATA[:, 1:4], rtol=tolerance, atol=tolerance)
     assert recording.gyroscope is not None
     np.testing.assert_allclose(recording.gyroscope.xyz, DATA[:, 4:], rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_matlab_files_hold_what_scipy_wrote_and_no_texts_or_cells(packed: bool) -> None:
+    held = {"a": DATA[:7], "whole": np.arange(9, dtype=np.int16), "windows": np.ones((2, 3, 4), np.float32)}
+    held |= {"a_name_longer_than_eight": np.array([1, 2, 3], np.uint8), "fs": 100.0, "on": True}
+    others = {"text": "walk", "cells": np.array([1.0, "x"], dtype=object), "turned": 1 + 2j}
+    out = io.BytesIO()
+    deep = {"y": np.arange(4), "label": "left"}
+    savemat(out, {**held, **others, "imu": {"x": 2.0, "deep": deep}}, do_compression=packed)
+    groups = read_matlab(out.getvalue(), 1 << 20)
+    assert groups.keys() == {"", "imu", "imu/deep"} and groups[""].keys() == held.keys()
+    for name, values in held.items():
+        np.testing.assert_array_equal(groups[""][name], values)
+    assert groups["imu"]["x"] == 2.0 and groups["imu/deep"]["y"].tolist() == [0, 1, 2, 3]
+    with pytest.raises(TooLongError):
+        read_matlab(out.getvalue(), 1000)
+
+
+def test_a_matlab_file_of_a_machine_whose_first_byte_is_the_highest() -> None:
+    flags, shape, name = (6, 8, 6, 0), (5, 8, 1, 3), (1 << 16 | 1, ord("a") << 24)
+    values = struct.pack(">2I3d", 9, 24, 1.5, 2.5, 3.5)
+    array = struct.pack(">4I4I2I", *flags, *shape, *name) + values
+    content = b"MATLAB 5.0 MAT-file".ljust(124) + b"\1\0MI" + struct.pack(">2I", 14, len(array)) + array
+    assert read_matlab(content, 1000)[""]["a"].tolist() == [1.5, 2.5, 3.5]
+    with pytest.raises(ValueError, match="type 8"):
+        read_matlab(content.replace(struct.pack(">2I", 9, 24), struct.pack(">2I", 8, 24)), 1000)
 
 
 def test_a_ros_1_bag(tmp_path: Path) -> None:
