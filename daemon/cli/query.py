@@ -9,13 +9,14 @@ from __future__ import annotations
 import json
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 import msgspec
 
+from stillcal.daemon.cli.answer_text import lines
 from stillcal.daemon.cli.exits import BAD_INPUT, NO_DAEMON, REFUSED, TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import socket_option
@@ -29,9 +30,8 @@ TIMEOUT_S = 10.0
 STREAMS = ("Monitor", "Record", "Stream")
 """Methods that answer until they are interrupted."""
 
-
-WIDTH = 24
-"""Characters of the column of names; the longest, slow_rotation_deg_per_h, has 23."""
+TEXTS = ("to", "sensor")
+"""Parameters that are texts, also where they look like a number, as a calibration's id may."""
 
 
 class NoDaemonError(OSError):
@@ -43,22 +43,25 @@ class NoDaemonError(OSError):
     epilog=examples(
         "stillcal query",
         "stillcal query GetStatus",
-        "stillcal query GetHistory '{\"limit\": 5}' --json",
+        "stillcal query GetHistory limit=5",
+        "stillcal query GetCalibration temperature_c=35 --json",
+        "stillcal query Correct sensor=gyroscope 'samples=[[0.01,-0.02,0.005]]'",
         "stillcal query Monitor",
         "stillcal query org.varlink.service.GetInfo",
     ),
 )
 @click.argument("method", default="GetCalibration")
-@click.argument("parameters", default="{}")
+@click.argument("parameters", metavar="[NAME=VALUE]...", nargs=-1)
 @socket_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, one object per line.")
-def query_command(method: str, parameters: str, path: str, as_json: bool) -> None:
+def query_command(method: str, parameters: tuple[str, ...], path: str, as_json: bool) -> None:
     """Ask a running daemon.
 
     METHOD is GetCalibration (the default), GetStatus, GetStillness, GetHistory, GetEnergy,
     Correct, Monitor, Stream and Record (until interrupted), Calibrate, ZeroNow, Rollback or Reload; or any
-    method by its full name. PARAMETERS is a JSON object. Exit codes: 1 refused by the daemon, 2 bad input,
-    3 no calibration yet, 4 no daemon.
+    method by its full name. A VALUE is JSON or plain text; one JSON object, or '-' for one on standard
+    input, may stand in place of all NAME=VALUE. Tables show at most 32 rows, --json all. Exit codes: 1
+    refused by the daemon, 2 bad input, 3 no calibration yet, 4 no daemon.
     """
     where = answering_path(path)
     try:
@@ -106,18 +109,41 @@ def _messages(line: socket.socket) -> Iterator[dict[str, Any]]:
         buffer += data
 
 
-def _question(method: str, parameters: str) -> dict[str, Any]:
-    try:
-        arguments = msgspec.json.decode(parameters)
-    except msgspec.MsgspecError as error:
-        raise click.UsageError(f"PARAMETERS is not JSON: {error}") from error
-    if not isinstance(arguments, dict):
-        raise click.UsageError(
-            f"PARAMETERS is {parameters}: must be a JSON object, such as '{{\"limit\": 5}}'"
-        )
+def _question(method: str, parameters: Sequence[str]) -> dict[str, Any]:
     name = method if "." in method else f"{NAME}.{method}"
     more = {"more": True} if method.rpartition(".")[2] in STREAMS else {}
-    return {"method": name, "parameters": arguments, **more}
+    return {"method": name, "parameters": _arguments(parameters), **more}
+
+
+def _arguments(parameters: Sequence[str]) -> dict[str, Any]:
+    """Return the parameters, from NAME=VALUE each or from one JSON object. Raises UsageError."""
+    if len(parameters) == 1 and (parameters[0] == "-" or parameters[0].lstrip().startswith(("{", "["))):
+        return _object(sys.stdin.read() if parameters[0] == "-" else parameters[0])
+    pairs = [parameter.partition("=") for parameter in parameters]
+    for name, equals, _ in pairs:
+        if not (equals and name.isidentifier()):
+            raise click.UsageError(f"{name!r} is no NAME=VALUE, such as limit=5, and no JSON object")
+    return {name: value if name in TEXTS else _value(value) for name, _, value in pairs}
+
+
+def _object(text: str) -> dict[str, Any]:
+    try:
+        arguments = msgspec.json.decode(text)
+    except msgspec.MsgspecError as error:
+        raise click.UsageError(f"the parameters are not JSON: {error}") from error
+    if not isinstance(arguments, dict):
+        raise click.UsageError(
+            f"the parameters are {text.strip()}: must be a JSON object, such as '{{\"limit\": 5}}'"
+        )
+    return arguments
+
+
+def _value(text: str) -> Any:
+    """Return what a VALUE stands for: JSON, else the text itself."""
+    try:
+        return msgspec.json.decode(text)
+    except msgspec.MsgspecError:
+        return text
 
 
 def _exit_with_error(error: str, parameters: dict[str, Any]) -> None:
@@ -140,36 +166,4 @@ def _print(answer: dict[str, Any], as_json: bool) -> None:
         click.echo(json.dumps(answer))
         return
     inner = next(iter(answer.values())) if len(answer) == 1 else answer
-    click.echo("\n".join(_lines(inner)))
-
-
-def _lines(value: Any, indent: str = "") -> Iterator[str]:
-    """Yield a value as indented lines; a list of records has one line for each."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            if isinstance(item, dict) or (isinstance(item, list) and any(isinstance(i, list) for i in item)):
-                yield f"{indent}{key}"
-                yield from _lines(item, indent + "  ")
-            else:
-                yield f"{indent}{key:<{WIDTH}} {_text(item)}"
-    elif isinstance(value, list):
-        for item in value:
-            yield indent + _row(item)
-    else:
-        yield from (indent + printable(line) for line in str(value).split("\n"))
-
-
-def _row(item: Any) -> str:
-    if not isinstance(item, dict):
-        return _text(item)
-    return "  ".join(f"{key} {_text(value)}" for key, value in item.items() if not isinstance(value, dict))
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, list):
-        return "  ".join(_text(item) for item in value) or "-"
-    if value is None or value == "":
-        return "-"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.6g}" if isinstance(value, float) else printable(str(value))
+    click.echo("\n".join(lines(inner)))

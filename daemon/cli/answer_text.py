@@ -1,0 +1,66 @@
+"""A daemon's answer as text for a terminal: names with values, and lists of records as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from stillcal.daemon.system.printable import printable
+
+WIDTH = 24
+"""Characters of the column of names; the longest, slow_rotation_deg_per_h, has 23."""
+
+MOST_ROWS = 32
+"""Rows of a table that are printed; --json has all."""
+
+WIDE = 32
+"""Characters from which on a column of text stands last, where it disturbs no other."""
+
+
+def lines(value: Any, indent: str = "") -> Iterator[str]:
+    """Yield a value as indented lines."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            if isinstance(item, dict) or _is_table(item):
+                yield f"{indent}{key}"
+                yield from lines(item, indent + "  ")
+            else:
+                yield f"{indent}{key:<{WIDTH}} {_text(item)}"
+    elif _is_table(value):
+        yield from (indent + row for row in _table(value))
+    elif isinstance(value, list):
+        yield from (indent + _text(item) for item in value or [None])
+    else:
+        yield from (indent + printable(line) for line in str(value).split("\n"))
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, list) and any(isinstance(item, list | dict) for item in value)
+
+
+def _table(rows: Sequence[Any]) -> Iterator[str]:
+    """Yield records, or lists of numbers, as aligned columns; records have a line of their names."""
+    shown = rows[:MOST_ROWS]
+    if isinstance(shown[0], dict):
+        names = list(dict.fromkeys(key for row in shown for key in row))
+        columns = [[name, *(_text(row.get(name)) for row in shown)] for name in names]
+        columns.sort(key=lambda column: max(map(len, column)) > WIDE)
+    else:
+        columns = [[_text(row[i]) if i < len(row) else "" for row in shown] for i in range(len(shown[0]))]
+    widths = [max(map(len, column)) for column in columns]
+    for cells in zip(*columns, strict=True):
+        yield "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+    if len(rows) > MOST_ROWS:
+        yield f"({len(rows) - MOST_ROWS} more: --json prints all)"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "  ".join(_text(item) for item in value) or "-"
+    if isinstance(value, dict):
+        return "  ".join(f"{key} {_text(item)}" for key, item in value.items())
+    if value is None or value == "":
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else printable(str(value))

@@ -1,0 +1,52 @@
+"""`stillcal query`: arguments as NAME=VALUE, answers as tables."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from stillcal.daemon.cli.answer_text import MOST_ROWS, lines
+from tests.support.asking import STILLCAL, stored
+from tests.support.living import answering, within_reason
+
+
+def test_arguments_are_names_with_values_json_or_standard_input(folder: Path, make_record: Any) -> None:
+    stored(folder, *(make_record(n) for n in range(1, 5)))
+
+    async def query(*words: str, given: str = "") -> subprocess.CompletedProcess[str]:
+        command = [STILLCAL, "query", *words, "--socket", str(folder / "socket")]
+        return await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, input=given)
+
+    async def test() -> None:
+        async with answering(folder):
+            three = [
+                await query("GetHistory", "limit=1", "--json"),
+                await query("GetHistory", '{"limit": 1}', "--json"),
+                await query("GetHistory", "-", "--json", given='{"limit": 1}'),
+            ]
+            answers = [json.loads(said.stdout)["entries"] for said in three]
+            assert len(answers[0]) == 2  # the current one and one earlier
+            assert answers[0] == answers[1] == answers[2]
+            table = (await query("GetHistory")).stdout.splitlines()
+            assert len(table) == 1 + 4
+            assert table[0].split()[:2] == ["id", "what"]
+            refused = await query("Rollback", "to=123456")  # a text, although it reads as a number
+            assert "no earlier calibrations with an id beginning with '123456'" in refused.stderr
+            for wrong in ("limit", "[1]", "=3"):
+                said = await query("GetHistory", wrong)
+                assert (said.returncode, len(said.stderr.splitlines())) == (2, 1), said.stderr
+
+    within_reason(test())
+
+
+def test_a_table_is_aligned_and_says_what_it_leaves_out() -> None:
+    rows = [{"why": "x" * 40, "n": n, "on": None} for n in range(MOST_ROWS + 1)]
+    text = list(lines({"rows": rows}))
+    assert text[1].split() == ["n", "on", "why"]  # the widest column is the last
+    assert text[2].index("x") == text[-2].index("x")
+    assert len(text) == 1 + 1 + MOST_ROWS + 1
+    assert text[-1].strip() == "(1 more: --json prints all)"
+    assert "more" not in "\n".join(lines({"rows": rows[:MOST_ROWS]}))
