@@ -8,6 +8,7 @@ holds what only a replay needs.
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib.util import find_spec
 
@@ -78,6 +79,10 @@ def main() -> None:
     except UserError as error:
         click.echo(f"stillcal: {error}", err=True)
         sys.exit(BAD_INPUT)
+    except BrokenPipeError:
+        # Python would report it again when it closes standard output at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         click.echo(f"stillcal: {where}{error.strerror or error}", err=True)

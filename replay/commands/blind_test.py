@@ -16,7 +16,6 @@ from rich.table import Table
 from stillcal.calib_core.codec import plain
 from stillcal.daemon.cli.exits import BAD_INPUT, NOT_MET
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
 from stillcal.replay.blind_test import answer as answering
 from stillcal.replay.blind_test import reveal as revealing
@@ -25,6 +24,7 @@ from stillcal.replay.blind_test.keys import SealError
 from stillcal.replay.blind_test.make import ChallengeError, commit, make, read_manifest
 from stillcal.replay.blind_test.score_lines import Line
 from stillcal.replay.blind_test.scores import Score
+from stillcal.replay.commands.outputs import write_output
 
 _folder = click.Path(path_type=Path)
 _trials = click.option(
@@ -263,10 +263,8 @@ def _show_verdict(verdict: proof.Verdict, json_path: Path | None) -> None:
         "All required scores are reached." if verdict.holds else "Not all required scores are reached."
     )
     text = pretty({"schema": 1, **plain(verdict)}) + "\n"
-    if json_path == Path("-"):
-        click.echo(text, nl=False)
-    elif json_path is not None:
-        write_atomically(json_path, text.encode())
+    if json_path is not None:
+        write_output(json_path, text.encode())
     sys.exit(0 if verdict.holds else NOT_MET)
 
 

@@ -9,10 +9,11 @@ import click
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import progress
-from stillcal.replay.commands.outputs import files, recording_files, refuse_collisions
+from stillcal.replay.commands.outputs import files, recording_files, refuse_collisions, say
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.claims import beside, read_claims
 from stillcal.replay.formats.conversion.convert import ENDINGS, writer_for
+from stillcal.replay.formats.writer import STANDARD_OUTPUT
 
 
 @click.command(
@@ -30,7 +31,7 @@ from stillcal.replay.formats.conversion.convert import ENDINGS, writer_for
     "--out",
     type=click.Path(path_type=Path),
     required=True,
-    help="The new file: .csv, .csv.gz, .parquet or .mcap.",
+    help="The new file: .csv, .csv.gz, .parquet or .mcap; '-': CSV on standard output.",
 )
 @reading_options()
 @quiet_option
@@ -40,9 +41,9 @@ def convert_command(trace: Path, out: Path, reading: Reading, quiet: bool) -> No
     Values are as the sensor gave them; `stillcal apply` corrects them. Time stamps stay as they are, in MCAP
     to the nanosecond.
     """
-    if not out.name.endswith(ENDINGS):
+    if out != STANDARD_OUTPUT and not out.name.endswith(ENDINGS):
         raise click.UsageError(f"{out}: choose a name that ends in {', '.join(ENDINGS)}")
-    side_files = _has_own_side_files(trace, out, reading)
+    side_files = out != STANDARD_OUTPUT and _has_own_side_files(trace, out, reading)
     written = [out, *([beside(out, ".events.jsonl"), beside(out, ".json")] if side_files else [])]
     refuse_collisions(written, [*recording_files(trace), *files(reading.gyro)])
     opened = reading.open(trace)
@@ -57,7 +58,7 @@ def convert_command(trace: Path, out: Path, reading: Reading, quiet: bool) -> No
             step(opened.bytes_read)
     show_notes(opened.notes, quiet)
     if not quiet:
-        click.echo(f"{out}: {samples:,} samples of the accelerometer, from {opened.kind}")
+        say(out, f"{samples:,} samples of the accelerometer, from {opened.kind}")
 
 
 def _has_own_side_files(trace: Path, out: Path, reading: Reading) -> bool:

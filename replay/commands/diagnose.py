@@ -18,11 +18,15 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.daemon.cli.exits import TOO_LITTLE, VERDICT
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
-from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
 from stillcal.replay.commands.command_line import command_line
 from stillcal.replay.commands.fix_for import Correction
-from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
+from stillcal.replay.commands.outputs import (
+    files,
+    recording_files,
+    refuse_collisions,
+    write_output,
+)
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.diagnosis.condense import read_condensed
 from stillcal.replay.diagnosis.diagnose import Request, diagnose
@@ -34,6 +38,7 @@ from stillcal.replay.diagnosis.words.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.covariates import read_covariates
 from stillcal.replay.formats.trace import Recording
+from stillcal.replay.formats.writer import STANDARD_OUTPUT
 from stillcal.replay.phone.phone import Phone, dump_phone, load_phone
 
 _path = click.Path(path_type=Path)
@@ -108,9 +113,11 @@ class _Asked(NamedTuple):
     help="Exit with 5 on this verdict; may be given several times.",
 )
 @click.option("--json", "json_path", type=_path, help="Write the findings ('-': print them).")
-@click.option("--report", type=_path, help="Write a report page for a browser (.html).")
+@click.option("--report", type=_path, help="Write a report page for a browser (.html; '-': print it).")
 @click.option(
-    "--phone-out", type=_path, help="Write a phone with the effects found (.toml), for simulate --phone."
+    "--phone-out",
+    type=_path,
+    help="Write a phone with the effects found (.toml; '-': print it), for simulate --phone.",
 )
 @click.option(
     "--fix-for",
@@ -122,7 +129,7 @@ class _Asked(NamedTuple):
 @click.option(
     "--residuals",
     type=_path,
-    help="Write what is left bin by bin, without and with the effects found (.csv).",
+    help="Write what is left bin by bin, without and with the effects found (.csv; '-': print it).",
 )
 @click.option(
     "--covariate",
@@ -186,7 +193,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     if correction is not None:
         correction.write(outputs.answer)
     show_notes(outputs.notes, quiet)
-    if not quiet and json_path != STANDARD_OUTPUT:
+    if not quiet and STANDARD_OUTPUT not in (json_path, report, phone_out, residuals):
         click.echo("\n".join(summary(outputs.answer)))
     if outputs.answer["verdict"] in fail_on:
         sys.exit(VERDICT)
@@ -221,11 +228,11 @@ def _check(asked: _Asked) -> None:
     report, phone_out = asked.report, asked.phone_out
     if report is not None:
         require_matplotlib()
-    if report is not None and report.suffix not in (".html", ".htm"):
+    if report not in (None, STANDARD_OUTPUT) and report.suffix not in (".html", ".htm"):
         raise click.UsageError(f"{report}: a report is an HTML page; choose a name that ends in .html")
-    if asked.residuals is not None and asked.residuals.suffix != ".csv":
+    if asked.residuals not in (None, STANDARD_OUTPUT) and asked.residuals.suffix != ".csv":
         raise click.UsageError(f"{asked.residuals}: choose a name that ends in .csv for the residuals")
-    if phone_out is not None and phone_out.suffix != ".toml":
+    if phone_out not in (None, STANDARD_OUTPUT) and phone_out.suffix != ".toml":
         raise click.UsageError(f"{phone_out}: choose a name that ends in .toml for a phone file")
     if asked.reading.is_rest_table(asked.trace) and any(
         x
@@ -344,13 +351,11 @@ def _stages(quiet: bool) -> Iterator[Callable[[str], None]]:
 def _write(outputs: _Outputs, asked: _Asked) -> None:
     """Write the files that were asked for, each whole or not at all."""
     if asked.report is not None and outputs.page is not None:
-        write_atomically(asked.report, outputs.page.encode())
+        write_output(asked.report, outputs.page.encode())
     if asked.residuals is not None and outputs.residuals is not None:
-        write_atomically(asked.residuals, outputs.residuals.encode())
+        write_output(asked.residuals, outputs.residuals.encode())
     if asked.phone_out is not None and outputs.phone is not None:
-        write_atomically(asked.phone_out, outputs.phone.encode())
+        write_output(asked.phone_out, outputs.phone.encode())
     text = pretty(jsonable(outputs.answer)) + "\n"
-    if asked.json == STANDARD_OUTPUT:
-        click.echo(text, nl=False)
-    elif asked.json is not None:
-        write_atomically(asked.json, text.encode())
+    if asked.json is not None:
+        write_output(asked.json, text.encode())

@@ -20,7 +20,8 @@ from stillcal.daemon.cli.options import format_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
-from stillcal.replay.commands.outputs import STANDARD_OUTPUT, files, recording_files, refuse_collisions
+from stillcal.replay.commands.outputs import files, recording_files, refuse_collisions
+from stillcal.replay.formats.writer import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
     from distributed import Client

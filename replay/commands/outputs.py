@@ -6,20 +6,36 @@ Checked before any work is done, so that a refusal leaves nothing behind.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 import click
 
+from stillcal.daemon.store.atomic import write_atomically
 from stillcal.replay.formats.claims import beside, written_by_stillcal
 from stillcal.replay.formats.conversion.by_name import ENDINGS
+from stillcal.replay.formats.writer import STANDARD_OUTPUT
 
-STANDARD_OUTPUT = Path("-")
+
+def write_output(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all, or its bytes on standard output where `path` is "-"."""
+    if path == STANDARD_OUTPUT:
+        sys.stdout.buffer.write(data)
+        sys.stdout.buffer.flush()
+    else:
+        write_atomically(path, data)
+
+
+def say(out: Path, text: str) -> None:
+    """Print a line about the output `out`: on standard error where that is standard output itself."""
+    printed = out == STANDARD_OUTPUT
+    click.echo(f"{'standard output' if printed else out}: {text}", err=printed)
 
 
 def files(*paths: Path | None) -> list[Path]:
-    """Return the paths that are files: neither None nor standard output."""
-    return [path for path in paths if path is not None and path != STANDARD_OUTPUT]
+    """Return the paths that were given: "-" is standard output."""
+    return [path for path in paths if path is not None]
 
 
 def recording_files(path: Path) -> list[Path]:
@@ -29,7 +45,12 @@ def recording_files(path: Path) -> list[Path]:
 
 
 def new_recording_files(path: Path) -> list[Path]:
-    """Return the files that a new recording consists of. Raises UsageError for another ending of the name."""
+    """Return the files that a new recording consists of. Raises UsageError for another ending of the name.
+
+    On standard output ("-") it is the CSV alone.
+    """
+    if path == STANDARD_OUTPUT:
+        return [path]
     if not path.name.endswith(ENDINGS):
         raise click.UsageError(
             f"{path}: choose a name that ends in .csv, .csv.gz or .parquet for a recording"
@@ -44,8 +65,13 @@ def store_files(path: Path) -> list[Path]:
 
 def refuse_collisions(writes: Iterable[Path], reads: Iterable[Path]) -> None:
     """Raise UsageError where a file would be written over an input, or twice, or cannot be written at all."""
+    writes = list(writes)
+    if writes.count(STANDARD_OUTPUT) > 1:
+        raise click.UsageError("standard output ('-') can take one file only; give the others a name")
     inputs, outputs = {p.resolve() for p in reads if p.exists()}, set[Path]()
     for path in writes:
+        if path == STANDARD_OUTPUT:
+            continue
         if path.resolve() in inputs:
             raise click.UsageError(f"{path} is read by this command; choose another file to write")
         if path.resolve() in outputs:

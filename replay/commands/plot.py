@@ -20,9 +20,10 @@ from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.document import FORMAT, StoreDocument
 from stillcal.daemon.store.store import Store, StoreError
-from stillcal.replay.commands.outputs import refuse_collisions
+from stillcal.replay.commands.outputs import refuse_collisions, say, write_output
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.trace import Trace
+from stillcal.replay.formats.writer import STANDARD_OUTPUT
 from stillcal.replay.plots import style
 from stillcal.replay.plots.drawing import ALL, FIGURES, draw_figure
 from stillcal.replay.plots.inputs import Material, Moment, of_record, of_trace
@@ -45,7 +46,10 @@ NOISE = ("allan", ALL)
 )
 @click.argument("source", metavar="TRACE|STORE", type=click.Path(path_type=Path))
 @click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="The figure's file: .png, .svg or .pdf."
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="The figure's file: .png, .svg or .pdf ('-': print PNG).",
 )
 @click.option(
     "--what",
@@ -64,7 +68,7 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
 
     A store has no samples, so it has no Allan curves. Exit code 3: there is nothing to draw.
     """
-    if out.suffix not in ENDINGS:
+    if out != STANDARD_OUTPUT and out.suffix not in ENDINGS:
         raise click.UsageError(f"{out}: choose a name that ends in {', '.join(ENDINGS)} for a figure")
     if importlib.util.find_spec("matplotlib") is None:
         remedy = "pip install '.[report]' in the source folder, or pip install matplotlib"
@@ -82,11 +86,14 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
     except NotSupported as refusal:
         click.echo(f"stillcal: {source}: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
-    style.save(figure, out)
+    if out == STANDARD_OUTPUT:
+        write_output(out, style.png(figure))
+    else:
+        style.save(figure, out)
     if not quiet:
         for line in omitted:
             click.echo(f"stillcal: {source}: {line}", err=True)
-        click.echo(f"{out}")
+        say(out, "drawn")
 
 
 def _is_store(path: Path) -> bool:

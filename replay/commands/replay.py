@@ -26,21 +26,22 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
-from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import calibration_json, pretty
 from stillcal.replay.commands.outputs import (
-    STANDARD_OUTPUT,
     files,
     new_recording_files,
     recording_files,
     refuse_collisions,
+    say,
     store_files,
+    write_output,
 )
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.sources import STANDARD_INPUT_NAME
 from stillcal.replay.formats.trace import Chunk, Trace
+from stillcal.replay.formats.writer import STANDARD_OUTPUT
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
 from stillcal.replay.runner import Outcome, calibrated_by_faces, replay, replay_rests, with_choices
 from stillcal.replay.suitability import Suitability
@@ -134,7 +135,10 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
 @click.argument("trace", type=_existing)
 @click.option("--store", "store_path", type=_existing, required=True, help="The store with the calibration.")
 @click.option(
-    "--out", type=_existing, required=True, help="The corrected recording (.csv, .csv.gz, .parquet)."
+    "--out",
+    type=_existing,
+    required=True,
+    help="The corrected recording (.csv, .csv.gz, .parquet; '-': print CSV).",
 )
 @reading_options()
 @click.option(
@@ -169,9 +173,9 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
     for warning in suits.warnings():
         click.echo(f"stillcal: {trace}: {warning}", err=True)
     if not quiet:
-        Console().print(f"{out}: corrected with calibration {record.id}")
+        say(out, f"corrected with calibration {record.id}")
         for sensor, mean in means.items():
-            Console().print(f"{out}: {sensor}: {mean.words()}")
+            say(out, f"{sensor}: {mean.words()}")
 
 
 def _rolling_means(opened: Trace) -> dict[Sensor, RollingMean]:
@@ -246,10 +250,7 @@ def _replayed(
 
 def _write_json(path: Path, outcome: Outcome) -> None:
     text = pretty(calibration_json(outcome.record) | {"run": _run_figures(outcome)}) + "\n"
-    if path == STANDARD_OUTPUT:
-        click.echo(text, nl=False)
-    else:
-        write_atomically(path, text.encode(), 0o644)
+    write_output(path, text.encode())
 
 
 def _run_figures(outcome: Outcome) -> dict[str, Any]:

@@ -16,14 +16,13 @@ import msgspec
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import progress
-from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
 from stillcal.daemon.system.requirements import PSEUDO_TERMINAL, require
 from stillcal.daemon.system.signals import run_until_signalled
-from stillcal.replay.commands.outputs import files, new_recording_files, refuse_collisions
+from stillcal.replay.commands.outputs import files, new_recording_files, refuse_collisions, write_output
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.conversion.by_name import writer_class
-from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.formats.writer import STANDARD_OUTPUT, TraceWriter
 from stillcal.replay.phone import Simulation, load_phone, load_scenario, simulate
 from stillcal.replay.phone.simulation import Chunk, TrueModel
 
@@ -39,7 +38,11 @@ from stillcal.replay.phone.simulation import Chunk, TrueModel
     ),
 )
 @click.argument("scenario")
-@click.option("--out", type=click.Path(path_type=Path), help="The recording (.csv, .csv.gz or .parquet).")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="The recording (.csv, .csv.gz or .parquet; '-': print CSV).",
+)
 @click.option("--serial", is_flag=True, help="Stream on a pseudo-terminal instead; its path is printed.")
 @click.option(
     "--port", type=click.Path(path_type=Path), help="With --serial: make this a link to the terminal."
@@ -57,7 +60,11 @@ from stillcal.replay.phone.simulation import Chunk, TrueModel
     help="The same seed gives the same recording.",
 )
 @click.option("--phone", default="typical", show_default=True, help="A ready phone, or a phone.toml.")
-@click.option("--truth", type=click.Path(path_type=Path), help="Write the true sensor errors there (JSON).")
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    help="Write the true sensor errors there (JSON; '-': print them).",
+)
 @quiet_option
 def simulate_command(  # noqa: PLR0917 - click hands every option over by name
     scenario: str,
@@ -90,10 +97,11 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
     else:
         _serve(simulation, speed or math.inf, port, quiet)
     if truth is not None:
-        write_atomically(truth, (pretty(truth_of(simulation)) + "\n").encode())
+        write_output(truth, (pretty(truth_of(simulation)) + "\n").encode())
     if not quiet:
-        where = "" if out is None else f"{out}: "
-        click.echo(f"{where}{simulation.duration:.0f} s of {scenario}, phone {phone}, seed {seed}")
+        where = "" if out in (None, STANDARD_OUTPUT) else f"{out}: "
+        made = f"{where}{simulation.duration:.0f} s of {scenario}, phone {phone}, seed {seed}"
+        click.echo(made, err=STANDARD_OUTPUT in (out, truth))
 
 
 def _write(simulation: Simulation, out: Path, quiet: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,14 +11,14 @@ import click
 
 from stillcal.calib_core.errors import UserError
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import read_regular
-from stillcal.replay.commands.outputs import refuse_collisions, store_files
+from stillcal.replay.commands.outputs import files, refuse_collisions, say, store_files, write_output
 from stillcal.replay.export.imu import of_record
 from stillcal.replay.export.stored import not_in_file, record_of
 from stillcal.replay.export.target import MAX_BYTES, exported
 from stillcal.replay.export.targets import INVERTIBLE, TARGETS, target_named
+from stillcal.replay.formats.sources import STANDARD_INPUT, STANDARD_INPUT_NAME
 from stillcal.replay.outcome import current_in_store
 from stillcal.replay.phone.phone import Phone, load_phone
 
@@ -35,7 +36,7 @@ _path = click.Path(path_type=Path)
 )
 @click.argument("path", type=_path)
 @click.option("--to", "tool", type=click.Choice(list(TARGETS)), required=True, help="The tool.")
-@click.option("--out", type=_path, required=True, help="The file to write.")
+@click.option("--out", type=_path, required=True, help="The file to write ('-': standard output).")
 @click.option("--phone", help="Where noise comes from: a phone file that diagnose --phone-out wrote.")
 def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
     """Write the current calibration of the store PATH as another tool's own file.
@@ -48,13 +49,13 @@ def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
     target = target_named(tool)
     known = None if phone is None else _phone(phone)
     made = exported(target, of_record(current_in_store(_existing(path)), known), path.name)
-    write_atomically(out, made.data)
+    write_output(out, made.data)
     if made.left_out:
         names = ", ".join(made.left_out)
         click.echo(f"stillcal: {out}: {target.title} cannot hold: {names} (see its comments)", err=True)
     for line in made.notes:
         click.echo(f"stillcal: {out}: {line}", err=True)
-    click.echo(f"{out}: written for {target.title}")
+    say(out, f"written for {target.title}")
 
 
 @click.command(
@@ -64,25 +65,25 @@ def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
 )
 @click.argument("path", type=_path)
 @click.option("--from", "tool", type=click.Choice(INVERTIBLE), required=True, help="The tool.")
-@click.option("--in", "source", type=_path, required=True, help="The tool's file.")
+@click.option("--in", "source", type=_path, required=True, help="The tool's file ('-': standard input).")
 def import_command(path: Path, tool: str, source: Path) -> None:
     """Make the calibration in another tool's file the current one of the store PATH, new or existing.
 
     What the file does not hold stays as the store has it; the calibration before stays in the history.
     """
-    refuse_collisions(store_files(path), [source])
+    refuse_collisions(store_files(path), files(source))
     target = target_named(tool)
     with _naming(source):
-        parameters = target.read(read_regular(source, MAX_BYTES))
+        parameters = target.read(_bytes_of(source))
     with Store(path) as store:
         document = store.load()
         before = None if document is None else document.current
         with _naming(source):
-            record = record_of(parameters, before, f"{source.name} ({target.title})")
+            record = record_of(parameters, before, f"{_named(source)} ({target.title})")
         store.publish(record, record.acceptance.reason)
     for line in not_in_file(parameters, before):
-        click.echo(f"stillcal: {source}: holds no {line}", err=True)
-    click.echo(f"{path}: calibration {record.id} is current, from {source.name}")
+        click.echo(f"stillcal: {_named(source)}: holds no {line}", err=True)
+    click.echo(f"{path}: calibration {record.id} is current, from {_named(source)}")
 
 
 @contextmanager
@@ -91,7 +92,20 @@ def _naming(source: Path) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise UserError(f"{source}: {error}") from error
+        raise UserError(f"{_named(source)}: {error}") from error
+
+
+def _named(source: Path) -> str:
+    return STANDARD_INPUT_NAME if str(source) == STANDARD_INPUT else source.name
+
+
+def _bytes_of(source: Path) -> bytes:
+    if str(source) != STANDARD_INPUT:
+        return read_regular(source, MAX_BYTES)
+    data = sys.stdin.buffer.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"is larger than {MAX_BYTES} bytes")
+    return data
 
 
 def _existing(path: Path) -> Path:

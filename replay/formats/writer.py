@@ -10,6 +10,7 @@ import contextlib
 import gzip
 import io
 import os
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +23,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.formats.claims import Claims, Event, beside, event_line
 from stillcal.replay.formats.errors import TraceError
+
+STANDARD_OUTPUT = Path("-")
 
 _BATCH_ROWS = 8192
 """Rows encoded at a time, so that memory stays flat."""
@@ -136,6 +139,8 @@ class TraceWriter:
             raise RuntimeError("a TraceWriter writes inside a with block only")
         try:
             self._stream.write(data)
+        except BrokenPipeError:  # whoever read standard output has had enough
+            raise
         except OSError as error:
             raise self._refused(error) from None
 
@@ -178,6 +183,20 @@ class TraceWriter:
     @staticmethod
     def _hidden(path: Path) -> Path:
         return path.with_name(f".{path.name}.{os.getpid()}.part")
+
+
+class StandardOutputWriter(TraceWriter):
+    """Writes a recording as CSV on standard output, without its events and claims, while it is made."""
+
+    def __enter__(self) -> StandardOutputWriter:
+        self._begin(sys.stdout.buffer)
+        return self
+
+    def _finish(self) -> None:
+        sys.stdout.buffer.flush()
+
+    def _discard(self) -> None:
+        self._stream = None
 
 
 def _write_beside(path: Path, data: bytes) -> None:

@@ -6,6 +6,7 @@ everywhere.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,6 +69,13 @@ def panels(columns: int = 1, rows: int = 1, **options: Any) -> tuple[Figure, lis
     """Return a figure and its panels, row by row; options as for matplotlib's `subplots`."""
     picture = figure(columns, rows)
     return picture, within(picture, columns, rows, **options)
+
+
+def png(picture: Figure) -> bytes:
+    """Return a figure as the bytes of a PNG file."""
+    made = io.BytesIO()
+    picture.savefig(made, format="png", dpi=DPI, metadata={"Software": None})
+    return made.getvalue()
 
 
 def save(picture: Figure, path: Path) -> None:

@@ -12,7 +12,7 @@ from stillcal.replay.formats.conversion import by_name
 from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.conversion.mcap import McapTraceWriter
 from stillcal.replay.formats.trace import Trace
-from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.formats.writer import STANDARD_OUTPUT, TraceWriter
 
 ENDINGS = (*by_name.ENDINGS, ".mcap")
 
@@ -22,7 +22,7 @@ def writer_for(trace: Trace, out: Path, *, side_files: bool = True) -> TraceWrit
 
     side_files: whether events and claims are written too.
     """
-    if not out.name.endswith(ENDINGS):
+    if out != STANDARD_OUTPUT and not out.name.endswith(ENDINGS):
         raise UserError(f"{out}: choose a name that ends in {', '.join(ENDINGS)}")
     first = next(iter(trace.chunks(max_rows=64)))
     columns: dict[str, Any] = {

@@ -1,0 +1,61 @@
+"""`-`: files on standard output and standard input, so that commands can be joined by pipes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from stillcal.replay.commands.store_files import import_command
+
+STILLCAL = str(Path(sys.executable).with_name("stillcal"))
+
+
+def ran(*words: object, given: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run([STILLCAL, *map(str, words)], input=given, capture_output=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("pipes")
+    assert ran("replay", "sample:lab", "--store", made / "store.json", "--quiet").returncode == 0
+    assert ran("convert", "sample:lab", "--to", 30, "--out", made / "short.csv", "--quiet").returncode == 0
+    return made
+
+
+def test_a_recording_goes_through_pipes_as_through_files(folder: Path) -> None:
+    whole = (folder / "short.csv").read_bytes()
+    piped = ran("convert", "-", "--out", "-", given=whole)
+    assert (piped.returncode, piped.stdout) == (0, whole)
+    assert b"standard output: " in piped.stderr
+    ran("apply", folder / "short.csv", "--store", folder / "store.json", "--out", folder / "true.csv")
+    piped = ran("apply", "-", "--store", folder / "store.json", "--out", "-", given=whole)
+    assert (piped.returncode, piped.stdout) == (0, (folder / "true.csv").read_bytes())
+
+
+def test_a_calibration_goes_to_a_tool_and_back_through_a_pipe(folder: Path) -> None:
+    store, back = folder / "store.json", folder / "back.json"
+    exported = ran("store", "export", store, "--to", "npz", "--out", "-")
+    into = CliRunner()
+    taken = into.invoke(import_command, [str(back), "--from", "npz", "--in", "-"], input=exported.stdout)
+    assert taken.exit_code == 0, taken.output
+    first, second = (json.loads(path.read_text()) for path in (store, back))
+    assert second["accelerometer"]["bias"] == pytest.approx(first["accelerometer"]["bias"], abs=1e-12)
+    command = [str(folder / "none.json"), "--from", "npz", "--in", "-"]
+    broken = into.invoke(import_command, command, input=b"PK\3\4").exception
+    assert str(broken).startswith("standard input: ")
+    assert not (folder / "none.json").exists()
+
+
+def test_standard_output_takes_one_file_and_is_left_by_its_reader_in_peace(folder: Path) -> None:
+    both = ran("diagnose", folder / "short.csv", "--json", "-", "--phone-out", "-")
+    assert (both.returncode, both.stdout) == (2, b"")
+    assert len(both.stderr.splitlines()) == 1
+    assert not list(Path.cwd().glob("-*"))
+    command = f"{STILLCAL} simulate lab --out - | head -n 1"
+    left = subprocess.run(["sh", "-c", command], capture_output=True, check=False)
+    assert (left.stdout[:11], left.stderr) == (b"t,ax,ay,az,", b"")
