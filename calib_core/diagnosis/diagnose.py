@@ -137,7 +137,7 @@ def examine(
     doubled = repeats.doubled(accelerometer, twice)
     direct = [*gone, *([doubled] if doubled else []), *direct_findings(streams, claims, sound)]
     slow = _roughened(_unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
-    residuals = scenes(slow, claims.gravity, covariates) if len(slow) else []
+    residuals = scenes(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
     stated = [Stated(f) for f in direct]
     searched = [r for r in residuals if search and not _is_of(spoiled, r.sensor)]
     stated += [s for scene in searched for s in slow_statements(scene, without)]

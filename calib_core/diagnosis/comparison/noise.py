@@ -102,7 +102,7 @@ def slow_noise(exam: Examination, scene: Scene, asked: Sequence[Hypothesis] = ()
     own = {h.effect.name for h in explained}
     explained += [h for h in asked if h.effect.name not in own]
     reduced = reduce_scene(scene, [nothing(scene)], explained)
-    _, weights = joint(reduced, [log_terms(v, v.yy) for v in reduced])
+    _, weights = joint(reduced, [log_terms(v, v.left) for v in reduced])
     shown = [
         _deviation(view, sums, weight)
         for view, sums, weight in zip(scene.views, reduced, weights, strict=True)
@@ -140,7 +140,7 @@ def _deviation(view: View, sums: Reduced, weight: Array) -> tuple[float, float] 
         unit = 0.0 if family.name == "white" else _half_difference(wander[family.name].covariance, pairs)
         strengths = np.ones(1) * 0.0 if family.name == "white" else family.strengths
         variances.append(white + strengths * median * unit)
-    scale = (sums.known + sums.yy) / max(sums.dof - 2.0, 1.0)
+    scale = (sums.known + sums.left) / max(sums.dof - 2.0, 1.0)
     logs = 0.5 * np.log(np.concatenate(variances) * scale)
     middle = float(weight @ logs)
     return middle, float(np.hypot(np.sqrt(weight @ (logs - middle) ** 2), LEAST_SPREAD))

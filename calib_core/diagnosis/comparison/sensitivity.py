@@ -140,7 +140,7 @@ def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> S
         first += parameter.count
         if informed[rows].any():
             worst = int(rows[informed[rows]][np.argmax(sigma[rows][informed[rows]])])
-            half = _found_half_the_time(reduced, index, fit.beta, worst, needed)
+            half = _found_half_the_time(reduced, index, fit.every, worst, needed)
             size = (half + NINE_IN_TEN * sigma[worst]) * hypothesis.sizes[worst]
             smallest.append(_smallest(hypothesis, parameter, float(size)))
     return Sought(effect.name, effect.sensor, evidence, tuple(smallest))

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.diagnosis.inference.likelihood import (
+    NOTHING,
     Reduced,
     expected_information,
     log_sum,
@@ -34,19 +35,23 @@ def log_evidence(views: Sequence[Reduced], h: int) -> float:
     with the information J of the noise shapes' mean. Its slope there is b, so that under a prior of size s
 
         log evidence = L(b) - b'b - b'Jb / 2 + (b + Jb)' (J + I/s^2)^-1 (b + Jb) / 2 - log|I + s^2 J| / 2.
+
+    What every hypothesis has besides keeps its prior of unit size.
     """
     beta, value, likely = maximum(views, h)
     information = expected_information(views, h, beta, likely)
     highest = value + 0.5 * float(beta @ beta)
     pull = beta + information @ beta
     bare = highest - float(beta @ beta) - 0.5 * float(beta @ information @ beta)
-    unit = np.eye(beta.size)
-    terms = [
-        bare
-        + 0.5 * float(pull @ np.linalg.solve(information + unit / size**2, pull))
-        - 0.5 * float(np.linalg.slogdet(unit + size**2 * information)[1])
-        for size in SIZES
-    ]
+    terms = []
+    for size in SIZES:
+        variance = np.full(beta.size, size**2)
+        variance[beta.size - views[0].shared :] = 1.0
+        terms.append(
+            bare
+            + 0.5 * float(pull @ np.linalg.solve(information + np.diag(1.0 / variance), pull))
+            - 0.5 * float(np.linalg.slogdet(np.eye(beta.size) + variance[:, None] * information)[1])
+        )
     return log_sum(np.array(terms)) - float(np.log(SIZES.size))
 
 
@@ -56,11 +61,11 @@ def of_probabilities(posterior: float, prior: float) -> float:
     return float(np.log(sure / (1.0 - sure)) - np.log(before / (1.0 - before)))
 
 
-def log_bayes_factor(views: Sequence[Reduced], hypotheses: int, null: float, multiplicity: float) -> float:
+def log_bayes_factor(views: Sequence[Reduced], hypotheses: int, multiplicity: float) -> float:
     """Return the log Bayes factor, in nats, of an effect against none, over its grid points and axes.
 
     views: reduced for `hypotheses` grid points, each followed by its three axes alone (`reduce_scene` with
-    parts). null: log likelihood with no effect. multiplicity: how many independent points the grid has
+    parts). multiplicity: how many independent points the grid has
     besides these, as one of which they count; 1 where these are all.
     """
     single = np.log((1.0 - ALL_AXES) / 3.0)
@@ -68,6 +73,7 @@ def log_bayes_factor(views: Sequence[Reduced], hypotheses: int, null: float, mul
         log_evidence(views, 4 * i + part) + (np.log(ALL_AXES) if part == 0 else single)
         for i in range(hypotheses)
         for part in range(4)
-        if any(v.blocks[4 * i + part].any() for v in views)
+        if any(v.own(4 * i + part).any() for v in views)
     ]
-    return log_sum(np.array(parts)) - float(np.log(hypotheses)) - float(np.log(multiplicity)) - null
+    tries = float(np.log(hypotheses)) + float(np.log(multiplicity))
+    return log_sum(np.array(parts)) - tries - log_evidence(views, NOTHING)

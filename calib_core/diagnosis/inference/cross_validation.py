@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, log_terms, residuals
+from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, log_sum, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.residuals import View
@@ -47,9 +48,8 @@ class HeldOut:
     training: tuple[float, ...]
 
 
-def likely_shapes(view: View, reduced: Reduced, h: int | None, beta: Array) -> list[Array]:
-    """Return the most probable covariance shapes (n, n) of a view under hypothesis `h` (None: no effect)."""
-    residual = reduced.yy if h is None else residuals(reduced, h, beta)
+def likely_shapes(view: View, reduced: Reduced, residual: Array) -> list[Array]:
+    """Return the most probable covariance shapes (n, n) of a view at sums of squares `residual` (G,)."""
     shapes = [(family, g) for family in families(view) for g in range(family.strengths.size)]
     best = np.argsort(-log_terms(reduced, residual))[:SHAPES]
     return [shapes[i][0].covariance(shapes[i][1]) for i in best]
@@ -64,14 +64,16 @@ def held_out(
     such as one effect at several grid points beside others.
     """
     score, misses, training = 0.0, [np.zeros(0)], []
+    shared = [] if scene.shared is None else [scene.shared]
     parts = [
         [
-            _Part.of(view, b, [e.columns[i][b] * e.sizes for e in effects])
+            _Part.of(view, b, [e.columns[i][b] * e.sizes for e in (*effects, *shared)])
             for i, view in enumerate(scene.views)
             for b in range(len(view.y))
         ]
         for effects in candidates
     ]
+    own = [effects[0].sizes.size if effects else 0 for effects in candidates]
     of_part = [shapes[i] for i, view in enumerate(scene.views) for _ in range(len(view.y))]
     fold = [_dealt(p.view.t, *scene.bins.span) for p in parts[0]]
     for k in range(FOLDS):
@@ -79,8 +81,10 @@ def held_out(
         if all(r.all() for r in rows):
             continue
         # Shapes are chosen under the first candidate; grid points then under these.
-        chosen = [_likeliest(p, r, choice) for p, r, choice in zip(parts[0], rows, of_part, strict=True)]
-        known = [_known(each, rows, chosen) for each in parts]
+        chosen = [
+            _likeliest(p, r, choice, own[0]) for p, r, choice in zip(parts[0], rows, of_part, strict=True)
+        ]
+        known = [_known(each, rows, chosen, count) for each, count in zip(parts, own, strict=True)]
         best = int(np.argmax([value for value, _, _ in known]))
         value, size, sums = known[best]
         training.append(value)
@@ -88,7 +92,7 @@ def held_out(
             p.sums(np.ones(p.y.size, dtype=bool), shape, s.scale)
             for p, shape, s in zip(parts[best], chosen, sums, strict=True)
         ]
-        score += _evidence(every)[0] - value
+        score += _evidence(every, own[best])[0] - value
         misses += [
             p.missed(r, s, size)
             for p, r, s in zip(parts[best], rows, sums, strict=True)
@@ -100,16 +104,16 @@ def held_out(
 
 
 def _known(
-    parts: Sequence[_Part], rows: Sequence[NDArray[np.bool_]], shapes: Sequence[Array]
+    parts: Sequence[_Part], rows: Sequence[NDArray[np.bool_]], shapes: Sequence[Array], own: int
 ) -> tuple[float, Array, list[_Sums]]:
     """Return the log evidence of the bins `rows`, the effects' likeliest sizes, and the bins' sums."""
     sums = [p.sums(r, shape) for p, r, shape in zip(parts, rows, shapes, strict=True)]
-    return (*_evidence(sums), sums)
+    return (*_evidence(sums, own), sums)
 
 
-def _likeliest(part: _Part, rows: NDArray[np.bool_], shapes: Sequence[Array]) -> Array:
+def _likeliest(part: _Part, rows: NDArray[np.bool_], shapes: Sequence[Array], own: int) -> Array:
     """Return the shape under which the bins `rows` of a part are likeliest."""
-    return max(shapes, key=lambda shape: _evidence([part.sums(rows, shape)])[0])
+    return max(shapes, key=lambda shape: _evidence([part.sums(rows, shape)], own)[0])
 
 
 def _dealt(t: Array, start: float, end: float) -> NDArray[np.int64]:
@@ -191,11 +195,21 @@ class _Part:
         return np.asarray(away - self.view.absorbed[~rows] @ parameters)
 
 
-def _evidence(sums: Sequence[_Sums]) -> tuple[float, Array]:
-    """Return the log density of all parts with the effects' sizes integrated out, and the likeliest sizes."""
+def _evidence(sums: Sequence[_Sums], own: int) -> tuple[float, Array]:
+    """Return the log density of all parts with the effects' sizes integrated out, and the likeliest sizes.
+
+    Nobody knows beforehand how large the first effect is, with `own` parameters: its prior is the mixture of
+    the Bayes factor's. An effect with many parameters must not lose to one with few for its prior's width.
+    """
     information = np.asarray(sum(s.information for s in sums))
     target = np.asarray(sum(s.target for s in sums))
-    lower = np.linalg.cholesky(information + np.eye(target.size))
-    half = np.linalg.solve(lower, target)
-    value = sum(s.constant for s in sums) + 0.5 * float(half @ half) - float(np.log(lower.diagonal()).sum())
-    return value, np.asarray(np.linalg.solve(lower.T, half))
+    constant = sum(s.constant for s in sums)
+    values, means = [], []
+    for size in SIZES if own else SIZES[:1]:
+        width = np.where(np.arange(target.size) < own, size, 1.0)
+        lower = np.linalg.cholesky(np.outer(width, width) * information + np.eye(target.size))
+        half = np.linalg.solve(lower, width * target)
+        values.append(constant + 0.5 * float(half @ half) - float(np.log(lower.diagonal()).sum()))
+        means.append(width * np.linalg.solve(lower.T, half))
+    value = log_sum(np.array(values)) - float(np.log(len(values)))
+    return value, np.asarray(means[int(np.argmax(values))])

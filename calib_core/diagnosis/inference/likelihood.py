@@ -8,7 +8,7 @@ has the formulas.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.residuals import View
 
 ITERATIONS = 25
+NOTHING = -1
+"""The last hypothesis of every reduced view: no effect."""
+
 ALIKE = 0.95
 """Prior probability that the wander of a sensor's axes is of one kind and nearly one strength."""
 
@@ -32,6 +35,10 @@ class Reduced:
     hypothesis; columns: its column indices; dof: nu0 + n - p; walk: (G,) variance rate, 1/s, of random walks;
     jump: (G,) variance of what is another in every rest; near: (G, G) how an axis' shape scatters about the
     one that the axes share; known: nu0.
+
+    shared: how many parameters at the end of every hypothesis are not the effect's: what all views of a
+    sensor share whatever else there is. Hypothesis `NOTHING` has these alone. left: (G,) sums of squares with
+    no effect, these at their likeliest.
     """
 
     prior: Array
@@ -46,48 +53,80 @@ class Reduced:
     jump: Array
     near: Array
     known: float
+    shared: int
+    left: Array
+
+    def own(self, h: int) -> Array:
+        """Return the inner products (G, k, k) of an effect's own columns."""
+        k = self.blocks[h].shape[1] - self.shared
+        return self.blocks[h][:, :k, :k]
 
 
-def reduce_view(view: View, design: Array, columns: list[Array], extra: Array | None = None) -> Reduced:
+def reduce_view(
+    view: View,
+    design: Array,
+    columns: list[Array],
+    extra: Array | None = None,
+    shared: Array | None = None,
+) -> Reduced:
     """Whiten, project the baseline out, keep the sums. design: (b, n, M); columns[h]: (k,) of hypothesis h.
 
     extra: (b, n, q) columns of effects already found, projected out with the baseline over all blocks.
+    shared: (b, n, c) columns of parameters that go with every hypothesis, at one standard deviation.
     """
     made = families(view)
-    prior, constant, yy, xy, grams = [], [], [], [], []
+    always = np.zeros((*view.y.shape, 0)) if shared is None else shared
+    last = np.arange(design.shape[2], design.shape[2] + always.shape[2])
+    columns = [*columns, last[:0]]
+    design = np.concatenate([design, always], axis=2)
     blocks, groups = len(view.y), _grouped(columns)
     seen = np.abs(design).max(axis=(0, 1)) > 0.0
     everything = stacked(view, design[:, :, seen], extra)
-    x = np.zeros((view.y.size, seen.size))
     volume = blocks * float(np.log(view.variance).sum())
+    parts = []
     for family in made:
-        rotated = family.rotation @ everything
-        for diagonal, weight in zip(family.diagonals, family.weight, strict=True):
-            y, x[:, seen], determinant = projected(
-                rotated / np.sqrt(diagonal)[:, None], view.baseline.shape[2], int(seen.sum())
+        whitened = (family.rotation @ everything) / np.sqrt(family.diagonals)[:, None, :, None]
+        y, part, determinant = projected(whitened, view.baseline.shape[2], int(seen.sum()))
+        x = np.zeros((*y.shape, seen.size))
+        x[:, :, seen] = part
+        log_det = blocks * np.log(family.diagonals).sum(axis=1) + volume
+        prior = np.log(family.weight)
+        parts.append(
+            (
+                prior,
+                prior - 0.5 * (log_det + determinant),
+                np.einsum("gn,gn->g", y, y),
+                np.einsum("gn,gnm->gm", y, x),
+                *_grams(x, groups, last),
             )
-            log_det = blocks * float(np.log(diagonal).sum()) + volume
-            prior.append(np.log(weight))
-            constant.append(np.log(weight) - 0.5 * (log_det + determinant))
-            yy.append(y @ y)
-            xy.append(y @ x)
-            grams.append(_grams(x, groups))
+        )
+    prior, constant, yy, xy, *grams = (np.concatenate(each) for each in zip(*parts, strict=True))
     baseline = view.parameters + (0 if extra is None else extra.shape[2])
     names = tuple(f.name for f in made for _ in f.strengths)
     return Reduced(
-        np.array(prior),
-        np.array(constant),
-        np.array(yy),
-        np.array(xy).reshape(len(yy), -1),
+        prior,
+        constant,
+        yy,
+        xy,
         _apart(groups, grams),
-        columns,
+        [np.concatenate([own, last]) for own in columns],
         view.known + view.y.size - baseline,
         names,
         np.concatenate([f.walk for f in made]),
         np.concatenate([f.jump for f in made]),
         _nearness(names),
         view.known,
+        last.size,
+        yy,
     )
+
+
+def with_shared_fitted(views: list[Reduced]) -> list[Reduced]:
+    """Return the views of one sensor with what is left where no effect is: all that they share fitted."""
+    if views[0].shared == 0:
+        return views
+    beta = maximum(views, NOTHING)[0]
+    return [replace(v, left=residuals(v, NOTHING, beta)) for v in views]
 
 
 def _nearness(names: tuple[str, ...]) -> Array:
@@ -106,16 +145,28 @@ def _grouped(columns: list[Array]) -> list[tuple[list[int], Array]]:
     return [(rows, np.array([columns[i] for i in rows])) for rows in widths.values()]
 
 
-def _grams(x: Array, groups: list[tuple[list[int], Array]]) -> list[Array]:
-    """Return the inner products (r, k, k) of each group's hypotheses' columns."""
-    parts = [x[:, columns].transpose(1, 2, 0) for _, columns in groups]
-    return [part @ part.transpose(0, 2, 1) for part in parts]
+def _grams(x: Array, groups: list[tuple[list[int], Array]], shared: Array) -> list[Array]:
+    """Return the inner products (S, r, k + c, k + c) of each group's hypotheses' columns.
+
+    x: (S, n, M) all columns under S shapes; shared: (c,) which of them go with every hypothesis.
+    """
+    always, out = x[:, None, :, shared], []
+    corner = np.swapaxes(always, -1, -2) @ always
+    for rows, columns in groups:
+        part, k = x[:, :, columns].transpose(0, 2, 3, 1), columns.shape[1]
+        made = np.empty((len(x), len(rows), k + shared.size, k + shared.size))
+        made[..., :k, :k] = part @ np.swapaxes(part, -1, -2)
+        made[..., :k, k:] = part @ always
+        made[..., k:, :k] = np.swapaxes(made[..., :k, k:], -1, -2)
+        made[..., k:, k:] = corner
+        out.append(made)
+    return out
 
 
-def _apart(groups: list[tuple[list[int], Array]], grams: list[list[Array]]) -> list[Array]:
+def _apart(groups: list[tuple[list[int], Array]], grams: list[Array]) -> list[Array]:
     """Return the inner products (G, k, k) of each hypothesis under every shape."""
     out: list[Array] = [np.empty(0)] * sum(len(rows) for rows, _ in groups)
-    for (rows, _), made in zip(groups, map(np.array, zip(*grams, strict=True)), strict=True):
+    for (rows, _), made in zip(groups, grams, strict=True):
         for j, i in enumerate(rows):
             out[i] = made[:, j]
     return out
@@ -127,35 +178,42 @@ def stacked(view: View, design: Array, extra: Array | None) -> Array:
     return np.concatenate([view.baseline, view.y[:, :, None], design, found], axis=2)
 
 
-def projected(whitened: Array, width: int, candidates: int) -> tuple[Array, Array, float]:
-    """Return y (b n,) and design (b n, M) free of the baseline and what was found, and log|B' C^-1 B|.
+def projected(whitened: Array, width: int, candidates: int) -> tuple[Array, Array, Array]:
+    """Return y (S, b n) and design (S, b n, M) free of the baseline and what was found.
 
-    whitened: (b, n, width + 1 + M + q), in the order of `stacked`.
+    The third is log|B' C^-1 B| (S,).
+
+    whitened: (S, b, n, width + 1 + M + q), under S shapes, in the order of `stacked`.
     """
-    q, r = np.linalg.qr(whitened[:, :, :width])
-    others = whitened[:, :, width:]
-    others = others - q @ (q.transpose(0, 2, 1) @ others)
-    determinant = 2.0 * float(np.log(np.abs(np.einsum("bii->bi", r)) + 1e-300).sum())
-    flat = others.reshape(-1, others.shape[2])
-    if flat.shape[1] > 1 + candidates:
-        q, _ = np.linalg.qr(flat[:, 1 + candidates :])
-        flat = flat[:, : 1 + candidates]
-        flat = flat - q @ (q.T @ flat)
-    return flat[:, 0], flat[:, 1:], determinant
+    q, r = np.linalg.qr(whitened[..., :width])
+    others = whitened[..., width:]
+    others = others - q @ (np.swapaxes(q, -1, -2) @ others)
+    diagonal = np.abs(np.einsum("...ii->...i", r))
+    determinant = 2.0 * np.log(diagonal + 1e-300).sum(axis=(-2, -1))
+    flat = others.reshape(len(others), -1, others.shape[-1])
+    if flat.shape[2] > 1 + candidates:
+        found, _ = np.linalg.qr(flat[:, :, 1 + candidates :])
+        flat = flat[:, :, : 1 + candidates]
+        flat = flat - found @ (np.swapaxes(found, -1, -2) @ flat)
+    return flat[:, :, 0], flat[:, :, 1:], determinant
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A hypothesis at its maximum. beta: (k,); covariance: (k, k); log_likelihood over all views."""
+    """A hypothesis at its maximum. beta: (k,); covariance: (k, k); log_likelihood over all views.
+
+    every: (k + c,) the parameters with those that every hypothesis has.
+    """
 
     beta: Array
     covariance: Array
     log_likelihood: float
+    every: Array
 
 
 def null_log_likelihood(views: Sequence[Reduced]) -> float:
     """Return the log likelihood of the views with no effect."""
-    return joint(views, [log_terms(v, v.yy) for v in views])[0]
+    return highest(views, NOTHING)
 
 
 def joint(views: Sequence[Reduced], terms: list[Array]) -> tuple[float, list[Array]]:
@@ -195,7 +253,7 @@ def log_sum(terms: Array) -> float:
 
 def posterior_weights(view: Reduced) -> Array:
     """Return the posterior probability (G,) of each shape with no further effect."""
-    terms = log_terms(view, view.yy)
+    terms = log_terms(view, view.left)
     return np.asarray(np.exp(terms - log_sum(terms)))
 
 
@@ -214,7 +272,8 @@ def _least(view: Reduced, h: int) -> Array:
 def fit_hypothesis(views: Sequence[Reduced], h: int) -> Fit:
     """Fit hypothesis `h` to all views at once, and tell how sure its parameters are."""
     beta, value, weights = maximum(views, h)
-    return Fit(beta, _covariance(views, h, beta, weights), value)
+    k = beta.size - views[0].shared
+    return Fit(beta[:k], _covariance(views, h, beta, weights)[:k, :k], value, beta)
 
 
 def highest(views: Sequence[Reduced], h: int) -> float:
@@ -227,8 +286,8 @@ def maximum(views: Sequence[Reduced], h: int) -> tuple[Array, float, list[Array]
 
     Return the parameters (k,), the log likelihood, and the probabilities (G,) of the shapes in every view.
     """
-    _, likely = joint(views, [log_terms(v, v.yy) for v in views])
-    informed = [w * v.dof / (v.known + v.yy) for v, w in zip(views, likely, strict=True)]
+    _, likely = joint(views, [log_terms(v, v.left) for v in views])
+    informed = [w * v.dof / (v.known + v.left) for v, w in zip(views, likely, strict=True)]
     plain = [np.eye(len(v.yy))[0] for v in views]
     return max((_climb(views, h, start) for start in (informed, plain)), key=lambda c: c[1])
 

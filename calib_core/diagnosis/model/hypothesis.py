@@ -22,7 +22,8 @@ class Scene:
     """One sensor's residuals and what may drive them. up: (n, 3) unit gravity in every bin, or None.
 
     turns: the turns between rests that the one view holds, two residuals each; none where the views hold
-    rests. covariates: further logged columns by name.
+    rests. covariates: further logged columns by name. shared: what all views see together whatever effect
+    there is (the Earth's rate, of the gyroscope); None for nothing.
     """
 
     sensor: str
@@ -32,6 +33,7 @@ class Scene:
     up: Array | None
     turns: tuple[Turn, ...] = ()
     covariates: Mapping[str, Course] = field(default_factory=dict)
+    shared: Hypothesis | None = None
 
     @cached_property
     def moments(self) -> Moments:

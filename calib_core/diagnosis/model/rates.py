@@ -9,15 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.earth import RATE, Ground
 from stillcal.calib_core.diagnosis.model.residuals import View, attitudes
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
-EARTH = 7.292e-5
-"""rad/s (WGS 84)."""
-
 OF_ATTITUDE = 0.25
-"""Part of the Earth's rate that may be linear in `up`, element by element, standard deviation."""
-
+"""Part of the Earth's rate that may be linear in `up`, element by element, standard deviation: where a phone
+whose heading is not known is turned about one line only, heading is a matter of attitude."""
 
 ADDED = 0.1
 """Part of the gyroscope's own variance that the accelerometer's noise may add to a rate of tilt."""
@@ -64,23 +62,23 @@ def _slope(t: Array, values: Array, width: int) -> Array:
     return out
 
 
-def rate_views(bins: Bins, up: Array, motion: Array) -> list[View]:
-    """Rate at rest, one view an axis; the baseline is a constant and the Earth's turn about `up` (n, 3).
+def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]:
+    """Rate at rest, one view an axis; the baseline is a constant. up: (n, 3) unit gravity in the bins.
 
     motion: (n, 3) rad/s, at which the phone was seen to tilt: as much of it as the rate shows is absorbed.
 
-    The latitude is not known: what the Earth turns about `up` is as large as at 45 degrees, what it turns
-    about the horizontal as at the equator. That follows heading, which all bins of a rest share, and half of
-    it all rests in one attitude, for a phone often lies again as it lay before. Turned about one line only,
-    heading is a matter of attitude, and the rate is linear in `up`, as a g-sensitivity's is.
+    The Earth's rate is shared by the axes (`earth_rate`), as far as headings are known (`over`). What is not,
+    all bins of a rest share, and half of it all rests in one attitude, for a phone often lies again as it lay
+    before.
     """
     if bins.rate is None or bins.rate_variance is None:
         return []
     n = len(bins)
     rounding = np.zeros(3) if bins.rate_rounding is None else bins.rate_rounding
-    heading, place = 0.25 * EARTH**2 * (1.0 - up**2), attitudes(up)
+    lost = 1.0 - over.trust**2
+    heading, place = 0.25 * RATE**2 * (1.0 - up**2) * lost[:, None], attitudes(up)
     tilting = np.linalg.norm(motion, axis=1)
-    linear = OF_ATTITUDE + (1.0 / np.sqrt(2.0) - OF_ATTITUDE) * np.eye(3)
+    linear = OF_ATTITUDE * RATE * up * np.sqrt(lost)[:, None]
     return [
         View(
             name=f"rate_{'xyz'[a]}",
@@ -98,7 +96,7 @@ def rate_views(bins: Bins, up: Array, motion: Array) -> list[View]:
                 (place, np.sqrt(heading[:, a])),
                 (bins.rest, TWIST * tilting * np.abs(up[:, a])),
             ),
-            absorbed=np.column_stack([EARTH * up * linear[a], motion[:, a]]),
+            absorbed=np.column_stack([np.delete(linear, a, axis=1), motion[:, a]]),
         )
         for a in range(3)
     ]

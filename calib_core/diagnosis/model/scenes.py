@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from stillcal.calib_core.diagnosis.model import rates
 from stillcal.calib_core.diagnosis.model import residuals as views
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.earth import ON_AVERAGE, RATE, ground, shared_rate
+from stillcal.calib_core.diagnosis.model.effect import Linear
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.samples import Samples
+
+EARTH = Parameters("earth", "gyro", (Linear("rate", "rad/s", 3, ON_AVERAGE * RATE),))
 
 
-def scenes(bins: Bins, gravity: float, covariates: Mapping[str, Course] | None = None) -> list[Scene]:
+def scenes(
+    bins: Bins,
+    gravity: float,
+    covariates: Mapping[str, Course] | None = None,
+    gyroscope: Samples | None = None,
+) -> list[Scene]:
     """Return the accelerometer's scene and, where there is a gyroscope, its own.
 
-    covariates: further logged columns by name, which a bias may follow.
+    covariates: further logged columns by name, which a bias may follow. gyroscope: its samples, by which the
+    phone's heading is followed from rest to rest; None where there are only means.
     """
     logged = covariates or {}
     baseline = views.fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
@@ -25,7 +37,8 @@ def scenes(bins: Bins, gravity: float, covariates: Mapping[str, Course] | None =
     if bins.rate is None or bins.rate_variance is None:
         return found
     motion = rates.tilt_rate(bins, views.tilted(bins.force, baseline.parameters)[0])
-    turning = tuple(rates.rate_views(bins, baseline.up, motion))
-    return (
-        [*found, Scene("gyro", bins, turning, gravity, baseline.up, covariates=logged)] if turning else found
-    )
+    over = ground(gyroscope, bins, baseline.up)
+    turning = tuple(rates.rate_views(bins, baseline.up, motion, over))
+    scene = Scene("gyro", bins, turning, gravity, baseline.up, covariates=logged)
+    columns = scene.columns_of(shared_rate(baseline.up, over))
+    return [*found, replace(scene, shared=Hypothesis(EARTH, {}, columns))]

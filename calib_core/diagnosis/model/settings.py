@@ -29,10 +29,6 @@ UNKNOWN_HANDICAP = 0.3
 UNKNOWN_MARGIN = 0.7
 """A named effect wins over structure without a name that scores better by less than this."""
 
-TOWERING = 3.0
-"""Gain in log likelihood of a named effect over that of nameless structure in the same views, for its name to
-stand."""
-
 MODELLED = 0.1
 """Part of a named effect, in amplitude, below which what it leaves is the error of its linear model. An
 effect that is only roughly known (`Effect.rough`) may leave as much as it is rough."""

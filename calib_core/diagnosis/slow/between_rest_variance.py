@@ -53,12 +53,13 @@ def jumps(scene: Scene, explained: Sequence[Hypothesis], reduced: Sequence[Reduc
     reduced: the scene, what is explained taken out. The norm of gravity tells of the accelerometer's three
     axes together.
     """
-    _, weights = joint(reduced, [log_terms(v, v.yy) for v in reduced])
+    _, weights = joint(reduced, [log_terms(v, v.left) for v in reduced])
     limit, told = thresholds.JUMP[scene.sensor], []
+    explained = [*explained, *([] if scene.shared is None else [scene.shared])]
     for i, (view, left, weight) in enumerate(zip(scene.views, reduced, weights, strict=True)):
         if view.name == "tangent":
             continue
-        allowed = limit**2 * (left.dof - 2.0) / (left.known + left.yy)
+        allowed = limit**2 * (left.dof - 2.0) / (left.known + left.left)
         above = left.jump > allowed
         prior = float(np.exp(left.prior[above] - log_sum(left.prior)).sum())
         told.append(
@@ -80,14 +81,14 @@ def _scatter(view: View, explained: list[Array]) -> tuple[float, float]:
 
 
 def stands(scene: Scene, one: Scored, found: Jumps) -> bool:
-    """Whether a hypothesis has no name, or explains so much more than the jumps left that its name stands."""
+    """Whether a hypothesis has no name, or explains the larger part, more than the jumps that it leaves."""
     own = one.hypothesis
     if own.effect.name == "unknown":
         return True
     beta = own.sizes * one.fit.beta
     seen = [v for v in zip(scene.views, own.columns, strict=True) if v[0].name != "tangent"]
     explained = sum(float((columns @ beta).var()) for _, columns in seen)
-    return explained >= thresholds.TOWERING * float((found.size**2).sum())
+    return explained >= float((found.size**2).sum())
 
 
 def finding(scene: Scene, found: Jumps) -> Finding:

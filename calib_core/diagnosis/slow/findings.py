@@ -11,7 +11,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
-from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, fit_hypothesis, null_log_likelihood
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, fit_hypothesis, residuals
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
@@ -20,7 +20,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
 from stillcal.calib_core.diagnosis.slow.random_walk import random_walk
-from stillcal.calib_core.diagnosis.slow.search import Scored, Step, adequate, forward, reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import LN10, Scored, Step, adequate, forward, reduce_scene
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 
 LEAST_GAIN = 3.0
@@ -189,19 +189,25 @@ def _log_bayes_factor(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hyp
     candidates = scene.finer(hypothesis)
     reduced = reduce_scene(scene, candidates, others, parts=True)
     grid = max(hypothesis.multiplicity, len(scene.hypotheses(hypothesis.effect)), 1)
-    null = null_log_likelihood(reduced)
-    return log_bayes_factor(reduced, len(candidates), null, grid if len(candidates) == 1 else 1)
+    return log_bayes_factor(reduced, len(candidates), grid if len(candidates) == 1 else 1)
 
 
 def _first_in(own: tuple[Scored, HeldOut], rivals: Sequence[tuple[Scored, HeldOut]]) -> int:
     """Return in how many folds an effect would be chosen before its rivals, without what is left out.
 
-    An effect that was picked from many curves gives away the logarithm of their number.
+    An effect that was picked from many curves gives away the logarithm of their number, and one without a
+    name what names are preferred by.
     """
     mine, *others = (
-        np.array(h.training) - np.log(max(s.hypothesis.multiplicity, 1.0)) for s, h in (own, *rivals)
+        np.array(h.training) - np.log(max(s.hypothesis.multiplicity, 1.0)) - _given_away(s)
+        for s, h in (own, *rivals)
     )
     return int(np.sum(np.all([mine >= other for other in others], axis=0))) if others else len(mine)
+
+
+def _given_away(one: Scored) -> float:
+    """Return the log evidence that a hypothesis gives away, nats: none with a name."""
+    return LN10 * thresholds.UNKNOWN_MARGIN if one.hypothesis.effect.name == "unknown" else 0.0
 
 
 def _best_nameless(step: Step) -> list[Scored]:
@@ -225,11 +231,12 @@ def _predicted(scene: Scene, hypothesis: Hypothesis | None, others: Sequence[Hyp
     effects = [*([] if hypothesis is None else [hypothesis]), *others]
     if not effects:
         reduced = reduce_scene(scene, [nothing(scene)])
-        shapes = [likely_shapes(v, r, None, np.zeros(0)) for v, r in zip(scene.views, reduced, strict=True)]
+        shapes = [likely_shapes(v, r, r.left) for v, r in zip(scene.views, reduced, strict=True)]
         return held_out(scene, shapes, [[]])
     reduced = reduce_scene(scene, effects[:1], effects[1:])
-    beta = fit_hypothesis(reduced, 0).beta
-    shapes = [likely_shapes(v, r, 0, beta) for v, r in zip(scene.views, reduced, strict=True)]
+    beta = fit_hypothesis(reduced, 0).every
+    left = [residuals(r, 0, beta) for r in reduced]
+    shapes = [likely_shapes(v, r, x) for v, r, x in zip(scene.views, reduced, left, strict=True)]
     if hypothesis is None:
         return held_out(scene, shapes, [effects])
     nearby = [h for h in scene.finer(hypothesis) if h is not hypothesis][::GRID_STRIDE]

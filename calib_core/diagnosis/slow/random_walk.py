@@ -79,10 +79,10 @@ class Walk:
 
 def walks_of(views: Sequence[Reduced]) -> list[Walk]:
     """Return the posterior of every view's walk, the axes of a sensor made alike as in the search."""
-    _, weights = joint(views, [log_terms(v, v.yy) for v in views])
+    _, weights = joint(views, [log_terms(v, v.left) for v in views])
     out = []
     for view, weight in zip(views, weights, strict=True):
-        scale = (view.known + view.yy) / max(view.dof - 2.0, 1.0)
+        scale = (view.known + view.left) / max(view.dof - 2.0, 1.0)
         some = view.walk > 0.0
         bounded = np.array(["walk" not in name for name in view.family])
         mixed = np.array(["+" in name for name in view.family])

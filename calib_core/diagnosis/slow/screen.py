@@ -35,6 +35,7 @@ def screened(
 ) -> list[Hypothesis]:
     """Return the hypotheses of dictionaries that go on. reduced: the scene with `found` taken out."""
     choices = _choices(scene, reduced)
+    found = [*found, *([] if scene.shared is None else [scene.shared])]
     whitened = [_Whitened(v, choice, _extra(found, i)) for i, (v, choice) in enumerate(choices)]
     kept = []
     for effect in effects:
@@ -98,7 +99,7 @@ def _extra(found: Sequence[Hypothesis], i: int) -> Array | None:
 
 def _choices(scene: Scene, reduced: Sequence[Reduced]) -> list[tuple[View, list[int]]]:
     """Return for each view the numbers of the shapes to screen under: white, likeliest, a moderate one."""
-    _, weights = joint(reduced, [log_terms(r, r.yy) for r in reduced])
+    _, weights = joint(reduced, [log_terms(r, r.left) for r in reduced])
     out = []
     for view, r, weight in zip(scene.views, reduced, weights, strict=True):
         moderate = [i for i, name in enumerate(r.family) if name == MODERATE]
@@ -121,7 +122,7 @@ class _Whitened:
         seen = np.abs(columns).max(axis=(0, 1)) > 0.0
         everything = stacked(self.view, columns[:, :, seen], self.extra)
         whitened = self.rotations[c] @ everything / self.diagonals[c]
-        y, part, _ = projected(whitened, self.view.baseline.shape[2], int(seen.sum()))
+        (y,), (part,), _ = projected(whitened[None], self.view.baseline.shape[2], int(seen.sum()))
         x = np.zeros((y.size, seen.size))
         x[:, seen] = part
         left = float(y @ y) / max(y.size - self.view.parameters, 1)

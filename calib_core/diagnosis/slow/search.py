@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
     highest,
     null_log_likelihood,
     reduce_view,
+    with_shared_fitted,
 )
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
@@ -130,7 +131,7 @@ def _judged(
 
 def degrees(reduced: Sequence[Reduced], h: int) -> float:
     """Return the degrees of freedom of the views that see hypothesis `h`."""
-    return sum(v.dof for v in reduced if v.blocks[h][0].trace() > 0.0)
+    return sum(v.dof for v in reduced if v.own(h)[0].trace() > 0.0)
 
 
 def _best(group: list[Scored]) -> Scored:
@@ -153,8 +154,9 @@ def reduce_scene(
     for i, view in enumerate(scene.views):
         design = np.concatenate([h.columns[i] * h.sizes for h in hypotheses], axis=2)
         extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2) if found else None
-        reduced.append(reduce_view(view, design, index, _nonzero(extra)))
-    return reduced
+        always = None if scene.shared is None else scene.shared.columns[i] * scene.shared.sizes
+        reduced.append(reduce_view(view, design, index, _nonzero(extra), always))
+    return with_shared_fitted(reduced)
 
 
 def _nonzero(extra: Array | None) -> Array | None:
@@ -167,8 +169,11 @@ def _nonzero(extra: Array | None) -> Array | None:
 
 def visible(reduced: Sequence[Reduced], h: int) -> int:
     """Return how many directions of hypothesis `h` would show above white noise at their physical size."""
-    information = sum(v.blocks[h][0] for v in reduced)
-    return int((np.linalg.eigvalsh(np.asarray(information)) > 1.0).sum())
+    information = np.asarray(sum(v.blocks[h][0] for v in reduced))
+    k = len(information) - reduced[0].shared
+    across = information[:k, k:]
+    hidden = across @ np.linalg.solve(information[k:, k:] + np.eye(len(information) - k), across.T)
+    return int((np.linalg.eigvalsh(information[:k, :k] - hidden) > 1.0).sum())
 
 
 def forward(scene: Scene, effects: Sequence[Effect], threshold: float = thresholds.SCORE) -> list[Step]:
@@ -187,16 +192,15 @@ def forward(scene: Scene, effects: Sequence[Effect], threshold: float = threshol
 
 
 def adequate(steps: Sequence[Step]) -> list[Step]:
-    """Withhold names that leave too much: beside structure without a name a named effect must tower.
+    """Withhold names that leave too much: a name is of the larger part, and what it leaves stands beside it.
 
     A neighbour's name explains part of what something outside the catalogue does and leaves the rest. What
-    the best of names leaves of a large effect, its model being a model, is not reported. A latent heat, whose
-    curve is known roughly at best, need only be the larger part.
+    the best of names leaves of a large effect, its model being a model, is not reported.
     """
     steps = [_one_of_many(s, steps) for s in _one_heat(steps)]
     strange = max((s.winner.gain for s in steps if _effect(s) == "unknown"), default=0.0)
-    least = {"unknown": max(map(_of_model, steps), default=0.0), "thermal_latent": strange}
-    return [s for s in steps if s.winner.gain >= least.get(_effect(s), thresholds.TOWERING * strange)]
+    of_models = max(map(_of_model, steps), default=0.0)
+    return [s for s in steps if s.winner.gain >= (of_models if _effect(s) == "unknown" else strange)]
 
 
 def _of_model(step: Step) -> float:

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, held_out
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
@@ -53,9 +54,9 @@ def test_the_log_score_is_that_of_all_less_that_of_the_others() -> None:
         inside = np.ix_(rest, rest)
         left = float(y[rest] @ np.linalg.solve((shape + columns @ columns.T)[inside], y[rest]))
         scale = (view.known + left) / (view.known + rest.sum())
-        spread = scale * shape + columns @ columns.T
-        expected += multivariate_normal.logpdf(y, cov=spread)
-        expected -= multivariate_normal.logpdf(y[rest], cov=spread[inside])
+        spreads = [scale * shape + size**2 * columns @ columns.T for size in SIZES]
+        expected += np.logaddexp.reduce([multivariate_normal.logpdf(y, cov=s) for s in spreads])
+        expected -= np.logaddexp.reduce([multivariate_normal.logpdf(y[rest], cov=s[inside]) for s in spreads])
     assert held_out(norm, shapes(norm), [[ramp]]).log_score == pytest.approx(expected, abs=1e-3)
 
 
