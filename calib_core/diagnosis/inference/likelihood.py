@@ -37,8 +37,8 @@ class Reduced:
     one that the axes share; known: nu0.
 
     shared: how many parameters at the end of every hypothesis are not the effect's: what all views of a
-    sensor share whatever else there is. Hypothesis `NOTHING` has these alone. left: (G,) sums of squares with
-    no effect, these at their likeliest.
+    sensor share whatever else there is. Hypothesis `NOTHING` has these alone. settled: (c,) their
+    likeliest values with no effect; left: (G,) sums of squares there.
     """
 
     prior: Array
@@ -54,6 +54,7 @@ class Reduced:
     near: Array
     known: float
     shared: int
+    settled: Array
     left: Array
 
     def own(self, h: int) -> Array:
@@ -117,6 +118,7 @@ def reduce_view(
         _nearness(names),
         view.known,
         last.size,
+        np.zeros(last.size),
         yy,
     )
 
@@ -126,7 +128,7 @@ def with_shared_fitted(views: list[Reduced]) -> list[Reduced]:
     if views[0].shared == 0:
         return views
     beta = maximum(views, NOTHING)[0]
-    return [replace(v, left=residuals(v, NOTHING, beta)) for v in views]
+    return [replace(v, settled=beta, left=residuals(v, NOTHING, beta)) for v in views]
 
 
 def _nearness(names: tuple[str, ...]) -> Array:
@@ -258,15 +260,21 @@ def posterior_weights(view: Reduced) -> Array:
 
 
 def gain_bound(views: Sequence[Reduced], h: int) -> float:
-    """Return an upper bound of the log likelihood of hypothesis `h`: every shape at its own best."""
+    """Return about the largest log likelihood that hypothesis `h` may have: every shape at its own best.
+
+    It is an upper bound but for what all views share, which is held where it is with no effect: free for
+    every view and shape, it would explain what no one vector can.
+    """
     return joint(views, [log_terms(v, _least(v, h)) for v in views])[0]
 
 
 def _least(view: Reduced, h: int) -> Array:
-    gram, xy = view.blocks[h], view.xy[:, view.columns[h]]
+    gram = view.own(h)
+    k = gram.shape[1]
+    xy = view.xy[:, view.columns[h][:k]] - view.blocks[h][:, :k, k:] @ view.settled
     ridge = gram + 1e-9 * (np.einsum("gii->g", gram)[:, None, None] + 1e-300) * np.eye(gram.shape[1])
     solved = np.linalg.solve(ridge, xy[:, :, None])[:, :, 0]
-    return np.asarray(np.maximum(view.yy - np.einsum("gi,gi->g", xy, solved), 0.0))
+    return np.asarray(np.maximum(view.left - np.einsum("gi,gi->g", xy, solved), 0.0))
 
 
 def fit_hypothesis(views: Sequence[Reduced], h: int) -> Fit:
