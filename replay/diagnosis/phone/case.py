@@ -10,7 +10,13 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.replay.diagnosis.phone.phone_effects import WHITE_NOISE_FINDINGS, MappedFinding, map_findings
 from stillcal.replay.diagnosis.phone.phone_file import phone_of
 from stillcal.replay.diagnosis.phone.resimulate import motion_of, resimulate
-from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions, conditions_of, fit_affine
+from stillcal.replay.diagnosis.phone.twin import (
+    AffinePhone,
+    Conditions,
+    conditions_of,
+    fit_affine,
+    skew_of,
+)
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.phone import Phone
@@ -35,7 +41,8 @@ class Case:
 
     def phone(self) -> Phone:
         """Return the phone that the recording shows, with the effects found. Needs static bins."""
-        return phone_of(self.recording, self.bins, self.effects, self.conditions, self.gravity)
+        known = (self.recording, self.bins, self.effects, self.affine)
+        return phone_of(*known, conditions=self.conditions, gravity=self.gravity)
 
     def played(self, phone: Phone, conditions: Conditions | None = None) -> Recording:
         """Return what a phone would have recorded of this recording's motion.
@@ -69,5 +76,5 @@ def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) 
     effects = [m.effect for m in mapped if m.effect is not None]
     affine = fit_affine(exam.bins, effects, conditions, gravity)
     if exam.aligned is not None:
-        affine = replace(affine, rate_mapping=exam.aligned.mapping)
+        affine = replace(affine, rate_mapping=exam.aligned.mapping * (1.0 + skew_of(effects)))
     return Case(recording, exam.bins, gravity, conditions, mapped, affine)

@@ -12,7 +12,6 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.direct.low_pass import quiet
 from stillcal.calib_core.diagnosis.direct.noise_level import density
-from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.noise.allan import FLOOR
@@ -20,7 +19,7 @@ from stillcal.calib_core.noise.covariance import NoiseModel, fit_noise
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding
-from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions, fit_affine
+from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.phone import Claims, Phone, dump_phone
@@ -48,10 +47,15 @@ TAUS = (240.0,)
 
 
 def phone_of(
-    recording: Recording, bins: Bins, effects: Sequence[Effect], conditions: Conditions, gravity: float
+    recording: Recording,
+    bins: Bins,
+    effects: Sequence[Effect],
+    affine: AffinePhone,
+    *,
+    conditions: Conditions,
+    gravity: float,
 ) -> Phone:
     """Return the phone that would have made the recording, as far as it shows. bins: at least one."""
-    affine = fit_affine(bins, effects, conditions, gravity)
     wander = _force_wander(bins, affine, gravity)
     return Phone(
         description=f"{recording.claims.device or 'a phone'}, as a recording shows it",
@@ -65,7 +69,7 @@ def phone_of(
             limit=recording.claims.accel_range,
             claimed=recording.claims.accel_noise_density,
         ),
-        gyro=_gyroscope(recording, bins, effects, affine, gravity),
+        gyro=_gyroscope(recording, bins, effects, affine),
         clock=_clock(recording, effects),
         heat=_heat(recording.accelerometer, conditions),
         claims=_claims(recording),
@@ -129,7 +133,7 @@ def stamps_measured(samples: Samples) -> Stamps:
         np.median([np.maximum(n, 0.0)[w].sum() / max(n.size, 1) for n, w in zip(lost, whole, strict=True)])
     )
     missing = share / (1.0 + share) if share / (1.0 + share) <= MOST_MISSING else 0.0
-    return Stamps(float(np.exp(counted_rate(samples).value[0])) / (1.0 - missing), scatter, missing)
+    return Stamps(float(np.exp(counted_rate(samples).value[0])), scatter, missing)
 
 
 def _claims(recording: Recording) -> Claims:
@@ -138,7 +142,7 @@ def _claims(recording: Recording) -> Claims:
 
 
 def _gyroscope(
-    recording: Recording, bins: Bins, effects: Sequence[Effect], affine: AffinePhone, gravity: float
+    recording: Recording, bins: Bins, effects: Sequence[Effect], affine: AffinePhone
 ) -> SensorSettings | None:
     samples = recording.gyroscope
     if samples is None:
@@ -146,13 +150,12 @@ def _gyroscope(
     slow: list[NoiseModel | None] = [None] * 3
     if bins.rate is not None:
         slow = [_wander(bins, bins.rate[:, a] - affine.gyro[:, a]) for a in range(3)]
-    scale = np.asarray(np.linalg.inv(aligned(samples, bins, gravity).mapping))
     return _sensor(
         samples,
         bins,
         effects,
         bias=affine.rate_bias,
-        scale=scale,
+        scale=np.asarray(np.linalg.inv(affine.rate_mapping)),
         slow=slow,
         limit=recording.claims.gyro_range,
         claimed=recording.claims.gyro_noise_density,

@@ -19,7 +19,13 @@ from stillcal.calib_core.diagnosis.segments.windows import WINDOW
 from stillcal.calib_core.streams.resample import interpolate, median_rate_hz, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import Condenser, LongRecording, overview_of
-from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions, effects_output, observable
+from stillcal.replay.diagnosis.phone.twin import (
+    AffinePhone,
+    Conditions,
+    effects_output,
+    observable,
+    skew_of,
+)
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
 from stillcal.replay.phone.effects.base import Effect, Moment
@@ -28,6 +34,10 @@ from stillcal.replay.phone.sensor_chain import SensorChain
 
 Flags = NDArray[np.bool_]
 
+AT_LIMIT, BEYOND = 0.99, 1.1
+"""Part of a sensor's limit from which a value stands for a larger one, and how many times larger it is taken:
+enough for the simulated sensor to stop at the limit as well. How large it was nothing tells."""
+
 SLOWEST = 0.05
 """Rates below this, rad/s, are noise at rest, which acts through no lever arm and no nonlinearity."""
 
@@ -35,6 +45,8 @@ SLOWEST = 0.05
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """What a phone truly did. force_t: (n,) s with force (n, 3) m/s^2; rate_t: (m,) s with rate (m, 3) rad/s.
+
+    Times are true ones from the first stamp on, which a clock that is fast shows later.
 
     rate_t and rate are None without a gyroscope. steady: of a long recording, whose motion is not
     known everywhere, the [first, last) windows of `WINDOW` s in which the phone is still.
@@ -59,9 +71,11 @@ def motion_of(
     """Return the motion behind a recording: free of its constant errors and of the effects found in it.
 
     In static bins the phone is perfectly still in the attitude measured there. effects: a delay of the
-    gyroscope is taken back, and what the others add, as far as it follows from the recording, taken off.
+    gyroscope and a clock's error are taken back, what stopped at a limit goes on beyond it, and what the
+    others add, as far as it follows from the recording, is taken off.
     """
-    accel, gyroscope = recording.accelerometer, recording.gyroscope
+    accel, gyroscope = _unlimited(recording.accelerometer, effects), recording.gyroscope
+    gyroscope = None if gyroscope is None else _unlimited(gyroscope, effects)
     delay = sum(float(getattr(e, "delay", 0.0)) for e in effects if e.name == "accel_gyro_time_offset")
     force = affine.true_force(accel.xyz)
     rate_t = None if gyroscope is None else gyroscope.t - delay
@@ -82,14 +96,29 @@ def motion_of(
     force = _still(accel, bins, force, at_rest)
     if gyroscope is not None and rate is not None:
         rate = _still(gyroscope, bins, rate, still)
+
+    def true(t: Array) -> Array:
+        return conditions.t_start + (t - conditions.t_start) / (1.0 + skew_of(effects))
+
     if not isinstance(recording, LongRecording):
-        return Motion(accel.t, force, rate_t, rate)
+        return Motion(true(accel.t), force, None if rate_t is None else true(rate_t), rate)
     force_t, force = _with_bins(accel.t, force, bins, at_rest)
     if rate_t is not None and rate is not None:
         rate_t, rate = _with_bins(rate_t, rate, bins, still)
     middle, half = (bins.t - bins.span[0]) / WINDOW, bins.duration / 2.0 / WINDOW
     edges = np.rint(np.stack([middle - half, middle + half], axis=1)).astype(int).tolist()
-    return Motion(force_t, force, rate_t, rate, tuple((a, b) for a, b in edges))
+    steady = tuple((a, b) for a, b in edges)
+    return Motion(true(force_t), force, None if rate_t is None else true(rate_t), rate, steady)
+
+
+def _unlimited(samples: Samples, effects: Sequence[Effect]) -> Samples:
+    """Return samples whose values at a limit that was found lie beyond it, as the true ones did."""
+    own = [e for e in effects if e.name.endswith("_saturation") and e.concerns(samples.sensor)]
+    if not own:
+        return samples
+    limit = AT_LIMIT * min(float(getattr(e, "limit", np.inf)) for e in own)
+    xyz = samples.xyz
+    return replace(samples, xyz=frozen(np.where(np.abs(xyz) >= limit, BEYOND * xyz, xyz)))
 
 
 def _with_bins(t: Array, values: Array, bins: Bins, at_rest: Array) -> tuple[Array, Array]:
@@ -167,7 +196,7 @@ def _in_blocks(
 
 def _within(ticks: Ticks, known: Flags) -> Ticks:
     """Return the ticks that lie in windows (n,) where `known`."""
-    window = np.minimum((ticks.t / WINDOW).astype(np.int64), known.size - 1)
+    window = np.clip((ticks.stamp / WINDOW).astype(np.int64), 0, known.size - 1)
     there = known[window]
     rows = (np.cumsum(there) - 1)[ticks.rows[there[ticks.rows]]]
     return Ticks(ticks.t[there], ticks.stamp[there], ticks.arrival[there], rows)
@@ -202,8 +231,7 @@ class _Played:
         )
         self._recording, self._motion = recorded
         self._conditions, self._sensor = conditions, sensor
-        accel = self._recording.accelerometer
-        self._duration = float(accel.t[-1] - accel.t[0])
+        self._duration = float(self._motion.force_t[-1] - self._motion.force_t[0])
         self._clock = StreamClock(clock, settings.rate_hz, (), (), seed=seed, stream=sensor)
         self._delay = clock.gyro_delay_s if sensor is Sensor.GYROSCOPE else 0.0
         self._chain = SensorChain(sensor, settings, phone.effects, conditions.surroundings, seed)

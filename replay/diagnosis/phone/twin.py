@@ -89,6 +89,15 @@ def effects_output(
     return total
 
 
+def skew_of(effects: Sequence[Effect]) -> float:
+    """Return by what part the device's clock is fast, by the effects found.
+
+    A second of its stamps is 1 / (1 + skew) s of true time, so a rate is 1 + skew times what its angle and
+    its stamps give.
+    """
+    return sum(float(getattr(e, "relative", 0.0)) for e in effects if e.name == "clock_skew")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class AffinePhone:
     """The affine part of a phone. accel, gyro: (n, 3), what the effects add in each static bin.

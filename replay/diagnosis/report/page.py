@@ -29,7 +29,7 @@ from stillcal.replay.diagnosis.words.names import (
 from stillcal.replay.diagnosis.words.next_recording import to_record
 from stillcal.replay.diagnosis.words.relation_text import probability_text, with_interval
 from stillcal.replay.diagnosis.words.summary import headline, outcome, reasons
-from stillcal.replay.diagnosis.words.units import pretty, shown_in
+from stillcal.replay.diagnosis.words.units import plain, pretty, shown_in
 
 STYLE = """
 :root{color-scheme:light}
@@ -197,7 +197,7 @@ def _sure(finding: Mapping[str, Any], start: float, simulation: str) -> str:
     text += "." if where["driver"] == "nothing" else f", following {where['driver']}."
     if "heldout_log_score_gain" in evidence:
         gain = evidence["heldout_log_score_gain"]
-        text += f" What was left out of the fit is predicted better with it, by {gain:.3g} nats"
+        text += f" What was left out of the fit is predicted better with it, by {plain(gain)} nats"
         text += f" in {evidence['folds']} parts." if "folds" in evidence else "."
     return text
 
@@ -231,7 +231,7 @@ def _alternatives(finding: Mapping[str, Any]) -> str:
     rows = [
         (
             escape(noun(a["effect"], finding["sensor"])),
-            f"{a['heldout_log_score_gain']:.3g} nats",
+            f"{plain(a['heldout_log_score_gain'])} nats",
             "cannot be told from it here" if a["indistinguishable"] else "explains it less well",
         )
         for a in finding["alternatives"]
@@ -274,6 +274,6 @@ def _sensitivity(answer: Mapping[str, Any]) -> Iterator[str]:
         factor, unit = shown_in(s["smallest_seen_90"], s["unit"], s["parameter"])
         at = "".join(f" ({k.removesuffix('_s')} {v:.0f} s)" for k, v in s.get("reference", {}).items())
         what = capital(noun(s["effect"], s["sensor"]))
-        size = f"{s['smallest_seen_90'] * factor:.2g} {unit}"
+        size = f"{plain(s['smallest_seen_90'] * factor)} {unit}"
         rows.append((escape(what), escape(parameter_noun(s["parameter"]) + at), escape(size)))
     yield tables.table(("effect", "parameter", "smallest size"), rows)

@@ -16,7 +16,7 @@ from stillcal.replay.diagnosis.words.names import (
     parameter_noun,
     simulation_text,
 )
-from stillcal.replay.diagnosis.words.units import shown_in
+from stillcal.replay.diagnosis.words.units import plain, shown_in
 
 AXES = "xyz"
 
@@ -60,8 +60,8 @@ def with_interval(
         halves = np.ptp(np.asarray(parameter["ci95"], dtype=np.float64).reshape(values.size, 2), axis=1) / 2.0
     texts = []
     for i in shown:
-        error = "" if halves is None else f" ± {halves[i] * factor:.2g}"
-        texts.append(f"{labels[i]} {values[i] * factor:.3g}{error} {unit}".strip())
+        number = plain(values[i] * factor, None if halves is None else halves[i] * factor)
+        texts.append(f"{labels[i]} {number} {unit}".strip())
     return ", ".join(texts)
 
 

@@ -68,6 +68,28 @@ def shown_in(values: ArrayLike, unit: str, name: str = "") -> Scale:
     return factor, shown + suffix
 
 
+DIGITS, DIGITS_OF_ERROR = 3, 2
+"""Significant digits of a number by itself, and of its error, which says how many the number has."""
+
+LEAST_PLAIN = 1e-4
+"""Below this size a number is written with a power of ten."""
+
+
+def plain(value: float, error: float | None = None) -> str:
+    """Return a number in plain digits; error: of the same unit, half of its interval, or None.
+
+    A number with an error has the digits that its error has: 118 ± 160, -0.109 ± 0.032.
+    """
+    size = abs(value) if error is None else error
+    if max(size, abs(value)) < LEAST_PLAIN or not np.isfinite(value) or size == 0.0:
+        return f"{value:.3g}" if error is None else f"{value:.3g} ± {error:.2g}"
+    digits = DIGITS if error is None else DIGITS_OF_ERROR
+    decimals = digits - 1 - int(np.floor(np.log10(size)))
+    numbers = (value,) if error is None else (value, error)
+    rounded = (round(x, decimals) + 0.0 for x in numbers)
+    return " ± ".join(f"{x:.{max(decimals, 0)}f}" for x in rounded)
+
+
 def _is_of(unit: str, base: str) -> bool:
     """Whether a unit is a base unit, or that by something else: mg/K, deg/s/sqrt(Hz)."""
     rest = unit.removeprefix(base)

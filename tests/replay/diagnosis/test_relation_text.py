@@ -11,11 +11,12 @@ from stillcal.replay.diagnosis.words.relation_text import probability_text, stat
 
 
 def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], list[Any], str]) -> str:
-    """Return the statement of parts given as recorded, simulated, unit, each with an interval of 0.1."""
+    """Return the statement of parts given as recorded, simulated, unit, each with an interval of a tenth."""
 
     def parameter(value: Any, unit: str) -> dict[str, Any]:
         value = np.asarray(value, dtype=np.float64)
-        ci = np.stack([value - 0.05, value + 0.05], axis=-1)
+        half = 0.05 * np.abs(value).max()
+        ci = np.stack([value - half, value + half], axis=-1)
         return {"value": value.tolist(), "ci95": ci.tolist(), "unit": unit}
 
     finding = {
@@ -49,21 +50,21 @@ def test_the_word_holds_for_every_number_shown(
 
 def test_both_sides_are_given_in_one_unit() -> None:
     text = told("gyro_bias_temperature", "too_small", ["x"], slope=([2e-4] * 3, [1e-4] * 3, "rad/s/K"))
-    assert "x 0.00573 " in text and "x 0.0115 " in text and "deg/h" not in text
+    assert "x 0.00573 ± 0.00029 " in text and "x 0.01146 ± 0.00057 " in text and "deg/h" not in text
 
 
 def test_of_a_matrix_the_elements_that_differ_are_shown_of_both() -> None:
     recorded, simulated = np.diag([-0.2, 0.0, 3.0]), np.diag([-1.0, 0.0, 0.5])
     text = told("gyro_scale", "too_small", ["z"], scale=(recorded.tolist(), simulated.tolist(), "1"))
-    assert "x by x -100 " in text and "x by x -20 " in text
-    assert "z by z 50 " in text and "z by z 300 " in text
+    assert "x by x -100.0 ± 5.0 " in text and "x by x -20 ± 15 " in text
+    assert "z by z 50.0 ± 5.0 " in text and "z by z 300 ± 15 " in text
     assert "y by y" not in text and "(2 of 9 elements)" in text
 
 
 def test_a_matrix_without_a_clear_element_shows_its_largest() -> None:
     recorded = np.diag([0.0, 0.0, 0.06])
     text = told("gyro_scale", "too_small", ["z"], scale=(recorded.tolist(), np.zeros((3, 3)).tolist(), "1"))
-    assert "z by z 6 " in text and "(1 of 9 elements)" in text
+    assert "z by z 6.00 ± 0.30 " in text and "(1 of 9 elements)" in text
 
 
 def test_the_part_that_differs_is_shown_with_its_pairs_of_axes() -> None:

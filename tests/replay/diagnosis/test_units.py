@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stillcal.replay.diagnosis.words.units import shown_in
+from stillcal.replay.diagnosis.words.units import plain, shown_in
 
 G = 9.80665
 
@@ -34,3 +34,23 @@ def test_a_value_is_shown_in_a_unit_of_its_size(
 ) -> None:
     factor, text = shown_in(value, unit, name)
     assert (value * factor, text) == (pytest.approx(shown[0], rel=1e-4), shown[1])
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (8000.13, 0.09, "8000.130 ± 0.090"),
+        (118.0, 163.0, "120 ± 160"),
+        (-0.1092, 0.0321, "-0.109 ± 0.032"),
+        (137.2, None, "137"),
+        (8000.0, None, "8000"),
+        (-0.0, 0.5, "0.00 ± 0.50"),
+        (0.05725, None, "0.0573"),
+        (2.5e-6, 1.2e-7, "2.5e-06 ± 1.2e-07"),
+        (0.0, None, "0"),
+    ],
+)
+def test_a_number_is_written_in_plain_digits_as_many_as_its_error_leaves(
+    value: float, error: float | None, text: str
+) -> None:
+    assert plain(value, error) == text

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
+from stillcal.replay.diagnosis.built_in import judge_built_in
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.diagnosis.judged import named
 from stillcal.replay.diagnosis.phone.case import Case
@@ -54,6 +55,18 @@ def test_the_baseline_is_that_of_the_phone(case_with: Callable[..., Case]) -> No
     assert found.accel.rate_hz == pytest.approx(true.accel.rate_hz, rel=1e-4)
 
 
+def test_the_phone_played_again_has_the_recordings_clock_gaps_and_limit() -> None:
+    """The motion is known by a clock that is fast and up to the limit: neither may count twice."""
+    phone = phone_with(
+        {"name": "clock_skew", "relative": 0.008},
+        {"name": "gyro_saturation", "limit": 1.5},
+        {"name": "dropped_samples", "fraction": 0.05},
+    )
+    answer = judge_built_in(named(recorded(phone, 5), "real.csv")).answer
+    assert {f["effect"] for f in answer["findings"]} == {"clock_skew", "gyro_saturation", "dropped_samples"}
+    assert answer["verdict"] == "identified", answer["fit"]
+
+
 @pytest.mark.slow
 def test_what_has_no_place_in_a_phone_file_is_a_comment(recording: Maker) -> None:
     hidden = {"name": "accel_thermal_hysteresis", "coefficient": [0.03, 0.03, 0.03], "tau_s": 300.0}
@@ -84,7 +97,7 @@ def test_a_phone_file_is_judged_as_any_simulation_is(recording: Maker) -> None:
 def test_a_phone_with_wrong_constants_and_slow_noise_is_told_so(recording: Maker) -> None:
     """Biases are 1.2 m/s^2 off, scales all 1, and the 1/f noise is twenty times too strong."""
     sound = phone_with()
-    flicker = tuple(20.0 * f for f in per_axis(sound.accel.noise.flicker))
+    flicker = tuple(20.0 * float(f) for f in per_axis(sound.accel.noise.flicker))
     accel = msgspec.structs.replace(
         sound.accel,
         bias=tuple(b + 1.2 for b in sound.accel.bias),
@@ -123,6 +136,7 @@ def test_the_clock_of_the_written_phone_scatters_and_loses_as_the_recording_does
     real = recorded(msgspec.structs.replace(phone_with(), clock=uneven), 3)
     stamps = stamps_measured(real.accelerometer)
     scatter, missing = stamps.scatter, stamps.missing
+    assert stamps.rate == pytest.approx(25.0, rel=1e-4), "the samples that are missing count once"
     assert scatter == pytest.approx(3e-4, rel=0.05)
     assert missing == pytest.approx(0.005, rel=0.3)
     case = diagnosed(real)
