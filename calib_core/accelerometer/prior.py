@@ -45,7 +45,7 @@ class FleetPrior:
 
     mean: (9,). covariance: (9, 9). Both in m/s^2 and 1. scatter: m/s^2, standard deviation of norms at rest
     beyond the uncertainty of each rest. devices: number of devices that it was learnt from. model: the device
-    model that it is for, empty for any.
+    model that it is for, empty for any. of_model: number of devices of that model among them.
     """
 
     mean: Array
@@ -53,6 +53,7 @@ class FleetPrior:
     scatter: float = 0.01
     devices: int = 0
     model: str = ""
+    of_model: int = 0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -89,7 +90,8 @@ class Population:
             covariance = self.within + self.between + of_the_mean
             return FleetPrior(frozen(self.mean), frozen(covariance), self.scatter, total, name)
         covariance = self.within + self.model_covariances[model]
-        return FleetPrior(frozen(self.model_means[model]), frozen(covariance), self.scatter, total, name)
+        mean, own = frozen(self.model_means[model]), int(self.devices[model])
+        return FleetPrior(mean, frozen(covariance), self.scatter, total, name, own)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

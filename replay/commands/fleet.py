@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,15 +19,23 @@ from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import format_option, quiet_option
 from stillcal.daemon.cli.progress import progress
-from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.document import pretty
-from stillcal.replay.commands.outputs import files, recording_files, refuse_collisions
+from stillcal.daemon.store.store import Store
+from stillcal.replay.commands.outputs import (
+    files,
+    recording_files,
+    refuse_collisions,
+    store_files,
+    write_output,
+)
+from stillcal.replay.commands.reading import Reading, reading_options
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from stillcal.replay.fleet.report import Report
+    from stillcal.calib_core.calibration.record import CalibrationRecord
+    from stillcal.replay.fleet.sections import Section
     from stillcal.replay.fleet.worker import Task
 
 _BAD, _NAMED = ("error", "lost"), 3
@@ -72,6 +81,9 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
     quiet: bool,
 ) -> None:
     """Calibrate and diagnose all RECORDINGS, a folder or a pattern in quotes, in parallel.
+
+    A folder is searched for recordings in every format that is recognised by content; a pattern finds those
+    of other names. What phyphox, Sensor Logger and ROS 2 write as a folder is one recording.
 
     Writes recordings.parquet (one row per recording: device, parameters with standard deviations, verdict)
     and findings.parquet into the folder of results. Called again, it continues with recordings that are new
@@ -161,34 +173,47 @@ def _counted(rows: list[dict[str, object]]) -> dict[str, int]:
 
 @click.command(
     "fleet-report",
-    short_help="Summarise a fleet: spread, outliers, clusters, priors.",
-    epilog=examples("stillcal fleet-report results", "stillcal fleet-report results --json report.json"),
+    short_help="Summarise a fleet: changes, spread, outliers, priors.",
+    epilog=examples(
+        "stillcal fleet-report results",
+        "stillcal fleet-report results --json report.json --report report.html",
+    ),
 )
 @click.argument("results", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @click.option(
     "--json", "json_path", type=click.Path(path_type=Path), help="Write the summary as JSON ('-': print it)."
 )
-def report_command(results: Path, json_path: Path | None) -> None:
-    """Summarise the RESULTS of stillcal fleet: spread by model, outliers, clusters, priors.
+@click.option(
+    "--report",
+    "page_path",
+    type=click.Path(path_type=Path),
+    help="Write a page for a browser (.html; '-': print it).",
+)
+def report_command(results: Path, json_path: Path | None, page_path: Path | None) -> None:
+    """Summarise the RESULTS of stillcal fleet: what got worse, spread by model, outliers, clusters, priors.
 
-    The JSON has the priors: mean and covariance of a new phone's parameters, by model. Exit code 3: no device
-    was calibrated.
+    A device with several recordings is judged by the first and the last of them, in the order of their
+    names. The JSON has the priors: mean and covariance of a new phone's parameters, by model. Exit code 3:
+    no device was calibrated.
     """
     try:
+        from stillcal.replay.fleet.page import fleet_page  # noqa: PLC0415 - an extra
         from stillcal.replay.fleet.report import report  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet.sections import sections  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise click.UsageError(_LACKING.format(error)) from error
-    refuse_collisions(files(json_path), results.rglob("*.parquet"))
+    if page_path not in (None, STANDARD_OUTPUT) and page_path.suffix not in (".html", ".htm"):
+        raise click.UsageError(f"{page_path}: a report is an HTML page; choose a name that ends in .html")
+    refuse_collisions(files(json_path, page_path), results.rglob("*.parquet"))
     fleet = report(results)
-    text = pretty(fleet.document()) + "\n"
-    if json_path == STANDARD_OUTPUT:
-        click.echo(text, nl=False)
-    else:
-        if json_path is not None:
-            write_atomically(json_path, text.encode())
+    if json_path is not None:
+        write_output(json_path, (pretty(fleet.document()) + "\n").encode())
+    if page_path is not None:
+        write_output(page_path, fleet_page(fleet, results.name).encode())
+    if STANDARD_OUTPUT not in (json_path, page_path):
         click.echo(", ".join(f"{n} {status}" for status, n in fleet.recordings.items()) or "no recordings")
-        for table in _tables(fleet):
-            Console().print(table)
+        for section in sections(fleet):
+            Console().print(_table(section))
         for limit in fleet.limits:
             click.echo(f"Note: {limit}")
     if not fleet.spreads:
@@ -196,89 +221,11 @@ def report_command(results: Path, json_path: Path | None) -> None:
         sys.exit(TOO_LITTLE)
 
 
-def _tables(report: Report) -> Iterator[Table]:
-    """Yield the tables that have rows."""
-    for title, columns, rows in (
-        ("All devices", ("quantity", "unit", "devices", "median", "middle half"), _spreads(report)),
-        ("Bias by model, m/s²", ("model", "devices", "x", "y", "z"), _biases(report)),
-        ("Effects found", ("model", "effect", "sensor", "recordings", "size"), _effects(report)),
-        ("Outlier devices", ("device", "model", "distance", "limit", "most"), _outliers(report)),
-        ("Clusters", ("exemplar", "devices", "bias, m/s²", "rate, Hz", "models"), _clusters(report)),
-        ("Priors: bias, m/s²", ("model", "x", "y", "z", "± each"), _priors(report)),
-    ):
-        if rows:
-            table = Table(*columns, title=title, title_justify="left", box=None, pad_edge=False)
-            for row in rows:
-                table.add_row(*row)
-            yield table
-
-
-def _spreads(report: Report) -> list[tuple[str, ...]]:
-    return [
-        (s.quantity, s.unit, str(s.devices), f"{s.median:.3g}", f"{s.low:.3g} to {s.high:.3g}")
-        for s in report.spreads
-        if s.of_all_models
-    ]
-
-
-def _biases(report: Report) -> list[tuple[str, ...]]:
-    models = dict.fromkeys(s.model for s in report.spreads if not s.of_all_models)
-    rows = []
-    for model in models:
-        own = [s for s in report.spreads if s.model == model and s.quantity.startswith("accelerometer bias")]
-        cells = (f"{s.median:+.3f} ({s.low:+.3f} to {s.high:+.3f})" for s in own)
-        rows.append((model, str(own[0].devices), *cells))
-    return rows
-
-
-def _effects(report: Report) -> list[tuple[str, ...]]:
-    return [
-        (
-            e.model,
-            e.effect,
-            e.sensor,
-            f"{e.found} of {e.diagnosed}",
-            f"{e.parameter} {e.median:.3g} ({e.low:.3g} to {e.high:.3g}) {e.unit}",
-        )
-        for e in report.effects
-    ]
-
-
-def _outliers(report: Report) -> list[tuple[str, ...]]:
-    return [
-        (
-            o.device,
-            o.model,
-            f"{o.distance:.1f}",
-            f"{o.limit:.1f}",
-            f"{o.parameter} {o.value:+.4g}, the others {o.median:+.4g}",
-        )
-        for o in report.outliers
-    ]
-
-
-def _clusters(report: Report) -> list[tuple[str, ...]]:
-    return [
-        (
-            c.exemplar,
-            str(c.devices),
-            f"{c.bias:.3f}",
-            f"{c.rate_hz:.1f}",
-            ", ".join(f"{n} {model}" for model, n in c.models.items()),
-        )
-        for c in report.clusters
-    ]
-
-
-def _priors(report: Report) -> list[tuple[str, ...]]:
-    return [
-        (
-            p.model or "any",
-            *(f"{m:+.3f}" for m in p.mean[:3]),
-            ", ".join(f"{v**0.5:.3f}" for v in p.covariance.diagonal()[:3]),
-        )
-        for p in report.priors
-    ]
+def _table(section: Section) -> Table:
+    table = Table(*section.heads, title=section.title, title_justify="left", box=None, pad_edge=False)
+    for row in section.rows:
+        table.add_row(*row)
+    return table
 
 
 @click.command(
@@ -286,7 +233,7 @@ def _priors(report: Report) -> list[tuple[str, ...]]:
     short_help="Calibrate a new phone from few rests and a fleet's prior.",
     epilog=examples(
         "stillcal fleet-report results --json fleet.json",
-        "stillcal fleet-first new-phone.csv --prior fleet.json",
+        "stillcal fleet-first new-phone.csv --prior fleet.json --store store.json",
         "stillcal fleet-first new-phone.csv --prior fleet.json --model 'LG Nexus 4' --json first.json",
     ),
 )
@@ -296,9 +243,17 @@ def _priors(report: Report) -> list[tuple[str, ...]]:
 )
 @click.option("--model", help="The phone's model [default: what its maker claims].")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write it there ('-': print it).")
-@format_option(rests=False)
-def first_command(
-    trace: Path, report_path: Path, model: str | None, json_path: Path | None, format_: str
+@click.option(
+    "--store", "store_path", type=click.Path(path_type=Path), help="Store the calibration, for apply and run."
+)
+@reading_options()
+def first_command(  # noqa: PLR0917 - click hands every option over by name
+    trace: Path,
+    report_path: Path,
+    model: str | None,
+    json_path: Path | None,
+    store_path: Path | None,
+    reading: Reading,
 ) -> None:
     """Calibrate a new phone's accelerometer from any number of rests and the fleet's prior of its model.
 
@@ -306,12 +261,16 @@ def first_command(
     printed beside each. Rests that contradict the prior are refused. Exit code 3: no rest was found.
     """
     from stillcal.calib_core.errors import NotSupported  # noqa: PLC0415 - only this command
-    from stillcal.replay.fleet.first_calibration import document, first_calibration  # noqa: PLC0415 - only this command
-    from stillcal.replay.fleet.prior_file import read_prior  # noqa: PLC0415 - only this command
-    from stillcal.replay.formats.trace import open_trace  # noqa: PLC0415 - only this command
+    from stillcal.replay.fleet.first_calibration import (  # noqa: PLC0415 - only this command
+        document,
+        first_calibration,
+        record_of,
+    )
+    from stillcal.replay.fleet.prior_file import few_devices, read_prior  # noqa: PLC0415 - only this command
 
-    refuse_collisions(files(json_path), [*recording_files(trace), report_path])
-    opened = open_trace(trace, format_)
+    outputs = [*files(json_path), *([] if store_path is None else store_files(store_path))]
+    refuse_collisions(outputs, [*recording_files(trace), *files(reading.gyro), report_path])
+    opened = reading.open(trace)
     prior = read_prior(report_path, model, opened.claims.device)
     try:
         fit, rests = first_calibration(opened, prior)
@@ -319,15 +278,29 @@ def first_command(
         click.echo(f"stillcal: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
     calibration = document(fit, rests, prior)
-    text = pretty(calibration) + "\n"
-    if json_path == STANDARD_OUTPUT:
-        click.echo(text, nl=False)
-        return
     if json_path is not None:
-        write_atomically(json_path, text.encode())
+        write_output(json_path, (pretty(calibration) + "\n").encode())
+    if store_path is not None:
+        _store(store_path, lambda before: record_of(fit, rests, prior, before), trace.name)
+    if warning := few_devices(prior):
+        click.echo(f"stillcal: {warning}", err=True)
+    if json_path == STANDARD_OUTPUT:
+        return
     states = calibration["accelerometer"]["n_states"]
     click.echo(f"{trace}: {len(rests)} rests in {states} attitudes, prior of {prior.model or 'any model'}")
     sds = fit.covariance.diagonal() ** 0.5
     for name, value, sd, share in zip(prior.names, fit.values, sds, fit.shown, strict=True):
         click.echo(f"  {name:5} {value:+9.4f} ± {sd:.4f}   {share:4.0%} from the rests")
     click.echo(f"  norm at rest is known to {fit.worst_norm_uncertainty:.3f} m/s² along the worst direction")
+    if store_path is not None:
+        click.echo(f"  stored in {store_path}")
+
+
+def _store(path: Path, made: Callable[[CalibrationRecord | None], CalibrationRecord], source: str) -> None:
+    """Make a calibration current in a store, made from the one that was."""
+    with Store(path) as store:
+        document = store.load()
+        record = made(None if document is None else document.current)
+        record = replace(record, provenance=replace(record.provenance, source=source))
+        for note in store.publish(record, record.acceptance.reason, record.fitted_at).notes:
+            click.echo(f"stillcal: {note}", err=True)

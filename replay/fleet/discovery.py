@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +11,25 @@ from stillcal.replay.formats.claims import beside
 from stillcal.replay.formats.columns import builtin_formats, load_map
 from stillcal.replay.formats.recognition.opened import AUTO, other_file
 
-PLAIN = (".csv", ".csv.gz")
-"""How recordings end whose format does not say otherwise."""
+TEXTS = (".csv", ".csv.gz")
+"""How recordings end whose format is given."""
+
+LOGS = (".ulg", ".bin", ".bag", ".db3", ".mcap", ".cwa", ".parquet", ".h5", ".hdf5", ".mat", ".npz", ".zip")
+"""How recordings end besides, where the content of each says its format (docs/formats.md)."""
+
+EXPORTS = frozenset(
+    {
+        "metadata.yaml",  # of a ROS 2 bag
+        "Raw Data.csv",  # phyphox
+        "Accelerometer.csv",  # phyphox
+        "TotalAcceleration.csv",  # Sensor Logger
+        "AccelerometerUncalibrated.csv",  # Sensor Logger
+    }
+)
+"""Files that make their folder one recording."""
+
+RESULTS = ("recordings.parquet", "findings.parquet")
+"""How a fleet's own results end, which are no recordings."""
 
 _WILD = frozenset("*?[")
 
@@ -53,18 +71,25 @@ class FoundRecording:
 def find(where: str, format: str = "csv") -> list[FoundRecording]:
     """Return the recordings below the folder `where`, or those that the pattern `where` fits, by name.
 
-    A pattern may hold ** for any depth. A folder is searched for .csv and .csv.gz; formats of other names
-    need a pattern. Raises NoRecordingsError where there is none.
+    A pattern may hold ** for any depth. A folder is searched for TEXTS and, where the format is "auto", for
+    LOGS and folders that are one recording (EXPORTS); files of other names need a pattern. Results of a
+    fleet are no recordings. Raises NoRecordingsError where there is none.
     """
     wild = bool(_WILD & set(where)) and not Path(where).exists()
     root = _root(where) if wild else Path(where)
-    paths = root.glob(str(Path(where).relative_to(root))) if wild else _recordings_in(root)
+    automatic = format == AUTO
+    paths = root.glob(str(Path(where).relative_to(root))) if wild else _recordings_in(root, automatic)
     rules = () if format == "rest" else _rules(format)
-    recordings = sorted(p for p in paths if p.is_file() and not p.name.startswith("."))
+    recordings = sorted(
+        p
+        for p in paths
+        if not p.name.startswith(".") and (p.is_file() or (automatic and p.is_dir() and _is_export(p)))
+    )
     others = {other for p in recordings if (other := other_file(p, rules)) is not None}
     recordings_found = [_found_recording(p, root, rules) for p in recordings if p not in others]
     if not recordings_found:
-        there = f"no {' or '.join(PLAIN)} below" if root.exists() else "no file or folder"
+        sought = "recording" if automatic else " or ".join(TEXTS)
+        there = f"no {sought} below" if root.exists() else "no file or folder"
         what = "no file matches" if wild else there
         raise NoRecordingsError(f"{what} {where}; name a folder of recordings or a pattern in quotes")
     return recordings_found
@@ -78,10 +103,21 @@ def _rules(format: str) -> tuple[tuple[str, str], ...]:
     return gyroscope.other_file if gyroscope else ()
 
 
-def _recordings_in(root: Path) -> Iterable[Path]:
+def _recordings_in(root: Path, automatic: bool) -> Iterator[Path]:
     if not root.is_dir():
-        return [root]
-    return (p for p in root.rglob("*") if p.name.endswith(PLAIN))
+        yield root
+    endings = (*TEXTS, *LOGS) if automatic else TEXTS
+    for folder, folders, files in os.walk(root):
+        if automatic and _is_export(Path(folder)):
+            folders.clear()
+            yield Path(folder)
+        else:
+            sought = (n for n in files if n.lower().endswith(endings) and not n.endswith(RESULTS))
+            yield from (Path(folder, name) for name in sought)
+
+
+def _is_export(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in EXPORTS)
 
 
 def _root(pattern: str) -> Path:
@@ -94,5 +130,8 @@ def _root(pattern: str) -> Path:
 def _found_recording(path: Path, root: Path, rules: tuple[tuple[str, str], ...]) -> FoundRecording:
     inside = path.relative_to(root) if path != root else Path(path.name)
     other = other_file(path, rules)
+    if path.is_dir():
+        whole = tuple(sorted(p for p in path.rglob("*") if p.is_file()))
+        return FoundRecording(path, str(inside), inside.parts[:-1], whole)
     around = (beside(path, ".json"), beside(path, ".events.jsonl"), *([other] if other else []))
     return FoundRecording(path, str(inside), inside.parts[:-1], (path, *(p for p in around if p.is_file())))

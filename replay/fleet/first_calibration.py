@@ -8,6 +8,14 @@ import numpy as np
 
 from stillcal.calib_core.accelerometer import prior as fleet_prior
 from stillcal.calib_core.accelerometer.prior import FleetPrior, PriorFit
+from stillcal.calib_core.calibration.candidate import validity_of
+from stillcal.calib_core.calibration.record import (
+    AccelerometerRecord,
+    Acceptance,
+    CalibrationRecord,
+    Provenance,
+    StateRecord,
+)
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.static.detector import StationaryDetector
@@ -49,6 +57,40 @@ def first_calibration(trace: Trace, prior: FleetPrior) -> tuple[PriorFit, list[R
         what = f"its rests contradict the prior of {whose}: {distance}"
         raise TraceError(trace.path, what, _STRANGE)
     return fit, rests
+
+
+def record_of(
+    fit: PriorFit, rests: list[RestState], prior: FleetPrior, before: CalibrationRecord | None
+) -> CalibrationRecord:
+    """Return the calibration for a store; a gyroscope's part that was there `before` stays."""
+    labels = attitude_labels(forces(rests), ATTITUDE_ANGLE)
+    accelerometer = AccelerometerRecord(
+        scale=fit.model.scale,
+        bias=fit.model.bias,
+        parameters=9,
+        names=prior.names,
+        covariance=fit.covariance,
+        rms_residual=float(np.sqrt(np.mean(fit.residuals**2))),
+        n_rests=len(rests),
+        n_states=int(labels.max()) + 1,
+        gravity=fit.gravity,
+        with_prior=True,
+    )
+    states = (
+        StateRecord.of(rest, float(residual), int(label))
+        for rest, residual, label in zip(rests, fit.residuals, labels, strict=True)
+    )
+    whose = f"{prior.model or 'any model'} ({prior.devices} devices)"
+    reason = f"from {len(rests)} rests and the prior of {whose}"
+    return CalibrationRecord(
+        accelerometer=accelerometer,
+        gyroscope=None if before is None else before.gyroscope,
+        fitted_at=rests[-1].t_end,
+        validity=validity_of(rests),
+        acceptance=Acceptance(reason=reason),
+        provenance=Provenance(t_start=rests[0].t_start, t_end=rests[-1].t_end),
+        states=tuple(states),
+    )
 
 
 def document(fit: PriorFit, rests: list[RestState], prior: FleetPrior) -> dict[str, Any]:

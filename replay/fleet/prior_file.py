@@ -17,6 +17,9 @@ _SCHEMA = 1
 _SCALES = (0.5, 2.0)
 """A phone's accelerometer stands within this factor of true; columns in another order or unit do not."""
 
+FEW, FEW_OF_MODEL = 20, 5
+"""Devices below which a prior is warned of: one from 16 real devices was no better than a data sheet."""
+
 _SINGULAR = 1e-10  # eigenvalue of a correlation matrix below which rounding decides its sign
 _ROUNDED = 1e-3  # how far printed sd may stand off the covariance, relative
 _REMEDY = "make the report again: stillcal fleet-report RESULTS --json FILE"
@@ -30,6 +33,7 @@ class _Written(msgspec.Struct):
     mean: list[float]
     covariance: list[list[float]]
     scatter: float
+    of_model: int = 0
     names: tuple[str, ...] = names(9)
     sd: list[float] | None = None
 
@@ -65,7 +69,19 @@ def read_prior(path: Path, model: str | None = None, claimed: str | None = None)
     wrong = _wrong(own)
     if wrong is not None:
         raise TraceError(path, f"the prior of {own.model or 'any model'} is not valid: {wrong}", _REMEDY)
-    return FleetPrior(frozen(own.mean), frozen(own.covariance), own.scatter, own.devices, own.model)
+    mean, covariance = frozen(own.mean), frozen(own.covariance)
+    return FleetPrior(mean, covariance, own.scatter, own.devices, own.model, own.of_model)
+
+
+def few_devices(prior: FleetPrior) -> str | None:
+    """Return a warning where a prior stands on few devices, None where it does not."""
+    of_model = f", {prior.of_model} of them of this model" if prior.model and prior.of_model else ""
+    learnt = f"the prior of {prior.model or 'any model'} was learnt from {prior.devices} devices{of_model}"
+    if prior.devices < FEW:
+        return f"{learnt}: below {FEW} it may be no better than a data sheet (docs/fleet.md)"
+    if prior.model and 0 < prior.of_model < FEW_OF_MODEL:
+        return f"{learnt}: its mean leans on the other models"
+    return None
 
 
 def _chosen(path: Path, priors: list[_Written], model: str | None, claimed: str | None) -> _Written:

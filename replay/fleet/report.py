@@ -13,9 +13,11 @@ from stillcal.calib_core.accelerometer.prior import FleetPrior
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.fleet import results_folder
+from stillcal.replay.fleet.changes import Change, changes, first_and_last
 from stillcal.replay.fleet.clusters import clusters
 from stillcal.replay.fleet.devices import Devices, devices
 from stillcal.replay.fleet.outliers import Distances, distances
+from stillcal.replay.fleet.prior_file import FEW, few_devices
 from stillcal.replay.fleet.spread import Effect, Spread, effects, spreads
 
 LEAST, MOST_CLUSTERED = 5, 2000
@@ -51,23 +53,31 @@ class Cluster:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """The summary of a fleet. recordings: counts by status. limits: what this fleet cannot show."""
+    """The summary of a fleet.
+
+    recordings: counts by status. compared: devices whose first and last recording could be compared, which
+    `changes` are of. limits: what this fleet cannot show.
+    """
 
     recordings: dict[str, int]
     spreads: list[Spread]
     effects: list[Effect]
+    changes: list[Change]
     outliers: list[Outlier]
     clusters: list[Cluster]
     priors: list[FleetPrior]
     limits: list[str]
+    compared: int = 0
 
     def document(self) -> dict[str, Any]:
         """Return the report as plain values."""
         plain = {
-            k: [asdict(x) for x in getattr(self, k)] for k in ("spreads", "effects", "outliers", "clusters")
+            k: [asdict(x) for x in getattr(self, k)]
+            for k in ("spreads", "effects", "changes", "outliers", "clusters")
         }
         priors = [prior_document(prior) for prior in self.priors]
-        return {"schema": 1, "recordings": self.recordings, **plain, "priors": priors, "limits": self.limits}
+        counts = {"recordings": self.recordings, "compared": self.compared}
+        return {"schema": 1, **counts, **plain, "priors": priors, "limits": self.limits}
 
 
 def prior_document(prior: FleetPrior) -> dict[str, Any]:
@@ -75,6 +85,7 @@ def prior_document(prior: FleetPrior) -> dict[str, Any]:
     return {
         "model": prior.model,
         "devices": prior.devices,
+        "of_model": prior.of_model,
         "names": list(prior.names),
         "mean": prior.mean.tolist(),
         "sd": np.sqrt(np.diag(prior.covariance)).tolist(),
@@ -98,10 +109,12 @@ def report(folder: Path) -> Report:
         dict(sorted(counts.items())),
         spreads(fleet) if len(fleet) else [],
         effects(rows, findings),
+        changes(rows, limits),
         outliers(fleet, limits) if enough else [],
         cluster_devices(fleet, limits) if enough else [],
         priors(fleet, limits) if enough else [],
         limits,
+        len(list(first_and_last(rows))),
     )
 
 
@@ -160,4 +173,7 @@ def priors(fleet: Devices, limits: list[str]) -> list[FleetPrior]:
     except NotSupported as refusal:
         limits.append(str(refusal))
         return []
-    return [learnt.prior(), *(learnt.prior(k, name) for k, name in enumerate(fleet.models))]
+    learnt_priors = [learnt.prior(), *(learnt.prior(k, name) for k, name in enumerate(fleet.models))]
+    warnings = [warning for prior in learnt_priors if (warning := few_devices(prior))]
+    limits.extend(warnings[:1] if learnt_priors[0].devices < FEW else warnings)
+    return learnt_priors

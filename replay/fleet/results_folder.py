@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from stillcal.replay.fleet import parquet
+from stillcal.replay.fleet.discovery import RESULTS
 from stillcal.replay.fleet.parquet import FINDINGS, RECORDINGS, Rows
 from stillcal.replay.fleet.worker import LOST, Examined, Task, content
 
 FLUSH_S, FLUSH_ROWS = 5.0, 256
 """Results that are lost at most if this process is killed: seconds of work, and rows."""
-
-NAMES = ("recordings.parquet", "findings.parquet")
 
 
 class Results:
@@ -67,8 +66,8 @@ class Results:
         """Write both tables, the newest outcome of each recording, and clear the parts away."""
         self.flush()
         recordings, findings = read(self.folder)
-        parquet.write(self.folder / NAMES[1], findings, FINDINGS)
-        parquet.write(self.folder / NAMES[0], recordings, RECORDINGS)
+        parquet.write(self.folder / RESULTS[1], findings, FINDINGS)
+        parquet.write(self.folder / RESULTS[0], recordings, RECORDINGS)
         for part in sorted(self._parts.glob("*.parquet"), reverse=True):  # recordings before their findings
             part.unlink()
         return recordings, findings
@@ -102,7 +101,7 @@ def _sources(folder: Path, which: int) -> list[Path]:
     parts = sorted((folder / "parts").glob("*.recordings.parquet"))
     if which:
         parts = [p.with_name(p.name.replace("recordings", "findings")) for p in parts]
-    return [folder / NAMES[which], *parts]
+    return [folder / RESULTS[which], *parts]
 
 
 def _all(folder: Path, which: int) -> Rows:

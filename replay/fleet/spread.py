@@ -37,7 +37,8 @@ class Spread:
 class Effect:
     """An effect by model: in how many diagnosed recordings it was found, and how large.
 
-    median, low, high: of the size of its first parameter, in `unit`; NaN where it has none.
+    median, low, high: of the size of its first parameter, in `unit`; NaN where it has none. by_axis: median
+    absolute values of the axes x, y, z, where the parameter has one number for each; else empty.
     """
 
     model: str
@@ -50,6 +51,7 @@ class Effect:
     median: float
     low: float
     high: float
+    by_axis: tuple[float, ...] = ()
 
 
 def spreads(devices: Devices) -> list[Spread]:
@@ -97,6 +99,8 @@ def effects(rows: Sequence[dict[str, Any]], findings: Sequence[dict[str, Any]]) 
 def _effect(model: str, effect: str, sensor: str, group: list[dict[str, Any]], diagnosed: int) -> Effect:
     sizes = np.array([np.linalg.norm(f["value"]) for f in group if f["value"]])
     low, median, high = np.quantile(sizes, (0.25, 0.5, 0.75)) if sizes.size else (np.nan, np.nan, np.nan)
+    axes = [f["value"] for f in group if f["value"] and len(f["value"]) == 3]
+    by_axis = np.median(np.abs(axes), axis=0).tolist() if axes and len(axes) == sizes.size else []
     recordings = len({f["name"] for f in group})
     first = group[0]
     return Effect(
@@ -110,4 +114,5 @@ def _effect(model: str, effect: str, sensor: str, group: list[dict[str, Any]], d
         float(median),
         float(low),
         float(high),
+        tuple(by_axis),
     )

@@ -18,10 +18,11 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.fleet.first_calibration import first_calibration
-from stillcal.replay.fleet.prior_file import read_prior
+from stillcal.replay.fleet.prior_file import few_devices, read_prior
 from stillcal.replay.fleet.report import prior_document
 from stillcal.replay.formats.trace import Samples, TraceError, open_trace
 from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.outcome import current_in_store
 from stillcal.replay.phone import load_phone, load_scenario, simulate
 
 SIZES = np.repeat([0.4, 0.015, 0.005], 3)
@@ -156,3 +157,19 @@ def test_without_a_rest_there_is_no_calibration(lab: Samples, tmp_path: Path) ->
     assert result.exit_code == TOO_LITTLE and not out.exists()
     assert result.output.startswith(f"stillcal: {moved}: no rest was found; needed: ")
     assert result.output.count("\n") == 1
+
+
+def test_a_first_calibration_is_stored_and_a_prior_of_few_devices_is_warned_of(
+    lab: Samples, tmp_path: Path
+) -> None:
+    path, store = recording(tmp_path, lab), tmp_path / "store.json"
+    few = written(tmp_path, prior_document(replace(PRIOR, devices=16)))
+    said = CliRunner().invoke(cli, ["fleet-first", str(path), "--prior", str(few), "--store", str(store)])
+    assert said.exit_code == 0, said.output
+    assert said.stderr.count("learnt from 16 devices: below 20") == 1
+    kept = current_in_store(store)
+    assert kept.accelerometer is not None and kept.accelerometer.with_prior
+    np.testing.assert_allclose(kept.accelerometer.bias, [0.392266, -0.2941995, 0.196133], atol=0.02)
+    assert few_devices(replace(PRIOR, devices=20)) is None
+    assert few_devices(replace(NEXUS, devices=30, of_model=5)) is None
+    assert "leans on the other models" in (few_devices(replace(NEXUS, devices=30, of_model=4)) or "")

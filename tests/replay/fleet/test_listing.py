@@ -41,6 +41,21 @@ def test_a_pattern_takes_what_fits_and_names_it_from_where_it_begins(tmp_path: P
     assert [f.name for f in find(f"{folder}/*/3.txt")] == ["a/3.txt"]
 
 
+def test_every_format_is_found_and_an_exported_folder_is_one_recording(tmp_path: Path) -> None:
+    logs = ("a/1.csv", "a/2.ulg", "a/3.BIN", "b/4.parquet", "b/5.zip", "b/6.mcap")
+    walk = tuple(f"c/walk/{name}" for name in ("Accelerometer.csv", "Gyroscope.csv", "meta/device.csv"))
+    results = ("results/recordings.parquet", "results/parts/1.findings.parquet")
+    folder = laid(tmp_path, *logs, *walk, "c/bag/metadata.yaml", "a/notes.txt", *results)
+    found = find(str(folder), "auto")
+    assert [f.name for f in found] == sorted([*logs, "c/bag", "c/walk"])
+    exported = found[-1]
+    assert len(exported.files) == 3
+    assert exported.owner(None) == ("c", "c/walk")
+    assert [f.name for f in find(f"{folder}/c/*", "auto")] == ["bag", "walk"]
+    assert [f.name for f in find(str(folder / "c" / "walk"), "auto")] == ["walk"]
+    assert [f.name for f in find(str(folder / "a"), "csv")] == ["1.csv"]
+
+
 def test_the_gyroscopes_own_file_is_no_recording_of_its_own(tmp_path: Path) -> None:
     folder = laid(tmp_path, "Phones_accelerometer.csv", "Phones_gyroscope.csv")
     (found,) = find(str(folder), "hhar")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -10,8 +12,10 @@ import pytest
 
 from stillcal.calib_core.accelerometer.parameters import names
 from stillcal.replay.fleet import discovery, results_folder
+from stillcal.replay.fleet.changes import QUANTITIES, Change, changes
 from stillcal.replay.fleet.first_calibration import document, first_calibration
 from stillcal.replay.fleet.outliers import distances
+from stillcal.replay.fleet.page import fleet_page
 from stillcal.replay.fleet.prior_file import read_prior
 from stillcal.replay.fleet.report import report
 from stillcal.replay.fleet.worker import Examined, Task
@@ -73,7 +77,44 @@ def test_sound_fleets_have_no_outliers(n: int) -> None:
 def test_a_small_fleet_says_what_it_cannot_show(tmp_path: Path) -> None:
     found = report(fleet_of(tmp_path / "fleet", drawn(3, 0), ["A"] * 3))
     assert (found.outliers, found.clusters, found.priors) == ([], [], [])
-    assert found.limits == ["3 calibrated devices: outliers, clusters and priors need 5"]
+    assert found.limits == [
+        "3 calibrated devices: outliers, clusters and priors need 5",
+        "no device has two calibrated recordings: changes cannot be judged",
+    ]
+
+
+def test_what_got_worse_is_named_and_what_changes_as_all_do_is_not() -> None:
+    def rows(device: int, names: str, *bias_x: float) -> list[dict[str, Any]]:
+        quantities = {c: v for c, _, _, v in QUANTITIES} | {f"{c}_sd": 1e-4 for c, *_ in QUANTITIES}
+        one = quantities | {"status": "calibrated", "device": f"phone-{device}", "model": "A"}
+        one |= {"temperature_min": 20.0, "temperature_max": 24.0}
+        return [one | {"name": n, "accel_bias_x": b} for n, b in zip(names, bias_x, strict=True)]
+
+    ordinary = [r for i in range(6) for r in rows(i, "ab", 0.1, 0.1 + 0.002 * (-1) ** i)]
+    drifted, returned = rows(6, "bca", 0.15, 0.3, 0.1), rows(7, "ab", 0.3, 0.1)
+    limits: list[str] = []
+    found = changes([*ordinary, *drifted, *returned], limits)
+    assert [(c.device, c.quantity, c.worse) for c in found] == [
+        ("phone-6", "accelerometer bias x", True),
+        ("phone-7", "accelerometer bias x", False),
+    ]
+    assert (found[0].first, found[0].last, found[0].first_c) == (0.1, 0.3, 22.0)
+    assert limits == []
+    # Without a fleet that shows how much devices ordinarily change, the calibrations' uncertainty decides.
+    assert len(changes(ordinary[:2], limits)) == 1
+    assert len(limits) == 1
+    assert changes(ordinary[:1], limits) == []
+
+
+def test_the_page_shows_what_got_worse_first_and_escapes_names(tmp_path: Path) -> None:
+    found = report(fleet_of(tmp_path / "fleet", drawn(8, 1), ["<b>"] * 8))
+    worse = Change("<i>", "A", "accelerometer bias x", "m/s^2", 0.1, 0.3, 9.0, True, "a", "b", None, None)
+    page = fleet_page(replace(found, changes=[worse], compared=8), "fleet")
+    places = [page.index(text) for text in ("1 of 8 devices got worse", "Devices that got worse", "Priors")]
+    assert places == sorted(places)
+    assert "<i>" not in page and "&lt;i&gt;" in page and "&lt;b&gt;" in page
+    assert "None of 8 devices got worse" in fleet_page(replace(found, compared=8), "fleet")
+    assert "got worse" not in fleet_page(found, "fleet")  # nothing could be compared
 
 
 def test_a_new_phone_is_calibrated_from_its_first_minutes(phones: Path, tmp_path: Path) -> None:
