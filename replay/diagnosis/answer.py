@@ -35,22 +35,32 @@ class Fit:
     """How well the simulation fits before and after what was found was put into it.
 
     p_after: None where the corrected simulation could not be played; not_put_in: what could not be added,
-    and counts in neither.
+    and counts in neither; still_different: effect and sensor of what differs in spite of the correction.
     """
 
     p_before: float
     p_after: float | None
     not_put_in: Sequence[str] = ()
+    still_different: Sequence[tuple[str, str]] = ()
 
     @classmethod
     def of(cls, before: Comparison, after: Comparison | None, not_put_in: Sequence[str] = ()) -> Fit:
         """Return the fit of two comparisons, both without what could not be put in."""
-        return cls(before.p(not_put_in), None if after is None else after.p(not_put_in), not_put_in)
+        if after is None:
+            return cls(before.p(not_put_in), None, not_put_in)
+        left = [(d.effect, d.sensor) for d in after.discrepancies if d.effect not in not_put_in]
+        return cls(before.p(not_put_in), after.p(not_put_in), not_put_in, left)
 
     def plain(self) -> dict[str, Any]:
         """Return the fields that have a value."""
         after = {} if self.p_after is None else {"p_after": self.p_after}
-        return {"p_before": self.p_before, **after, "not_put_in": list(self.not_put_in)}
+        left = [{"effect": effect, "sensor": sensor} for effect, sensor in self.still_different]
+        return {
+            "p_before": self.p_before,
+            **after,
+            "not_put_in": list(self.not_put_in),
+            "still_different": left,
+        }
 
 
 def answer_of(

@@ -16,9 +16,11 @@ from stillcal.calib_core.diagnosis.comparison.compare import (
 )
 from stillcal.calib_core.diagnosis.comparison.direct import measured_directly, smallest_direct
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
+from stillcal.calib_core.diagnosis.comparison.noise import density
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.direct.noise_level import TWO_SIDED, claimed, convention
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
 
@@ -54,7 +56,17 @@ def _common(exam: Examination, found: set[str]) -> list[Common]:
             what = "one of them shows" if more == 1 else f"{more} of them show"
             note = f"within what {of} real devices show; {what} as much"
             out.append(Common(quantity, note))
-    return out
+    return out + _two_sided(exam, found)
+
+
+def _two_sided(exam: Examination, found: set[str]) -> list[Common]:
+    """Return the densities that are as claimed only if the claims are those of two-sided spectra."""
+    levels = {s.sensor: s.levels for s in exam.streams if s.levels is not None}
+    if "noise_level" in found or convention(levels, exam.claims) != TWO_SIDED:
+        return []
+    note = "the maker's densities are read as those of a two-sided spectrum: times √2 they are one-sided"
+    claimed_ones = [s for s in exam.streams if claimed(s.sensor, exam.claims) is not None]
+    return [Common(level, note) for s in claimed_ones if (level := density(s)) is not None]
 
 
 def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]) -> list[tuple[str, float]]:

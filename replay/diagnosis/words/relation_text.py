@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.compare import AXIS_SIGMA
+from stillcal.calib_core.diagnosis.direct.noise_level import TWO_SIDED
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
+from stillcal.calib_core.diagnosis.model.settings import LEVEL_TOLERANCE
 from stillcal.replay.diagnosis.words.names import (
+    BUILT_IN,
     THE_BUILT_IN,
     capital,
     noun,
@@ -101,7 +104,7 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     """Return what differs and what to do about it in the simulation, in one to three sentences."""
     text = _statement(finding, names).replace(f". {THE_BUILT_IN}", f". {capital(THE_BUILT_IN)}")
     text = capital(text) if text.startswith(THE_BUILT_IN) else text
-    text += _at_temperature(finding) + _undistinguished(finding)
+    text += _at_temperature(finding) + _two_sided(finding, names[1]) + _undistinguished(finding)
     return text + OF_CORRECTION if finding["effect"] in ("accel_scale", "gyro_scale") else text
 
 
@@ -112,6 +115,18 @@ def _at_temperature(finding: Mapping[str, Any]) -> str:
     if at is None or not (bends or finding["effect"].endswith(("_bias", "_scale"))):
         return ""
     return f" The numbers hold at {at:.1f} °C."
+
+
+def _two_sided(finding: Mapping[str, Any], simulation: str) -> str:
+    """Return what else makes a noise sqrt(2) times the claimed one; "" for any other difference."""
+    if finding["effect"] != "noise_level" or simulation != BUILT_IN:
+        return ""
+    ratio = float(np.max(finding["parameters"]["ratio"]["value"]))
+    if abs(np.log(ratio / TWO_SIDED)) > np.log(1.0 + LEVEL_TOLERANCE):
+        return ""
+    return (
+        " A claimed density that is meant for a two-sided spectrum, √2 below a one-sided one, looks the same."
+    )
 
 
 def _undistinguished(finding: Mapping[str, Any]) -> str:

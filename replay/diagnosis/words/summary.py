@@ -18,7 +18,7 @@ VERDICTS = {
     "unidentified": "Differences found, of unknown cause",
     "not_judged": "Not judged: too few of the checks could be made",
 }
-
+NAMED_ONLY = "Differences found and named, but the corrected simulation does not fit"
 
 LINES = 14
 """Longest summary; it is to be read at a glance."""
@@ -27,6 +27,9 @@ LINES = 14
 def headline(answer: Mapping[str, Any]) -> str:
     """Return the verdict in a sentence, with how many of the checks this recording allows."""
     text, made, of = VERDICTS[answer["verdict"]], answer["checks"]["made"], answer["checks"]["of"]
+    named = all(f["effect"] != "unknown" for f in answer["findings"])
+    if answer["verdict"] == "partly_identified" and named and "p_after" in answer["fit"]:
+        text = NAMED_ONLY
     checks = f"{made} of {of} checks possible"
     return f"{text} ({checks})"
 
@@ -42,8 +45,10 @@ def outcome(answer: Mapping[str, Any]) -> str:
     numbers = f"bound of p: {fit['p_after']:.2g}; before {fit['p_before']:.2g}"
     # One effect on both sensors is named once.
     left = ", ".join(dict.fromkeys(noun(effect, "") for effect in fit["not_put_in"]))
+    still = ", ".join(noun(one["effect"], one["sensor"]) for one in fit["still_different"])
+    where = f" What differs then: {still}." if still else ""
     but = f" These could not be put in and are left out of both: {left}." if left else ""
-    return f"With what was found put in, {simulation} {passes} the same comparison ({numbers}).{but}"
+    return f"With what was found put in, {simulation} {passes} the same comparison ({numbers}).{where}{but}"
 
 
 def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:

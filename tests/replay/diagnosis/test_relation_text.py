@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import probability_text, statement
 
 
@@ -83,6 +84,22 @@ def test_the_part_that_differs_is_shown_with_its_pairs_of_axes() -> None:
 def test_a_number_without_a_unit_has_its_name() -> None:
     text = told("accel_heavy", "lacking", [], ratio=([3.6], [0.0], "1"))
     assert "ratio 3.6" in text
+
+
+@pytest.mark.parametrize(("ratio", "told_so"), [(1.42, True), (1.8, False)])
+def test_a_ratio_of_the_root_of_two_may_be_a_convention(ratio: float, told_so: bool) -> None:
+    finding = {
+        "effect": "noise_level",
+        "sensor": "gyro",
+        "axes": [],
+        "relation": "too_small",
+        "alternatives": [],
+        "parameters": {"ratio": {"value": ratio, "unit": "1"}},
+        "simulated": {"ratio": {"value": 1.0, "unit": "1"}},
+        "difference": {},
+    }
+    assert ("two-sided" in statement(finding, ("real.csv", BUILT_IN))) == told_so
+    assert "two-sided" not in statement(finding, ("real.csv", "sim.csv"))
 
 
 @pytest.mark.parametrize(("probability", "text"), [(1.0, "above 0.999"), (0.9994, "0.999"), (0.952, "0.952")])

@@ -1,0 +1,42 @@
+"""The lines for a terminal say what the fields of an answer say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from stillcal.replay.diagnosis.words.names import BUILT_IN
+from stillcal.replay.diagnosis.words.summary import headline, outcome
+
+
+def answer(effect: str, verdict: str, **fit: Any) -> dict[str, Any]:
+    """Return as much of an answer as its verdict is told from."""
+    return {
+        "recording": "real.csv",
+        "simulation": BUILT_IN,
+        "verdict": verdict,
+        "findings": [{"effect": effect}],
+        "checks": {"made": 9, "of": 10},
+        "fit": {"p_before": 1e-9, "not_put_in": [], "still_different": []} | fit,
+    }
+
+
+@pytest.mark.parametrize(
+    ("effect", "fit", "says"),
+    [
+        ("noise_heavy_tailed", {"p_after": 1e-9}, "named, but the corrected simulation does not fit"),
+        ("unknown", {"p_after": 1e-9}, "not all identified"),
+        ("noise_heavy_tailed", {}, "not all identified"),
+    ],
+)
+def test_what_is_named_and_not_explained_is_told_from_what_has_no_name(
+    effect: str, fit: dict[str, float], says: str
+) -> None:
+    assert says in headline(answer(effect, "partly_identified", **fit))
+
+
+def test_a_correction_that_fails_names_what_differs_in_spite_of_it() -> None:
+    left = [{"effect": "noise_heavy_tailed", "sensor": "accel"}]
+    text = outcome(answer("noise_heavy_tailed", "partly_identified", p_after=1e-9, still_different=left))
+    assert "still fails" in text and "What differs then: heavy tails of the noise (accelerometer)." in text
