@@ -37,3 +37,14 @@ def test_what_is_declared_otherwise_is_a_finding_and_not_common() -> None:
 def test_what_most_devices_show_is_not_worth_telling() -> None:
     said = compare_with_ideal(examine(still(0.0), None))
     assert "dropped_samples" not in {c.quantity.effect for c in said.common}
+
+
+def test_claims_that_are_read_as_two_sided_are_said() -> None:
+    """Noise of 0.01 at 50 Hz has the one-sided density 0.002; a claim of two-sided ones is sqrt(2) below."""
+    force = still(0.0)
+    rate = Samples(Sensor.GYROSCOPE, force.t, frozen(force.xyz - np.array([0.0, 0.0, 9.81])))
+    for density, said_so in ((0.002 / np.sqrt(2.0), 2), (0.002, 0)):
+        claims = Claims(accel_noise_density=density, gyro_noise_density=density)
+        said = compare_with_ideal(examine(force, rate, claims=claims))
+        notes = [c.note for c in said.common if c.quantity.effect == "noise_level"]
+        assert len(notes) == said_so and all("two-sided" in note for note in notes)
