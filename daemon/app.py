@@ -27,10 +27,12 @@ from stillcal.daemon.app_launch import LaunchOptions, needs_restart, serial_sett
 from stillcal.daemon.publish.chip import keeping_chip, memory_path
 from stillcal.daemon.publish.publishing import Publisher, publishing
 from stillcal.daemon.publish.targets import publishers
+from stillcal.daemon.service import saved_state
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
 from stillcal.daemon.service.live_stream import Live, LiveStream
 from stillcal.daemon.service.phone_session import PhoneSession, Recorded
 from stillcal.daemon.service.saved_state import SavedState
+from stillcal.daemon.service.self_diagnosis import Night, diagnose
 from stillcal.daemon.service.storage import Storage, with_provenance
 from stillcal.daemon.service.subscribers import (
     CalibrationSubscribers,
@@ -67,6 +69,9 @@ STOP_TIMEOUT_S = 0.5
 
 HEARTBEAT_S = 10.0
 """Time between two status messages to systemd, s, unless its watchdog wants them more often."""
+
+LOOK_FOR_NIGHT_S = 60.0
+"""Time between two looks whether a self-diagnosis is due, s."""
 
 REMEDY = "run `stillcal record day.csv.gz --hours 24`, then `stillcal diagnose day.csv.gz`"
 """Advice where recalibrating does not help."""
@@ -206,6 +211,7 @@ class Service:
                     self._saving(),
                     self._holding_the_store(),
                     self._sending_heartbeats(),
+                    self._diagnosing_at_night(),
                     *(publishing(publisher, self._for_publisher) for publisher in self._publishers),
                     *([self._keeping_chip()] if "iio" in self.settings.publish.to else []),
                 )
@@ -274,6 +280,32 @@ class Service:
             if watchdog is None or self.engine_thread.busy_for() < STUCK_SHARE * watchdog:
                 self._notifier.alive()
             await asyncio.sleep(HEARTBEAT_S if watchdog is None else min(watchdog / 4, HEARTBEAT_S))
+
+    async def _diagnosing_at_night(self) -> None:
+        """Diagnose the rests kept whenever that is due."""
+        night = Night()
+        while True:
+            await asyncio.sleep(LOOK_FOR_NIGHT_S)
+            view, now, last = self.view, self.now, self.saved.night
+            if now is not None and night.is_due(
+                now, view.charging, view.rests_kept, last, self.settings.diagnosis
+            ):
+                await self._diagnose_itself(now, view.rests_kept)
+
+    async def _diagnose_itself(self, now: float, rests: int) -> None:
+        """Diagnose the rests of the saved state, take up what can be, and keep the report. now: s."""
+        last, state = self.saved.night, saved_state.state_path(self.storage.path)
+        report = await diagnose(state, self.settings.diagnosis, now, rests)
+        took = {"rests": rests, "processor_s": round(report.processor_s, 1)}
+        took["memory_mib"] = round(report.memory_bytes / 2**20)
+        if report.trouble:
+            report = replace(report, verdict=last.verdict, findings=last.findings)
+            say("warning", "self-diagnosis", report.trouble, t=now, **took)
+        else:
+            say("info", "self-diagnosis", report.summary, t=now, **took)
+            self.act((await self.engine_thread.consider(report.read())).actions)
+        self.saved.night = report
+        self._unsaved.set()
 
     async def save(self) -> bool:
         """Write the state; return whether it is on the disk."""

@@ -136,6 +136,30 @@ class LogSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class DiagnosisSettings:
+    """The self-diagnosis. at_night: whether there is one.
+
+    It begins once the phone has been on the charger for charging_s, and every_s after the one before.
+    processor_s, memory_mib: its budget; it is ended where it takes more.
+    """
+
+    at_night: bool = True
+    charging_s: float = 3600.0
+    every_s: float = 72_000.0
+    processor_s: float = 60.0
+    memory_mib: float = 384.0
+
+    def __post_init__(self) -> None:
+        for name in ("charging_s", "every_s"):
+            if not 0 <= getattr(self, name) <= 1e7:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be within 0..1e7 s")
+        if not 0 < self.processor_s <= 3600:
+            raise ValueError(f"processor_s = {self.processor_s}: must be above 0, at most 3600 s")
+        if not 0 < self.memory_mib <= 1e6:
+            raise ValueError(f"memory_mib = {self.memory_mib}: must be above 0, at most 1e6 MiB")
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """All sections, one per table of the TOML file."""
 
@@ -145,6 +169,7 @@ class Settings:
     socket: SocketSettings = field(default_factory=SocketSettings)
     publish: PublishSettings = field(default_factory=PublishSettings)
     log: LogSettings = field(default_factory=LogSettings)
+    diagnosis: DiagnosisSettings = field(default_factory=DiagnosisSettings)
 
 
 def load_settings(path: Path | str | None = None) -> Settings:

@@ -45,13 +45,18 @@ def with_terms(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]])
     A finding replaces an earlier term of the same effect. Raises NotSupported where none of the findings can
     be applied, or where a slope has no temperature to count from; ValueError on a malformed finding.
     """
-    fresh = {f["effect"]: _term(record, f) for f in findings if f["effect"] in _KINDS and not _ambiguous(f)}
+    fresh = terms_of(record, findings)
     if not fresh:
         raise NotSupported(
             f"no finding can be applied: only {', '.join(APPLIED)} can, where no other effect fits as well"
         )
     others = [term for term in record.terms if term.effect not in fresh]
     return replace(record, terms=(*others, *fresh.values()))
+
+
+def terms_of(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -> dict[str, Term]:
+    """Return the terms, by effect, of those findings that can be applied; errors as `with_terms`."""
+    return {f["effect"]: _term(record, f) for f in findings if f["effect"] in _KINDS and not _ambiguous(f)}
 
 
 def correct(

@@ -9,7 +9,9 @@ the statistical rules are those of drift_check.py and acceptance.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit
 from stillcal.calib_core.calibration.acceptance import decide, with_decision
@@ -33,7 +35,8 @@ from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
-from stillcal.calib_core.calibration.terms import compensated
+from stillcal.calib_core.calibration.terms import compensated, terms_of
+from stillcal.calib_core.calibration.trial import TESTED, Trial, judge
 from stillcal.calib_core.engine.actions import Action, Diagnose, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.schedule import (
     CalibrationStatus,
@@ -369,6 +372,29 @@ class CalibrationPolicy:
         """Return the rests from t (s) on, None for all, that the noise floor known now confirms."""
         return self._state.pool.since(t).where(self._detector.still_valid)
 
+    def consider(self, t: float, findings: Iterable[Mapping[str, Any]]) -> None:
+        """Judge the terms on trial at t (s), then put those that a diagnosis has found anew on trial.
+
+        A term that was found is tested on later rests only, whether it is in use by then or not.
+        """
+        state = self._state
+        if state.record is None or state.record.gyroscope is None or state.record.provisional:
+            return
+        going_on = {}
+        for trial in state.trials:
+            outcome = judge(trial, state.record, state.memory, t, self._settings.quality)
+            if outcome.record is not None:
+                state.record = outcome.record
+                self._actions.append(Publish(t, state.record, state.record.acceptance.reason))
+                self._actions.append(Log(t, Level.INFO, "terms", state.record.acceptance.reason))
+            elif not outcome.decided:
+                going_on[trial.term.effect] = trial
+        held = {term.effect: term for term in state.record.terms}
+        testable = [finding for finding in findings if finding["effect"] in TESTED]
+        proposed = {**terms_of(state.record, testable), **held}
+        new = {e: Trial(proposed[e], t) for e in TESTED if e in proposed}
+        state.trials = tuple({**new, **{e: going_on[e] for e in new if e in going_on}}.values())
+
     def calibrate(self, t: float, occasion: Occasion) -> None:
         """Try a full calibration at t (s) if one is due on this occasion."""
         state = self._state
@@ -430,6 +456,7 @@ class CalibrationPolicy:
             self._actions.append(Log(t, Level.INFO, "rejected", outcome.reason, fields))
             return
         if outcome.other_phone:
+            state.trials = ()
             state.memory = state.memory.where(state.memory.t >= (outcome.since or state.sound_until or t))
         state.record, state.checked, state.degraded, state.refusal = outcome.record, t, False, None
         state.counters.calibrations += 1

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import math
 from bisect import insort_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -142,7 +143,7 @@ class Engine:
         What is learnt of temperature from now on is learnt from later rests.
         """
         state = self._state
-        state.memory = Memory()
+        state.memory, state.trials = Memory(), ()
         state.record, state.degraded = record, False
         state.checked = state.sound_until = state.trouble = None
         review_soon(state, self._now(), self.settings.schedule)
@@ -156,6 +157,14 @@ class Engine:
         """Measure the gyroscope's bias on the rests of the last check interval, on request."""
         t = self._now()
         self._policy.update_bias(t, t - self.settings.schedule.check_interval_s)
+        return self._take_actions()
+
+    def consider(self, findings: Iterable[Mapping[str, Any]]) -> list[Action]:
+        """Take a diagnosis of the rests kept: judge the terms on trial, and put new ones on trial.
+
+        findings: as `diagnose --json` has them. Return the actions that follow.
+        """
+        self._policy.consider(self._now(), findings)
         return self._take_actions()
 
     def forget(self, reason: str) -> list[Action]:

@@ -57,7 +57,7 @@ class NoDaemonError(OSError):
 def query_command(method: str, parameters: tuple[str, ...], path: str, as_json: bool) -> None:
     """Ask a running daemon.
 
-    METHOD is GetCalibration (the default), GetStatus, GetStillness, GetHistory, GetEnergy,
+    METHOD is GetCalibration (the default), GetStatus, GetStillness, GetHistory, GetEnergy, GetFindings,
     Correct, Monitor, Stream and Record (until interrupted), Calibrate, ZeroNow, Rollback or Reload; or any
     method by its full name. A VALUE is JSON or plain text; one JSON object, or '-' for one on standard
     input, may stand in place of all NAME=VALUE. Tables show at most 32 rows, --json all. Exit codes: 1

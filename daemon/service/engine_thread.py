@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
@@ -37,7 +37,10 @@ SWITCH_S = 0.001
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """The engine's state at one moment. decides: time of its next decision, s; inf where none is planned."""
+    """The engine's state at one moment. decides: time of its next decision, s; inf where none is planned.
+
+    rests_kept: for learning. on_trial: effects of which a term is tested.
+    """
 
     want: Sense | Sleep
     decides: float
@@ -57,6 +60,8 @@ class View:
     rests_held: int
     pool: Pool
     thermometer: Thermometer = field(default_factory=Thermometer)
+    rests_kept: int = 0
+    on_trial: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +114,10 @@ class EngineThread:
     async def zero(self) -> EngineReply:
         """Measure the gyroscope's bias now."""
         return await self._ask(lambda engine: engine.update_bias())
+
+    async def consider(self, findings: Sequence[Mapping[str, Any]]) -> EngineReply:
+        """Take the findings of a diagnosis of the rests kept."""
+        return await self._ask(lambda engine: engine.consider(findings))
 
     async def forget(self, reason: str) -> EngineReply:
         """Start from scratch with another phone."""
@@ -190,6 +199,8 @@ def _view(engine: Engine) -> View:
         rests_held=len(s.pool.held),
         pool=s.pool,
         thermometer=s.thermometer,
+        rests_kept=len(s.memory),
+        on_trial=tuple(trial.term.effect for trial in s.trials),
     )
 
 

@@ -16,6 +16,7 @@ from stillcal.calib_core.codec import unpacked
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.daemon.service.energy_ledger import EnergyLedger
 from stillcal.daemon.service.phone_clock import PhoneClock
+from stillcal.daemon.service.self_diagnosis import NightReport
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.store.msgpack_arrays import encoded
 from stillcal.daemon.system.files import NotRegularError, TooLargeError, read_regular
@@ -37,7 +38,7 @@ class SavedState:
     """What the daemon remembers besides the store.
 
     device: the name that the phone gives itself. seed: of the random pauses between probes, drawn at the
-    first start; 0 in a state from before there was one.
+    first start; 0 in a state from before there was one. night: the newest self-diagnosis.
     """
 
     engine: EngineState
@@ -45,6 +46,7 @@ class SavedState:
     energy: EnergyLedger = field(default_factory=EnergyLedger)
     device: str = ""
     seed: int = 0
+    night: NightReport = field(default_factory=NightReport)
 
 
 @dataclass(frozen=True, slots=True)

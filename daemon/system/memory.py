@@ -1,4 +1,4 @@
-"""Measure this process's memory, and return freed memory to the kernel.
+"""Measure the memory of this process and of others, and return freed memory to the kernel.
 
 glibc's allocator is made for speed: each thread has its own arena, and freed blocks are kept for later
 (mallopt(3)). The daemon allocates little and runs for months, so that it wants neither.
@@ -18,6 +18,16 @@ LARGE_BYTES = 1 << 17
 def resident_bytes() -> int:
     """Return the resident set of this process (proc_pid_statm(5)), bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def process_usage(pid: int) -> tuple[float, int]:
+    """Return the processor time, s, and the resident set, bytes, of a process (proc_pid_stat(5)).
+
+    Raises OSError or IndexError where it has just ended.
+    """
+    after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    user, system, pages = (int(after_name[k]) for k in (11, 12, 21))
+    return (user + system) / os.sysconf("SC_CLK_TCK"), pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def limit_arenas() -> None:

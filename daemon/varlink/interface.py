@@ -124,6 +124,11 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         """Return the energy use of the newest `limit` days, oldest first."""
         return views.energy(self._daemon.saved.energy.days, _within("limit", limit))
 
+    @varlinkmethod(return_parameter="diagnosis")
+    def GetFindings(self) -> api.Findings:
+        """Return what the newest self-diagnosis found in the rests kept, and what became of each finding."""
+        return views.findings(self._daemon)
+
     @varlinkmethod
     def Correct(
         self,

@@ -9,6 +9,7 @@ from typing import Literal, TypedDict
 
 SensorName = Literal["accelerometer", "gyroscope"]
 Confidence = Literal["unchecked", "confirmed", "failing"]
+Handled = Literal["corrected", "on_trial", "reported"]
 
 
 @dataclass(frozen=True)
@@ -207,6 +208,43 @@ class EnergyDay:
     samples: int
     wakeups: int
     cpu_s: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What the newest self-diagnosis found of a sensor beyond constant bias and scale.
+
+    handled: corrected (a term of the calibration takes it off), on_trial (a term is tested on the rests
+    since) or reported (the calibration does not describe it). probability: of the effect. json: the whole
+    finding, as `stillcal diagnose --json` has it.
+    """
+
+    effect: str
+    sensor: str
+    axes: list[str]
+    statement: str
+    handled: Handled
+    json: str
+    probability: float | None = None
+
+
+@dataclass(frozen=True)
+class Findings:
+    """The newest self-diagnosis of the rests kept. at_s: when, absent before the first; age_s: since then.
+
+    rests: that it saw. verdict: match, identified, partly_identified, unidentified or not_judged. trouble:
+    why the newest one has no result, empty where it has; verdict and findings are then of the one before.
+    processor_s, memory_bytes: what it took.
+    """
+
+    rests: int
+    verdict: str
+    trouble: str
+    findings: list[Finding]
+    processor_s: float
+    memory_bytes: int
+    at_s: float | None = None
+    age_s: float | None = None
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
@@ -258,6 +258,39 @@ def stillness(daemon: Daemon, limit: int) -> api.Stillness:
 def energy(days: list[Day], limit: int) -> list[api.EnergyDay]:
     """Return the accounts of the newest days, oldest first."""
     return [api.EnergyDay(**dataclasses.asdict(day)) for day in days[-limit:]]
+
+
+def findings(daemon: Daemon) -> api.Findings:
+    """Return the newest self-diagnosis, and what became of each finding."""
+    report, view = daemon.saved.night, daemon.view
+    applied = set() if view.record is None else {term.effect for term in view.record.terms}
+    return api.Findings(
+        at_s=report.at,
+        age_s=_age(report.at, daemon.now),
+        rests=report.rests,
+        verdict=report.verdict,
+        trouble=report.trouble,
+        findings=[
+            api.Finding(
+                effect=finding["effect"],
+                sensor=finding["sensor"],
+                axes=finding["axes"],
+                statement=finding["statement"],
+                probability=finding["probability"],
+                handled=_handled(finding["effect"], applied, view.on_trial),
+                json=text,
+            )
+            for finding, text in zip(report.read(), report.findings, strict=True)
+        ],
+        processor_s=report.processor_s,
+        memory_bytes=report.memory_bytes,
+    )
+
+
+def _handled(effect: str, applied: Collection[str], on_trial: Collection[str]) -> api.Handled:
+    if effect in applied:
+        return "corrected"
+    return "on_trial" if effect in on_trial else "reported"
 
 
 def event(notification: Notification, daemon: Daemon) -> api.Event:

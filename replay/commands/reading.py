@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from stillcal.calib_core.static.rest import RestState
+from stillcal.replay.formats.daemon_state import is_daemon_state, kept_rests
 from stillcal.replay.formats.recognition.opened import is_rest_table
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.trace import Recording, Trace, open_trace, read_all
@@ -37,14 +38,14 @@ class Reading:
         return read_all(trace, self.format, self.gyro, sensor=self.sensor, start=self.start, stop=self.stop)
 
     def is_rest_table(self, trace: Path) -> bool:
-        """Whether the file is a rest table. Raises TraceError."""
-        return is_rest_table(trace, self.format)
+        """Whether the file is a rest table, or holds rests as a daemon's state does. Raises TraceError."""
+        return is_daemon_state(trace) or is_rest_table(trace, self.format)
 
     def rests(self, trace: Path) -> list[RestState]:
         """Read a rest table. Raises TraceError."""
         if self.sensor is not None or self.start is not None or self.stop is not None:
             raise click.UsageError("--sensor, --from and --to choose samples, which a rest table has not")
-        return read_rest_table(trace)
+        return kept_rests(trace) if is_daemon_state(trace) else read_rest_table(trace)
 
 
 def show_notes(notes: Iterable[str], quiet: bool) -> None:

@@ -13,11 +13,11 @@ from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.system.systemd import Notifier
 
 
-def within_reason(test: Coroutine[Any, Any, None]) -> None:
+def within_reason(test: Coroutine[Any, Any, None], seconds: float = 60.0) -> None:
     """Run a test's coroutine; one that hangs fails instead."""
 
     async def guarded() -> None:
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(seconds):
             await test
 
     asyncio.run(guarded())

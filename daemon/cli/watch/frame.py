@@ -67,6 +67,7 @@ def _state(now: Snapshot, before: Snapshot | None) -> RenderableType:
             ("line", Text(f"{line}, {status['wire']['lost_samples']} samples lost")),
             ("stillness", Text.assemble((still, STILL.get(still, "")), f"; {sentences.last_rest(now)}")),
             ("watch", Text(f"{status['watch']}, running for {sentences.duration(status['uptime_s'])}")),
+            ("diagnosis", Text(sentences.diagnosis(now))),
             ("status", Text(sentences.next_step(now), style="bold")),
         ]
     )

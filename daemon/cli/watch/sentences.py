@@ -93,6 +93,21 @@ def next_step(now: Snapshot) -> str:
     return "no decision is planned" if due is None else f"next measurement in {duration(due)}"
 
 
+HANDLED = {"corrected": "corrected", "on_trial": "being tested", "reported": "not corrected"}
+"""What became of a finding, in words."""
+
+
+def diagnosis(now: Snapshot) -> str:
+    """Say what the newest self-diagnosis found, and what became of it."""
+    found = now.diagnosis
+    if found.get("trouble"):
+        return f"no result: {found['trouble']}"
+    if found.get("at_s") is None:
+        return "none yet: it runs at night on the charger"
+    effects = [f"{f['effect']} of {f['sensor']} ({HANDLED[f['handled']]})" for f in found["findings"]]
+    return f"{duration(found.get('age_s'))} ago: {', '.join(effects) or 'nothing beyond bias and scale'}"
+
+
 def _missing_for_calibration(now: Snapshot) -> str:
     status, missing = now.status, now.status.get("missing") or []
     if missing:

@@ -28,7 +28,8 @@ RESTS = 96
 class Snapshot:
     """Answers of one moment, as the interface describes them; `absent` says why there are none.
 
-    calibration: None where there is none yet. days: the newest, oldest first.
+    calibration: None where there is none yet. days: the newest, oldest first. diagnosis: the newest
+    self-diagnosis.
     """
 
     where: Path
@@ -37,6 +38,7 @@ class Snapshot:
     stillness: Answer = field(default_factory=dict)
     calibration: Answer | None = None
     days: list[Answer] = field(default_factory=list)
+    diagnosis: Answer = field(default_factory=dict)
 
 
 def snapshot(where: Path) -> Snapshot:
@@ -48,6 +50,7 @@ def snapshot(where: Path) -> Snapshot:
             stillness=_asked(where, "GetStillness", "stillness", limit=RESTS) or {},
             calibration=_asked(where, "GetCalibration", "calibration"),
             days=_asked(where, "GetEnergy", "days", limit=DAYS) or [],
+            diagnosis=_asked(where, "GetFindings", "diagnosis") or {},
         )
     except (NoDaemonError, msgspec.MsgspecError) as error:
         return Snapshot(where, absent=str(error))
