@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.direct.noise_changes import changing
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, steps
 from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
+from stillcal.calib_core.diagnosis.direct.shared_noise import shared_noise, shared_noise_finding
 from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
@@ -299,6 +300,9 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
         found.append(bandwidth(stream.spectra, sensor, usual(sound, "bandwidth", claim), where))
     if wide is None and other is None and fine:
         found += noise.noise_findings(sensor, stream.levels, claim, sound, where)
+        shared = shared_noise(stream.still) if stream.levels.own else None
+        if shared is not None:
+            found.append(shared_noise_finding(shared, sensor, usual(sound, "noise_shared", claim), where))
     if not any(f is not None and f.effect in halves.QUANTITIES for f in found):
         return found
     parts = [half.measured() for half in stream.halves(claims)]

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from stillcal.calib_core.diagnosis.direct import heavy_tails, low_pass, noise_level, quantisation
+from stillcal.calib_core.diagnosis.direct import (
+    heavy_tails,
+    low_pass,
+    noise_level,
+    quantisation,
+    shared_noise,
+)
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
@@ -43,7 +49,7 @@ def of_noise(
     spectra: low_pass.Spectra | None,
     levels: noise_level.Levels | None,
 ) -> dict[str, Measured]:
-    """Return step, bandwidth, tails and inequality of one sensor's noise at rest, as far as it shows them."""
+    """Return step, bandwidth, tails, inequality and correlation of one sensor's noise, if rests show it."""
     out = {}
     if len(still.pieces) >= low_pass.LEAST_PIECES:
         out["step_over_noise"] = quantisation.relative_step(steps)
@@ -55,4 +61,6 @@ def of_noise(
         out["excess_kurtosis"] = tails
     if levels.own:
         out |= {f"{sensor}_noise_{k}": v for k, v in noise_level.imbalance(levels).items()}
+        shared = shared_noise.shared_noise(still)
+        out |= {} if shared is None else {"noise_shared": shared.size()}
     return out

@@ -162,12 +162,12 @@ class CrossedForce(Unknown):
 
 
 class AttitudeSquared(Unknown):
-    """Rate by squares and products of gravity's components, the same five on each axis."""
+    """Bias by squares and products of gravity's components, the same five on each axis."""
 
     by_row = True
 
-    def __init__(self) -> None:
-        super().__init__("gyro", "attitude, nonlinearly", Linear("amplitude", UNIT["gyro"], 15, SIZE["gyro"]))
+    def __init__(self, sensor: str) -> None:
+        super().__init__(sensor, "attitude, nonlinearly", Linear("amplitude", UNIT[sensor], 15, SIZE[sensor]))
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return one point where attitudes suffice."""
@@ -216,11 +216,11 @@ class GainByDirection(Unknown):
 
 def unknown_effects(sensor: str) -> list[Effect]:
     """Return the nameless effects of one sensor, in rests and in turns."""
-    own: list[Effect] = [VibrationBias(sensor)]
+    own: list[Effect] = [VibrationBias(sensor), AttitudeSquared(sensor)]
     if sensor == "accel":
         own += [GainInStretch(), GainInTime(), CrossedForce()]
     else:
-        own += [AttitudeSquared(), GainByDirection(), GainInTurns()]
+        own += [GainByDirection(), GainInTurns()]
     many = (
         ("temperature's past or bend", curves.thermal_past, 1),
         ("the past of charging or use", curves.other_pasts, 1),

@@ -60,6 +60,18 @@ def test_an_effect_taken_out_of_the_catalogue_is_unknown_and_says_what_it_follow
 
 
 @pytest.mark.slow
+def test_a_force_that_follows_the_product_of_the_other_two_is_unknown_and_follows_attitude() -> None:
+    rng, day = day_of(6)
+    # Forty rests of 90 s, each in an attitude of its own.
+    day.rest[:] = np.where(day.t % 90.0 < 80.0, day.t // 90.0, -1)
+    day.up[:] = nulls.random_attitudes(rng, 41)[day.rest]
+    error = np.zeros((day.t.size, 3))
+    error[:, 0] = 0.015 * day.up[:, 1] * day.up[:, 2]
+    scene = scenes(nulls.bins_of(rng, day, "white", error), nulls.G)[0]
+    (found,) = slow_findings(scene)
+    assert (found.effect, found.where.driver) == ("unknown", "attitude, nonlinearly")
+
+
 def test_a_step_within_a_bin_is_timed_within_it() -> None:
     """A jump of a hundred times a bin's noise leaves no doubt of a time to a tenth of a bin of 18 s."""
     _, day = day_of(6)

@@ -1,0 +1,45 @@
+"""Noise that two axes share is no sound sensor's, as long as it is more than real phones have."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
+from stillcal.calib_core.diagnosis.direct.shared_noise import shared_noise, shared_noise_finding
+from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
+
+WHERE = Where(0.0, 1.0, (0.0, 1.0), "noise at rest")
+
+
+def still(correlation: float, pieces: int = 20) -> Quiet:
+    """Return rests in which x has z's noise with a correlation, and y its own."""
+    noise = np.random.default_rng(3).normal(size=(pieces, 1000, 3))
+    own = np.sqrt(1.0 - correlation**2)
+    noise[..., 0] = correlation * noise[..., 2] + own * noise[..., 0]
+    return Quiet(tuple(noise * [1.0, 1.0, 1.6]), tuple(10.0 * np.arange(pieces)), 100.0)
+
+
+@pytest.mark.parametrize("correlation", [-0.5, 0.3, 0.8])
+def test_noise_that_axes_share_is_measured_and_has_no_name(correlation: float) -> None:
+    found = shared_noise(still(correlation))
+    assert found is not None
+    assert found.axes == (0, 2)
+    assert found.coefficient.value == pytest.approx(abs(correlation), abs=0.03)
+    stated = shared_noise_finding(found, "accel", usual(sound_phones(), "noise_shared", 0.01), WHERE)
+    assert stated is not None
+    assert (stated.effect, stated.axes) == ("unknown", ["x", "z"])
+    assert stated.where.driver == "noise of the other axes"
+
+
+@pytest.mark.parametrize("claim", [None, 0.01])
+@pytest.mark.parametrize("correlation", [0.0, 0.08])
+def test_as_little_as_real_phones_have_is_sound(correlation: float, claim: float | None) -> None:
+    found = shared_noise(still(correlation))
+    assert found is not None
+    assert shared_noise_finding(found, "accel", usual(sound_phones(), "noise_shared", claim), WHERE) is None
+
+
+def test_two_rests_tell_nothing() -> None:
+    assert shared_noise(still(0.9, pieces=2)) is None
