@@ -45,13 +45,31 @@ class Evidence(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Cause:
+    """What was run to find why a figure differs, with its figures.
+
+    shown: whether the run shows that this is why. It is computed from those figures, as a verdict is.
+    """
+
+    tried: str
+    shown: bool
+
+    def __post_init__(self) -> None:
+        """Keep `shown` as a plain bool: numpy's cannot be written."""
+        object.__setattr__(self, "shown", bool(self.shown))
+
+    def __str__(self) -> str:
+        """Say whether it is the cause, and what was tried."""
+        return f"tested: {self.tried}" if self.shown else f"not known; tried: {self.tried}"
+
+
+@dataclass(frozen=True, slots=True)
 class Claim:
     """One claim of a paper beside our figure.
 
     source: the paper, as page.py lists them. where: its place in the paper, such as "Table 2" or "3.5.3".
     data: what our figure was computed from. because: the tolerance and its reason, or what is missing.
-    evidence: the kind of evidence. cause: why our figure differs, with the run that tested it; where that
-    does not explain it, "not known" and what was tried. It is told only where the verdict is DIFFERS.
+    evidence: the kind of evidence. cause: why our figure differs, told only where the verdict is DIFFERS.
     """
 
     source: str
@@ -63,12 +81,17 @@ class Claim:
     verdict: Verdict
     because: str = ""
     evidence: Evidence = field(kw_only=True)
-    cause: str = field(default="", kw_only=True)
+    cause: Cause | None = field(default=None, kw_only=True)
 
     @property
     def why_it_differs(self) -> str:
         """Return the cause of a difference, "not known" where none was given; empty where nothing differs."""
-        return (self.cause or "not known; nothing was tried") if self.verdict is Verdict.DIFFERS else ""
+        return str(self.cause or "not known; nothing was tried") if self.verdict is Verdict.DIFFERS else ""
+
+    @property
+    def explained(self) -> bool:
+        """Return whether this differs and a run showed why."""
+        return self.verdict is Verdict.DIFFERS and self.cause is not None and self.cause.shown
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,7 +76,8 @@ _HEAD = """# What the papers claim, and what comes out here
 verdict is computed. *Reproduced*: our figure lies within a tolerance that is given with its reason.
 *Differs*: it lies outside; the study says why, by a run that tested it, or that the cause is not known and
 what was tried. *Left open by the paper*: we measured something that the paper does not claim, so nothing is
-reproduced. *Cannot be tested here*: the data that it needs are not to be had.
+reproduced. *Cannot be tested here*: the data that it needs are not to be had. What
+[stands in for a paper's own data](#what-stands-in-for-what) is said below the tables.
 
 {papers}
 
@@ -210,16 +211,16 @@ def _read(path: Path, name: str) -> Study:
 def page(studies: list[Study]) -> str:
     """Write all studies as one page of Markdown."""
     claims = [claim for study in studies for claim in study.claims]
-    causes = [c.why_it_differs for c in claims if c.verdict is Verdict.DIFFERS]
+    differ, explained = sum(c.verdict is Verdict.DIFFERS for c in claims), sum(c.explained for c in claims)
     head = _HEAD.format(
         claims=len(claims),
         papers="\n".join(f"- {source}: {title}." for source, title in PAPERS.items()),
-        differ=len(causes),
-        found=sum(cause.startswith("tested") for cause in causes),
-        unknown=sum(not cause.startswith("tested") for cause in causes),
+        differ=differ,
+        found=explained,
+        unknown=differ - explained,
         untested=sum(c.verdict is Verdict.UNTESTED for c in claims),
         tally=tally(claims),
-        summary=_summary(claims),
+        summary=_summary(studies),
         details="\n\n".join(_details(source, studies) for source in PAPERS if _has(source, claims)),
         example=EXAMPLE,
         methods="\n".join(f"- `{name}`: {words}." for name, words in METHODS.items()),
@@ -292,9 +293,13 @@ def headlines(claims: list[Claim]) -> list[Claim]:
     ]
 
 
-def _summary(claims: list[Claim]) -> str:
-    """Return one table with the headline claims of each paper."""
-    rows = [(c.source, c.claim, _verdict(c), str(c.evidence)) for c in headlines(claims)]
+def _summary(studies: list[Study]) -> str:
+    """Return one table with the headline claims of each paper, each with a link to its study."""
+    found = {claim: study for study in studies for claim in study.claims}
+    rows = [
+        (c.source, f"[{c.claim}](#{_anchor(found[c].title)})", _verdict(c), str(c.evidence))
+        for c in headlines(list(found))
+    ]
     return table(("paper", "claim", "verdict", "evidence"), rows)
 
 

@@ -215,13 +215,12 @@ def _text(found: Recovered, data: str, file: str) -> str:
     covered = ", ".join(f"{name} {share:.0%}" for name, share in zip(NAMES, within.mean(axis=0), strict=True))
     head = ("", "true", "way", "5 %", "median", "95 %", "rms error")
     return (
-        f"N, B and K of {data}; the floor is shared by three noises, as is common in phones, so that the\n"
-        "curve's least value is not the flicker's alone and no stretch of it has any one slope. The fit is\n"
-        "right on average. K is what a record of this length shows least: in "
-        f"{np.mean(found.fitted[:, 2] < 0.2):.0%} of the records\n"
-        "the fit finds next to none of it, and says so by an open interval; a reading always finds\n"
-        "some, and too much.\n\n"
-        f"{table(head, rows)}\n\nThe fit's 95 % intervals hold the truth for {covered} of the records.\n\n"
+        f"N, B and K of {data}; the floor is shared by three noises, as is common in phones, so that"
+        " the\ncurve's least value is not the flicker's alone and no stretch of it has any one slope. The fit"
+        " is\nright on average. K is what a record of this length shows least: in"
+        f" {np.mean(found.fitted[:, 2] < 0.2):.0%} of the records\nthe fit finds next to none of it, and says"
+        f" so by an open interval; a reading always finds\nsome, and too much.\n\n{table(head, rows)}\n\nThe"
+        f" fit's 95 % intervals hold the truth for {covered} of the records.\n\n"
         + picture(file, "An Allan deviation with its band, and N, B, K over truth by both ways")
     )
 

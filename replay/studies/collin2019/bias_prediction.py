@@ -16,7 +16,17 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.formats.trace import open_trace
 from stillcal.replay.studies import drawing
-from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.claim import (
+    Cause,
+    Claim,
+    Evidence,
+    Progress,
+    Study,
+    Verdict,
+    holds,
+    picture,
+    table,
+)
 
 NAME, TITLE, WORK, WHERE = "bias-prediction", "Predicting a 1/f bias", "Collin 2019", "2.1.3"
 ORDERS = (1, 2, 4, 8, 16, 32)
@@ -197,16 +207,23 @@ def _real(found: Real | None) -> Claim:
         )
         + f" times that of {MEMORY} values",
         f"an MPU-6050 at rest for 11 min (sunsided): {found.means} means over {SPAN_S:g} s; fitted to one"
-        " half,"
-        " tried on the other",
+        " half, tried on the other",
         holds(bool((found.sure[:, 0] > 1.0).all())),
         "squared error of the better of random walk and fitted Gauss-Markov process, 95 % interval by"
         f" {BLOCKS} parts of the half; holds where it lies above 1 on every axis",
         evidence=Evidence.REAL,
-        cause=f"tested: neighbouring means correlate by {together}: where that is near zero the noise of a"
-        " second is"
-        " white, which nothing predicts, and a longer memory only has more to fit",
+        cause=Cause(
+            f"neighbouring means correlate by {together}: where that is near zero the noise of a second is"
+            " white, which nothing predicts, and a longer memory only has more to fit",
+            shown=_only_where_correlated(found),
+        ),
     )
+
+
+def _only_where_correlated(found: Real) -> bool:
+    """Return whether memory helps on the axes whose neighbouring means correlate the most, and only there."""
+    helps = found.sure[:, 0] > 1.0
+    return bool(helps.any() and found.together[helps].min() > found.together[~helps].max(initial=-1.0))
 
 
 def _infinite(found: Predicted, data: str) -> Claim:

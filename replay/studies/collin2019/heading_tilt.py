@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.studies import drawing
-from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.claim import (
+    Cause,
+    Claim,
+    Evidence,
+    Progress,
+    Study,
+    Verdict,
+    holds,
+    picture,
+    table,
+)
 from stillcal.replay.studies.collin2019.pedestrian_tables import DEG, walk
 from stillcal.replay.studies.har.data import RATE_HZ, read_rates, without_recordings
 
@@ -126,9 +136,12 @@ def _only(found: TiltError, data: str) -> Claim:
         "RMS, the cosine's scaling; holds where it is the larger part. Not over longer walks, in which such"
         " turns may return: windows end after 2.56 s",
         evidence=Evidence.REAL,
-        cause="tested by taking the two apart: of turns about level axes a tilted axis senses the sine of the"
-        f" tilt, {math.sin(COUPLE_DEG * DEG):.3f} of them; of turns about the vertical it loses 1 less the"
-        f" cosine, {1.0 - math.cos(COUPLE_DEG * DEG):.4f}",
+        cause=Cause(
+            "the two taken apart: of turns about level axes a tilted axis senses the sine of the tilt,"
+            f" {math.sin(COUPLE_DEG * DEG):.3f} of them; of turns about the vertical it loses 1 less the"
+            f" cosine, {1.0 - math.cos(COUPLE_DEG * DEG):.4f}",
+            shown=found.crossed > found.scaling,
+        ),
     )
 
 
@@ -158,8 +171,7 @@ def _text(found: dict[float, TiltError], file: str) -> str:
         [
             "The heading's change over windows of 2.56 s of real people, by an axis along the mean force and"
             " by one tilted from it in twelve directions; each person's mean rate at rest is taken off. RMS"
-            " errors. The last two columns are Fig. 8's walk"
-            " with the scale error of the tilt alone.",
+            " errors. The last two columns are Fig. 8's walk with the scale error of the tilt alone.",
             table(head, rows),
             picture(file, "Heading error over a window by tilt: both parts"),
         ]

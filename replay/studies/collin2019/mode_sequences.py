@@ -131,8 +131,8 @@ def _partial(found: Judged) -> Claim:
     low, high = interval(errors[1] - errors[0])
     return Claim(
         *PAPER[1],
-        f"{errors[0].mean():.1f} → {errors[1].mean():.1f} % wrong,"
-        f" {100 * found.refused(CHOSEN):.0f} % not judged",
+        f"{errors[0].mean():.1f} → {errors[1].mean():.1f} % wrong, {100 * found.refused(CHOSEN):.0f} % not"
+        " judged",
         DATA,
         holds(high < 0.0),
         f"judged where the posterior is {CHOSEN:g} or more; holds where the interval by people of the change"

@@ -117,8 +117,8 @@ def _real_claim(cadences: tuple[Array, Array] | None) -> Claim:
         "3.3, Eq. 13",
         claim,
         "alike",
-        f"alike in {agree:.0%} of windows; medians {np.nanmedian(steps):.2f} "
-        f"and {np.median(spectrum):.2f} Hz",
+        f"alike in {agree:.0%} of windows; medians {np.nanmedian(steps):.2f} and {np.median(spectrum):.2f}"
+        " Hz",
         f"ucihar: {steps.size} windows of walking, 2.56 s",
         holds(agree > 0.9),
         "in over 90 % of windows, within half a bin of the spectrum and 5 %",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, holds, table
+from stillcal.replay.studies.claim import Cause, Claim, Evidence, Progress, Study, holds, table
 from stillcal.replay.studies.esgi95.published import Row, esgi_table
 
 WORK = "ESGI'95"
@@ -45,6 +45,7 @@ def _group(row: Row) -> str:
 
 def _claim(group: str, rows: list[Row]) -> Claim:
     agreeing = sum(row.agrees for row in rows)
+    causes = [row.cause for row in rows if row.cause]
     single = len(rows) == 1
     return Claim(
         WORK,
@@ -56,7 +57,7 @@ def _claim(group: str, rows: list[Row]) -> Claim:
         holds(agreeing == len(rows)),
         rows[0].why if single else "within the rounding of table and figure" + _exceptions(rows),
         evidence=Evidence.PRINTED,
-        cause="; ".join(row.cause for row in rows if row.cause),
+        cause=Cause("; ".join(c.tried for c in causes), all(c.shown for c in causes)) if causes else None,
     )
 
 

@@ -17,7 +17,17 @@ from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS, f
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.phone import draw_rests, load_phone
 from stillcal.replay.studies import drawing
-from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.claim import (
+    Cause,
+    Claim,
+    Evidence,
+    Progress,
+    Study,
+    Verdict,
+    holds,
+    picture,
+    table,
+)
 from stillcal.replay.studies.esgi95.published import APPROACH2_GRAVITY
 from stillcal.replay.studies.har.recordings import Still, by_device, read_still
 
@@ -187,10 +197,12 @@ def _small_claim() -> Claim:
         f"would hold where each is below half; X{row + 1}{column + 1} is known to {x[row, column]:.0%} of"
         " itself",
         evidence=Evidence.PRINTED,
-        cause=f"tested by kind: on the diagonal of X at most {x[~OFF].max():.2%}, of y {y.max():.1%}; off the"
-        f" diagonal {int(np.sum(x[OFF] >= 0.5))} of {int(OFF.sum())} are above half. These are near zero"
-        " where axes"
-        f" are near right angles: X{row + 1}{column + 1} is {PRINTED_X[row, column]:.2g}",
+        cause=Cause(
+            f"by kind: on the diagonal of X at most {x[~OFF].max():.2%}, of y {y.max():.1%}; off the diagonal"
+            f" {int(np.sum(x[OFF] >= 0.5))} of {int(OFF.sum())} are above half. These are near zero where"
+            f" axes are near right angles: X{row + 1}{column + 1} is {PRINTED_X[row, column]:.2g}",
+            shown=max(float(x[~OFF].max()), float(y.max())) < 0.5,
+        ),
     )
 
 
@@ -244,10 +256,10 @@ def _cause(perfect: Scatter) -> str:
     off, y = tilt_behind(PRINTED)
     more = [p / o for o, p in zip(perfect.groups, PRINTED.groups, strict=True)]
     return (
-        f"What the paper's scatter comes from: off the diagonal X asks for faces that are not laid alike by\n"
-        f"{1e3 * off:.2g} mrad, and y, another group of figures, by {1e3 * y:.2g} mrad. Noise of a phone"
-        " that is laid\n"
-        f"down perfectly is {more[1]:.0f} and {more[2]:.0f} times less: the procedure's limit is the hand."
+        "What the paper's scatter comes from: off the diagonal X asks for faces that are not laid alike"
+        f" by\n{1e3 * off:.2g} mrad, and y, another group of figures, by {1e3 * y:.2g} mrad. Noise of a phone"
+        f" that is laid\ndown perfectly is {more[1]:.0f} and {more[2]:.0f} times less: the procedure's limit"
+        " is the hand."
     )
 
 
@@ -256,11 +268,9 @@ def _again(angles: Array) -> str:
         return "No real phone was laid on one face twice here."
     low, middle, high = 1e3 * np.percentile(angles, [0, 50, 100])
     return (
-        f"On {angles.size} occasions a real phone (hhar_still) was recorded twice on one face: the"
-        " attitudes are\n"
-        f"{middle:.2g} mrad apart (median; {low:.1f} to {high:.0f}), more than what is behind the paper's"
-        " figures:\n"
-        "six faces laid by an ordinary hand are not known to a milliradian."
+        f"On {angles.size} occasions a real phone (hhar_still) was recorded twice on one face: the attitudes"
+        f" are\n{middle:.2g} mrad apart (median; {low:.1f} to {high:.0f}), more than what is behind the"
+        " paper's figures:\nsix faces laid by an ordinary hand are not known to a milliradian."
     )
 
 

@@ -6,7 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.claim import (
+    Cause,
+    Claim,
+    Evidence,
+    Progress,
+    Study,
+    Verdict,
+    holds,
+    picture,
+    table,
+)
 from stillcal.replay.studies.drawing import BLUE, GREEN, GREY, ORANGE, RED, panels, save
 from stillcal.replay.studies.grammenos2018.slices import (
     LOUDER,
@@ -151,19 +161,20 @@ def _gains(pair: tuple[str, str], mixed: Found, data: str) -> Claim:
         for way in ("filtered", "calibrated", "no errors")
     ]
     why = (
-        "reproduced where all four 95 % intervals by people reach the paper's lower figure; people and"
-        " devices mixed, nobody in both parts"
+        "reproduced where all four 95 % intervals by people reach the paper's lower figure:"
+        f" {', '.join(f'{name} {with_interval(g)}' for name, g in gains.items())}; people and devices mixed,"
+        " nobody in both parts"
     )
     loud = 100.0 * (mixed[pair, "louder"].values[:, 1] - mixed[pair, "louder"].values[:, 0])
-    cause = (
-        f"tested: by the filter alone {alone[0]}; by the calibration alone {alone[1]}; devices without"
-        " errors or"
-        f" noise gain {alone[2]}, and no calibration can gain more. Even with {LOUDER:.0f} times the"
-        " measured errors"
-        f" the calibration alone gives the SVM {with_interval(loud)} points: people differ by more than"
-        " devices"
+    most = {name: mixed[pair, name].gain("no errors") for name in LEARNERS}
+    cause = Cause(
+        f"by the filter alone {alone[0]}; by the calibration alone {alone[1]}; devices without errors or"
+        f" noise gain {alone[2]}, and no calibration can gain more. Even with {LOUDER:.0f} times the measured"
+        f" errors the calibration alone gives the SVM {with_interval(loud)} points: people differ by more"
+        " than devices",
+        shown=all(interval(own)[1] < TABLE_6[pair][name][0] for name, own in most.items()),
     )
-    ours = ", ".join(f"{name}: {with_interval(g)}" for name, g in gains.items())
+    ours = ", ".join(f"{name}: {g.mean():+.1f}" for name, g in gains.items()) + " points"
     return Claim(
         WORK,
         *_table_6(pair),
@@ -185,12 +196,11 @@ def _kalman(mixed: Found, data: str) -> Claim:
     ours = f"more in {above}, less in {below} of {len(cells)} cells; mean {means[0]:+.1f}, {means[1]:+.1f}"
     why = "holds where the interval of the difference by people lies above zero in all cells"
     alone = {way: float(np.mean([mixed[c].gain(way) for c in cells])) for way in ("calibrated", "filtered")}
-    cause = (
-        f"tested: of the method's gain the calibration alone gives {alone['calibrated']:+.1f} and the"
-        " filter alone"
+    cause = Cause(
+        f"of the method's gain the calibration alone gives {alone['calibrated']:+.1f} and the filter alone"
         f" {alone['filtered']:+.1f} points on the mean: what is compared is a rolling mean with a Kalman"
-        " filter,"
-        " not calibration with none"
+        " filter, not calibration with none",
+        shown=alone["filtered"] > 2.0 * alone["calibrated"],
     )
     return Claim(
         WORK,
@@ -216,12 +226,12 @@ def _svm(mixed: Found, data: str) -> Claim:
     nets = np.mean([mixed[pair, n].by_way("raw") for pair in PAIRS for n in LEARNERS if n != "SVM"])
     gain = 100.0 * (linear[:, 1] - linear[:, 0])
     weaker = interval(gain - np.mean([mean[n] for n in LEARNERS if n != "SVM"], axis=0))[0] > 0.0
-    cause = (
-        ("tested: " if weaker else "not known; tried: ")
-        + "the paper's SVM is the weaker classifier; here it starts from"
-        f" {radial:.1f} %, the networks from {nets:.1f} %. One with a linear kernel starts from"
-        f" {100 * linear[:, 0].mean():.1f} % and gains {with_interval(gain)} points"
-        + (", more than the networks" if weaker else ": being weaker is not enough")
+    cause = Cause(
+        f"the paper's SVM is the weaker classifier; here it starts from {radial:.1f} %, the networks from"
+        f" {nets:.1f} %. One with a linear kernel starts from {100 * linear[:, 0].mean():.1f} % and gains"
+        f" {with_interval(gain)} points"
+        + (", more than the networks" if weaker else ": being weaker is not enough"),
+        shown=weaker,
     )
     return Claim(
         WORK, *PAPER["svm"], ours, data, holds(good), why, evidence=Evidence.SEMI_SYNTHETIC, cause=cause
@@ -234,7 +244,6 @@ def _baselines(mixed: Found, data: str) -> list[Claim]:
     svm = float(np.mean([mixed[pair, "SVM"].by_way("raw") for pair in PAIRS]))
     walk = float(np.mean([mixed[pair, name].by_way("raw") for pair in PAIRS[:2] for name in nets]))
     stairs = float(np.mean([mixed[PAIRS[2], name].by_way("raw") for name in nets]))
-    good = max(abs(svm - 80.0), abs(walk - 92.0), abs(stairs - 85.0)) <= 5.0
     changed = {
         (name, how): [float(mixed[pair, f"{name}, {how}"].values.mean()) for pair in PAIRS]
         for name in ("SVM", "100")
@@ -245,12 +254,20 @@ def _baselines(mixed: Found, data: str) -> list[Claim]:
         f" {changed['100', how][2]:.0%}"
         for how in ("brief", "scattered")
     ]
-    cause = (
-        "tested: a slice of 40 samples is 0.8 s here, 0.2 to 0.8 s on the paper's devices of 50 to 200 Hz."
-        " With"
+    as_printed = [
+        how
+        for how in ("brief", "scattered")
+        if _near_baseline(
+            float(np.mean(changed["SVM", how])),
+            float(np.mean(changed["100", how][:2])),
+            changed["100", how][2],
+        )
+    ]
+    cause = Cause(
+        "a slice of 40 samples is 0.8 s here, 0.2 to 0.8 s on the paper's devices of 50 to 200 Hz. With"
         f" slices of 0.2 s: {words[0]}. With people in both parts, which the paper does not exclude:"
-        f" {words[1]}."
-        " Neither gives all three of the paper's figures"
+        f" {words[1]}" + ("" if as_printed else ". Neither gives all three of the paper's figures"),
+        shown=bool(as_printed),
     )
     ours = f"{svm:.0f}; {walk:.0f}, {stairs:.0f} %"
     return [
@@ -259,12 +276,17 @@ def _baselines(mixed: Found, data: str) -> list[Claim]:
             *PAPER["baseline"],
             ours,
             data,
-            holds(good),
+            holds(_near_baseline(svm / 100.0, walk / 100.0, stairs / 100.0)),
             "within 5 points each",
             evidence=Evidence.SEMI_SYNTHETIC,
             cause=cause,
         )
     ]
+
+
+def _near_baseline(svm: float, walk: float, stairs: float) -> bool:
+    """Return whether accuracies, shares, are the paper's: of the SVM, of networks on walking, on stairs."""
+    return max(abs(svm - 0.80), abs(walk - 0.92), abs(stairs - 0.85)) <= 0.05
 
 
 def _overfit(mixed: Found, data: str) -> Claim:
@@ -279,10 +301,11 @@ def _overfit(mixed: Found, data: str) -> Claim:
     long = {units: mixed[PAIRS[2], f"{units}, long"].values[:, 0] for units in (25, 100)}
     few = {units: mixed[PAIRS[2], f"{units}, few"].values[:, 0] for units in (25, 100)}
     why = "holds where with 50 or 100 units some pair's interval by people lies below that with 25"
-    cause = (
-        f"not known; tried, on the two stairs: trained {LONG_TRAINING} instead of 40 iterations, 25"
-        f" {long[25].mean():.1%}, 100 {long[100].mean():.1%}; trained on {FEW} instead of {MOST} slices, 25"
-        f" {few[25].mean():.1%}, 100 {few[100].mean():.1%}. On the slices trained on: {known}"
+    cause = Cause(
+        f"on the two stairs, trained {LONG_TRAINING} instead of 40 iterations, 25 {long[25].mean():.1%}, 100"
+        f" {long[100].mean():.1%}; trained on {FEW} instead of {MOST} slices, 25 {few[25].mean():.1%}, 100"
+        f" {few[100].mean():.1%}. On the slices trained on: {known}",
+        shown=min(long[100].mean() - long[25].mean(), few[100].mean() - few[25].mean()) < 0.0,
     )
     ours = f"{len(worse)} of {len(cells)} cells; over 25 units, {', '.join(change)} points"
     return Claim(
@@ -306,7 +329,11 @@ def _roc(rocs: dict[tuple[str, str], Roc], data: str) -> Claim:
     why = "holds where both rises lie above zero by people: " + ", ".join(map(with_interval, change.values()))
     why += " points"
     best = ", ".join(f"{FIGURES[pair]} {100 * r.areas[:, 2].mean():.1f} %" for pair, r in rocs.items())
-    cause = f"tested: devices without errors or noise have {best}, and no calibration can do better"
+    most = [100.0 * (r.areas[:, 2] - r.areas[:, 0]) for r in rocs.values()]
+    cause = Cause(
+        f"devices without errors or noise have {best}, and no calibration can do better",
+        shown=any(interval(own)[0] <= 0.0 for own in most),
+    )
     good = all(interval(r)[0] > 0.0 for r in change.values())
     return Claim(
         WORK, *PAPER["roc"], ours, data, holds(good), why, evidence=Evidence.SEMI_SYNTHETIC, cause=cause

@@ -17,7 +17,7 @@ from stillcal.calib_core.maths.rotation import rotation
 from stillcal.calib_core.model import SensorModel
 from stillcal.replay.formats.trace import open_trace
 from stillcal.replay.runner import replay
-from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, holds, table
+from stillcal.replay.studies.claim import Cause, Claim, Evidence, Progress, Study, holds, table
 from stillcal.replay.studies.har.data import without_recordings
 
 NAME, TITLE, WORK = "gyroscope-bias", "A gyroscope's bias disregarded (Eq. 10)", "Grammenos 2018"
@@ -156,6 +156,11 @@ def _names(found: list[Result]) -> str:
     return f"{len(found)} real recordings (imu_tk, mikoff), {turns} turns from rest to rest"
 
 
+def accounts(supposed: Array, measured: Array) -> bool:
+    """Return whether what a cause would do is half to twice what was measured, on the median; (n,) each."""
+    return 0.5 <= float(np.median(supposed / measured)) <= 2.0
+
+
 def _bias(values: Array, found: list[Result]) -> Claim:
     without, taken = values[:, 1], values[:, 2]
     ratio = without / taken
@@ -164,11 +169,11 @@ def _bias(values: Array, found: list[Result]) -> Claim:
         "medians over recordings; holds where no recording is worse by more than a tenth. Same fit, bias"
         f" zero or the mean of the rests: {', '.join(f'{r:.1f}' for r in ratio)} times"
     ).replace("  ", " ")
-    cause = (
-        "tested: a constant bias does not average out over a turn. In a turn's time it turns by"
+    cause = Cause(
+        "a constant bias does not average out over a turn. In a turn's time it turns by"
         f" {', '.join(f'{r.drift[0]:.1f}' for r in found)} deg rms, recording by recording; the angle"
-        " without it is"
-        f" {', '.join(f'{v:.1f}' for v in without)} deg"
+        f" without it is {', '.join(f'{v:.1f}' for v in without)} deg",
+        shown=accounts(np.array([r.drift[0] for r in found]), without),
     )
     good = bool((ratio <= 1.1).all())
     return Claim(
@@ -185,11 +190,11 @@ def _methods(values: Array, found: list[Result]) -> Claim:
         "holds where the bias of the rests around each turn is better by less than a tenth than one mean"
         f" bias, on the median: {', '.join(f'{b / a:.2f}' for a, b in zip(mean, ours, strict=True))} times"
     )
-    cause = (
-        "tested: the bias moves from rest to rest. Each turn's own rests differ from their mean by what"
-        " turns by"
+    cause = Cause(
+        "the bias moves from rest to rest. Each turn's own rests differ from their mean by what turns by"
         f" {', '.join(f'{r.drift[1]:.2f}' for r in found)} deg rms in a turn's time; one bias leaves"
-        f" {', '.join(f'{v:.2f}' for v in mean)} deg"
+        f" {', '.join(f'{v:.2f}' for v in mean)} deg",
+        shown=accounts(np.array([r.drift[1] for r in found]), mean),
     )
     good = float(np.median(ours / mean)) > 0.9
     return Claim(

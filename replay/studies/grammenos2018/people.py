@@ -21,7 +21,17 @@ from stillcal.calib_core.streams.events import Charging
 from stillcal.replay.phone import Phone, Scenario, draw_rests, load_scenario, population, simulate
 from stillcal.replay.phone.plan import Plan, play
 from stillcal.replay.phone.settings import SensorSettings
-from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.claim import (
+    Cause,
+    Claim,
+    Evidence,
+    Progress,
+    Study,
+    Verdict,
+    holds,
+    picture,
+    table,
+)
 from stillcal.replay.studies.drawing import BLUE, GREEN, RED, panels, save
 
 NAME, TITLE, WORK = "people", "A day with nobody helping (4.2)", "Grammenos 2018"
@@ -290,11 +300,12 @@ def _states(found: list[Life], met: dict[float, Array]) -> Claim:
         f"{pause / 60.0:.0f} min {np.median(own[:, 0]):.0f} in {np.median(own[:, 1]):.0f}"
         for pause, own in met.items()
     )
-    cause = (
-        "tested: how often one looks. Probed as Algorithm 1 does, the same days give, by the mean pause"
-        " between"
+    often = [float(np.median(own[:, 0])) for own in met.values()]
+    cause = Cause(
+        "how often one looks. Probed as Algorithm 1 does, the same days give, by the mean pause between"
         f" probes, states in attitudes: {listed} (medians of {WATCHED} days). The paper does not print its"
-        " pauses"
+        " pauses",
+        shown=min(often) <= 13.0 and max(often) >= 11.0,
     )
     good = attitudes[0] <= 11 and attitudes[2] >= 13
     return Claim(
@@ -309,13 +320,13 @@ def _day(found: list[Life], shares: dict[int, float], norms: Array) -> Claim:
     others = ", ".join(f"{shares[n]:.0%} from {n}" for n in NUMBERS[1:])
     ours = f"{shares[first]:.0%} of phones from {first} rests of a day; {others}"
     why = "normally: in more than half, from as many rests as the paper found in 12 h"
-    cause = (
-        f"tested: with all"
-        f" {np.median(_column(found, 'rests')):.0f} rests of such a day {done:.0%} are calibrated, after"
-        f" {mid:.1f} h on the median, when a charger is plugged in: the number of rests decides. A fit"
+    cause = Cause(
+        f"with all {np.median(_column(found, 'rests')):.0f} rests of such a day {done:.0%} are calibrated,"
+        f" after {mid:.1f} h on the median, when a charger is plugged in: the number of rests decides. A fit"
         f" that only has to converge does so from {NUMBERS[0]} rests for {len(norms)} of {PEOPLE} phones, and"
         f" makes the norm over all directions worse for {np.sum(norms[:, 1] > norms[:, 0])} of them"
-        f" ({np.median(norms[:, 0]):.2f} → {np.median(norms[:, 1]):.2f} m/s² on the median)"
+        f" ({np.median(norms[:, 0]):.2f} → {np.median(norms[:, 1]):.2f} m/s² on the median)",
+        shown=done > 0.5,
     )
     good = shares[first] > 0.5
     return Claim(
@@ -338,9 +349,10 @@ def _enough(fewest: dict[str, Array]) -> Claim:
         "usually: in more than half; distinct everyday attitudes, in the order of a day, until the fit is not"
         " refused"
     )
-    cause = (
-        f"tested: {under['random']:.0%} in random attitudes, so that everyday ones are too alike;"
-        f" {under['unchecked']:.0%} where a fit only has to converge, as in the paper"
+    cause = Cause(
+        f"{under['random']:.0%} in random attitudes, which are less alike than everyday ones;"
+        f" {under['unchecked']:.0%} where a fit only has to converge, as in the paper",
+        shown=min(under["random"], under["unchecked"]) > 0.5,
     )
     data = f"{PEOPLE} phones drawn as in Stisen et al., their rests as they lie in `day`"
     return Claim(

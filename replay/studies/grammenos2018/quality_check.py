@@ -14,7 +14,17 @@ from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.phone import Charging, Chunk, Phone, Truth, load_phone, load_scenario, simulate
 from stillcal.replay.phone.effects.on_bias import AccelBiasStep, GyroBiasDrift
-from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
+from stillcal.replay.studies.claim import (
+    Cause,
+    Claim,
+    Evidence,
+    Progress,
+    Study,
+    Verdict,
+    holds,
+    picture,
+    table,
+)
 from stillcal.replay.studies.drawing import BLUE, GREY, RED, panels, save
 from stillcal.replay.studies.grammenos2018.people import HOUR_S, slowed
 
@@ -221,7 +231,7 @@ def _found(broken: Days, earlier: Days) -> Claim:
         holds(hours <= 24.0),
         why,
         evidence=Evidence.SIMULATION,
-        cause=f"tested by what happened: {course(broken, STEP_AT)}",
+        cause=Cause(f"what happened after the step: {course(broken, STEP_AT)}", shown=False),
     )
 
 

@@ -74,9 +74,9 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
             str(number),
             DATA,
             agreement(5, number, 1),
-            "tolerance one cluster: with any one device left out there are"
-            f" {min(left_out)} to {max(left_out)}; the paper clustered 36 devices, here {len(labels)} lie on"
-            " their backs with a working sensor",
+            f"tolerance one cluster: with any one device left out there are {min(left_out)} to"
+            f" {max(left_out)}; the paper clustered 36 devices, here {len(labels)} lie on their backs with a"
+            " working sensor",
             evidence=Evidence.REAL,
         ),
         _split_models(devices, labels),

@@ -11,7 +11,7 @@ import stillcal
 from stillcal.replay.commands.evaluate import evaluate_command
 from stillcal.replay.studies import methods, page
 from stillcal.replay.studies import registry as studies
-from stillcal.replay.studies.claim import Claim, Evidence, Study, Verdict, agreement, holds, table
+from stillcal.replay.studies.claim import Cause, Claim, Evidence, Study, Verdict, agreement, holds, table
 
 DOCS = Path(__file__).parents[3] / "docs"
 
@@ -57,17 +57,29 @@ def test_page_says_why_a_figure_differs_and_only_then() -> None:
     study = a_study()
     claim = study.claims[0]
     assert "- *s1 | s2* (2.4): not known; nothing was tried." in page.page([study])
-    told = replace(study, claims=(replace(claim, cause="tested: by rounding"),))
-    assert "- *s1 | s2* (2.4): tested: by rounding." in page.page([told])
-    agrees = replace(study, claims=(replace(claim, cause="tested: by rounding", verdict=Verdict.REPRODUCED),))
-    assert "by rounding" not in page.page([agrees])
+    shown, missed = Cause("rounding, 0.1", shown=True), Cause("rounding, 0.1", shown=False)
+    told, tried = (replace(study, claims=(replace(claim, cause=cause),)) for cause in (shown, missed))
+    assert "- *s1 | s2* (2.4): tested: rounding, 0.1." in page.page([told])
+    assert "- *s1 | s2* (2.4): not known; tried: rounding, 0.1." in page.page([tried])
+    agrees = replace(study, claims=(replace(claim, cause=shown, verdict=Verdict.REPRODUCED),))
+    assert "rounding" not in page.page([agrees])
+
+
+def test_the_page_counts_the_causes_that_a_run_showed() -> None:
+    """One that was tried and is not it, and one that nobody looked for, count as not known."""
+    claim = a_study().claims[0]
+    shown, missed = Cause("rounding, 0.1", shown=True), Cause("rounding, 0.1", shown=False)
+    causes = (shown, shown, shown, missed, None)
+    claims = [replace(claim, cause=cause) for cause in causes]
+    claims.append(replace(claim, cause=causes[0], verdict=Verdict.REPRODUCED))
+    text = " ".join(page.page([replace(a_study(), claims=tuple(claims))]).split())
+    assert "Of the 5 figures that differ, 3 have a cause that a run showed; that of the other 2" in text
 
 
 def test_every_difference_on_the_page_says_what_was_run() -> None:
     for claim in (claim for study in page.kept(DOCS / page.FOLDER) for claim in study.claims):
         if claim.verdict is Verdict.DIFFERS:
-            begins = claim.why_it_differs.startswith(("tested", "not known; tried"))
-            assert begins, f"{claim.claim}: {claim.why_it_differs}"
+            assert claim.cause is not None, claim.claim
             assert any(c.isdigit() for c in claim.why_it_differs), f"{claim.claim}: no figure is in the cause"
 
 

@@ -128,6 +128,8 @@ def test_attitude_is_the_part_of_the_difference_that_goes_with_the_mean_force() 
     assert "65.0 against 60.0 %, +5.0" in order.why_it_differs
     assert "attitude is 75% of the difference" in order.why_it_differs
     assert "attitude is 0% of the difference" in motion.why_it_differs
+    assert order.explained
+    assert not motion.explained
 
 
 @pytest.mark.slow

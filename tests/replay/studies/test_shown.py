@@ -1,0 +1,152 @@
+"""A run shows a cause or it does not: each line that is drawn, from both sides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array
+from stillcal.replay.studies.claim import Cause, Verdict
+from stillcal.replay.studies.collin2019 import bias_prediction, pedestrian_tables
+from stillcal.replay.studies.grammenos2018 import classes, gyroscope_bias, homogeneity
+from stillcal.replay.studies.grammenos2018.slices import WAYS, Accuracy, Roc
+from stillcal.replay.studies.stisen2015 import biases, remedies, remedy_causes, washing_machine
+from stillcal.replay.studies.stisen2015.washing_machine import SHOWN, Delivery
+
+STEADY = np.array([-0.1, 0.1] * 5)
+"""Scatter of ten people or folds that says little."""
+
+
+@pytest.mark.parametrize("factor, shown", [(0.49, False), (0.51, True), (1.9, True), (2.1, False)])
+def test_a_bias_accounts_for_what_is_half_to_twice_its_effect(factor: float, shown: bool) -> None:
+    measured = np.array([1.0, 5.0, 20.0])
+    assert gyroscope_bias.accounts(factor * measured, measured) is shown
+
+
+def test_table_2_is_met_by_all_four_powers() -> None:
+    printed = [1.00, 0.50, 0.33, 0.25]
+    assert pedestrian_tables._as_table_2(printed)
+    for k in range(4):
+        assert not pedestrian_tables._as_table_2([p + 0.01 * (n == k) for n, p in enumerate(printed)])
+
+
+def test_the_baseline_is_met_by_all_three_accuracies() -> None:
+    assert classes._near_baseline(0.84, 0.88, 0.89)
+    assert not any(classes._near_baseline(*figures) for figures in ((0.86, 0.92, 0.85), (0.8, 0.86, 0.85)))
+    assert not classes._near_baseline(0.80, 0.92, 0.91)
+
+
+def test_the_range_is_the_paper_s_at_both_ends() -> None:
+    assert biases._as_printed(np.array([-0.08, 0.0, 0.07]))
+    assert not biases._as_printed(np.array([-0.10, 0.0, 0.075]))
+    assert not biases._as_printed(np.array([-0.085, 0.0, 0.09]))
+
+
+@pytest.mark.parametrize(
+    "together, shown",
+    [((0.3, 0.1, 0.0), True), ((0.1, 0.3, 0.0), False), ((0.1, 0.0, 0.3), False)],
+)
+def test_memory_must_help_where_means_correlate(together: tuple[float, ...], shown: bool) -> None:
+    sure = np.array([[1.1, 1.3], [0.9, 1.1], [0.8, 1.2]])
+    found = bias_prediction.Real(np.full(3, 1.5), np.full(3, 1.2), sure, np.array(together), 600)
+    cause = bias_prediction._real(found).cause
+    assert cause is not None
+    assert cause.shown is shown
+
+
+def test_memory_that_helps_nowhere_shows_nothing() -> None:
+    sure = np.array([[0.9, 1.1]] * 3)
+    found = bias_prediction.Real(np.ones(3), np.ones(3), sure, np.array([0.3, 0.1, 0.0]), 600)
+    assert not bias_prediction._only_where_correlated(found)
+
+
+def test_groups_help_where_one_family_gains_and_none_loses() -> None:
+    gain, nothing, loss = 2.0 + STEADY, 0.0 + STEADY, -2.0 + STEADY
+    assert remedies._helps(np.array([gain, nothing, nothing]))
+    assert not remedies._helps(np.array([nothing, nothing, nothing]))
+    assert not remedies._helps(np.array([gain, loss, nothing]))
+
+
+@pytest.mark.parametrize("moving, still, shown", [(5.0, -4.0, True), (5.0, 1.0, False), (-1.0, -4.0, False)])
+def test_splines_flatten_rest_alone(moving: float, still: float, shown: bool) -> None:
+    causes = remedy_causes.Causes(80.0, 1.0, moving, still, {}, np.zeros((3, 2)), 3.0, (39.0, 197.0))
+    assert remedies._flattened(causes).shown is shown
+
+
+@pytest.mark.parametrize("together, shown", [(0.95, True), (0.85, False)])
+def test_stamps_given_at_delivery_follow_it(together: float, shown: bool) -> None:
+    good = Delivery(bulks=1.0, outages=1.0, even=0.9, together=0.1, late=10.0, interval=10.0)
+    late = replace(good, even=0.5, together=together)
+    even = washing_machine._claims({SHOWN[0]: good, SHOWN[1]: late, "another": good})[1]
+    assert even.verdict is Verdict.DIFFERS
+    assert even.cause is not None
+    assert even.cause.shown is shown
+
+
+def traces(devices: tuple[float, ...], levelled: tuple[float, ...]) -> homogeneity.Homogeneity:
+    """Return the MSE of ten people by step; people and devices together as nothing had helped."""
+    people = np.ones((10, 1))
+    return homogeneity.Homogeneity(people * devices, np.ones((10, 4)), people * levelled)
+
+
+@pytest.mark.parametrize("left, shown", [(0.5, True), (0.9, False)])
+def test_people_hide_what_calibration_does_to_devices(left: float, shown: bool) -> None:
+    found = traces((1.0, 1.0, left, left), (1.0,) * 4)
+    claim = homogeneity._moving("walk", found, "data", np.random.default_rng(0))
+    assert claim.verdict is Verdict.DIFFERS
+    assert claim.cause is not None
+    assert claim.cause.shown is shown
+
+
+@pytest.mark.parametrize("left, shown", [(1.05, True), (0.5, False)])
+def test_the_level_is_the_cause_where_nothing_else_changes(left: float, shown: bool) -> None:
+    rest = homogeneity.Rest(np.ones((6, 3)), 0.1 * np.ones((6, 3)), np.ones((6, 2)), 1)
+    claim = homogeneity._rest(rest, traces((1.0,) * 4, (1.0, 1.0, left, left)), np.random.default_rng(0))
+    assert claim.verdict is Verdict.DIFFERS
+    assert claim.cause is not None
+    assert claim.cause.shown is shown
+
+
+def accuracy(**gains: float) -> Accuracy:
+    """Return the accuracy of ten people by way, raw 0.8, others as they gain, points."""
+    columns = [0.8 + 0.01 * gains.get(way.replace(" ", "_"), 0.0) + 0.001 * STEADY for way in WAYS]
+    return Accuracy(np.stack(columns, axis=1), np.full(len(WAYS), 0.9))
+
+
+def claim_of_gains(most: float) -> Cause:
+    """Return the cause for the first pair where a faultless device gains so many points."""
+    pair = classes.PAIRS[0]
+    mixed = {(pair, name): accuracy(no_errors=most) for name in classes.LEARNERS}
+    mixed[pair, "louder"] = accuracy()
+    cause = classes._gains(pair, mixed, "data").cause
+    assert cause is not None
+    return cause
+
+
+def test_no_calibration_gains_more_than_a_faultless_device() -> None:
+    """Table 6 has gains of 2 points and more there."""
+    assert claim_of_gains(1.5).shown
+    assert not claim_of_gains(2.5).shown
+
+
+def test_a_filter_that_gains_the_most_is_what_is_compared() -> None:
+    def mixed(filtered: float, calibrated: float) -> dict[tuple[tuple[str, str], str], Accuracy]:
+        own = accuracy(filtered=filtered, calibrated=calibrated)
+        return {(pair, name): own for pair in classes.PAIRS for name in classes.LEARNERS}
+
+    for gains, shown in (((2.0, 0.5), True), ((2.0, 1.5), False)):
+        cause = classes._kalman(mixed(*gains), "data").cause
+        assert cause is not None
+        assert cause.shown is shown
+
+
+@pytest.mark.parametrize("best, shown", [(0.0, True), (0.05, False)])
+def test_curves_cannot_rise_above_those_of_a_faultless_device(best: float, shown: bool) -> None:
+    areas: Array = np.stack([0.9 + 0.0 * STEADY, 0.9 + 0.0 * STEADY, 0.9 + best + 0.01 * STEADY], axis=1)
+    line = (np.array([0.0, 1.0]),) * 3
+    rocs = {pair: Roc(line, line, areas) for pair in classes.FIGURES}
+    cause = classes._roc(rocs, "data").cause
+    assert cause is not None
+    assert cause.shown is shown
