@@ -9,6 +9,9 @@ import pytest
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.phone import Scenario, load_phone, simulate
 from stillcal.replay.phone.activities.carried import Walk
+from stillcal.replay.phone.effects.on_bias import GyroBiasTemperature
+from stillcal.replay.phone.effects.on_input import GyroGSensitivity
+from stillcal.replay.studies.collin2019 import pedestrian_calibration as study
 from stillcal.replay.studies.collin2019.pedestrian_calibration import Life, reckon
 from stillcal.replay.studies.collin2019.step_detection import real_cadences, walked
 
@@ -45,6 +48,26 @@ def test_error_is_the_distance_between_ends_over_the_way(walk: tuple[Samples, Sa
     assert life.error(true) == 0.0
     assert longer.distance == pytest.approx(1.01 * true.distance)
     assert life.error(longer) == pytest.approx(0.01 * np.linalg.norm(true.position[-1]) / true.distance)
+
+
+@pytest.mark.parametrize(
+    "cause, shown", [(GyroBiasTemperature, True), (GyroGSensitivity, True), (None, False)]
+)
+def test_a_cause_is_shown_where_the_error_goes_with_it(
+    walk: tuple[Samples, Samples], monkeypatch: pytest.MonkeyPatch, cause: type | None, shown: bool
+) -> None:
+    """Lives that are off by a tenth unless one effect is taken off: a day each would take too long here."""
+    true, off = reckon(*walk, G, 0.5), reckon(*walk, G, 0.55)
+    scale = np.linalg.norm(true.position[-1]) / true.distance
+    monkeypatch.setattr(study, "GOOD", 0.03 * scale)
+
+    def lived(name: str, seed: int, *, without: tuple[type, ...]) -> Life:
+        return Life(name, true, off, true if cause in without else off, off)
+
+    monkeypatch.setattr(study, "live", lived)
+    found = study._tried("mpu6050", 0)
+    assert found.shown is shown
+    assert found.tried.count(" 0 %") == (2 if shown else 0)  # without it, and without both
 
 
 @pytest.mark.parametrize("carry", ["pocket", "bag"])

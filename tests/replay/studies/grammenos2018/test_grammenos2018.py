@@ -12,8 +12,10 @@ from stillcal.calib_core.gravity import STANDARD, somigliana
 from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.static.settings import Mode
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.phone import Truth, load_phone, load_scenario, population
+from stillcal.replay.formats.hhar_still import read
+from stillcal.replay.phone import Truth, load_phone, load_scenario, population, simulate
 from stillcal.replay.phone.plan import play
 from stillcal.replay.phone.simulation import TrueInterval
 from stillcal.replay.studies.claim import Verdict
@@ -33,8 +35,9 @@ from stillcal.replay.studies.grammenos2018.kalman import Kalman, inverse, settle
 from stillcal.replay.studies.grammenos2018.smoothing import filtered, middle
 from stillcal.replay.studies.har.data import Windows
 from stillcal.replay.studies.har.devices import Device, read_devices
-from stillcal.replay.studies.har.recordings import Still, read_still
+from stillcal.replay.studies.har.recordings import FOLDER, Still, read_still
 from stillcal.replay.studies.har.scoring import network
+from stillcal.replay.studies.methods.device_faces import calibrate_devices
 
 
 def test_median_against_mean_on_white_noise() -> None:
@@ -118,6 +121,17 @@ def test_fewer_positions_than_parameters_are_never_enough() -> None:
         assert 6 <= people_study.fewest_positions(phone, spread, k, checked=False) <= checked
 
 
+def test_rests_are_drawn_among_those_of_the_whole_day() -> None:
+    """A day in one attitude calibrates nobody; one that changes half-way does, from as many rests."""
+    rng = np.random.default_rng(2)
+    spread = rng.normal(size=(40, 3))
+    spread /= np.linalg.norm(spread, axis=1, keepdims=True)
+    flat = np.tile([0.0, 0.0, 1.0], (40, 1))
+    phones = population(3, 0)
+    assert people_study.calibrated_share(phones, [flat] * 3, 0, 40) == 0.0
+    assert people_study.calibrated_share(phones, [np.vstack((flat, spread))] * 3, 0, 40) == 1.0
+
+
 def test_merged_states_are_one_an_attitude_in_order() -> None:
     up = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.01, 1.0], [0.0, 1.0, 0.0]])
     assert people_study.merged(up).tolist() == up[[0, 1, 3]].tolist()
@@ -128,6 +142,24 @@ def test_the_rolling_mean_is_causal_and_keeps_its_shape() -> None:
     found = slices_study.filtered(ramp)
     assert found.shape == ramp.shape
     assert found[0, 4:, 0] == pytest.approx(np.arange(4.0, 20.0) - 2.0)  # five samples: two behind
+
+
+def test_the_method_is_the_calibration_and_the_filter() -> None:
+    """A phone that is biased and noisy, lying still: the method takes off both, each way its own."""
+    rng = np.random.default_rng(8)
+    t = np.arange(4000) / 50.0
+    rest = Still("back", "d", "m", 9.8 + 0.05 * rng.normal(size=(4000, 3)), t, t)
+    device = Device("d", "m", np.eye(3), np.array([0.5, 0.0, -0.4]), (rest,))
+    still = Windows(np.tile([0.0, 3.0, 9.3], (20, 128, 1)), np.full(20, 3), np.arange(20) % 5)
+    ways = slices_study.slices(still, [device], 0).ways
+    off = {way: values.mean(axis=(0, 1)) - [0.0, 3.0, 9.3] for way, values in ways.items()}
+    spread = {way: values.std() for way, values in ((w, v - v.mean(axis=(0, 1))) for w, v in ways.items())}
+    for way in ("raw", "filtered", "Kalman"):
+        assert off[way] == pytest.approx(device.bias, abs=0.01)
+    for way in ("calibrated", slices_study.METHOD):
+        assert off[way] == pytest.approx(0.0, abs=0.1)
+    for way, unfiltered in (("filtered", "raw"), (slices_study.METHOD, "calibrated")):
+        assert spread[way] == pytest.approx(spread[unfiltered] / np.sqrt(5.0), rel=0.1)  # five samples
 
 
 def test_an_roc_curve_of_what_can_be_told_fills_the_square() -> None:
@@ -165,6 +197,16 @@ def test_algorithm_1_counts_what_it_gathers() -> None:
     run = algorithm_1(accel, None, states=99)
     assert run.probes == len(run.states) > 1  # white noise stays within twice its least deviation
     assert sum(s.t_end - s.t_start for s in run.states) <= run.sensing_s < 600.0
+    assert run.sigma_accel_min == min(s.sigma_accel for s in run.states)
+
+
+def test_a_detector_that_probes_is_charged_for_what_it_asks() -> None:
+    tables = msgspec.structs.replace(load_scenario("tables"), duration_s=1800.0)
+    simulation = simulate(tables, people_study.slowed(load_phone("typical"), 10.0), 3)
+    probing, looking = (states_study.by_detector(simulation, mode) for mode in (Mode.PROBE, Mode.SCAN))
+    assert 0.0 < probing.sensing < 0.5
+    assert looking.sensing == 1.0
+    assert probing.rests <= looking.rests
 
 
 def test_a_bias_that_is_disregarded_turns_gravity_away() -> None:
@@ -309,6 +351,9 @@ def test_a_face_held_out_comes_nearer_to_gravity(data_dir: Path) -> None:
     before, after = np.sqrt(np.mean(np.square(rest.norms), axis=0))
     assert after < 0.5 * before
     assert rest.mse("after") < rest.mse("before")
+    fits = [o.calibration for o in calibrate_devices(read(data_dir / FOLDER)) if o.calibration]
+    inside = np.sqrt(np.mean([fit.rms_residual**2 for fit in fits if fit.tilt <= 0.01]))
+    assert after > 1.5 * inside  # a face that the fit has seen lies nearer
 
 
 def test_the_middle_of_a_recording_is_twenty_seconds(data_dir: Path) -> None:

@@ -14,7 +14,7 @@ from stillcal.replay.studies.grammenos2018 import slices as slices_study
 from stillcal.replay.studies.har.data import Windows
 from stillcal.replay.studies.har.devices import Device
 from stillcal.replay.studies.har.recordings import Still
-from stillcal.replay.studies.har.scoring import radial_svm
+from stillcal.replay.studies.har.scoring import radial_svm, tree
 from stillcal.replay.studies.stisen2015 import families as families_study
 from stillcal.replay.studies.stisen2015 import gyroscope as gyroscope_study
 from stillcal.replay.studies.stisen2015 import modes as modes_study
@@ -182,6 +182,16 @@ def test_siblings_are_trained_on_their_own_model() -> None:
     assert found.f1[1].max() < 0.05
 
 
+def test_clusters_are_compared_with_all_devices_fold_by_fold() -> None:
+    """Two clusters in every fold, each two points above all devices; folds lie far apart."""
+    by_fold = np.linspace(0.5, 0.9, modes_study.FOLDS)
+    everyone = np.tile(by_fold, (4, 4, 1))
+    inside = np.repeat(everyone, 2, axis=2) + 0.02
+    found = modes_study._cluster({"fifth of users out": everyone, "cluster, user out": inside}, "data")
+    assert found.verdict is Verdict.REPRODUCED
+    assert "+2.0 (+2.0 to +2.0)" in found.because
+
+
 def test_ten_folds_test_every_row_once() -> None:
     parts = list(modes_study.splits(some_rows(), "ten-fold", 0))
     assert len(parts) == 10
@@ -201,6 +211,20 @@ def test_comparison_of_ways_sees_what_is_there() -> None:
     assert found.values[:, 1].mean() > 0.95
     assert abs(found.values[:, 0].mean() - 0.5) < 0.1
     assert found.gain("Kalman") == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("other_device", [False, True])
+def test_nobody_is_known_to_a_classifier_that_is_tested_on_them(other_device: bool) -> None:
+    """Slices that tell nothing but who it is: of somebody new that says nothing."""
+    n = 600
+    person = RNG.permutation(np.arange(n) % 20)
+    label = RNG.permutation(np.arange(20) % 2)[person]
+    who = np.zeros((n, 40, 3))
+    who[np.arange(n), person, 0] = 1.0
+    data = slices_study.Slices({"raw": who}, label, person, RNG.integers(0, 5, n))
+    found = slices_study.compare(data, tree, slices_study.flat, 0, other_device, ways=("raw",))
+    assert found.known[0] > 0.95
+    assert found.values.mean() < 0.75
 
 
 def test_tilt_is_the_angle_of_the_mean() -> None:
