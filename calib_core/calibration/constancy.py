@@ -21,6 +21,7 @@ from stillcal.calib_core.accelerometer.parameters import basis
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.maths.f_distribution import tail
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.static.rest import force_uncertainties, forces
 
 LEVEL = 1e-3
@@ -34,6 +35,9 @@ MOST_SPLITS = 32
 
 MOST_LEFT_OUT = 200
 """Up to so many rests, a finding must also stand without any single one of them."""
+
+LATE_FACTOR, LATE_LEAST = 5.0, 0.02
+"""Standard deviations by which a rest does not fit; m/s^2 (2 mg, as of a check) for the worst one."""
 
 
 class Shape(StrEnum):
@@ -121,6 +125,32 @@ def find_change(fit: AccelerometerFit, held: Sequence[HeldRest]) -> Change | Non
     _, solution = tests[best]
     size, shift = frozen(-solution[p : p + 3]), frozen(solution[:p])
     return Change(shape, rests[split].t_start, size, shift, span, warmth, p_value)
+
+
+@dataclass(frozen=True, slots=True)
+class LateChange:
+    """The newest rests do not fit. since: s, when the first of them began. largest: m/s^2, their residual."""
+
+    since: float
+    largest: float
+
+
+def find_late_change(fit: AccelerometerFit, held: Sequence[HeldRest]) -> LateChange | None:
+    """Return what the newest rests show where the last two, or more before them, do not fit.
+
+    A sensor that changes so late that fewer than LEAST_SIDE rests follow shows no step; the fit takes those
+    rests for bad ones, and holds for the time before. The scatter of the others is the yardstick, by its
+    median, which bad rests do not move.
+    """
+    order = np.argsort([h.rest.t_start for h in held], kind="stable")
+    residuals = np.abs(fit.residuals[order])
+    rests = [held[i].rest for i in order]
+    own = force_uncertainties(rests).max(axis=1)
+    fits = residuals <= LATE_FACTOR * np.hypot(own, MAD_TO_SD * np.median(residuals))
+    last = int(np.flatnonzero(fits)[-1]) + 1 if fits.any() else len(rests)
+    if len(rests) - last < 2 or residuals[last:].max() <= LATE_LEAST:
+        return None
+    return LateChange(rests[last].t_start, float(residuals[last:].max()))
 
 
 def norm_jacobian(fit: AccelerometerFit, raw: Array) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from stillcal.calib_core.calibration.candidate import (
     fit_candidate,
     with_updated_bias,
 )
-from stillcal.calib_core.calibration.constancy import Shape
+from stillcal.calib_core.calibration.constancy import LateChange, Shape, find_late_change
 from stillcal.calib_core.calibration.drift_check import (
     QualitySettings,
     Verdict,
@@ -87,7 +87,8 @@ class FitOutcome:
     record: None where the rests do not support a fit; `reason` then says why and `missing` what to gather.
     accepted: whether the record replaces the current one. settled: whether enough rests were held out to
     tell. since: s, where the sensor has changed: rests from before were left out; else None. other_phone:
-    whether bias and scale are those of another phone than the current calibration's.
+    whether bias and scale are those of another phone than the current calibration's. late: what the newest
+    rests show that do not fit, None where they do.
     """
 
     record: CalibrationRecord | None
@@ -97,6 +98,7 @@ class FitOutcome:
     settled: bool = True
     since: float | None = None
     other_phone: bool = False
+    late: LateChange | None = None
 
 
 def fit_and_decide(task: FitTask) -> FitOutcome:
@@ -117,8 +119,11 @@ def fit_and_decide(task: FitTask) -> FitOutcome:
         record = _remarked(record, f"the sensor changed: only its rests from {since:.0f} s on are used")
     if (unseen := _unseen(task)) is not None:
         record = _remarked(record, f"no rest in the last {unseen:.0f} s: unknown whether it holds there")
+    late = find_late_change(candidate.accelerometer, candidate.pool.held)
+    if late is not None:
+        record = _remarked(record, f"the newest rests, from {late.since:.0f} s on, do not fit it")
     reason = record.acceptance.reason
-    return FitOutcome(record, decision.accepted, reason, (), decision.settled, since, other_phone)
+    return FitOutcome(record, decision.accepted, reason, (), decision.settled, since, other_phone, late)
 
 
 def _remarked(record: CalibrationRecord, remark: str) -> CalibrationRecord:
@@ -467,6 +472,8 @@ class CalibrationPolicy:
         reason = state.record.acceptance.reason
         self._actions.append(Publish(t, state.record, reason))
         self._actions.append(Log(t, Level.INFO, "calibrated", reason, fields))
+        if outcome.late is not None:
+            self._degrade(t, outcome.late.since, outcome.late.largest)
 
     def _report_refusal(self, t: float, outcome: FitOutcome, occasion: Occasion) -> None:
         """Report why there is no fit; one that asks for the same rests again goes to the debug log."""

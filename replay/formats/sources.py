@@ -61,7 +61,7 @@ class Source:
             raise TraceError(self.path, "no such file", "check the path") from None
         except (OSError, *UNREADABLE) as error:
             raise cannot_open(self.path, error) from None
-        except (RuntimeError, NotImplementedError) as error:  # zipfile: a password, an unknown compression
+        except (RuntimeError, ValueError) as error:  # zipfile: a password, an unknown compression, a bad name
             what = f"cannot be unpacked ({error})"
             raise TraceError(self.path, what, "unpack the archive and give the folder") from None
 

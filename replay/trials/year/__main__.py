@@ -36,6 +36,23 @@ from stillcal.replay.trials.year.phone import YEAR_DAYS, YearPhone
 SLACK = 0.05
 """Share by which a figure may be larger in the last quarter than in the second: it goes up and down."""
 
+SELDOM = """
+[engine.schedule]
+check_interval_s = 86400.0
+recalibrate_interval_s = 86400.0
+[engine.energy]
+on_time_fraction = 0.002
+[engine.detector]
+w_spread_s = 2.0
+probe_min_s = 1200.0
+probe_max_s = 6000.0
+"""
+"""Settings under which a year passes sooner: looked at, checked and calibrated less often.
+
+Looks and calibrations are what a day costs. History, pool, log and sessions fill as they do with the settings
+of every day, only later.
+"""
+
 WEEK, MONTH = 7, 30
 PATIENCE_S = 60.0
 
@@ -74,15 +91,13 @@ class Growth:
         return self.last <= self.second * (1 + SLACK)
 
 
-def live(days: int, seed: int, rate_hz: float, folder: Path, told: Callable[[str], None]) -> Lived:
+def live(days: int, phone: YearPhone, folder: Path, told: Callable[[str], None], settings: str) -> Lived:
     """Let the daemon live for so many days in an empty folder; told: is given a line for each week."""
-    return asyncio.run(_live(days, YearPhone(seed, rate_hz), rate_hz, folder, told))
+    (folder / "stillcal.toml").write_text(f"[source]\nrate_hz = {phone.rate_hz}\n{settings}")
+    return asyncio.run(_live(days, phone, folder, told))
 
 
-async def _live(
-    days: int, phone: YearPhone, rate_hz: float, folder: Path, told: Callable[[str], None]
-) -> Lived:
-    (folder / "stillcal.toml").write_text(f"[source]\nrate_hz = {rate_hz}\n")
+async def _live(days: int, phone: YearPhone, folder: Path, told: Callable[[str], None]) -> Lived:
     names = {"config": "stillcal.toml", "port": "tty", "store": "store.json", "socket": "socket"}
     options = [part for option, name in names.items() for part in (f"--{option}", str(folder / name))]
     with (folder / "log").open("wb") as log:
@@ -174,17 +189,18 @@ def growth(midnights: NDArray[np.void]) -> list[Growth]:
 @click.command()
 @click.option("--days", type=click.IntRange(4), default=YEAR_DAYS, show_default=True)
 @click.option("--seed", default=1, show_default=True)
-@click.option("--rate", default=25.0, show_default=True, help="Hz of both sensors.")
+@click.option("--rate", default=10.0, show_default=True, help="Hz of both sensors.")
+@click.option("--often", is_flag=True, help="The daemon's own settings: ten times as long.")
 @click.option(
     "--keep", type=click.Path(path_type=Path), help="Folder for store, state and log; else thrown away."
 )
-def main(days: int, seed: int, rate: float, keep: Path | None) -> None:
+def main(days: int, seed: int, rate: float, often: bool, keep: Path | None) -> None:
     """Let the daemon live for a year of a phone's time; exit code 1 where something grows."""
     click.echo(" day  RSS MiB  files  threads  state KiB  store KiB  log B/d folder")
     with tempfile.TemporaryDirectory(prefix="stillcal-") as scratch:
         folder = Path(scratch) if keep is None else keep
         folder.mkdir(parents=True, exist_ok=True)
-        lived = live(days, seed, rate, folder, click.echo)
+        lived = live(days, YearPhone(seed, rate), folder, click.echo, "" if often else SELDOM)
     found = growth(lived.midnights)
     click.echo(f"\n{'':12} {'first day':>12} {'2nd quarter':>12} {'last quarter':>12}")
     for g in found:

@@ -38,7 +38,8 @@ FORCE_SLOPE, RATE_SLOPE = np.array([2e-3, -1e-3, 4e-3]), np.array([1e-4, 2e-4, -
 FORCE_WANDER, RATE_WANDER = 2e-3, 2e-4
 """Of the biases in a day: a random walk that is drawn back by a hundredth a day."""
 
-_DRAWN = 1 << 20
+_DRAWN_H = 8
+"""Hours of noise that are drawn."""
 
 
 class YearPhone:
@@ -46,8 +47,8 @@ class YearPhone:
 
     def __init__(self, seed: int, rate_hz: float) -> None:
         self._rng = np.random.default_rng(seed)
-        self._rate_hz = rate_hz
-        self._noise = self._rng.normal(size=(_DRAWN, 6))
+        self.rate_hz = rate_hz
+        self._noise = self._rng.normal(size=(round(_DRAWN_H * HOUR_S * rate_hz), 6))
         self._up = _unit(self._rng)
         self._turn: tuple[Array, Array, float, float] | None = None
         self._until = 0.0
@@ -67,8 +68,8 @@ class YearPhone:
             yield self._hour(start, plugged, by_night=not MORNING_H <= clock < EVENING_H)
 
     def _hour(self, start: float, events: tuple[Charging, ...], *, by_night: bool) -> Chunk:
-        n = round(HOUR_S * self._rate_hz)
-        t = start + np.arange(n) / self._rate_hz
+        n = round(HOUR_S * self.rate_hz)
+        t = start + np.arange(n) / self.rate_hz
         up, rate, shaken = np.empty((n, 3)), np.zeros((n, 3)), np.zeros(n)
         at = 0
         while at < n:
@@ -80,7 +81,8 @@ class YearPhone:
             at = stop
         season, day = 2 * math.pi * t / (DAY_S * YEAR_DAYS), 2 * math.pi * t / DAY_S
         celsius = 24.0 - 6.0 * np.cos(season) - 3.0 * np.cos(day) + 4.0 * by_night
-        noise = np.roll(self._noise, int(self._rng.integers(_DRAWN)), axis=0)[:n]
+        first = int(self._rng.integers(len(self._noise) - n))
+        noise = self._noise[first : first + n]
         force = STANDARD * up @ FORCE_SCALE + FORCE_BIAS + self._wander[:3]
         force += (celsius - 25.0)[:, None] * FORCE_SLOPE
         force += noise[:, :3] * np.hypot(FORCE_NOISE, shaken)[:, None]

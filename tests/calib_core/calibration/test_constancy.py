@@ -21,7 +21,7 @@ from stillcal.calib_core.engine.schedule import Occasion
 from stillcal.calib_core.gravity import STANDARD, Gravity
 from stillcal.calib_core.maths.f_distribution import tail
 from stillcal.calib_core.static.rest import RestState
-from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.events import Charging, End
 from stillcal.replay.phone import load_phone, load_scenario, simulate
 from stillcal.replay.runner import replay
 
@@ -116,6 +116,30 @@ def test_after_a_large_step_with_too_few_rests_since_nothing_is_fitted() -> None
     assert outcome.record is None and "another sensor" in outcome.reason and outcome.missing
 
 
+@pytest.mark.parametrize(("off", "told"), [(2, True), (3, True), (1, False)])
+def test_the_newest_rests_of_a_step_too_late_to_be_found_are_said_not_to_fit(off: int, told: bool) -> None:
+    """20 mg before the last rests: the fit holds for the time before; one bad rest is no change."""
+    step = np.array([20.0, 20.0, 20.0]) * MG
+    outcome = decided(pool(30, 2, lambda i, t: step * (i >= 30 - off)))
+    assert (outcome.late is not None) is told
+    assert ("the newest rests, from 1680 s on, do not fit it" in outcome.reason) is (off == 2)
+    assert outcome.record.accelerometer.bias == pytest.approx(BIAS, abs=0.2 * MG)
+
+
+def test_newest_rests_within_what_a_check_tolerates_are_not_said_to_be_off() -> None:
+    slight = np.array([1.0, 1.0, 1.0]) * MG
+    assert decided(pool(30, 2, lambda i, t: slight * (i >= 28))).late is None
+
+
+def test_a_calibration_whose_newest_rests_do_not_fit_is_degraded_at_once() -> None:
+    engine = Engine()
+    step = np.array([20.0, 20.0, 20.0]) * MG
+    held = pool(30, 2, lambda i, t: step * (i >= 27)).held
+    engine.add_rests([h.rest for h in held])
+    engine.feed(End(2000.0))
+    assert engine.state.degraded and engine.state.sound_until == pytest.approx(27 * 60.0)
+
+
 def test_a_small_step_keeps_all_rests_and_widens_the_interval() -> None:
     step = np.array([3.0, 0.0, 0.0]) * MG
     outcome = decided(pool(30, 2, lambda i, t: step * (i >= 15)))
@@ -177,7 +201,7 @@ def test_a_change_between_two_checks_is_noticed_at_the_next_review() -> None:
         if engine.state.calibrated and calibrated is None:
             calibrated = float(accel.t[-1])
             engine.feed(Charging(float(accel.t[-1]), False))
-        if noticed is None and engine.state.degraded:
+        if noticed is None and engine.state.counters.degradations:
             noticed = float(accel.t[-1])
     assert calibrated is not None and calibrated < 430.0
     assert noticed is not None and noticed < 600.0

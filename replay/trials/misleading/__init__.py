@@ -1,0 +1,1 @@
+"""Phones that change while they are calibrated, or after: whether stillcal says so."""
