@@ -45,7 +45,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks
 
 evaluate: $(READY)
-	$(BIN)/stillcal evaluate
+	$(BIN)/stillcal evaluate --jobs 2
 
 $(READY): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -45,7 +45,7 @@ NUMBERS = (12, 24, 48, 96)
 UNCHECKED = AccelerometerSettings(max_amplification=np.inf, max_norm_sd=np.inf, spare_attitudes=0)
 """A fit that only has to converge to a phone's accelerometer."""
 
-PAUSES_S = (60.0, 300.0, 900.0, 1800.0)
+PAUSES_S = (60.0, 300.0, 900.0, 1800.0, 3600.0)
 """Mean pauses between probes that are tried; Algorithm 1 draws them from 1 to an n that is not printed."""
 
 STATES = 9

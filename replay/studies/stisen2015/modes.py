@@ -365,6 +365,7 @@ def _figure_5(found: Modes, changed: dict[str, Array], data: str) -> list[Claim]
     row = [ours[m] for m in ("ten-fold", "user out", "one model, user out")]
     order = ", ".join(f"{v:.1f}" for v in row) + " %"
     together, alone = found["user out"][3], found["user out"][:3].max(axis=0)
+    beaten = [bool(f1[3].mean() > f1[:3].max(axis=0).mean()) for f1 in found.values()]
     cells = ", ".join(
         f"{name} {100 * a:.1f} against {100 * b:.1f}"
         for name, a, b in zip(LEARNERS, together, alone, strict=True)
@@ -383,11 +384,12 @@ def _figure_5(found: Modes, changed: dict[str, Array], data: str) -> list[Claim]
         Claim(
             WORK,
             *PAPER["combined"],
-            f"{100 * together.mean():.1f} against {100 * alone.mean():.1f} %",
+            f"in {sum(beaten)} of {len(MODES)} modes; user out {100 * together.mean():.1f} against"
+            f" {100 * alone.mean():.1f} %",
             data,
-            holds(bool(together.mean() > alone.mean())),
-            "F1 with a user out, against the best single family; holds where it is so on the mean of"
-            f" learners: {cells}",
+            holds(all(beaten)),
+            "against the best single family of each learner, on the mean of learners; as the paper has it in"
+            f" all modes. User out: {cells}",
             evidence=Evidence.SEMI_SYNTHETIC,
             cause=Cause(
                 f"trained on all rows instead of {MOST}, as more features want more rows, a fifth of the"
