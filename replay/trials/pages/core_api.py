@@ -43,6 +43,9 @@ simulated = stillcal.simulate("lab", phone="mpu6050", seed=1)
 ```
 
 In a notebook, recordings, calibrations and diagnoses show themselves as tables.
+
+Navigation, steps, coning and motion modes are methods that only the studies of the papers use: where they are
+and an example is in [evaluation.md](evaluation.md#where-the-papers-methods-are).
 """
 
 INTERNAL = """\
