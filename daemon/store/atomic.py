@@ -7,6 +7,7 @@ here knows what is written.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from pathlib import Path
 
@@ -27,8 +28,11 @@ def write_atomically(path: Path, data: bytes, mode: int = 0o644) -> None:
     takes over; `path` may have one writer at a time. Raises OSError (disk full, read-only folder, I/O
     error) with the old file intact and the temporary removed, and NotDurableError where only the last
     step, the sync of the folder, failed. A failed fsync is never tried again on the same file: the
-    kernel may have dropped the pages and would then report success (fsync(2), errors).
+    kernel may have dropped the pages and would then report success (fsync(2), errors). A device, a pipe or a
+    socket at `path` is never replaced: OSError.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, "is no regular file and is not replaced", str(path))
     temporary = path.with_name(path.name + ".tmp")
     try:
         _write_synced(temporary, data, mode)

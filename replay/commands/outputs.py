@@ -19,12 +19,21 @@ from stillcal.replay.formats.writer import STANDARD_OUTPUT
 
 
 def write_output(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all, or its bytes on standard output where `path` is "-"."""
+    """Write a file whole or not at all, or into a device or a pipe; "-" is standard output."""
     if path == STANDARD_OUTPUT:
         sys.stdout.buffer.write(data)
         sys.stdout.buffer.flush()
+    elif _is_written_into(path):
+        with path.open("wb") as device:
+            device.write(data)
     else:
         write_atomically(path, data)
+
+
+def _is_written_into(path: Path) -> bool:
+    """Whether a path is a device or a pipe (/dev/null), or a link of the system (/dev/stdout)."""
+    system = path.absolute().is_relative_to("/dev") or path.absolute().is_relative_to("/proc")
+    return path.exists() and (system or not path.is_file())
 
 
 def say(out: Path, text: str) -> None:

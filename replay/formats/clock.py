@@ -138,10 +138,10 @@ class Clock:
         return rows.chosen(~repeated)
 
     def _count_gaps(self, rows: Rows, step: Array) -> None:
-        known = step[np.isfinite(step)]
-        if not known.size:
+        finite = np.isfinite(step)
+        if not (finite & (step > GAP_S)).any():
             return
-        gaps = np.isfinite(step) & (step > max(GAP_S, 10 * float(np.median(known))))
+        gaps = finite & (step > max(GAP_S, 10 * float(np.median(step[finite]))))
         if gaps.any():
             longest = int(np.where(gaps, step, 0).argmax())
             self.tally.gaps += int(gaps.sum())

@@ -71,6 +71,9 @@ class TraceWriter:
         return ["t", "ax", "ay", "az", *gyroscope, *(name for name, there in optional if there)]
 
     def __enter__(self) -> TraceWriter:
+        if self.path.exists() and not self.path.is_file():
+            remedy = "give a file's name, or '-' for standard output"
+            raise TraceError(self.path, "is no regular file and is not replaced", remedy)
         try:
             self._file = self._temporary.open("wb")
         except OSError as error:

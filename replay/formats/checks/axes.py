@@ -25,6 +25,9 @@ FEWEST_PAIRS, MOST_PAIRS = 8, 20
 _NEAR_GRAVITY = (7.0, 13.0)
 """Norms between which a force is taken for gravity, m/s^2: neither free fall nor thrust."""
 
+_SINGULAR = 1e-12
+"""Eigenvalue, over the largest, of a direction that no bias shows in: along a gravity that never turns."""
+
 _BIN_S = 0.25
 """Shortest bin of time, s: a hand turns a phone visibly in it."""
 
@@ -63,22 +66,31 @@ def turnings(accelerometer: Samples, gyroscope: Samples) -> Iterator[Turning]:
     t, up, turn, joined = _binned(accelerometer, _integrated(gyroscope, accelerometer.t))
     dt, theta, turned = np.diff(t)[joined, None], np.diff(turn, axis=0)[joined], np.diff(up, axis=0)[joined]
     middle = (up[1:] + up[:-1])[joined] / 2
-    for first in range(0, len(middle) - FEWEST_PAIRS + 1, MOST_PAIRS):
-        part = slice(first, first + MOST_PAIRS)
-        yield _compared(dt[part], theta[part], turned[part], middle[part])
+    whole = len(middle) // MOST_PAIRS * MOST_PAIRS
+    columns = (dt, theta, turned, middle)
+    if whole:
+        yield from _compared(*(c[:whole].reshape(-1, MOST_PAIRS, c.shape[1]) for c in columns))
+    if len(middle) - whole >= FEWEST_PAIRS:
+        yield from _compared(*(c[None, whole:] for c in columns))
 
 
-def _compared(dt: Array, theta: Array, turned: Array, middle: Array) -> Turning:
-    """Return one stretch, from (n, 1), (n, 3), (n, 3), (n, 3), with the bias that suits it best taken out."""
-    sides = np.column_stack([turned.ravel(), np.cross(theta, middle).ravel()])
-    biased = np.einsum("ijk,nk->nij", _LEVI_CIVITA, middle * dt).reshape(-1, 3)
+def _compared(dt: Array, theta: Array, turned: Array, middle: Array) -> Iterator[Turning]:
+    """Yield spans, from (m, n, 1) and three of (m, n, 3), with the bias that suits each best taken out."""
+    spans, pairs = theta.shape[:2]
+    sides = np.stack([turned.reshape(spans, -1), np.cross(theta, middle).reshape(spans, -1)], axis=2)
+    biased = np.einsum("ijk,mnk->mnij", _LEVI_CIVITA, middle * dt).reshape(spans, -1, 3)
     left = _without(sides, biased)
-    return Turning(len(dt), float(np.sum(_without(theta, dt) ** 2)), left.T @ left)
+    squares = np.swapaxes(left, 1, 2) @ left
+    spread = np.sum(_without(theta, dt) ** 2, axis=(1, 2))
+    for one, square in zip(spread.tolist(), squares, strict=True):
+        yield Turning(pairs, one, square)
 
 
 def _without(values: Array, basis: Array) -> Array:
-    """Return `values` less what the columns of `basis` explain of them in least squares."""
-    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+    """Return `values` (m, n, k) less what the columns of `basis` (m, n, j) explain of them."""
+    across = np.swapaxes(basis, 1, 2)
+    factors = np.linalg.pinv(across @ basis, rcond=_SINGULAR, hermitian=True) @ (across @ values)
+    return np.asarray(values - basis @ factors)
 
 
 def _integrated(gyroscope: Samples, at: Array) -> Array:

@@ -2,8 +2,8 @@
 
 A block of whole lines is brought to one delimiter, the wanted cells are cut out of it and read as one flat
 JSON array (cells.py): msgspec's number reader measured twice as fast as numpy.loadtxt and gives the same
-bits. Only where that fails are the rows read one by one, to name the faulty one. What columns mean is not
-known here.
+bits. Only where that fails are the rows read one by one, to name the faulty one. Long files are read by
+Arrow where that is installed (compiled.py). What columns mean is not known here.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from stillcal.replay.formats.tables.cells import (
     is_number,
     read_numbers,
 )
+from stillcal.replay.formats.tables.compiled import compiled_reader
 from stillcal.replay.formats.tables.table import EMPTY, Block
 
 BLOCK_BYTES = 1 << 20
@@ -79,8 +80,14 @@ class TextTable:
         TraceError naming file and line for a row that is not numbers or not whole.
         """
         self.skipped_rows = 0
+        plain = not key and self._dates not in places
+        compiled = compiled_reader(self.size_bytes, self.width) if plain else None
         for data, first_line, unfinished in self._line_blocks(BLOCK_BYTES):
             text = self._normal(data)
+            values = None if compiled is None else compiled(text, places)
+            if values is not None:
+                yield Block(values, np.arange(first_line, first_line + len(values)))
+                continue
             ends = cell_ends(text, self.width)
             lines = np.arange(first_line, first_line + (0 if ends is None else len(ends)))
             if ends is None:

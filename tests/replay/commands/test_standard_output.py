@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.store.store import StoreError
+from stillcal.replay.commands.outputs import write_output
 from stillcal.replay.commands.store_files import import_command
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.outcome import current_in_store
 
 STILLCAL = str(Path(sys.executable).with_name("stillcal"))
 
@@ -49,6 +56,28 @@ def test_a_calibration_goes_to_a_tool_and_back_through_a_pipe(folder: Path) -> N
     broken = into.invoke(import_command, command, input=b"PK\3\4").exception
     assert str(broken).startswith("standard input: ")
     assert not (folder / "none.json").exists()
+
+
+def test_a_device_or_a_pipe_is_written_into_and_never_replaced(folder: Path, tmp_path: Path) -> None:
+    """A pipe stands for /dev/null here, which a test must not put at risk."""
+    pipe, table = tmp_path / "pipe", tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    os.mkfifo(table)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_output(pipe, b"{}")
+    assert os.read(reader, 10) == b"{}"
+    os.close(reader)
+    with pytest.raises(OSError, match="is no regular file"):
+        write_atomically(pipe, b"{}")
+    with pytest.raises(TraceError, match="is no regular file"), TraceWriter(table):
+        pass
+    with pytest.raises(StoreError):
+        current_in_store(pipe)
+    said = ran("replay", folder / "short.csv", "--store", pipe, "--quiet")
+    assert said.returncode == 2 or said.returncode == 3, said.stderr
+    assert pipe.is_fifo()
+    assert table.is_fifo()
+    assert sorted(p.name for p in tmp_path.iterdir() if not p.name.endswith(".lock")) == ["pipe", "pipe.csv"]
 
 
 def test_standard_output_takes_one_file_and_is_left_by_its_reader_in_peace(folder: Path) -> None:
