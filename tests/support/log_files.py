@@ -224,6 +224,30 @@ def ulog(data: np.ndarray = DATA) -> bytes:
     return b"".join(out)
 
 
+def ulog_fifo(data: np.ndarray = DATA) -> bytes:
+    """Return a PX4 log of a chip's buffers: 8 samples a message at most, in counts of 1/2048 and 1/1024."""
+    ints = "".join(f"int16_t[32] {axis};" for axis in "xyz")
+    fields = "uint64_t timestamp;uint64_t timestamp_sample;uint32_t device_id;float dt;float scale;"
+    fields += f"{ints}uint8_t samples;"
+
+    def message(kind: bytes, content: bytes) -> bytes:
+        return struct.pack("<H", len(content)) + kind + content
+
+    topics = (("sensor_accel_fifo", 2048, 1), ("sensor_gyro_fifo", 1024, 4))
+    out = [b"ULog\x01\x12\x35\x01" + bytes(8), message(b"B", bytes(40))]
+    out += [message(b"F", f"{topic}:{fields}".encode()) for topic, *_ in topics]
+    out += [message(b"A", struct.pack("<BH", 0, i) + topic.encode()) for i, (topic, *_) in enumerate(topics)]
+    for first in range(0, len(data), 8):
+        rows = data[first : first + 8]
+        us = round(rows[-1, 0] * 1e6)
+        for i, (_, per_unit, column) in enumerate(topics):
+            counts = np.zeros((3, 32), dtype="<i2")
+            counts[:, : len(rows)] = np.round(rows[:, column : column + 3].T * per_unit)
+            head = struct.pack("<HQQIff", i, us + 30, us, 1, 1e4, 1 / per_unit)
+            out.append(message(b"D", head + counts.tobytes() + struct.pack("<B", len(rows))))
+    return b"".join(out)
+
+
 CWA_BLOCK, CWA_HEADER = 512, 1024
 
 

@@ -1,7 +1,8 @@
 """PX4 ULog, through `pyulog` (PX4/pyulog, BSD-3).
 
-Message fields as PX4-Autopilot defines them in msg/ (SensorAccel, SensorGyro, VehicleImu, SensorCombined): SI
-units, body axes forward, right, down. Sensors that PX4 has not corrected come first.
+Message fields as PX4-Autopilot defines them in msg/ (SensorAccel, SensorGyro, SensorAccelFifo,
+SensorGyroFifo, VehicleImu, SensorCombined): SI units, body axes forward, right, down. Sensors that PX4 has
+not corrected come first.
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Par
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.tables.numbers import NumberTable, in_arrays
 
-_TOPICS = ["sensor_accel", "sensor_gyro", "vehicle_imu", "sensor_combined"]
+_TOPICS = [
+    "sensor_accel",
+    "sensor_gyro",
+    "sensor_accel_fifo",
+    "sensor_gyro_fifo",
+    "vehicle_imu",
+    "sensor_combined",
+]
 _USABLE_HZ = 10.0
 """A topic logged more slowly than this is listed last: PX4 logs raw sensors at 1 Hz by default."""
 
@@ -101,6 +109,9 @@ class _Reader:
             if topic == "sensor_accel" and len(data["timestamp"]) > 1:
                 yield self._raw(instance, data)
         for (topic, instance), data in self._topics.items():
+            if topic == "sensor_accel_fifo" and len(data["timestamp"]) > 1:
+                yield self._fifo(instance, data)
+        for (topic, instance), data in self._topics.items():
             if topic == "vehicle_imu" and len(data["timestamp"]) > 1:
                 yield self._integrated(instance, data, parameters)
         for (topic, instance), data in self._topics.items():
@@ -113,6 +124,15 @@ class _Reader:
         if gyroscope is not None and len(gyroscope["timestamp"]) > 1:
             parts.append(self._part(gyroscope, "xyz", Sensor.GYROSCOPE))
         return _named(f"sensor_accel{instance}", _rate(data), parts)
+
+    def _fifo(self, instance: int, data: Data) -> tuple[float, LoggedSensor]:
+        """Return the sensor of the chip's own buffer, which PX4 logs at the full rate if asked to."""
+        accelerometer = _unpacked(data)
+        parts = [self._part(accelerometer, "xyz", Sensor.ACCELEROMETER)]
+        gyroscope = self._topics.get(("sensor_gyro_fifo", instance))
+        if gyroscope is not None and len(gyroscope["timestamp"]) > 1:
+            parts.append(self._part(_unpacked(gyroscope), "xyz", Sensor.GYROSCOPE))
+        return _named(f"sensor_accel_fifo{instance}", _rate(accelerometer), parts)
 
     def _part(self, data: Data, axes: Sequence[str], sensor: Sensor) -> Part:
         """Return the part of one topic with the fields x, y, z, timestamp_sample and temperature."""
@@ -162,6 +182,28 @@ class _Reader:
 
     def _table(self, columns: Data) -> NumberTable:
         return in_arrays(self._path, dict(columns), self._size)
+
+
+def _unpacked(data: Data) -> dict[str, Array]:
+    """Return the samples of a chip's buffer, one a row: timestamp in us, x, y, z in SI units.
+
+    A message holds `samples` of them, `dt` us apart, in counts of `scale`. Its timestamp_sample is taken as
+    the newest one's: it is when the buffer was read. Where messages come faster than their samples last, the
+    samples stand closer, so that time never runs backwards.
+    """
+    room = sum(name.startswith("x[") for name in data)
+    number = np.asarray(data["samples"], dtype=np.int64)[:, None]
+    place = np.arange(room)
+    newest = np.asarray(data["timestamp_sample"], dtype=np.float64)[:, None]
+    since = np.diff(newest, axis=0, prepend=-np.inf)
+    step = np.minimum(np.asarray(data["dt"], dtype=np.float64)[:, None], since / np.maximum(number, 1))
+    there = np.broadcast_to(place, (len(number), room)) < number
+    counts = {axis: np.column_stack([data[f"{axis}[{i}]"] for i in range(room)]) for axis in "xyz"}
+    scale = np.asarray(data["scale"], dtype=np.float64)[:, None]
+    return {
+        "timestamp": (newest - (number - 1 - place) * step)[there],
+        **{axis: (values * scale)[there] for axis, values in counts.items()},
+    }
 
 
 def _axes(ours: str, data: Data, field: str) -> dict[str, Array]:

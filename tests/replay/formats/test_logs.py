@@ -19,6 +19,8 @@ from scipy.io import savemat
 
 from stillcal.replay.formats.logs import extras
 from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
+from stillcal.replay.formats.tables.compiled import LONG_BYTES, compiled_reader
+from stillcal.replay.formats.tables.table import EMPTY
 from stillcal.replay.formats.trace import Recording, TraceError, open_trace, read_all
 from tests.support.log_files import (
     DATA,
@@ -34,6 +36,7 @@ from tests.support.log_files import (
     ros1_bag,
     ros2_bag,
     ulog,
+    ulog_fifo,
 )
 
 
@@ -260,6 +263,38 @@ def test_a_ulog_is_read_with_the_parameters_that_px4_corrects_by(tmp_path: Path)
     assert_same(recording, 1e-6)
     assert recording.accelerometer.temperature is not None
     assert recording.accelerometer.temperature[0] == 31.5
+
+
+def test_the_chip_s_own_buffer_in_a_ulog_is_spread_over_its_time(tmp_path: Path) -> None:
+    """600 samples at 100 Hz in messages of 8; the last one is not full."""
+    recording = read_all(written("log.ulg", lambda: ulog_fifo(DATA[:597]))(tmp_path))
+    t, force = recording.accelerometer.t, recording.accelerometer.xyz
+    np.testing.assert_allclose(t, DATA[:597, 0], atol=2e-6)
+    np.testing.assert_allclose(force, DATA[:597, 1:4], atol=0.51 / 2048)
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.gyroscope.xyz, DATA[:597, 4:], atol=0.51 / 1024)
+    # A chip whose clock runs 20 % slow says 12 ms between samples: time does not run backwards.
+    slow = ulog_fifo(DATA[:597]).replace(np.float32(1e4).tobytes(), np.float32(1.2e4).tobytes())
+    again = read_all(written("slow.ulg", lambda: slow)(tmp_path)).accelerometer
+    np.testing.assert_allclose(again.t[8:], DATA[8:597, 0], atol=2e-6)
+
+
+def test_arrow_reads_the_same_bits_and_leaves_what_it_cannot_read() -> None:
+    rng = np.random.default_rng(3)
+    values = rng.standard_normal((500, 3)) * 10.0 ** rng.integers(-30, 30, (500, 3))
+    text = "".join(",".join(map(repr, row)) + "\n" for row in values.tolist()).encode()
+    read = compiled_reader(LONG_BYTES, 3)
+    assert read is not None
+    assert compiled_reader(LONG_BYTES - 1, 3) is None
+    table = read(text, [2, 0])
+    assert table is not None
+    np.testing.assert_array_equal(table, values[:, [2, 0]])
+    empty = read(b"1,,3\n4,5,6\n", [1])
+    assert empty is not None and empty.tolist() == [[EMPTY], [5.0]]
+    finite = read(b"1,nan,3\n", [1])
+    assert finite is not None and np.isnan(finite).all()  # the reader of samples refuses it by name
+    for refused in (b"1,x,3\n", b"1,2\n", b"1,2,3,4\n", b"1,2,3\n\n4,5,6\n", b"1,1_0,3\n"):
+        assert read(refused, [1]) is None, refused
 
 
 def test_an_axivity_recording_of_both_sensors(tmp_path: Path) -> None:
