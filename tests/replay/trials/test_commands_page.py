@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -84,3 +85,14 @@ def test_no_line_of_the_overview_is_cut_short() -> None:
         ]
         listed = [line for section in sections if ":\n" in section for line in section.splitlines()[1:]]
         assert len(listed) > 3 and not [line for line in listed if "..." in line or line[2] == " "]
+
+
+def test_the_manual_page_is_made_of_the_help_and_holds_no_broken_macro() -> None:
+    made = "stillcal.replay.trials.pages.manual"
+    said = subprocess.run([sys.executable, "-m", made], capture_output=True, text=True, check=True).stdout
+    written = ROOT / "docs" / "stillcal.1"
+    assert written.read_text() == said, f"run: python -m {made} > docs/stillcal.1"
+    if shutil.which("groff") is None:
+        pytest.skip("groff is not installed")
+    command = ["groff", "-man", "-Tutf8", "-ww", "-z", str(written)]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stderr == ""
