@@ -246,8 +246,8 @@ def _claims(mean: dict[str, Found], walks: dict[str, list[bool]]) -> list[Claim]
         (
             "merged",
             f"{printed.states:.0f} states in {printed.attitudes:.0f} attitudes a day",
-            holds(printed.attitudes < printed.states),
-            "distinct beyond 5 degrees; fewer attitudes than states, else there is nothing to merge",
+            Verdict.OPEN,
+            "distinct beyond 5 degrees; the paper shows one example, without figures",
         ),
         (
             "ours",
