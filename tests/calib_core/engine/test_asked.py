@@ -80,15 +80,15 @@ def test_another_phone_begins_anew_and_the_old_calibration_is_set_aside(lab: Sam
 
 
 def failing(engine: Engine, lab: object, rounds: int) -> list[object]:
-    """Let the accelerometer jump by turns, so that no calibration fits what follows."""
+    """Let the accelerometer's scale jump by turns: no calibration fits what follows, and no step of a bias."""
     actions: list[object] = []
     length = float(lab.accelerometer.t[-1]) + 1.0
     for k in range(rounds):
-        jump = np.array([0.4, -0.3, 0.35]) * (-1) ** k
+        gain = np.array([0.04, -0.03, 0.05]) * (-1) ** k
         accel = replace(lab.accelerometer, t=frozen(lab.accelerometer.t + k * length))
         gyro = replace(lab.gyroscope, t=frozen(lab.gyroscope.t + k * length))
         accel = replace(
-            accel, xyz=frozen(accel.xyz + np.where(accel.t[:, None] % 240.0 < 120.0, jump, -jump))
+            accel, xyz=frozen(accel.xyz * (1 + np.where(accel.t[:, None] % 240.0 < 120.0, gain, -gain)))
         )
         charging = [Charging(0.5, True)] if k == 0 else []
         actions += engine.feed(*charging, gyro, accel)
