@@ -80,7 +80,7 @@ def test_another_phone_begins_anew_and_the_old_calibration_is_set_aside(lab: Sam
 
 
 def failing(engine: Engine, lab: object, rounds: int) -> list[object]:
-    """Let the accelerometer's scale jump by turns: no calibration fits what follows, and no step of a bias."""
+    """Let the accelerometer's scale jump by turns: neither a calibration nor a step of a bias fits then."""
     actions: list[object] = []
     length = float(lab.accelerometer.t[-1]) + 1.0
     for k in range(rounds):
