@@ -1,11 +1,12 @@
-"""Dictionaries of generic curves: what structure outside the catalogue may look like, tried in large numbers.
+"""What structure outside the catalogue may follow: drivers of smooth curves, and dictionaries over time.
 
-They name no physics. Pulses, periods, sawteeth, what begins at a moment, what begins with each rest, and
-what a driver's past does.
+They name no physics. Over time a smooth curve is noise, so there it is pulses, periods, sawteeth, what begins
+at a moment and what begins with each rest, tried in large numbers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 
@@ -23,8 +24,14 @@ CYCLES = 40.0
 SAW_CYCLES = np.arange(1.5, 20.0, 0.15)
 SAW_PHASES = 10
 REST_TAUS = (15.0, 40.0, 100.0, 250.0, 600.0)
-LAGS = (60.0, 150.0, 400.0, 1000.0, 2500.0)
-PLAYS = (0.1, 0.2, 0.3, 0.45, 0.6, 0.75)
+LAGS = (0.0, 200.0, 1000.0)
+"""s by which a sensor's temperature may follow the thermometer's."""
+
+HEATS = (60.0, 150.0, 400.0, 1000.0, 2500.0)
+"""s within which a charger's heat builds up."""
+
+Driver = Callable[[Moments, float], Array | None]
+"""What a bias may follow (n,), None where it was not recorded or does not change, by a lag in s."""
 
 
 def pulses(moments: Moments) -> Dictionary | None:
@@ -116,50 +123,35 @@ def strains(moments: Moments) -> Dictionary | None:
     return Dictionary([{"tau_s": tau} for tau in REST_TAUS[1:]], centred(np.array(curves)), len(curves))
 
 
-def thermal_past(moments: Moments) -> Dictionary | None:
-    """Return what follows temperature, but not at once, not in proportion, or not on the way back."""
+def warmth(moments: Moments, lag: float) -> Array | None:
+    """Return the temperature that a first-order system of this lag has, in balance at first."""
     now = moments.temperature
-    if now is None or not known(moments):
+    if now is None or not known(moments) or lag == 0.0:
+        return now if known(moments) else None
+    grid = np.arange(moments.t[0], moments.t[-1] + WINDOW, WINDOW)
+    fine = np.interp(grid, moments.t, now)
+    late = now[0] + filtered(fine - now[0], float(np.exp(-WINDOW / lag)))
+    return np.asarray(np.interp(moments.t, grid, late))
+
+
+def heating(moments: Moments, lag: float) -> Array | None:
+    """Return by how much the temperature rises, K/s."""
+    now = warmth(moments, lag)
+    return None if now is None else np.asarray(np.gradient(now, moments.t))
+
+
+def plugged(moments: Moments, lag: float) -> Array | None:
+    """Return what a first-order system of this lag makes of being on the charger."""
+    if not moments.history.charger_moved:
         return None
-    lagged = [_lagged(moments.t, now, tau) for tau in LAGS]
-    span = float(np.ptp(now))
-    curves = [*lagged, *(now - past for past in lagged)]
-    curves += [np.gradient(now, moments.t), np.maximum(now, 0.0)]
-    plays = [_play(now, share * span) for share in PLAYS]
-    curves += [*plays, *(_bent(play, now) for play in plays)]
-    for share in PLAYS[1:4]:
-        curves.append(np.maximum(now - now.min() - share * span, 0.0))
-    return Dictionary([{} for _ in curves], centred(np.array(curves)[:, None]), len(curves))
+    curve = moments.history.heat(moments.t, lag, 1.0, 0.0, 0.0)
+    return curve if moves(curve, 1e-3) else None
 
 
-def other_pasts(moments: Moments) -> Dictionary | None:
-    """Return what follows charging or use with a lag, where a thermometer would have told heat."""
-    if moments.temperature is None:
+def shaking(moments: Moments, lag: float) -> Array | None:
+    """Return the logarithm of the power of vibration, where it changed by more than it commonly is."""
+    power = moments.vibration
+    if power is None or not power.size:
         return None
-    sources = [(0.0, 1.0)]
-    if moments.history.charger_moved:
-        sources.append((1.0, 0.0))
-    curves = [moments.history.heat(moments.t, tau, plug, use, 0.0) for tau in LAGS for plug, use in sources]
-    kept = [c for c in curves if moves(c, 1e-3)]
-    return Dictionary([{} for _ in kept], centred(np.array(kept)[:, None]), len(kept)) if kept else None
-
-
-def _bent(x: Array, now: Array) -> Array:
-    """Take off a curve (n,) what is in proportion to temperature: that part has a name."""
-    return np.asarray(x - x.mean() - now * (now @ (x - x.mean())) / max(float(now @ now), 1e-12))
-
-
-def _lagged(t: Array, x: Array, tau: float) -> Array:
-    """First-order response to `x` (n,) at times `t`, beginning in balance."""
-    grid = np.arange(t[0], t[-1] + WINDOW, WINDOW)
-    fine = np.interp(grid, t, x)
-    return np.asarray(np.interp(t, grid, x[0] + filtered(fine - x[0], float(np.exp(-WINDOW / tau)))))
-
-
-def _play(x: Array, width: float) -> Array:
-    """Return what a hysteresis of `width` makes of `x` (n,): it follows only once the play is used up."""
-    out, state = np.empty_like(x), float(x[0])
-    for i, value in enumerate(x):
-        state = min(max(state, value - width / 2.0), value + width / 2.0)
-        out[i] = state
-    return out
+    usual = max(float(np.median(power)), 1e-12)
+    return np.log1p(power / usual) if moves(power / usual, 1.0) else None

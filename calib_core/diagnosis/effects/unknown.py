@@ -6,6 +6,7 @@ They name no physics; where one of them wins, the answer says what is followed a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -25,7 +26,14 @@ from stillcal.calib_core.diagnosis.model.effect import (
     centred,
     on_axes,
 )
-from stillcal.calib_core.diagnosis.model.moments import Moments, moves
+from stillcal.calib_core.diagnosis.model.moments import Moments
+
+COSINES = 6
+MARGIN = 1.2
+"""Half-period of the slowest cosine, in ranges of the driver: the edges are free."""
+
+LENGTHS = (0.2, 0.6)
+"""Correlation lengths, as parts of the driver's range."""
 
 STRETCH_CUTS = 14
 GAIN = Linear("gain", "1", 3, 0.02)
@@ -71,23 +79,35 @@ class UnknownCurve(Unknown):
         return self.many(moments)
 
 
-class VibrationBias(Unknown):
-    """A bias that follows the power of vibration."""
+class SmoothCurve(Unknown):
+    """A bias that is a smooth function of a driver, and nobody knows which: its discrepancy.
 
-    def __init__(self, sensor: str) -> None:
-        super().__init__(sensor, "vibration power", Linear("amplitude", UNIT[sensor], 3, SIZE[sensor]))
+    A Gaussian process over the driver (Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 425 (2001)), as cosines
+    over its range whose variances are the spectral density of a squared exponential covariance (Solin and
+    Sarkka, Stat. Comput. 30, 419 (2020)). Over time it would be what noise is; there, see `curves`.
+    """
+
+    def __init__(
+        self, sensor: str, follows: str, driver: curves.Driver, lags: Sequence[float] = (0.0,)
+    ) -> None:
+        super().__init__(sensor, follows, Linear("amplitude", UNIT[sensor], 3 * COSINES, SIZE[sensor]))
+        self.driver, self.lags = driver, lags
 
     def points(self, moments: Moments) -> Sequence[Grid]:
-        """Return one point where vibration changed by more than it commonly is."""
-        power = moments.vibration
-        if power is None or not power.size:
+        """Return the correlation lengths and lags, where the driver changes."""
+        if self.driver(moments, self.lags[0]) is None:
             return []
-        return [{}] if moves(power / max(float(np.median(power)), 1e-12), 1.0) else []
+        return [{"length": length, "lag_s": lag} for length, lag in product(LENGTHS, self.lags)]
 
     def response(self, moments: Moments, grid: Grid) -> Array:
-        """Return the power of vibration on each axis, in its own range."""
-        assert moments.vibration is not None, "no grid points without it"
-        return on_axes(centred(moments.vibration))
+        """Return each cosine on each axis in turn, (n, 3, 3 COSINES), with the process' deviations."""
+        x = self.driver(moments, grid["lag_s"])
+        assert x is not None, "no grid points without it"
+        place = (x - x.min()) / max(float(np.ptp(x)), 1e-300)
+        frequency = np.pi * np.arange(1, COSINES + 1) / MARGIN
+        density = np.sqrt(2.0 * np.pi) * grid["length"] * np.exp(-0.5 * (grid["length"] * frequency) ** 2)
+        waves = np.cos(place[:, None] * frequency) * np.sqrt(2.0 / MARGIN * density)
+        return np.asarray((waves[:, None, :, None] * np.eye(3)[:, None, :]).reshape(len(moments), 3, -1))
 
 
 class GainInStretch(Unknown):
@@ -216,14 +236,18 @@ class GainByDirection(Unknown):
 
 def unknown_effects(sensor: str) -> list[Effect]:
     """Return the nameless effects of one sensor, in rests and in turns."""
-    own: list[Effect] = [VibrationBias(sensor), AttitudeSquared(sensor)]
+    own: list[Effect] = [
+        SmoothCurve(sensor, "temperature's past or bend", curves.warmth, curves.LAGS),
+        SmoothCurve(sensor, "rate of heating", curves.heating),
+        SmoothCurve(sensor, "the past of charging", curves.plugged, curves.HEATS),
+        SmoothCurve(sensor, "vibration power", curves.shaking),
+        AttitudeSquared(sensor),
+    ]
     if sensor == "accel":
         own += [GainInStretch(), GainInTime(), CrossedForce()]
     else:
         own += [GainByDirection(), GainInTurns()]
     many = (
-        ("temperature's past or bend", curves.thermal_past, 1),
-        ("the past of charging or use", curves.other_pasts, 1),
         ("a stretch of time", curves.pulses, 1),
         ("two levels in time", curves.switches, 1),
         ("time from a moment on", curves.onsets, 1),

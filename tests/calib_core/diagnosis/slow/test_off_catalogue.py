@@ -52,6 +52,14 @@ def test_a_cycle_is_unknown_with_its_period() -> None:
     assert period == pytest.approx(400.0, rel=0.05)
 
 
+def test_a_curve_that_no_polynomial_is_follows_temperature_without_a_name() -> None:
+    _, day = day_of(5)
+    warm = day.temperature - np.quantile(day.temperature, 0.3)
+    found = said(5, np.tanh(warm / (0.05 * np.ptp(warm))))
+    assert {f.effect for f in found} == {"unknown"}
+    assert found[0].where.driver == "temperature's past or bend"
+
+
 def test_an_effect_taken_out_of_the_catalogue_is_unknown_and_says_what_it_follows() -> None:
     _, day = day_of(5)
     found = said(5, day.temperature - day.temperature.mean(), 2e-4, ("gyro_bias_temperature",))
