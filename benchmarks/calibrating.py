@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from peers import peer
-from recordings import from_csv, growth, whole_process
+from recordings import from_csv, growth, whole_day, whole_process
 from subject import LOCAL_G, Day, day, error_mg
 from timing import Row, ratio, rounds
 
@@ -61,6 +61,7 @@ def run(quick: bool) -> Iterator[Row]:
     """Yield the rows of item 1."""
     yield from _from_memory(quick)
     yield from from_csv(quick)
+    yield from whole_day(quick)
     yield from whole_process(quick)
     yield from growth(quick)
 

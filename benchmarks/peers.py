@@ -1,8 +1,8 @@
 """The peers, each optional: what is not installed is left out, and said so. Licences as packages state them.
 
 scikit-digital-health (MIT), vqf (MIT), imucal (MIT), allantools (LGPL 3 or later; called, not copied), scipy
-and pandas (BSD). imucal calibrates sessions whose regions a person has marked (Ferraris), which no unaided
-recording has: only named here.
+and pandas (BSD), pyarrow (Apache-2.0). imucal calibrates sessions whose regions a person has marked
+(Ferraris), which no unaided recording has: only named here.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ PACKAGES = {
     "allantools": "allantools",
     "scipy": "scipy",
     "pandas": "pandas",
+    "pyarrow": "pyarrow",
 }
 
 

@@ -10,16 +10,21 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace as replace_struct
 from peers import peer
 from subject import FOLDER, RATE_HZ, day, flat_file
-from timing import Row, middle, ratio, rounds
+from timing import Row, Timed, middle, ratio, rounds
 
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.trace import open_trace
-from stillcal.replay.formats.writer import TraceWriter
+from stillcal.replay.phone import load_phone, load_scenario, simulate
 from stillcal.replay.runner import replay
 
 LENGTHS_S = {"1 min": 60, "10 min": 600, "1 h": 3600, "6 h": 21600, "1 day": 86400, "7 days": 604800}
@@ -29,22 +34,76 @@ FOREIGN_S = 0.9
 
 
 def from_csv(quick: bool) -> Iterator[Row]:
-    """Read an hour of both sensors, beside pandas' parser, which checks nothing; then calibrate from it."""
-    file, n, subject = FOLDER / "hour.csv", int(3600 * RATE_HZ), day()
-    with TraceWriter(file, gyroscope=True, temperature=False, arrival=False) as writer:
-        writer.write(subject.accelerometer[:n], subject.gyroscope[:n])
-    pandas = peer("pandas")
-    cases = {"reading": lambda: sum(len(c.accelerometer) for c in open_trace(file).chunks())}
+    """Read an hour of both sensors, beside parsers that check nothing; then calibrate from it."""
+    file, table, n, subject = FOLDER / "hour.csv", FOLDER / "hour.parquet", int(3600 * RATE_HZ), day()
+    pandas, arrow = peer("pandas"), peer("pyarrow.csv")
+    for path in (file, *([] if arrow is None else [table])):
+        with writer_class(path)(path, gyroscope=True, temperature=False, arrival=False) as writer:
+            writer.write(subject.accelerometer[:n], subject.gyroscope[:n])
+    cases = {"reading": lambda: _read(file)}
     cases |= {watch: lambda w=watch: _replayed(file, w) for watch in ("continuous", "auto")}
     if pandas is not None:
         cases["pandas"] = lambda: len(pandas.read_csv(file))
+    if arrow is not None:
+        one = arrow.ReadOptions(use_threads=False)
+        cases |= {"pyarrow": lambda: len(arrow.read_csv(file, one)), "Parquet": lambda: _read(table)}
     timed = rounds(cases, 2 if quick else 7)
-    versus = ratio(timed["reading"], timed["pandas"]) if pandas is not None else None
     rows, what = timed["reading"].answer / 1e6, "reading CSV, seven columns"
-    yield Row("1", what, timed["reading"].rate(rows), "million rows/s", "pandas", versus)
+    for name in ("pandas", "pyarrow"):
+        yield _beside(what, timed["reading"], rows, (name, timed.get(name)), 1.0)
+    if arrow is not None:
+        what = "reading Parquet, seven columns"
+        yield _beside(what, timed["Parquet"], rows, ("our CSV", timed["reading"]), 10.0)
     for watch, name in (("continuous", "continuous"), ("auto", "duty-cycled")):
         what = f"an hour of both sensors from CSV through the engine, {name}"
         yield Row("1", what, timed[watch].rate(2 * rows), "million samples/s")
+
+
+def _beside(what: str, timed: Timed, count: float, peer: tuple[str, Timed | None], least: float) -> Row:
+    """Return a row that is met where the peer takes `least` times as long."""
+    name, its = peer
+    versus = None if its is None else ratio(timed, its)
+    met, margin = (None, None) if versus is None else (versus[0] >= least, versus[0] / least)
+    goal = "at least as fast" if least == 1.0 else f"{least:g} times as fast"
+    return Row("1", what, timed.rate(count), "million rows/s", name, versus, goal, met, margin=margin)
+
+
+def _read(file: Path) -> int:
+    return sum(len(chunk.accelerometer) for chunk in open_trace(file).chunks())
+
+
+def whole_day(quick: bool) -> Iterator[Row]:
+    """Simulate the scenario `day` (100 Hz, both sensors) into Parquet, and replay it from there."""
+    if peer("pyarrow") is None:
+        return
+    file, phone = FOLDER / "day.parquet", load_phone("typical")
+    if quick:
+        phone = replace_struct(phone, accel=_at(phone.accel), gyro=_at(phone.gyro))
+    claims = msgspec.convert(phone.claimed(), Claims)
+
+    def made() -> None:
+        simulation = simulate(load_scenario("day"), phone, 0)
+        with writer_class(file)(file, temperature=True, arrival=True, claims=claims) as writer:
+            for chunk in simulation.chunks():
+                writer.write(chunk.accelerometer, chunk.gyroscope, chunk.events)
+
+    cases = {"made": made, "continuous": lambda: _replayed(file, "continuous")}
+    timed = rounds(cases | {"auto": lambda: _replayed(file, "auto")}, 1 if quick else 3)
+    rate, megabytes = "10 Hz" if quick else "100 Hz", file.stat().st_size / 1e6
+    for case, what, most in (
+        ("made", f"simulate a day at {rate} into Parquet", 15.0),
+        ("continuous", f"a day at {rate} replayed from Parquet, continuous", 3.0),
+        ("auto", f"a day at {rate} replayed from Parquet, duty-cycled", 3.0),
+    ):
+        taken = timed[case].spread(1.0)
+        stored = f"{megabytes:.0f} MB on disk" if case == "made" else ""
+        met = None if quick else taken[0] <= most and (case != "made" or megabytes <= 250)
+        goal = f"{most:g} s{' and 250 MB' if case == 'made' else ''}"
+        yield Row("1", what, taken, "s", goal=goal, met=met, accuracy=stored, margin=most / taken[0])
+
+
+def _at(sensor: Any) -> Any:
+    return None if sensor is None else replace_struct(sensor, rate_hz=10.0)
 
 
 def _replayed(file: Path, watch: str) -> int:

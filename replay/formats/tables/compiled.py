@@ -6,6 +6,7 @@ the faulty row.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 
@@ -14,8 +15,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.tables.table import EMPTY
 
-LONG_BYTES = 1 << 24
-"""Shorter files are read sooner than Arrow is imported."""
+LONG_BYTES = 1 << 27
+"""Shorter files are read sooner than Arrow is imported, unless something else has imported it."""
 
 Reader = Callable[[bytes, Sequence[int]], Array | None]
 """Given lines with commas between cells, and places of columns, returns (rows, k); None where it cannot."""
@@ -23,7 +24,7 @@ Reader = Callable[[bytes, Sequence[int]], Array | None]
 
 def compiled_reader(size_bytes: int, width: int) -> Reader | None:
     """Return a reader of rows of `width` cells, None for a short file or without Arrow."""
-    if size_bytes < LONG_BYTES or find_spec("pyarrow") is None:
+    if "pyarrow" not in sys.modules and (size_bytes < LONG_BYTES or find_spec("pyarrow") is None):
         return None
     import pyarrow as pa  # noqa: PLC0415 - an extra
     from pyarrow import csv  # noqa: PLC0415 - an extra
