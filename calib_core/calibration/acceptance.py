@@ -213,6 +213,20 @@ def _cross_validated(new: Candidate, asked: NDArray[np.bool_]) -> Array:
     return residuals
 
 
+MOST_GAIN, ENOUGH_GAIN = 4.5, 10.0
+"""nats that one piece of evidence may count, as three standard uncertainties do, and nats that decide."""
+
+
+def beyond_doubt(gains: Array) -> bool:
+    """Tell whether few pieces of held-out evidence leave no doubt. gains: (n,) nats, in log likelihood.
+
+    Three are needed at least. If what is in use were right, and the uncertainties stated too, they would gain
+    as much once in 20 000 times at most, however often one looks (Ville's inequality, exp(-ENOUGH_GAIN)). The
+    test of signs needs more of them, and no uncertainties.
+    """
+    return float(np.minimum(gains, MOST_GAIN).sum()) > ENOUGH_GAIN
+
+
 def flipped_share(gains: Array) -> float:
     """Return the share of sign patterns, all or 4096 drawn ones, whose sum reaches that of `gains`."""
     n = gains.size

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.acceptance import flipped_share
+from stillcal.calib_core.calibration.acceptance import beyond_doubt, flipped_share
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.record import (
     CalibrationRecord,
@@ -77,8 +77,7 @@ class Learnt:
     with this term. term: the curve to correct by, None for none. change: "taken up", "dropped" or empty.
     evidence: the figures of that decision. covariance: (9, 9) of bias and scale, as an accelerometer's record
     has it, else None. t, errors, errors_sd: (n,) times of the rests, s, errors of predicting each from those
-    before it, and standard uncertainties of the predictions. stepped: s, the rest at which the bias stepped
-    last, None where it did not.
+    before it, and standard uncertainties of the predictions. steps: s, the rests at which the bias stepped.
     """
 
     sensor: Sensor
@@ -92,7 +91,7 @@ class Learnt:
     t: Array
     errors: Array
     errors_sd: Array
-    stepped: float | None = None
+    steps: tuple[float, ...] = ()
 
     @property
     def reason(self) -> str:
@@ -318,8 +317,9 @@ def _change(
     """Return whether the curve is to be taken up or dropped, or nothing, and the figures.
 
     held: whether a curve is in use. Whether one is taken up is judged by the score of a Cauchy distribution
-    of the rests' own scatter, so that one bad rest weighs little. Whether one is dropped is judged by squared
-    errors, because a curve that often fails badly may be the better one in all other hours.
+    of the rests' own scatter, so that one bad rest weighs little; and where few hours leave no doubt, by what
+    is gained at the uncertainty stated without the curve. Whether one is dropped is judged by squared errors,
+    because a curve that often fails badly may be the better one in all other hours.
     """
     own = seen.sd[1:, None] ** 2 + curved.wander.white**2
     errors = [fit.errors[1:] ** 2 for fit in (without, curved)]
@@ -331,8 +331,10 @@ def _change(
         f"typical_{name}": float(np.sqrt(np.median(e))) if e.size else None
         for name, e in zip(("without", "with"), errors, strict=True)
     }
+    at_stated = (errors[0] - errors[1]).sum(axis=1) / (2.0 * without.errors_sd[1:] ** 2)
+    doubtless = beyond_doubt(_by_hour(block, at_stated))
     if by_hour.size < settings.held_out_rests:
-        return "", evidence
+        return (TAKEN_UP if doubtless and not held else ""), evidence
     if held:
         newest = block >= by_hour.size - NEWEST_HOURS
         without_curve, with_curve = (e[newest].sum(axis=1) for e in errors)
@@ -343,7 +345,7 @@ def _change(
         return (DROPPED if worse <= settings.chance and matters else ""), evidence | {"chance": worse}
     better, lately = flipped_share(by_hour), flipped_share(by_hour[-NEWEST_HOURS:])
     taken_up = better <= settings.chance * _STRICTER and lately <= settings.chance
-    return (TAKEN_UP if taken_up else ""), evidence | {"chance": better}
+    return (TAKEN_UP if taken_up or doubtless else ""), evidence | {"chance": better}
 
 
 def _by_hour(block: NDArray[np.intp], values: Array) -> Array:
@@ -380,7 +382,7 @@ def _learnt(
         t,
         frozen(np.sqrt((fit.errors**2).mean(axis=1))),
         fit.errors_sd,
-        max(fit.steps, default=None),
+        fit.steps,
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from stillcal.calib_core.accelerometer.parameters import names
 from stillcal.calib_core.accelerometer.six_faces import common_rotation
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.acceptance import clearly_smaller, flipped_share
+from stillcal.calib_core.calibration.acceptance import beyond_doubt, clearly_smaller, flipped_share
 from stillcal.calib_core.calibration.bias_curve import BLOCK_S, EFFECTS, Learnt, learn_accelerometer
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
@@ -31,15 +31,14 @@ from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast
 from stillcal.calib_core.temperature.memory import Memory
-from stillcal.calib_core.temperature.regression import UNIT_K
+from stillcal.calib_core.temperature.regression import ACCELEROMETER, UNIT_K
 from stillcal.calib_core.temperature.thermometer import felt
 
 STEP_S = 12 * BLOCK_S
 """s: for so long after a step the calibration may be replaced on the evidence of the rests since then."""
 
-_MOST_GAIN, _STEP_GAIN = 4.5, 10.0
-"""nats that one rest may count, and nats that are needed. If the calibration in use were right, and what is
-stated of the rests too, they would gain as much once in 20 000 times at most (Ville's inequality)."""
+LARGEST_KNOCK = 3 * ACCELEROMETER.step
+"""m/s^2, by axis: three standard deviations of the step that is expected."""
 
 _ALL = 12
 """Parameters of a calibration that holds a rotation common to all axes."""
@@ -126,13 +125,14 @@ def _accepted(
     gains = (old**2 - new**2) / (2 * learnt.errors_sd[held_out] ** 2)
     _, block = np.unique(np.floor(learnt.t[held_out] / BLOCK_S), return_inverse=True)
     by_hour: Array = np.bincount(block, gains).astype(np.float64) if gains.size else np.zeros(0)
-    if by_hour.size < settings.held_out_rests:
+    doubtless = beyond_doubt(by_hour)
+    if by_hour.size < settings.held_out_rests and not doubtless:
         return "", {}
     rms_old, rms_new = (float(np.sqrt(np.mean(values**2))) for values in (old, new))
     chance = flipped_share(by_hour)
     evidence: Evidence = {"hours": by_hour.size, "chance": chance, "rms_old": rms_old, "rms_new": rms_new}
     figures = f"held-out rms {rms_new:.2g} after {rms_old:.2g} m/s^2 over {by_hour.size} hours"
-    if chance <= settings.chance:
+    if chance <= settings.chance or doubtless:
         return f"better by more than chance: {figures}", evidence
     if degraded and rms_new < rms_old:
         return f"the old one failed its check: {figures}", evidence
@@ -147,20 +147,24 @@ def _stepped(
 ) -> tuple[str, Evidence]:
     """Return why the learnt calibration replaces the one in use after a step of its bias.
 
-    Few rests suffice where they leave little doubt. Each is predicted from those before it, and counts for
-    _MOST_GAIN nats at most, so that it takes three of them.
+    Few rests suffice where they leave no doubt. Each is predicted from those before it. A bias that steps
+    again and again, or by more than LARGEST_KNOCK, is not that of a phone that was knocked: for such a one a
+    full calibration has to be found.
     """
-    if learnt.stepped is None or t - learnt.stepped > STEP_S:
+    steps = [step for step in learnt.steps if t - step <= STEP_S]
+    knocked = np.abs(learnt.bias - part.bias).max() <= LARGEST_KNOCK
+    if not steps or max(steps) - min(steps) > BLOCK_S or not knocked:
         return "", {}
-    since = learnt.stepped if record.fitted_at is None else max(learnt.stepped, record.fitted_at)
+    stepped = max(steps)
+    since = stepped if record.fitted_at is None else max(stepped, record.fitted_at)
     after = learnt.t > since
     old, new, sd = _residuals(record, part, memory)[after], learnt.errors[after], learnt.errors_sd[after]
-    gain = float(np.minimum((old**2 - new**2) / (2 * sd**2), _MOST_GAIN).sum())
-    if gain <= _STEP_GAIN:
+    gains = (old**2 - new**2) / (2 * sd**2)
+    if not beyond_doubt(gains):
         return "", {}
     n = int(after.sum())
-    evidence: Evidence = {"stepped_at": learnt.stepped, "rests": n, "gain": gain}
-    return f"the bias stepped at {learnt.stepped:.0f} s, as {n} rests since then show", evidence
+    evidence: Evidence = {"stepped_at": stepped, "rests": n, "gain": float(gains.sum())}
+    return f"the bias stepped at {stepped:.0f} s, as {n} rests since then show", evidence
 
 
 def _residuals(record: CalibrationRecord, part: AccelerometerRecord, memory: Memory) -> Array:

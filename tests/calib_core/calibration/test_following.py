@@ -127,10 +127,16 @@ def test_a_gyroscopes_curve_is_taken_up_and_told_with_its_reason() -> None:
 
 
 def test_without_tempco_or_without_evidence_nothing_is_taken_up() -> None:
-    for rests in (lived(20.0, slopes=0.0), lived(4.0), lived(20.0, read=lambda t, celsius: 25.0)):
+    two_hours = lived(1.9, every_s=600.0)
+    for rests in (lived(20.0, slopes=0.0), two_hours, lived(20.0, read=lambda t, celsius: 25.0)):
         record, changes = followed_gyroscope(rests)
         assert changes == [] and record.terms == ()
         assert GYRO in record.forecast
+
+
+def test_where_few_hours_leave_no_doubt_a_curve_is_taken_up_after_them() -> None:
+    """The test of signs alone takes nine hours at least."""
+    assert followed_gyroscope(lived(5.0))[1] == [TAKEN_UP]
 
 
 def test_a_thermometer_that_turns_wild_has_its_curve_dropped() -> None:
