@@ -136,21 +136,21 @@ class LateChange:
 
 
 def find_late_change(fit: AccelerometerFit, held: Sequence[HeldRest]) -> LateChange | None:
-    """Return what the newest rests show where the last two, or more before them, do not fit.
+    """Return what the newest rests show where two of them do not fit.
 
     A sensor that changes so late that fewer than LEAST_SIDE rests follow shows no step; the fit takes those
     rests for bad ones, and holds for the time before. The scatter of the others is the yardstick, by its
     median, which bad rests do not move.
     """
     order = np.argsort([h.rest.t_start for h in held], kind="stable")
-    residuals = np.abs(fit.residuals[order])
     rests = [held[i].rest for i in order]
+    residuals = np.abs(fit.residuals[order])
     own = force_uncertainties(rests).max(axis=1)
-    fits = residuals <= LATE_FACTOR * np.hypot(own, MAD_TO_SD * np.median(residuals))
-    last = int(np.flatnonzero(fits)[-1]) + 1 if fits.any() else len(rests)
-    if len(rests) - last < 2 or residuals[last:].max() <= LATE_LEAST:
+    off = residuals > LATE_FACTOR * np.hypot(own, MAD_TO_SD * np.median(residuals))
+    newest = np.flatnonzero(off[1 - LEAST_SIDE :]) + max(len(rests) - LEAST_SIDE + 1, 0)
+    if len(newest) < 2 or residuals[newest].max() <= LATE_LEAST:
         return None
-    return LateChange(rests[last].t_start, float(residuals[last:].max()))
+    return LateChange(rests[newest[0]].t_start, float(residuals[newest].max()))
 
 
 def norm_jacobian(fit: AccelerometerFit, raw: Array) -> tuple[Array, Array]:

@@ -20,7 +20,6 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.engine.actions import Publish
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.gravity import STANDARD
@@ -76,7 +75,7 @@ CASES = (
     Case("the bias drifts by 0.5 mg/min", lambda t: 0.5 * t / 60),
     Case("it steps by 3 mg in the middle", lambda t: 3.0 * (t >= BEGINS_S)),
     Case("it steps by 20 mg in the middle", lambda t: 20.0 * (t >= BEGINS_S)),
-    Case("it steps by 20 mg near the end", lambda t: 20.0 * (t >= 520.0)),
+    Case("it steps by 20 mg near the end", lambda t: 20.0 * (t >= 480.0)),
     Case(
         "it steps by 20 mg after a calibration",
         lambda t: 20.0 * (t >= AFTERWARDS_S),
@@ -124,10 +123,9 @@ def judge(case: Case, seed: int) -> Verdict:
     for gyroscope, accelerometer in _stream(case, simulations):
         events = [Charging(last, True)] if case.live and not plugged and last >= PLUGGED_S else []
         plugged |= bool(events)
-        actions = engine.feed(gyroscope, accelerometer, *events)
+        engine.feed(gyroscope, accelerometer, *events)
         last = float(accelerometer.t[-1])
-        told = engine.state.counters.degradations or any(isinstance(a, Publish) for a in actions)
-        if case.live and last > changes and told:
+        if case.live and last > changes and engine.state.counters.degradations:
             noticed = last - changes
             break
     if not case.live:
