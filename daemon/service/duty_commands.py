@@ -15,6 +15,9 @@ from stillcal.daemon.wire.messages import Grant
 PROBE_STEP_S = 1.0
 """Most credit at once during a probe, s: the probe may end early."""
 
+LEAST_STEP_S = 1e-6
+"""Least credit, s: less is lost where it is rounded on the phone's clock, and the phone waits for ever."""
+
 STEP_S = 60.0
 """Credit where the engine plans no decision, s."""
 
@@ -65,4 +68,4 @@ def credit(want: Sense | Sleep, decides: float, now: float) -> Grant:
         goal = min(goal, now + PROBE_STEP_S)
     if not math.isfinite(goal):
         goal = now + STEP_S
-    return Grant(goal if goal > now else now + PROBE_STEP_S)
+    return Grant(max(goal, now + LEAST_STEP_S) if goal > now else now + PROBE_STEP_S)

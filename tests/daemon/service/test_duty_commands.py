@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stillcal.calib_core.static.settings import Sense, Sleep
-from stillcal.daemon.service.duty_commands import PROBE_STEP_S, STEP_S, DutyCommands, credit
+from stillcal.daemon.service.duty_commands import LEAST_STEP_S, PROBE_STEP_S, STEP_S, DutyCommands, credit
 
 
 def test_a_phone_that_was_told_nothing_is_told_to_sense_once():
@@ -59,7 +59,14 @@ def test_a_grant_goes_forward_and_never_past_a_decision(
     assert now < goal < math.inf
     ahead = [t for t in (until, decides) if t > now]
     if min(until, decides) > now:
-        assert goal <= min([*ahead, now + STEP_S]) or goal <= min(ahead)
+        assert goal <= max(min([*ahead, now + STEP_S]), now + LEAST_STEP_S) or goal <= min(ahead)
+
+
+def test_credit_to_the_next_instant_is_not_lost_on_a_phone_whose_clock_is_ahead():
+    """Day 192 of a year: above 2^24 s a stamp is coarser, and the credit ended where the phone stood."""
+    now, decides, ahead = 16682211.369999997, 16682211.37, 97789.0
+    assert decides + ahead == now + ahead
+    assert credit(Sleep(decides), decides, now).until + ahead > now + ahead
 
 
 def test_a_probe_is_granted_in_small_steps_and_a_watch_up_to_its_decision():
