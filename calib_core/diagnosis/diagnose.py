@@ -299,10 +299,12 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
     if noise.suppressed(stream.levels, claim):
         found.append(bandwidth(stream.spectra, sensor, usual(sound, "bandwidth", claim), where))
     if wide is None and other is None and fine:
-        found += noise.noise_findings(sensor, stream.levels, claim, sound, where)
-        shared = shared_noise(stream.still) if stream.levels.own else None
-        if shared is not None:
-            found.append(shared_noise_finding(shared, sensor, usual(sound, "noise_shared", claim), where))
+        own, alike = stream.levels, shared_noise(stream.still) if stream.levels.own else None
+        if alike is not None:
+            shared = shared_noise_finding(alike, sensor, usual(sound, "noise_shared", claim), where)
+            found.append(shared)
+            own = own if shared is None else own.less(alike.coefficient.value)
+        found += noise.noise_findings(sensor, own, claim, sound, where)
     if not any(f is not None and f.effect in halves.QUANTITIES for f in found):
         return found
     parts = [half.measured() for half in stream.halves(claims)]

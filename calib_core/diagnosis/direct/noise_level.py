@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,6 +49,12 @@ class Levels:
     def own(self) -> bool:
         """Whether the noise is the sensor's own: white, and alike in all rests."""
         return self.white and self.steady
+
+    def less(self, shared: float) -> Levels:
+        """Return what is each axis' own where axes share a part of the noise's power, 0 to 1."""
+        part = float(np.sqrt(1.0 - shared))
+        x, y, z = (Measured(part * d.value, part * d.error) for d in self.density)
+        return replace(self, density=(x, y, z), pieces=part * self.pieces, least=part * self.least)
 
     def values(self) -> Array:
         """Return the densities (3,)."""

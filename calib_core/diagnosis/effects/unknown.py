@@ -32,8 +32,8 @@ COSINES = 6
 MARGIN = 1.2
 """Half-period of the slowest cosine, in ranges of the driver: the edges are free."""
 
-LENGTHS = (0.2, 0.6)
-"""Correlation lengths, as parts of the driver's range."""
+LENGTHS = (0.2, 0.6, np.inf)
+"""Correlation lengths, as parts of the driver's range; the last leaves a straight line."""
 
 STRETCH_CUTS = 14
 GAIN = Linear("gain", "1", 3, 0.02)
@@ -103,6 +103,9 @@ class SmoothCurve(Unknown):
         """Return each cosine on each axis in turn, (n, 3, 3 COSINES), with the process' deviations."""
         x = self.driver(moments, grid["lag_s"])
         assert x is not None, "no grid points without it"
+        if np.isinf(grid["length"]):
+            line = on_axes(centred(x))
+            return np.concatenate([line, np.zeros((len(moments), 3, 3 * COSINES - 3))], axis=2)
         place = (x - x.min()) / max(float(np.ptp(x)), 1e-300)
         frequency = np.pi * np.arange(1, COSINES + 1) / MARGIN
         density = np.sqrt(2.0 * np.pi) * grid["length"] * np.exp(-0.5 * (grid["length"] * frequency) ** 2)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
+from stillcal.calib_core.diagnosis.direct import noise_level
+from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, judged
 from stillcal.calib_core.diagnosis.direct.shared_noise import shared_noise, shared_noise_finding
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
@@ -39,6 +40,22 @@ def test_as_little_as_real_phones_have_is_sound(correlation: float, claim: float
     found = shared_noise(still(correlation))
     assert found is not None
     assert shared_noise_finding(found, "accel", usual(sound_phones(), "noise_shared", claim), WHERE) is None
+
+
+def test_the_level_is_judged_by_what_is_each_axis_own() -> None:
+    rng = np.random.default_rng(8)
+    noise = rng.normal(size=(20, 1000, 3)) + rng.normal(size=(20, 1000, 1))
+    rests = Quiet(tuple(noise), tuple(10.0 * np.arange(20)), 100.0)
+    seen, found = judged(rests), shared_noise(rests)
+    assert seen is not None
+    assert found is not None
+    levels, claim = noise_level.levels(seen), float(np.sqrt(2.0 / 100.0))
+
+    def told(of: noise_level.Levels) -> list[str]:
+        return [f.effect for f in noise_level.noise_findings("accel", of, claim, sound_phones(), WHERE)]
+
+    assert told(levels) == ["noise_level"]
+    assert told(levels.less(found.coefficient.value)) == []
 
 
 def test_two_rests_tell_nothing() -> None:
