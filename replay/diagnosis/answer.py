@@ -34,8 +34,9 @@ WITHOUT_ZERO = frozenset({"limit", "cutoff", "frequency", "tau_s", "period_s", "
 class Fit:
     """How well the simulation fits before and after what was found was put into it.
 
-    p_after: None where the corrected simulation could not be played; not_put_in: what could not be added,
-    and counts in neither; still_different: effect and sensor of what differs in spite of the correction.
+    p_after: None where the corrected simulation could not be played. not_put_in: what could not be added; what
+    has a name counts in neither, something unknown in both. still_different: effect and sensor of what
+    differs in spite of the correction.
     """
 
     p_before: float
@@ -45,11 +46,12 @@ class Fit:
 
     @classmethod
     def of(cls, before: Comparison, after: Comparison | None, not_put_in: Sequence[str] = ()) -> Fit:
-        """Return the fit of two comparisons, both without what could not be put in."""
+        """Return the fit of two comparisons, both without what has a name and could not be put in."""
+        known = [effect for effect in not_put_in if effect != "unknown"]
         if after is None:
-            return cls(before.p(not_put_in), None, not_put_in)
-        left = [(d.effect, d.sensor) for d in after.discrepancies if d.effect not in not_put_in]
-        return cls(before.p(not_put_in), after.p(not_put_in), not_put_in, left)
+            return cls(before.p(known), None, not_put_in)
+        left = [(d.effect, d.sensor) for d in after.discrepancies if d.effect not in known]
+        return cls(before.p(known), after.p(known), not_put_in, left)
 
     def plain(self) -> dict[str, Any]:
         """Return the fields that have a value."""

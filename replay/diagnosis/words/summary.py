@@ -44,7 +44,7 @@ def outcome(answer: Mapping[str, Any]) -> str:
     passes = "passes" if fit["p_after"] >= LEVEL else "still fails"
     numbers = f"bound of p: {fit['p_after']:.2g}; before {fit['p_before']:.2g}"
     # One effect on both sensors is named once.
-    left = ", ".join(dict.fromkeys(noun(effect, "") for effect in fit["not_put_in"]))
+    left = ", ".join(dict.fromkeys(noun(effect, "") for effect in fit["not_put_in"] if effect != "unknown"))
     still = ", ".join(noun(one["effect"], one["sensor"]) for one in fit["still_different"])
     where = f" What differs then: {still}." if still else ""
     but = f" These could not be put in and are left out of both: {left}." if left else ""
