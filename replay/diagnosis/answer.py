@@ -34,9 +34,9 @@ WITHOUT_ZERO = frozenset({"limit", "cutoff", "frequency", "tau_s", "period_s", "
 class Fit:
     """How well the simulation fits before and after what was found was put into it.
 
-    p_after: None where the corrected simulation could not be played. not_put_in: what could not be added; what
-    has a name counts in neither, something unknown in both. still_different: effect and sensor of what
-    differs in spite of the correction.
+    p_after: None where the corrected simulation could not be played. not_put_in: what could not be added;
+    what has a name counts in neither, something unknown in both. still_different: effect and sensor of
+    what differs in spite of the correction.
     """
 
     p_before: float
