@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.judged import Judged
 from stillcal.replay.diagnosis.report import tables
@@ -140,7 +141,7 @@ def _file(name: str, exam: Examination) -> tuple[str, ...]:
 def _rate(samples: Samples) -> str:
     if len(samples) < 2:
         return "no samples"
-    return f"{(len(samples) - 1) / float(samples.t[-1] - samples.t[0]):.4g} Hz"
+    return f"{median_rate_hz(samples):.4g} Hz"
 
 
 def _contents(findings: Sequence[Mapping[str, Any]]) -> str:

@@ -102,7 +102,7 @@ def open_axivity(source: Source) -> Log:
     sensors = BOTH if six else (Sensor.ACCELEROMETER,)
     about = f"{'AX6' if six else 'AX3'}, {index.rate_hz:g} Hz"
     sensor = LoggedSensor.of("imu", [Part(table, column_map, sensors)], about)
-    lines = [*_damage(blocks, damaged), *_exchange(exchanged)]
+    lines = [*_cut_short(stored.size), *_damage(blocks, damaged), *_exchange(exchanged)]
     notes = [f"{source.path.name}: {line}" for line in lines]
     return Log(source.path, "Axivity CWA", [sensor], notes, source.local, _claims(first))
 
@@ -117,6 +117,13 @@ def _blocks(stored: Source) -> NDArray[np.void]:
     if count < 1:
         raise TraceError(stored.path, "a CWA file without a block of data", "copy it from the logger again")
     return np.memmap(stored.local, dtype=_BLOCK, mode="r", offset=_HEADER_BYTES, shape=(count,))
+
+
+def _cut_short(size: int) -> Iterator[str]:
+    """Say where a file ends within a block: its copying was broken off."""
+    left = (size - _HEADER_BYTES) % _BLOCK_BYTES
+    if left:
+        yield f"the file is cut short: its last block has {left} of {_BLOCK_BYTES} bytes and is left out"
 
 
 def _check_sums(blocks: NDArray[np.void]) -> NDArray[np.uint16]:

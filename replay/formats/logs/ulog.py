@@ -39,6 +39,9 @@ _NO_RELATIVE = 0x7FFFFFFF
 """sensor_combined's accelerometer_timestamp_relative without a sample: RELATIVE_TIMESTAMP_INVALID."""
 
 _US = 1e-6
+_MOST_BYTES = 4 << 30
+"""pyulog holds all of a log's chosen topics in memory; an hour at 4 kHz of two sensors takes 1 GB."""
+
 _MOST_SEEKS = 200_000
 """Seeks without getting further, beyond which a log is given up: the longest message has 65,535 bytes."""
 
@@ -69,6 +72,9 @@ def open_ulog(source: Source) -> Log:
     """Open a ULog file. Raises TraceError where it is damaged or no accelerometer was logged."""
     pyulog = library("pyulog", "ulog", source.path, "PX4 ULog")
     stored = unpacked_copy(source)
+    if stored.size > _MOST_BYTES:
+        what = f"{stored.size / (1 << 30):.3g} GiB are more than can be held in memory, as a ULog must be"
+        raise TraceError(source.path, what, "split the log, or export its IMU topics as CSV (ulog2csv)")
     try:
         with redirect_stdout(StringIO()), stored.open() as file:  # it prints what a note says
             ulog = pyulog.ULog(_Guarded(file), _TOPICS, disable_str_exceptions=True)

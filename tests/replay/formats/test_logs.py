@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import shutil
 import struct
 from collections.abc import Callable
@@ -263,6 +264,21 @@ def test_a_ulog_is_read_with_the_parameters_that_px4_corrects_by(tmp_path: Path)
     assert_same(recording, 1e-6)
     assert recording.accelerometer.temperature is not None
     assert recording.accelerometer.temperature[0] == 31.5
+
+
+def test_a_ulog_larger_than_memory_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = written("log.ulg", ulog)(tmp_path)
+    os.truncate(path, 10 << 30)  # a hole, which takes no room on the disk
+    with pytest.raises(TraceError, match="10 GiB are more than can be held in memory"):
+        open_trace(path)
+
+
+def test_a_cwa_file_that_ends_within_a_block_says_so(tmp_path: Path) -> None:
+    path = written("log.cwa", axivity)(tmp_path)
+    assert not any("cut short" in note for note in read_all(path).notes)
+    os.truncate(path, path.stat().st_size - 100)
+    (note,) = [note for note in read_all(path).notes if "cut short" in note]
+    assert "its last block has 412 of 512 bytes" in note
 
 
 def test_the_chip_s_own_buffer_in_a_ulog_is_spread_over_its_time(tmp_path: Path) -> None:
