@@ -127,6 +127,8 @@ def test_the_page_in_the_documents_is_what_was_kept_and_whole() -> None:
     assert [study.name for study in kept] == list(studies.STUDIES)
     text = (DOCS / page.PAGE).read_text()
     assert text == page.page(kept)
+    assert "--data`)" not in text  # a study that was run without the recordings
+    assert "(--data)" not in text
     figures = {figure for study in kept for figure in study.figures}
     assert figures == {file.name for file in folder.glob("*.png")}
     assert all(f"({page.FOLDER}/{figure})" in text for figure in figures)
