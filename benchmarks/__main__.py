@@ -12,7 +12,6 @@ import os
 import sys
 import time
 import warnings
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -59,10 +58,12 @@ def measured(name: str, quick: bool, document: dict[str, Any]) -> None:
 
     from page import line
 
+    from stillcal.calib_core.codec import jsonable
+
     began = time.monotonic()
     try:
         for row in importlib.import_module(name).run(quick):
-            document["rows"].append(asdict(row))
+            document["rows"].append(jsonable(row))
             click.echo(line(document["rows"][-1]))
             sys.stdout.flush()
     except Exception as error:  # the others are still worth measuring

@@ -63,8 +63,9 @@ def spread(values: Any, unit: str = "") -> str:
     return f"{median} {unit} ({low} to {high})".replace("  ", " ")
 
 
-def _digits(value: float) -> str:
-    if not math.isfinite(value):
+def _digits(value: float | None) -> str:
+    """Return a number to three digits; None, what JSON has for one that is not finite, is a dash."""
+    if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
 
