@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.likelihood import Fit, fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.records import Parameter
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_scene
 
 GRID_PARAMETERS = ("tau_s", "period_s")
 WIDENED = 1.1
@@ -55,6 +55,9 @@ def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis])
     weight = np.exp(gains - gains.max())
     weight /= weight.sum()
     mean, covariance = _averaged(fits, weight, hypothesis.sizes)
+    # The noise's scale is unknown too: sizes have Student's distribution, which varies by so much more.
+    freedom = max(degrees(reduced, 0) - mean.size, 3.0)
+    covariance *= freedom / (freedom - 2.0)
     top = candidates[int(gains.argmax())]
     grid = {
         name: _quantiles(candidates, name, weight)
