@@ -116,7 +116,7 @@ async def diagnose(state: Path, settings: DiagnosisSettings, at: float, rests: i
 
 async def _answer(state: Path, settings: DiagnosisSettings, usage: _Usage) -> dict[str, Any]:
     """Run the process and return its answer. usage: takes what it took. Raises DiagnosisError."""
-    command = [sys.executable, "-c", _PROGRAM, "diagnose", str(state), "--json", "-", "--quiet"]
+    command = [sys.executable, "-P", "-c", _PROGRAM, "diagnose", str(state), "--json", "-", "--quiet"]
     environ = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     pipe = asyncio.subprocess.PIPE
     try:
