@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,9 @@ from stillcal.replay.plots.style import BLUE, GREY, GRID, MILLI_G, ORANGE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
+
+_LINE = 90
+"""Characters of a line of the title: the figure's width."""
 
 
 def flat(up: Array) -> Array:
@@ -58,7 +62,7 @@ def draw(part: FigureBase, material: Material) -> None:
         part.colorbar(drawn, ax=[left, right], shrink=0.7, label="|force| - g after, rms, mg")
     part.suptitle(
         f"{len(rests.t)} rests in {len(up)} attitudes (larger: more rests)\n"
-        f"ring, would help most: {wanted.words}",
+        + fill(f"ring, would help most: {wanted.words}", _LINE),
         fontsize="medium",
     )
 
