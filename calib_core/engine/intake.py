@@ -61,9 +61,7 @@ class Intake:
 
     def hear(self, t: Array, celsius: Array) -> None:
         """Take readings of the thermometer, degC at times t (s), both (n,)."""
-        state = self._state
-        now = self.known_until()
-        state.thermometer = state.thermometer.with_readings(t, celsius, now if math.isfinite(now) else t[0])
+        self._state.thermometer = self._state.thermometer.with_readings(t, celsius)
 
     def known_until(self) -> float:
         """Return the time (s) up to which both streams are known; -inf before the first sample.

@@ -20,7 +20,11 @@ CELL_S = 30.0
 """One reading is kept for each of these cells of time, its first."""
 
 SPAN_S = 3600.0
-"""Readings older than this are forgotten: of a lag of 480 s, 0.06 % of a difference is left by then."""
+"""Readings older than this count for nothing: of a lag of 480 s, 0.06 % of a difference is left by then."""
+
+LATE_S = 1800.0
+"""Readings are kept for so much longer, because a temperature may be asked for that long after its time: that
+of a rest is, when the rest has ended."""
 
 _UNKNOWN_K = 0.5
 """A lagged temperature that may be off by more is unknown."""
@@ -37,18 +41,25 @@ class Thermometer:
     t: Array = field(default_factory=lambda: frozen(np.empty(0)))
     celsius: Array = field(default_factory=lambda: frozen(np.empty(0)))
 
-    def with_readings(self, t: Array, celsius: Array, now: float) -> Thermometer:
-        """Return the thermometer with readings (n,) more, whatever their order. now: s, for forgetting.
+    def with_readings(self, t: Array, celsius: Array) -> Thermometer:
+        """Return the thermometer with readings (n,) more, whatever their order; what is old is forgotten.
 
         What is kept of the same readings does not depend on how they were cut into calls.
         """
+        all_of_them = self._joined(t, celsius)
+        if not all_of_them.t.size:
+            return all_of_them
+        kept = all_of_them.t >= all_of_them.t[-1] - SPAN_S - LATE_S
+        return Thermometer(frozen(all_of_them.t[kept]), frozen(all_of_them.celsius[kept]))
+
+    def _joined(self, t: Array, celsius: Array) -> Thermometer:
+        """Return the first reading of every cell, these and further ones (n,) taken together."""
         known = np.isfinite(celsius)
         times, values = np.r_[self.t, t[known]], np.r_[self.celsius, celsius[known]]
         order = np.argsort(times, kind="stable")
         times, values = times[order], values[order]
         _, first = np.unique(np.floor(times / CELL_S), return_index=True)
-        kept = first[times[first] >= now - SPAN_S]
-        return Thermometer(frozen(times[kept]), frozen(values[kept]))
+        return Thermometer(frozen(times[first]), frozen(values[first]))
 
     def lagged(self, t: float, celsius: float) -> Array:
         """Return the temperatures of sensors that follow with each of LAGS_S, (k,) degC, NaN where unknown.
@@ -61,17 +72,22 @@ class Thermometer:
     def course(self, t: Array, celsius: Array) -> Array:
         """Return the same for a run of readings (n,) degC at times t (n,) s: (n, k), NaN where unknown.
 
-        It is computed for one reading of each cell and the last one; between these, what the sensor is behind
-        is a straight line.
+        From the first reading of a cell on it is the filter's answer to a straight line from there to each
+        reading: the same however the readings are cut into calls.
         """
-        known = np.flatnonzero(np.isfinite(celsius))
-        if not known.size:
+        heard = self._joined(t, celsius)
+        if not heard.t.size:
             return frozen(np.full((len(t), len(LAGS_S)), np.nan))
-        heard = self.with_readings(t, celsius, float(t[0]))
-        _, first = np.unique(np.floor(t[known] / CELL_S), return_index=True)
-        rows = known[np.unique(np.r_[first, known.size - 1])]
-        behind = np.array([heard.lagged(float(t[k]), float(celsius[k])) - celsius[k] for k in rows]).T
-        return frozen(celsius[:, None] + np.column_stack([np.interp(t, t[rows], lag) for lag in behind]))
+        own = np.searchsorted(np.floor(heard.t / CELL_S), np.floor(t / CELL_S))
+        own = np.minimum(own, heard.t.size - 1)
+        behind = np.full((heard.t.size, len(LAGS_S)), np.nan)
+        for k in np.unique(own):
+            begun = float(heard.celsius[k])
+            behind[k] = heard.lagged(float(heard.t[k]), begun) - begun
+        past = np.maximum(t - heard.t[own], 0.0)[:, None] / np.array(LAGS_S)
+        rise = (celsius - heard.celsius[own])[:, None]
+        answered = -np.expm1(-past) / np.maximum(past, 1e-12)
+        return frozen(celsius[:, None] + behind[own] * np.exp(-past) - rise * answered)
 
 
 def felt(celsius: Array, lagged: Array | None, lag_s: float) -> Array:

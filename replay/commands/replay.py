@@ -213,7 +213,7 @@ def _writer(
             gyroscope = chunk.gyroscope if opened.has_gyroscope else None
             accel, gyro = correct_both(record, chunk.accelerometer, gyroscope, thermometer)
             if len(accel) and accel.temperature is not None:
-                thermometer = thermometer.with_readings(accel.t, accel.temperature, float(accel.t[-1]))
+                thermometer = thermometer.with_readings(accel.t, accel.temperature)
             if means:
                 accel = means[accel.sensor].smoothed_samples(accel)
                 gyro = None if gyro is None else means[gyro.sensor].smoothed_samples(gyro)

@@ -181,7 +181,7 @@ def test_no_thermometer_makes_it_worse_than_none(read: Callable[[float, float], 
             t, celsius = rest.t_start, np.nan if rest.temperature is None else rest.temperature
             minutes = np.arange(t - 1200.0, t, 60.0)
             readings = [read(at, celsius_at(at)) for at in minutes.tolist()]
-            heard = heard.with_readings(minutes, np.array(readings, dtype=np.float64), t)
+            heard = heard.with_readings(minutes, np.array(readings, dtype=np.float64))
             late = heard.lagged(t, celsius)
             if number % 3 == 0 and t > 20 * HOUR:
                 at = None if rest.temperature is None else np.array([celsius])

@@ -54,7 +54,7 @@ def learnt_day(
     for number, row in enumerate(range(60, len(T), 90)):
         t = float(T[row])
         if readings:
-            thermometer = thermometer.with_readings(T[row - 60 : row], read[row - 60 : row], t - HOUR)
+            thermometer = thermometer.with_readings(T[row - 60 : row], read[row - 60 : row])
         rate = frozen(bias[row] + 5e-4 * DEG * rng.standard_normal(3))
         at = float(read[row])
         late_by = thermometer.lagged(t, at)
@@ -64,7 +64,7 @@ def learnt_day(
         memory = memory.with_rest(rest, 9.8)
         if number % 8 == 7 and (learnt := learn_gyroscope(memory, record, t, QualitySettings())) is not None:
             record = with_learnt_gyroscope(record, learnt, t)
-    return record, thermometer.with_readings(T[-360:], read[-360:], float(T[-1])), bias
+    return record, thermometer.with_readings(T[-360:], read[-360:]), bias
 
 
 @pytest.mark.parametrize(("lag_s", "found"), [(300.0, (240.0, 480.0)), (100.0, (60.0, 120.0)), (0.0, (0.0,))])
@@ -90,7 +90,7 @@ def test_samples_are_corrected_with_the_lag_however_they_are_cut() -> None:
     for begin in range(0, len(T), 1000):
         piece = day[begin : begin + 1000]
         pieces.append(correct(still, piece, None, heard).xyz)
-        heard = heard.with_readings(piece.t, celsius[begin : begin + 1000], float(piece.t[-1]))
+        heard = heard.with_readings(piece.t, celsius[begin : begin + 1000])
     assert np.vstack(pieces)[ready:] == pytest.approx(whole, abs=0.1 * np.abs(unlagged).max())
 
 

@@ -21,7 +21,7 @@ from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.static.settings import DetectorSettings, Sleep
 from stillcal.calib_core.streams.events import End, Event, Tick
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.phone import load_phone, simulate
+from stillcal.replay.phone import Phone, load_phone, simulate
 from stillcal.replay.phone.activities.carried import Walk
 from stillcal.replay.phone.activities.resting import Place, Poses, Rest, Table
 from stillcal.replay.phone.scenario import Scenario
@@ -179,6 +179,26 @@ def fed_in_pieces(name: str, pieces: list) -> Life:
 @given(pieces=st.lists(PIECE, min_size=1, max_size=40))
 def test_streamed_equals_unbroken_to_the_last_bit(name: str, pieces: list) -> None:
     assert fed_in_pieces(name, pieces).whole == unbroken(name)
+
+
+def test_how_a_file_is_cut_changes_nothing_of_what_is_learnt_of_temperature() -> None:
+    """Rests of an hour and a half of a phone that warms: an hour of readings tells how warm its sensors are."""
+    warm = msgspec.convert(
+        msgspec.to_builtins(load_phone("typical")) | {"heat": {"charge_k": 8.0, "slow_tau_s": 300.0}}, Phone
+    )
+    slow = msgspec.structs.replace(warm, accel=msgspec.structs.replace(warm.accel, rate_hz=10.0), gyro=None)
+    day = Scenario(segments=(Table(duration_s=5400.0, rest_s=(40.0, 60.0), charging=True),))
+    samples = simulate(day, slow, 3).whole().accelerometer
+    states = []
+    for pieces in (1, 7):
+        engine = Engine(EngineSettings())
+        for cut in np.array_split(np.arange(len(samples)), pieces):
+            engine.feed(samples[int(cut[0]) : int(cut[-1]) + 1])
+        engine.feed(End(float(samples.t[-1])))
+        states.append(plain(engine.state))
+    lagged = [held["rest"]["lagged"] for held in states[0]["pool"]["held"]]
+    assert sum(np.isfinite(np.asarray(one, dtype=float)).all() for one in lagged) > 10
+    assert json.dumps(states[0]) == json.dumps(states[1])
 
 
 def lived_through(name: str, obedient: bool) -> tuple[Life, int]:

@@ -12,7 +12,7 @@ STEP = np.where(T < 3000.0, 20.0, 30.0)
 
 
 def heard(t: np.ndarray, celsius: np.ndarray) -> Thermometer:
-    return Thermometer().with_readings(t, celsius, float(t[0]))
+    return Thermometer().with_readings(t, celsius)
 
 
 def test_a_lagged_temperature_rises_as_a_first_order_filter_does() -> None:
@@ -33,9 +33,32 @@ def test_at_a_ramp_a_sensor_is_behind_by_its_lag() -> None:
 def test_however_readings_are_cut_into_calls_the_same_are_kept() -> None:
     whole, parts = heard(T, STEP), Thermometer()
     for begin in range(0, len(T), 7):
-        parts = parts.with_readings(T[begin : begin + 7], STEP[begin : begin + 7], 0.0)
+        parts = parts.with_readings(T[begin : begin + 7], STEP[begin : begin + 7])
     assert np.array_equal(parts.t, whole.t) and np.array_equal(parts.celsius, whole.celsius)
     assert len(whole.t) == len(T) * 10 / CELL_S
+
+
+@pytest.mark.parametrize("size", [1, 7, 250])
+def test_however_readings_are_cut_into_calls_a_course_is_the_same(size: int) -> None:
+    """Calls end within cells, readings are missing at the start and in between."""
+    celsius = 20.0 + 3.0 * np.sin(T / 700.0)
+    celsius[:30] = celsius[200:203] = np.nan
+    whole, parts, thermometer = Thermometer().course(T, celsius), [], Thermometer()
+    for begin in range(0, len(T), size):
+        t, read = T[begin : begin + size], celsius[begin : begin + size]
+        parts.append(thermometer.course(t, read))
+        thermometer = thermometer.with_readings(t, read)
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    known = np.isfinite(celsius) & np.isfinite(whole[:, 0])
+    for k in np.flatnonzero(known)[::50]:
+        assert whole[k] == pytest.approx(
+            heard(T[:k], celsius[:k]).lagged(T[k], celsius[k]), abs=1e-3, nan_ok=True
+        )
+
+
+def test_a_day_without_a_reading_before_the_first_is_unknown() -> None:
+    t = np.array([0.0, 86400.0, 86401.0])
+    assert np.isnan(Thermometer().course(t, np.array([np.nan, 20.0, 20.0]))).all()
 
 
 def test_after_a_pause_the_past_is_unknown_and_the_reading_stands_in() -> None:
@@ -50,6 +73,6 @@ def test_after_a_pause_the_past_is_unknown_and_the_reading_stands_in() -> None:
 
 
 def test_old_and_unknown_readings_go() -> None:
-    thermometer = heard(T, STEP).with_readings(np.array([20000.0]), np.array([25.0]), 20000.0)
+    thermometer = heard(T, STEP).with_readings(np.array([20000.0]), np.array([25.0]))
     assert thermometer.t.tolist() == [20000.0]
     assert len(heard(T, np.full(len(T), np.nan)).t) == 0
