@@ -182,7 +182,7 @@ def test_streamed_equals_unbroken_to_the_last_bit(name: str, pieces: list) -> No
 
 
 def test_how_a_file_is_cut_changes_nothing_of_what_is_learnt_of_temperature() -> None:
-    """Rests of an hour and a half of a phone that warms: an hour of readings tells how warm its sensors are."""
+    """Rests of an hour and a half of a phone that warms: an hour of readings tells how warm sensors are."""
     warm = msgspec.convert(
         msgspec.to_builtins(load_phone("typical")) | {"heat": {"charge_k": 8.0, "slow_tau_s": 300.0}}, Phone
     )
