@@ -27,8 +27,9 @@ check: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# FAULTS=--part=kills for one part of it.
 faults: $(READY)
-	$(BIN)/python -m stillcal.replay.trials.faults
+	$(BIN)/python -m stillcal.replay.trials.faults $(FAULTS)
 
 # Ten minutes for each parser; FUZZ=--seconds=60 for less.
 fuzz: $(READY)

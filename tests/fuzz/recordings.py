@@ -18,7 +18,7 @@ from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams import limits
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.trace import read_all
-from tests.fuzz.target import Target
+from tests.fuzz.target import Target, any_of
 from tests.support import log_files
 from tests.support.log_files import CWA_BLOCK, CWA_HEADER, IMU, cwa_summed, rows, text
 
@@ -207,13 +207,15 @@ TARGETS = {
         lambda: [b'{"device": "x", "nominal_rate_hz": 100, "gravity": 9.81}'],
         functools.partial(_beside_trace, "trace.json"),
     ),
-    **{
-        name: Target(
-            functools.partial(lambda make: [make().encode()], make),
-            functools.partial(_feed, "trace.csv", name),
-        )
-        for name, make in TEXTS.items()
-    },
+    "text-formats": any_of(
+        [
+            Target(
+                functools.partial(lambda make: [make().encode()], make),
+                functools.partial(_feed, "trace.csv", name),
+            )
+            for name, make in TEXTS.items()
+        ]
+    ),
     "recognised": Target(
         lambda: [make().encode() for make in TEXTS.values()], functools.partial(_feed, "log", None)
     ),
@@ -243,12 +245,16 @@ TARGETS = {
     ),
     "npz": Target(_npz, _feed_npz),
     "zip": Target(_zips, functools.partial(_feed, "export.zip", None)),
-    "phyphox-device": Target(
-        lambda: [_PHYPHOX["meta/device.csv"].encode()],
-        functools.partial(_feed_member, _PHYPHOX, "meta/device.csv"),
-    ),
-    "sensorlogger-member": Target(
-        lambda: [_SENSOR_LOGGER["GyroscopeUncalibrated.csv"].encode()],
-        functools.partial(_feed_member, _SENSOR_LOGGER, "GyroscopeUncalibrated.csv"),
+    "export-member": any_of(
+        [
+            Target(
+                functools.partial(lambda files, member: [files[member].encode()], files, member),
+                functools.partial(_feed_member, files, member),
+            )
+            for files, member in (
+                (_PHYPHOX, "meta/device.csv"),
+                (_SENSOR_LOGGER, "GyroscopeUncalibrated.csv"),
+            )
+        ]
     ),
 }

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from stillcal.replay.export.targets import INVERTIBLE, target_named
 from tests.fuzz.__main__ import TARGETS, fuzzed, main
-from tests.fuzz.target import Target
+from tests.fuzz.target import Target, any_of
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 
@@ -48,6 +48,18 @@ def test_the_seeds_of_other_tools_are_read_back_whatever_they_hold(tool: str) ->
     for data in TARGETS[f"import-{tool}"].seeds():
         read = target_named(tool).read(data)
         assert read.accelerometer is not None
+
+
+def test_the_first_byte_chooses_among_parsers_that_share_a_reader() -> None:
+    fed: list[tuple[int, bytes]] = []
+
+    def part(i: int) -> Target:
+        return Target(lambda: [b"seed"], lambda data: fed.append((i, data)))
+
+    both = any_of([part(0), part(1)])
+    for data in [*both.seeds(), b"", b"\xff\0"]:
+        both.feed(data)
+    assert fed == [(0, b"seed"), (1, b"seed"), (1, b"\0")]
 
 
 @pytest.mark.parametrize("feed", [lambda data: time.sleep(10), lambda data: bytearray(60 << 20)])

@@ -2,18 +2,20 @@
 
 `python -m stillcal.replay.trials.faults` prints the figures.
 
-Killed while it saves (faults_kill.py) and while it lives (faults_live.py), disks that fail (faults_disk.py),
-clients that mean no good and a second daemon (faults_socket.py), calibrations while others wait
-(faults_fit.py), the wire (replay/trials/faults/wire.py), system calls that fail once (calls.py), and a daemon
-that a phone and clients try by every means (endure.py). Each part also checks what must hold; exit code 1
-where something does not.
+Killed while it saves (kill.py) and while it lives (live.py), disks that fail (disk.py), clients that mean no
+good and a second daemon (socket.py), calibrations while others wait (fit.py), the wire (wire.py), system
+calls that fail once (calls.py), and a daemon that a phone and clients try by every means (endure.py). Each
+part also checks what must hold; exit code 1 where something does not.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -34,29 +36,49 @@ RANDOM_BYTES, FLIPS, TIMES, FITS = 1_000_000, 20_000, 100, 20
 LEAVERS, TABLES_S = 300, 10.0
 
 
-def all_faults(
-    *, kills: int, lives: int, messages: int, clients: int, hostile: int, seed: int
-) -> Iterator[Figures]:
-    """Play every fault, one after another."""
-    yield in_folder(lambda folder: killed(kills, seed, folder))
-    yield in_folder(lambda folder: killed_live(lives, seed, folder))
-    yield from in_folder(failing_disks)
-    yield from in_folder(lambda folder: attacked(messages, clients, seed, folder))
-    yield from in_folder(lambda folder: calibrating(FITS, seed, folder))
-    yield random_bytes(RANDOM_BYTES, seed)
-    yield flipped_bits(FLIPS, seed)
-    yield pulled_out(TIMES, seed)
-    yield from in_folder(lambda folder: list(every_call(folder)))
-    yield in_folder(lambda folder: leavers(LEAVERS, folder))
-    yield in_folder(lambda folder: tables(TABLES_S, folder))
-    yield in_folder(lambda folder: hostile_bytes(RANDOM_BYTES, seed, folder))
-    yield in_folder(lambda folder: hostile_messages(hostile, seed, folder))
+@dataclass(frozen=True, slots=True)
+class Amounts:
+    """How much of each fault; the options of the command."""
+
+    kills: int
+    lives: int
+    messages: int
+    clients: int
+    hostile: int
+    seed: int
+
+
+Part = Callable[[Amounts, Path], Iterable[Figures]]
+
+PARTS: dict[str, Part] = {
+    "kills": lambda n, folder: [killed(n.kills, n.seed, folder)],
+    "lives": lambda n, folder: [killed_live(n.lives, n.seed, folder)],
+    "disks": lambda n, folder: failing_disks(folder),
+    "clients": lambda n, folder: attacked(n.messages, n.clients, n.seed, folder),
+    "calibrations": lambda n, folder: calibrating(FITS, n.seed, folder),
+    "wire": lambda n, folder: [
+        random_bytes(RANDOM_BYTES, n.seed),
+        flipped_bits(FLIPS, n.seed),
+        pulled_out(TIMES, n.seed),
+    ],
+    "calls": lambda n, folder: every_call(folder),
+    "leavers": lambda n, folder: [leavers(LEAVERS, folder)],
+    "tables": lambda n, folder: [tables(TABLES_S, folder)],
+    "bytes": lambda n, folder: [hostile_bytes(RANDOM_BYTES, n.seed, folder)],
+    "hostile": lambda n, folder: [hostile_messages(n.hostile, n.seed, folder)],
+}
+"""What is played, in an empty folder of its own, and what each part yields."""
 
 
 def in_folder(play: Callable[[Path], T]) -> T:
     """Play in an empty folder of its own, with a short path: a socket's is 107 bytes at most (unix(7))."""
     with tempfile.TemporaryDirectory(prefix="stillcal-") as folder:
         return play(Path(folder))
+
+
+def played(part: Part, amounts: Amounts) -> list[Figures]:
+    """Play a part in a folder of its own."""
+    return in_folder(lambda folder: list(part(amounts, folder)))
 
 
 def lines(figures: Figures) -> Iterator[str]:
@@ -66,22 +88,32 @@ def lines(figures: Figures) -> Iterator[str]:
         yield f"    {name.replace('_', ' '):32}{count:>12}"
 
 
+def _load() -> str:
+    return "load " + " ".join(f"{load:.1f}" for load in os.getloadavg())
+
+
 @click.command()
+@click.option("--part", "chosen", type=click.Choice(list(PARTS)), multiple=True, help="Only these parts.")
 @click.option("--kills", default=1000, show_default=True, help="How often to kill a process that saves.")
 @click.option("--lives", default=100, show_default=True, help="How often to kill the whole daemon.")
 @click.option("--messages", default=10_000, show_default=True, help="Malformed messages to send.")
 @click.option("--clients", default=200, show_default=True, help="Clients at once, of which half stall.")
 @click.option("--hostile", default=20_000, show_default=True, help="Hostile well-formed messages to send.")
 @click.option("--seed", default=1, show_default=True)
-def main(*, kills: int, lives: int, messages: int, clients: int, hostile: int, seed: int) -> None:
+def main(*, chosen: tuple[str, ...], **amounts: int) -> None:
     """Count what faults come to; exit code 1 where something that must hold does not."""
-    holds = True
-    for figures in all_faults(
-        kills=kills, lives=lives, messages=messages, clients=clients, hostile=hostile, seed=seed
-    ):
-        holds &= figures.holds
-        click.echo("\n".join(lines(figures)))
-    sys.exit(not holds)
+    failed: list[str] = []
+    began = time.monotonic()
+    for number, name in enumerate(chosen or PARTS, 1):
+        click.echo(f"--- {number} of {len(chosen or PARTS)}: {name}, {_load()}")
+        since = time.monotonic()
+        for figures in played(PARTS[name], Amounts(**amounts)):
+            click.echo("\n".join(lines(figures)))
+            failed += [] if figures.holds else [figures.name]
+        click.echo(f"    took {time.monotonic() - since:.0f} s")
+    verdict = f"does not hold: {'; '.join(failed)}" if failed else "all hold"
+    click.echo(f"--- {verdict}; {time.monotonic() - began:.0f} s, {_load()}")
+    sys.exit(bool(failed))
 
 
 if __name__ == "__main__":

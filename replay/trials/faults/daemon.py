@@ -1,7 +1,7 @@
-"""A daemon that measures itself, for faults to be played on: what faults_socket.py and faults_fit.py start.
+"""A daemon that measures itself, for faults to be played on: what socket.py and fit.py start.
 
-It is `stillcal run` with one job more, which notes by how much later than asked it is woken, and how much
-memory the process has in use.
+It is `stillcal run` with one job more, which notes by how much later than asked it is woken, for how long of
+that it had no processor, and how much memory the process has in use.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.system import log
 from stillcal.daemon.system.memory import limit_arenas, resident_bytes
 from stillcal.daemon.system.systemd import Notifier
+from stillcal.replay.trials.faults.waiting import withheld_s
 
 STEP_S = 0.01
 KEPT = 100_000
@@ -26,24 +27,27 @@ KEPT = 100_000
 
 
 class Notes:
-    """Rows of when (s, CLOCK_MONOTONIC), by how much too late (s), and memory in use (bytes)."""
+    """Rows of when, by how much too late, for how long of that without a processor (s), and memory (bytes).
+
+    When: by CLOCK_MONOTONIC.
+    """
 
     def __init__(self) -> None:
-        self._rows = np.zeros((KEPT, 3))
+        self._rows = np.zeros((KEPT, 4))
         self._filled = 0
 
     @property
     def rows(self) -> Array:
-        """What has been noted, (n, 3)."""
+        """What has been noted, (n, 4)."""
         return self._rows[: self._filled]
 
     async def take(self) -> None:
         """Wake every STEP_S and note the time, the delay and the memory, until the table is full."""
         while self._filled < KEPT:
-            due = time.monotonic() + STEP_S
+            due, before = time.monotonic() + STEP_S, withheld_s()
             await asyncio.sleep(STEP_S)
-            now = time.monotonic()
-            self._rows[self._filled] = now, now - due, resident_bytes()
+            now, late = time.monotonic(), time.monotonic() - due
+            self._rows[self._filled] = now, late, min(withheld_s() - before, late), resident_bytes()
             self._filled += 1
 
 

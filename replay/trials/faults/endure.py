@@ -14,7 +14,7 @@ import sys
 import time
 import tty
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from stillcal.daemon.varlink.rows import MAX_ROWS
 from stillcal.replay.trials.faults.hostile import runs
 from stillcal.replay.trials.faults.kill import example
 from stillcal.replay.trials.faults.target import START_S, Target, ask, question, status
+from stillcal.replay.trials.faults.waiting import LATE_S, Waits, slowest
 from stillcal.replay.trials.faults.wire import Figures
 
 STOP_S = 2.0
@@ -49,25 +50,24 @@ class Trial:
 
     target: Target
     line: int
-    waited: list[float] = field(default_factory=list)
+    waits: Waits
     stopped_s: float = float("inf")
     exit_code: int = -1
     log_bytes: int = 0
 
     def figures(self, name: str, counts: dict[str, int], holds: bool) -> Figures:
-        """Return what a trial came to. Times are printed; on a busy machine only the end's is judged."""
-        waited = np.array(self.waited or [0.0])
-        p99, most = np.quantile(waited, (0.99, 1.0))
+        """Return what a trial came to. Of the waits, the daemon's own share is judged, by its 99 % point."""
+        answers = slowest(self.waits.took, self.waits.own)
         measured = {
-            "answers to another client": len(self.waited),
-            "their p99, us": round(1e6 * p99),
-            "their slowest, us": round(1e6 * most),
+            "answers to another client": len(self.waits.took),
+            **{f"their {name}": us for name, us in answers.items()},
             "exit code": self.exit_code,
             "ms from SIGTERM to its end": round(1e3 * self.stopped_s),
             "bytes of log": self.log_bytes,
         }
         sound = self.exit_code == 0 and self.stopped_s <= STOP_S and self.log_bytes <= LOG_BYTES
-        return Figures(name, holds and sound and bool(self.waited), {**counts, **measured})
+        sound &= answers["p99 own, us"] <= 1e6 * LATE_S
+        return Figures(name, holds and sound, {**counts, **measured})
 
 
 @contextlib.asynccontextmanager
@@ -85,7 +85,8 @@ async def on_trial(folder: Path) -> AsyncIterator[Trial]:
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-c", RUN, "run", *arguments, stderr=log
         )
-    trial = Trial(Target(folder, SocketSettings(), process), master)  # type: ignore[arg-type]  # its pid is enough
+    target = Target(folder, SocketSettings(), process)  # type: ignore[arg-type]  # its pid is enough
+    trial = Trial(target, master, Waits(process.pid))
     try:
         async with asyncio.timeout(START_S):
             await _connected(trial.target)
@@ -115,11 +116,7 @@ async def _connected(target: Target) -> None:
 async def _asking(trial: Trial) -> None:
     """Ask on and on as one who means well, and note how long each answer took."""
     reader, writer = await asyncio.open_unix_connection(trial.target.socket)
-    while True:
-        began = time.monotonic()
-        await ask(reader, writer)
-        trial.waited.append(time.monotonic() - began)
-        await asyncio.sleep(ASK_EVERY_S)
+    await trial.waits.repeat(lambda: ask(reader, writer), ASK_EVERY_S)
 
 
 # The phone

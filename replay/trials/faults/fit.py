@@ -23,7 +23,8 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.settings import SocketSettings
 from stillcal.replay.phone import draw_rests, load_phone
-from stillcal.replay.trials.faults.target import LATE_S, Target, ask, lateness, running
+from stillcal.replay.trials.faults.target import Target, ask, lateness, running
+from stillcal.replay.trials.faults.waiting import LATE_S, Waits, slowest
 from stillcal.replay.trials.faults.wire import Figures
 
 QUIET_S = 3.0
@@ -60,7 +61,7 @@ async def _calibrating(times: int, seed: int, folder: Path, quiet_s: float) -> l
         ended = time.monotonic()
         for client in asking:
             client.cancel()
-        waited = np.concatenate([await client for client in asking])
+        waits = [await client for client in asking]
         await asyncio.sleep(quiet_s)
     noted = np.load(folder / "lateness.npy")
     fits = Figures(
@@ -71,7 +72,7 @@ async def _calibrating(times: int, seed: int, folder: Path, quiet_s: float) -> l
     return [
         fits,
         lateness(noted, began, ended, "calibrating"),
-        _answers(waited),
+        _answers(waits),
         _memory(noted, began, ended),
     ]
 
@@ -101,28 +102,24 @@ async def _calibrate(target: Target) -> float:
     return time.monotonic() - began
 
 
-async def _asking(target: Target) -> Array:
-    """Ask how things stand until told to stop; return how long each answer took, s."""
-    waited: list[float] = []
+async def _asking(target: Target) -> Waits:
+    """Ask how things stand until told to stop; return how long the answers took."""
+    waits = Waits(target.process.pid)
     reader, writer = await asyncio.open_unix_connection(target.socket)
     with contextlib.closing(writer), contextlib.suppress(asyncio.CancelledError):
-        while True:
-            began = time.monotonic()
-            await ask(reader, writer)
-            waited.append(time.monotonic() - began)
-            await asyncio.sleep(PAUSE_S)
-    return np.array(waited)
+        await waits.repeat(lambda: ask(reader, writer), PAUSE_S)
+    return waits
 
 
-def _answers(waited: Array) -> Figures:
-    p99, most = np.quantile(waited, (0.99, 1.0))
-    counts = {"answers": waited.size, "p99, us": round(1e6 * p99), "max, us": round(1e6 * most)}
-    return Figures("answers meanwhile", bool(most <= LATE_S), counts)
+def _answers(waits: list[Waits]) -> Figures:
+    took, own = [s for w in waits for s in w.took], [s for w in waits for s in w.own]
+    counts = {"answers": len(took), **slowest(took, own)}
+    return Figures("answers meanwhile", counts["slowest own, us"] <= 1e6 * LATE_S, counts)
 
 
 def _memory(noted: Array, began: float, ended: float) -> Figures:
     """Return the memory in use before the first, at most, and after the last, KiB."""
-    t, used = noted[:, 0], noted[:, 2] / 1024
+    t, used = noted[:, 0], noted[:, 3] / 1024
     before, after = (round(float(np.median(used[part]))) for part in (t < began, t > ended))
     counts = {"before, KiB": before, "most, KiB": round(float(used.max())), "after, KiB": after}
     return Figures("memory of the daemon", after - before <= 1024 * KEPT_MIB, counts)

@@ -2,7 +2,8 @@
 
 A life is a forked process that opens store and state as the daemon does, and then gathers a rest,
 publishes a calibration and saves the state, over and over, telling of each write when it begins and when
-it is acknowledged. It is killed after a random delay, and what lies on the disk is held against what it told.
+it is acknowledged. It is killed after a random delay, two times of three counted from when it has opened
+them, and what lies on the disk is held against what it told.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import os
 import random
+import select
 import signal
 import time
 from collections import Counter
@@ -33,7 +35,10 @@ from stillcal.replay.runner import replay_rests
 from stillcal.replay.trials.faults.wire import Figures
 
 LIFE_S = 0.15
-"""Longest life before it is killed, s: opening and several rounds of saving."""
+"""Longest life before it is killed, s: several rounds of saving."""
+
+OPENED, OPEN_S = "opened", 60.0
+"""What a life tells when it has opened store and state, and the longest that this may take, s."""
 
 NAMES = {"store.json", "store.json.last-good", "store.json.lock", "store.state"}
 REST_S = 10.0
@@ -63,7 +68,9 @@ def killed(kills: int, seed: int, folder: Path, life_s: float = LIFE_S) -> Figur
     record, rests = example()
     chance, counts, known, path = random.Random(seed), Counter[str](), Known(), folder / "store.json"
     for _ in range(kills):
-        known, writing = _life(path, record, rests, known, chance.uniform(0.0, life_s))
+        opened, lasts = chance.random() < 2 / 3, chance.uniform(0.0, life_s)
+        child, heard = in_child(lambda tell: asyncio.run(_saving(path, record, rests, tell)))
+        known, writing = _ended(child, heard, known, lasts, opened)
         counts["killed inside a write"] += writing
         counts["half-written temporaries"] += any(p.suffix == ".tmp" for p in folder.iterdir())
         found, known = _examined(path, known)
@@ -95,11 +102,13 @@ def _told(to: int, line: str) -> None:
     os.write(to, f"{line}\n".encode())
 
 
-def _life(
-    path: Path, record: CalibrationRecord, rests: list[RestState], known: Known, lasts: float
-) -> tuple[Known, bool]:
-    """Live and die; return what was acknowledged, and whether a write was going on at the end."""
-    child, heard = in_child(lambda tell: asyncio.run(_saving(path, record, rests, tell)))
+def _ended(child: int, heard: int, known: Known, lasts: float, opened: bool) -> tuple[Known, bool]:
+    """End a life after `lasts` s, counted from when it has opened its files if `opened`.
+
+    Return what was acknowledged, and whether a write was going on at the end.
+    """
+    if opened:
+        select.select([heard], [], [], OPEN_S)
     time.sleep(lasts)
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
@@ -117,6 +126,7 @@ async def _saving(path: Path, record: CalibrationRecord, rests: list[RestState],
     """Gather, publish and save without end, as the daemon does between its pauses."""
     storage = Storage(Store(path), tell)
     saved = storage.open().state or saved_state.SavedState(EngineState())
+    tell(OPENED)
     engine, current = Engine(state=saved.engine), storage.document.current
     number = _number(current)
     while True:

@@ -1,7 +1,7 @@
 """Clients that mean no good against a running daemon, counted: nonsense, stalling, flooding.
 
 The daemon is a process of its own with a phone in real time on a pseudo-terminal. While it is attacked,
-its samples are counted and the lateness of its event loop is measured from inside (faults_daemon.py).
+its samples are counted and the lateness of its event loop is measured from inside (daemon.py).
 """
 
 from __future__ import annotations

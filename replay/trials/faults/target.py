@@ -1,6 +1,6 @@
 """A daemon for faults to be played on: a process of its own, with a phone in real time, that notes how it is.
 
-What is done to it is faults_socket.py's and faults_fit.py's.
+What is done to it is socket.py's and fit.py's.
 """
 
 from __future__ import annotations
@@ -15,18 +15,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from stillcal.calib_core.arrays import Array
 from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.varlink.address import NAME
 from stillcal.replay.phone import load_phone, load_scenario, simulate
 from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
+from stillcal.replay.trials.faults.waiting import LATE_S, slowest
 from stillcal.replay.trials.faults.wire import Figures
 
 START_S = 60.0
-LATE_S = 0.05
-"""By how much later than asked the loop may wake, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,16 +117,17 @@ async def ask(
 
 
 def lateness(noted: Array, began: float, ended: float, what: str) -> Figures:
-    """Return how late the event loop woke during `what` and before; noted: rows (n, 3) as Notes takes them.
+    """Return how late the event loop woke during `what` and before; noted: rows (n, 4) as Notes takes them.
 
-    Holds where it was never later than LATE_S.
+    Holds where its own share was never more than LATE_S.
     """
     during = (noted[:, 0] >= began) & (noted[:, 0] <= ended)
     counts = {"wake-ups": int(during.sum())}
     for name, part in (("quiet", noted[noted[:, 0] < began]), (what, noted[during])):
-        p99, most = np.quantile(part[:, 1], (0.99, 1.0))
-        counts |= {f"{name} p99, us": round(1e6 * p99), f"{name} max, us": round(1e6 * most)}
-    return Figures(f"the loop's lateness, {what}", counts[f"{what} max, us"] <= 1e6 * LATE_S, counts)
+        found = slowest(part[:, 1], part[:, 1] - part[:, 2])
+        counts |= {f"{name} {key}": us for key, us in found.items()}
+    holds = counts[f"{what} slowest own, us"] <= 1e6 * LATE_S
+    return Figures(f"the loop's lateness, {what}", holds, counts)
 
 
 def _link(path: Path) -> str:

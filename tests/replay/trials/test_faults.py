@@ -6,6 +6,9 @@ asserted here.
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +31,8 @@ from stillcal.replay.trials.faults.fit import calibrating
 from stillcal.replay.trials.faults.kill import example, killed
 from stillcal.replay.trials.faults.live import killed_live
 from stillcal.replay.trials.faults.socket import attacked
+from stillcal.replay.trials.faults.target import lateness
+from stillcal.replay.trials.faults.waiting import withheld_s
 from stillcal.replay.trials.faults.wire import Figures
 from stillcal.replay.trials.week import __main__ as week
 from stillcal.replay.trials.week.clock import Mishap, through_clock
@@ -103,10 +108,41 @@ def test_tables_without_end_keep_nobody_from_an_answer() -> None:
 
 def test_the_command_says_what_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     figures = [Figures("good", True, {"lost_samples": 0}), Figures("bad", False, {"torn stores": 2})]
-    monkeypatch.setattr(faults, "all_faults", lambda **arguments: iter(figures))
-    ran = CliRunner().invoke(faults.main)
+    monkeypatch.setitem(faults.PARTS, "disks", lambda amounts, folder: iter(figures))
+    ran = CliRunner().invoke(faults.main, ["--part", "disks"])
     assert ran.exit_code == 1
-    assert [line.split()[-1] for line in ran.output.splitlines()] == ["holds", "0", "FAILS", "2"]
+    told = [line.split()[-1] for line in ran.output.splitlines() if line[:3] != "---"]
+    assert told[:4] == ["holds", "0", "FAILS", "2"]
+    assert "does not hold: bad;" in ran.output
+    monkeypatch.setitem(faults.PARTS, "disks", lambda amounts, folder: iter(figures[:1]))
+    ran = CliRunner().invoke(faults.main, ["--part", "disks"])
+    assert ran.exit_code == 0 and "all hold" in ran.output
+
+
+def test_what_a_busy_machine_withholds_is_not_the_daemons_lateness(tmp_path: Path) -> None:
+    noted = np.zeros((30, 4))
+    noted[:, 0] = np.arange(30)
+    noted[20, 1:3] = 0.2, 0.19
+    found = lateness(noted, 10.0, 30.0, "attacked")
+    assert found.holds and found.counts["attacked slowest, us"] == 200_000
+    assert found.counts["attacked slowest own, us"] == 10_000
+    noted[25, 1:3] = 0.06, 0.005
+    assert not lateness(noted, 10.0, 30.0, "attacked").holds
+
+
+def test_a_process_without_a_processor_is_known_to_have_waited() -> None:
+    """Two that compute on one processor each wait for about as long as the other runs."""
+    spin = "import os, time\nos.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+    spin += "until = time.monotonic() + 30\nwhile time.monotonic() < until: pass"
+    spinning = [subprocess.Popen([sys.executable, "-c", spin]) for _ in range(2)]
+    try:
+        time.sleep(1.5)
+        waited = [withheld_s(process.pid) for process in spinning]
+    finally:
+        for process in spinning:
+            process.kill()
+            process.wait()
+    assert min(waited) > 0.2 and withheld_s("none") == 0.0
 
 
 def test_a_life_is_accounted_for_and_its_errors_are_the_calibrations() -> None:
