@@ -202,7 +202,9 @@ class Store:
                 return self._replace_damaged(verification)
             if verification.store.document is None:
                 return Outcome(StoreDocument())
-            return self._migrate(verification.store.document, verification.store.schema)
+            if verification.store.schema != SCHEMA:
+                return self._migrate(verification.store.document, verification.store.schema)
+            return self._copied(verification.store.document, verification.last_good)
 
     def save(self, document: StoreDocument) -> None:
         """Replace the store's contents.
@@ -264,11 +266,20 @@ class Store:
             raise store_error(error, self.path, "change") from error
 
     def _migrate(self, document: StoreDocument, schema: int | None) -> Outcome:
-        if schema == SCHEMA:
-            return Outcome(document)
         aside = self._set_aside(self.path, f"schema-{schema}")
         self.save(document)
         note = f"{self.path}: migrated from schema {schema} to {SCHEMA}; original aside as {aside}"
+        return Outcome(document, (note,))
+
+    def _copied(self, document: StoreDocument, last_good: Reading) -> Outcome:
+        """See that an intact store has a good copy; a disk that refuses one now is no reason to stop."""
+        if last_good.document is not None:
+            return Outcome(document)
+        note = f"{self.last_good_path} was {last_good.problem or 'missing'}; written anew from the store"
+        try:
+            write_atomically(self.last_good_path, render(document), self.settings.mode)
+        except OSError as error:
+            note = str(store_error(error, self.last_good_path, "write"))
         return Outcome(document, (note,))
 
     def _replace_damaged(self, verification: Verification) -> Outcome:

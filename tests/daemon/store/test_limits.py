@@ -218,16 +218,6 @@ def test_a_link_in_the_stores_place_is_set_aside_itself(tmp_path):
     assert aside.is_symlink() and other.read_bytes() == TORN
 
 
-def test_a_twin_that_is_damaged_alone_is_no_trouble(path, make_record):
-    with Store(path) as store:
-        store.publish(make_record(1))
-        store.last_good_path.write_bytes(TORN)
-        found = store.verify()
-        assert found.whole and found.last_good.problem is not None
-        assert store.recover().notes == ()
-        assert store.load().current.id == make_record(1).id
-
-
 def test_starting_anew_removes_the_damaged_names(path):
     path.write_bytes(TORN)
     outcome = Store(path).recover()

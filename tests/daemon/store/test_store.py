@@ -153,6 +153,19 @@ def test_a_bad_store_with_no_good_copy_is_set_aside_and_one_starts_anew(store, p
     assert store.load().current.id == make_record(1).id
 
 
+@pytest.mark.parametrize("damage", [b"no better", None], ids=["damaged", "missing"])
+def test_an_intact_store_without_a_good_copy_gets_one_at_once(store, path, make_record, damage):
+    store.publish(make_record(1))
+    store.last_good_path.unlink()
+    if damage is not None:
+        store.last_good_path.write_bytes(damage)
+    assert store.verify().whole
+    (note,) = store.recover().notes
+    assert "written anew from the store" in note
+    assert store.last_good_path.read_bytes() == path.read_bytes()
+    assert store.recover().notes == ()
+
+
 def test_what_is_set_aside_never_overwrites_what_was(store, path, make_record):
     for n in range(3):
         store.publish(make_record(n))
