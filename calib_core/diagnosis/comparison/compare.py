@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     direct_statements,
     named,
     pair_of,
-    quantity_of,
+    quantities_of,
     stamp_quantities,
     why_not_shown,
 )
@@ -435,8 +435,8 @@ def _evidence(finding: Finding) -> float:
 
 
 def _paired(one: Finding, other: Finding) -> list[Difference]:
-    a, b = quantity_of(one), quantity_of(other)
-    return [subtract(a, b)] if a is not None and b is not None and a.value.shape == b.value.shape else []
+    pair = quantities_of(one, other)
+    return [] if pair is None else [subtract(*pair)]
 
 
 def _sole(finding: Finding, gain: float, of_recording: bool, count: int) -> Discrepancy:

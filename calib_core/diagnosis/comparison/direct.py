@@ -130,25 +130,43 @@ def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:
     return same[0] if same else None
 
 
-def quantity_of(finding: Finding) -> Quantity | None:
-    """Return the parameters of a finding as a quantity; None where it has no interval for them."""
-    names = [n for n, p in finding.parameters.items() if _interval(p) is not None]
-    if not names:
+def quantities_of(one: Finding, other: Finding) -> tuple[Quantity, Quantity] | None:
+    """Return two findings' parameters as quantities; None where they have not the same ones with intervals.
+
+    They are logarithms where every number of both is positive: an amplitude of nothing on one axis has none.
+    """
+    names = [_with_interval(finding) for finding in (one, other)]
+    values = [_numbers(f, n) for f, n in zip((one, other), names, strict=True)]
+    if not names[0] or names[0] != names[1] or values[0].shape != values[1].shape:
         return None
-    values = [np.atleast_1d(np.asarray(finding.parameters[n].value, dtype=np.float64)).ravel() for n in names]
+    positive = all(bool((value > 0.0).all()) for value in values)
+    return _quantity(one, names[0], positive), _quantity(other, names[1], positive)
+
+
+def _with_interval(finding: Finding) -> list[str]:
+    return [n for n, p in finding.parameters.items() if _interval(p) is not None]
+
+
+def _numbers(finding: Finding, names: Sequence[str]) -> Array:
+    values = [np.asarray(finding.parameters[n].value, dtype=np.float64).ravel() for n in names]
+    return np.concatenate(values) if values else np.empty(0)
+
+
+def _quantity(finding: Finding, names: Sequence[str], logarithmic: bool) -> Quantity:
+    value = _numbers(finding, names)
     errors = [_interval(finding.parameters[n]) for n in names]
-    value = np.concatenate(values)
     sigma = np.concatenate([e for e in errors if e is not None])
-    positive = bool((value > 0.0).all())
-    parts = tuple(Part(n, finding.parameters[n].unit, v.size) for n, v in zip(names, values, strict=True))
-    size = np.full(value.size, TIMES) if positive else np.maximum(3.0 * np.abs(value), 10.0 * sigma)
-    alike = np.full(value.size, ALIKE) if positive else ALIKE * np.abs(value)
-    if positive:
+    own = finding.parameters
+    parts = tuple(Part(n, own[n].unit, np.size(own[n].value)) for n in names)
+    if logarithmic:
+        size, alike = np.full(value.size, TIMES), np.full(value.size, ALIKE)
         value, sigma = np.log(value), sigma / value
+    else:
+        size, alike = np.maximum(3.0 * np.abs(value), 10.0 * sigma), ALIKE * np.abs(value)
     return Quantity(
         finding.effect, finding.sensor, parts, value, np.diag(sigma**2), size, alike,
         np.arange(value.size) % 3 if value.size % 3 == 0 else np.full(value.size, -1),
-        logarithmic=positive, where=finding.where,
+        logarithmic=logarithmic, where=finding.where,
     )  # fmt: skip
 
 
