@@ -29,6 +29,8 @@ def compiled_reader(size_bytes: int, width: int) -> Reader | None:
     import pyarrow as pa  # noqa: PLC0415 - an extra
     from pyarrow import csv  # noqa: PLC0415 - an extra
 
+    # Blocks are short: Ctrl-C is obeyed between them, and Arrow need not watch for it.
+    pa.enable_signal_handlers(False)
     names = [str(place) for place in range(width)]
     parsing = csv.ParseOptions(quote_char=False, double_quote=False)
 
