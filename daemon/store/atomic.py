@@ -1,7 +1,7 @@
 """Replace a file so that neither a reader nor a crash nor a full disk leaves half of it.
 
-Write a temporary beside the target, fsync it, rename it over the target, fsync the folder. Nothing
-here knows what is written.
+Write a temporary beside the target, fsync it, rename it over the target, fsync the folder. Where a name is a
+link, the target is the file that it leads to. Nothing here knows what is written.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ def write_atomically(path: Path, data: bytes, mode: int = 0o644) -> None:
     error) with the old file intact and the temporary removed, and NotDurableError where only the last
     step, the sync of the folder, failed. A failed fsync is never tried again on the same file: the
     kernel may have dropped the pages and would then report success (fsync(2), errors). A device, a pipe or a
-    socket at `path` is never replaced: OSError.
+    socket at `path` is never replaced: OSError. A link at `path` stays one: its file is replaced.
     """
-    if path.exists() and not (path.is_file() or path.is_dir()):
+    path = led_to(path)
+    if path.is_symlink() or (path.exists() and not (path.is_file() or path.is_dir())):
         raise OSError(errno.EINVAL, "is no regular file and is not replaced", str(path))
     temporary = path.with_name(path.name + ".tmp")
     try:
@@ -45,6 +46,14 @@ def write_atomically(path: Path, data: bytes, mode: int = 0o644) -> None:
         sync_folder(path.parent)
     except OSError as error:
         raise NotDurableError(error.errno, error.strerror, str(path)) from error
+
+
+def led_to(path: Path) -> Path:
+    """Return the file that a name stands for: of a link the file at its end, which need not exist.
+
+    Of links that lead in a circle it is one of these.
+    """
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 def sync_folder(folder: Path) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.store.atomic import led_to, write_atomically
 from stillcal.replay.formats.claims import beside, written_by_stillcal
 from stillcal.replay.formats.conversion.by_name import ENDINGS
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
@@ -81,10 +81,13 @@ def refuse_collisions(writes: Iterable[Path], reads: Iterable[Path]) -> None:
     for path in writes:
         if path == STANDARD_OUTPUT:
             continue
+        if led_to(path).is_symlink():
+            raise click.UsageError(f"{path} cannot be written: it is a link that leads back to itself")
         if path.resolve() in inputs:
             raise click.UsageError(f"{path} is read by this command; choose another file to write")
         if path.resolve() in outputs:
             raise click.UsageError(f"{path} would be written twice; choose two names")
-        if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-            raise click.UsageError(f"{path} cannot be written: {path.parent} is not a writable folder")
+        folder = led_to(path).parent
+        if not (folder.is_dir() and os.access(folder, os.W_OK)):
+            raise click.UsageError(f"{path} cannot be written: {folder} is not a writable folder")
         outputs.add(path.resolve())

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stillcal.calib_core.accelerometer.parameters import AXES
+from stillcal.daemon.store.atomic import led_to
 
 Rows = list[dict[str, Any]]
 
@@ -86,6 +87,7 @@ FINDINGS = pa.schema(
 
 def write(path: Path, rows: Sequence[dict[str, Any]], schema: Any) -> None:
     """Write a table whole or not at all."""
+    path = led_to(path)
     temporary = path.with_name(f".{path.name}.part")
     try:
         pq.write_table(pa.Table.from_pylist(list(rows), schema), temporary, compression="zstd")

@@ -1,6 +1,7 @@
 """The time stamps of one file: their unit, rows out of order, repeats, gaps.
 
-Time must not run backwards: such a recording is refused with the row. Irregularities that are tolerated are
+Time must not run backwards, nor jump by years, as where a log changes from one clock to another: such a
+recording is refused with the row. Irregularities that are tolerated are
 counted and reported in notes.
 """
 
@@ -22,6 +23,9 @@ FASTEST_STEP_S = 5e-4
 
 GAP_S = 1.0
 """s: a step longer than this (and than ten median steps) is counted as a gap."""
+
+TWO_CLOCKS_S = 10 * 365.25 * 86400.0
+"""s: a longer step is no gap but another clock, as from the time since the start to that since 1970."""
 
 REPEATS_ALLOWED = 0.05
 """Share of stamps that may repeat the previous one; with more, the clock is too coarse or has stopped."""
@@ -144,6 +148,10 @@ class Clock:
         gaps = finite & (step > max(GAP_S, 10 * float(np.median(step[finite]))))
         if gaps.any():
             longest = int(np.where(gaps, step, 0).argmax())
+            if step[longest] > TWO_CLOCKS_S:
+                what = f"time jumps ahead by {step[longest]:.6g} s, to {rows.t[longest]:.6f} s: two clocks"
+                remedy = "cut the recording there, or give a column of one clock"
+                raise TraceError(self.path, what, remedy, int(rows.lines[longest]))
             self.tally.gaps += int(gaps.sum())
             if step[longest] > self.tally.longest_gap:
                 self.tally.longest_gap = float(step[longest])

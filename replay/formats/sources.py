@@ -1,12 +1,12 @@
 """Where the bytes of a recording come from: a file, a member of a zip archive, a pipe or standard input.
 
-A pipe is copied into a temporary file first, because a recording is read more than once. Devices, sockets and
-endless input are refused before anything is read from them that could fill memory or disk.
+A pipe is copied into a temporary file first, because a recording is read more than once. Devices, sockets,
+endless input and what is of no known format are refused before they could fill memory or disk.
 """
 
 from __future__ import annotations
 
-import gzip
+import io
 import os
 import select
 import shutil
@@ -18,6 +18,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -30,12 +31,22 @@ HEAD_BYTES = 1 << 16
 MOST_SPOOLED = 8 << 30
 """Bytes copied from a pipe or out of an archive at most: no endless input fills the disk."""
 
+MOST_PACKED, _SMALL = 100, 1 << 26
+"""Bytes that one byte of an archive may unpack to, and how many may come besides. Readings of a sensor have
+noise, and pack ten times at most; gzip packs zeros a thousand times."""
+
 FIRST_WRITER_S = 10.0
 """s: how long a pipe that nobody has opened for writing is waited for."""
 
 GZIP = b"\x1f\x8b"
-_PIECE = 1 << 20
-UNREADABLE = (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile)
+_GZIP_WINDOW = 31
+"""For zlib: the largest window, and a gzip header."""
+
+_PIECE, _CHECKED = 1 << 20, 2 * HEAD_BYTES
+MOST_PADDING = 1 << 20
+"""Zeros that may follow gzip data, as tapes and disks fill their last block: more of them are damage."""
+
+UNREADABLE = (EOFError, zlib.error, zipfile.BadZipFile)
 """What unpacking raises on data that are cut short or damaged."""
 
 
@@ -44,7 +55,7 @@ class Source:
     """Stored bytes. path: what messages call them; size: as stored, in bytes.
 
     local: a file of the same bytes, for libraries that read files only; None for a member of an archive.
-    keep: what must live as long as the bytes do.
+    keep: what must live as long as the bytes do. said: how they were come by, where that is to be told.
     """
 
     path: Path
@@ -52,6 +63,7 @@ class Source:
     opener: Callable[[], BinaryIO]
     local: Path | None = None
     keep: Any = None
+    said: str = ""
 
     def open(self) -> BinaryIO:
         """Open the bytes for reading from their start. Raises TraceError where they cannot be had."""
@@ -82,13 +94,18 @@ class Source:
             return file.read(2) == GZIP
 
 
-def source_of(path: Path | str) -> Source:
+Check = Callable[[Source], object]
+"""Raises TraceError where the first bytes are of nothing that is read."""
+
+
+def source_of(path: Path | str, check: Check = Source.head) -> Source:
     """Return the bytes at `path`; "-" and the name of a pipe are read to their end first.
 
-    Raises TraceError where there is no such file, or it is a folder, a device or a socket.
+    check: is called on the beginning of what a pipe gives, before the rest is waited for. Raises TraceError
+    where there is no such file, or it is a folder, a device or a socket.
     """
     if str(path) == STANDARD_INPUT:
-        return _standard_input()
+        return _standard_input(check)
     path = Path(path)
     try:
         info = path.stat()
@@ -100,22 +117,22 @@ def source_of(path: Path | str) -> Source:
         raise TraceError(path, "is a folder", "name a file in it")
     if stat.S_ISFIFO(info.st_mode):
         try:
-            return _spooled(path, os.open(path, os.O_RDONLY | os.O_NONBLOCK))
+            return _spooled(path, os.open(path, os.O_RDONLY | os.O_NONBLOCK), check)
         except OSError as error:
             raise cannot_open(path, error) from None
     _refuse_special(path, info.st_mode)
     return Source(path, info.st_size, lambda: path.open("rb"), path)
 
 
-def _standard_input() -> Source:
+def _standard_input(check: Check) -> Source:
     path = Path(STANDARD_INPUT_NAME)
     descriptor = sys.stdin.fileno()
     if os.isatty(descriptor):
-        raise TraceError(path, "is a terminal", "pipe a CSV recording into it: stillcal ... - < walk.csv")
+        raise TraceError(path, "is a terminal", "pipe a recording into it: stillcal ... - < walk.csv")
     info = os.fstat(descriptor)
     if not stat.S_ISFIFO(info.st_mode) and not stat.S_ISSOCK(info.st_mode):
         _refuse_special(path, info.st_mode)
-    return _spooled(path, os.dup(descriptor))
+    return _spooled(path, os.dup(descriptor), check)
 
 
 def _refuse_special(path: Path, mode: int) -> None:
@@ -124,15 +141,17 @@ def _refuse_special(path: Path, mode: int) -> None:
         raise TraceError(path, f"{what}, not a recording", "give a file")
 
 
-def _spooled(path: Path, descriptor: int) -> Source:
+def _spooled(path: Path, descriptor: int, check: Check) -> Source:
     """Copy what a pipe gives into a temporary file; closes the descriptor."""
     copy = tempfile.NamedTemporaryFile(prefix="stillcal-")  # noqa: SIM115 - lives as long as the source
-    size, room = 0, _room()
+    size, room, head = 0, _room(), b""
     try:
         while piece := _next_piece(path, descriptor, wait=size == 0):
-            if size == 0 and b"\0" in piece and not piece.startswith(GZIP):
-                raise TraceError(path, "gives no text", "pipe CSV (or gzip of it), or save it as a file")
             size += len(piece)
+            if len(head) < _CHECKED:
+                head += piece
+                if len(head) >= _CHECKED:
+                    check(Source(path, len(head), partial(io.BytesIO, head)))
             if size > room:
                 what = f"gives more than {room / (1 << 30):.2g} GiB"
                 raise TraceError(path, what, "save it as a file first")
@@ -144,7 +163,8 @@ def _spooled(path: Path, descriptor: int) -> Source:
     finally:
         os.close(descriptor)
     stored = Path(copy.name)
-    return Source(path, size, lambda: stored.open("rb"), stored, copy)
+    said = f"copied into a temporary file first ({size / 1e6:.3g} MB)"
+    return Source(path, size, lambda: stored.open("rb"), stored, copy, said)
 
 
 def _room() -> int:
@@ -175,18 +195,61 @@ def unpacked(file: BinaryIO) -> BinaryIO:
     """Return a reader of what `file` holds, unzipped where it is gzip."""
     zipped = file.read(2) == GZIP
     file.seek(0)
-    return gzip.GzipFile(fileobj=file) if zipped else file  # type: ignore[return-value]
+    return io.BufferedReader(_Unzipped(file), _PIECE) if zipped else file
+
+
+class _Unzipped(io.RawIOBase):
+    """Reads what gzip data hold, all members one after another, and checks their sums.
+
+    Python's own reader takes zeros after the data one by one, gigabytes of them in hours. Raises EOFError
+    where the data break off, zlib.error where they are damaged.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        super().__init__()
+        self._file, self._packed = file, b""
+        self._member = zlib.decompressobj(_GZIP_WINDOW)
+
+    def readable(self) -> bool:
+        """Whether it can be read: yes."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill the buffer in part and return how many bytes of it; 0 at the end."""
+        while not self._member.eof or self._begin_next():
+            self._packed = self._packed or self._file.read(_PIECE)
+            if not self._packed:
+                raise EOFError("it ends too early")
+            data = self._member.decompress(self._packed, len(buffer))
+            self._packed = self._member.unused_data or self._member.unconsumed_tail
+            if data:
+                buffer[: len(data)] = data
+                return len(data)
+        return 0
+
+    def _begin_next(self) -> bool:
+        """Begin the next member, after some zeros at most; False where there is none."""
+        zeros = 0
+        while zeros <= MOST_PADDING:
+            rest = self._packed.lstrip(b"\0")
+            zeros += len(self._packed) - len(rest)
+            self._packed = rest or self._file.read(HEAD_BYTES)
+            if rest:
+                self._member = zlib.decompressobj(_GZIP_WINDOW)
+            if rest or not self._packed:
+                return bool(rest)
+        raise zlib.error(f"more than {MOST_PADDING >> 20} MiB of zeros after its end")
 
 
 def unpacked_copy(source: Source) -> Source:
     """Return the source's bytes, unzipped, as a file of their own, for a library that needs one.
 
-    Raises TraceError where the data are damaged or more than MOST_SPOOLED.
+    Raises TraceError where the data are damaged or more than MOST_SPOOLED, or more than any recording packs.
     """
     if source.local is not None and not source.zipped:
         return source
     copy = tempfile.NamedTemporaryFile(prefix="stillcal-")  # noqa: SIM115 - lives as long as the source
-    size, room = 0, _room()
+    size, room = 0, min(_room(), _SMALL + MOST_PACKED * source.size)
     try:
         with source.open() as file:
             stream = unpacked(file)
@@ -194,7 +257,8 @@ def unpacked_copy(source: Source) -> Source:
                 size += len(piece)
                 if size > room:
                     what = f"holds more than {room / (1 << 30):.2g} GiB once unpacked"
-                    raise TraceError(source.path, what, "unpack it and give the file")
+                    packed = f"{source.size:,} bytes packed"
+                    raise TraceError(source.path, f"{what}, from {packed}", "unpack it and give the file")
                 copy.write(piece)
         copy.flush()
     except UNREADABLE as error:

@@ -21,6 +21,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.daemon.store.atomic import led_to
 from stillcal.replay.formats.claims import Claims, Event, beside, event_line
 from stillcal.replay.formats.errors import TraceError
 
@@ -59,7 +60,8 @@ class TraceWriter:
         self._claims = claims
         self._side_files = side_files
         self._events: list[Event] = []
-        self._temporary = self._hidden(self.path)
+        self._target = led_to(self.path)
+        self._temporary = _hidden(self._target)
         self._file: BinaryIO | None = None
         self._stream: BinaryIO | io.BufferedIOBase | None = None
 
@@ -71,7 +73,7 @@ class TraceWriter:
         return ["t", "ax", "ay", "az", *gyroscope, *(name for name, there in optional if there)]
 
     def __enter__(self) -> TraceWriter:
-        if self.path.exists() and not self.path.is_file():
+        if self._target.is_symlink() or (self.path.exists() and not self.path.is_file()):
             remedy = "give a file's name, or '-' for standard output"
             raise TraceError(self.path, "is no regular file and is not replaced", remedy)
         try:
@@ -161,7 +163,7 @@ class TraceWriter:
         self._file.close()
         if self._side_files:
             self._write_side_files()
-        self._temporary.replace(self.path)
+        self._temporary.replace(self._target)
 
     def _write_side_files(self) -> None:
         events = beside(self.path, ".events.jsonl")
@@ -183,10 +185,6 @@ class TraceWriter:
         what = f"cannot be written ({error.strerror or error})"
         return TraceError(self.path, what, "name a file in a folder that exists, can be written and has room")
 
-    @staticmethod
-    def _hidden(path: Path) -> Path:
-        return path.with_name(f".{path.name}.{os.getpid()}.part")
-
 
 class StandardOutputWriter(TraceWriter):
     """Writes a recording as CSV on standard output, without its events and claims, while it is made."""
@@ -202,10 +200,15 @@ class StandardOutputWriter(TraceWriter):
         self._stream = None
 
 
+def _hidden(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.part")
+
+
 def _write_beside(path: Path, data: bytes) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    target = led_to(path)
+    temporary = _hidden(target)
     try:
         temporary.write_bytes(data)
-        temporary.replace(path)
+        temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)

@@ -132,7 +132,9 @@ def ros2_bag(
     storage: StoragePlugin = StoragePlugin.SQLITE3,
     split: bool = False,
     data: np.ndarray = DATA,
+    rate_later_s: float = 0.0,
 ) -> Path:
+    """rate_later_s: by how much the stamps of the rates' own topic are later."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     path = folder / "walk"
     with Writer2(path, version=9, storage_plugin=storage) as writer:
@@ -141,9 +143,35 @@ def ros2_bag(
         for row in data:
             for i, topic in enumerate(topics):
                 which = {"force": i == 0, "rate": i == 1} if split else {}
-                message = store.serialize_cdr(imu_message(store, row, **which), IMU)
+                stamped = row + np.eye(len(row))[0] * rate_later_s * i
+                message = store.serialize_cdr(imu_message(store, stamped, **which), IMU)
                 writer.write(topic, round((1000 + row[0]) * 1e9) + 500, message)
     return path
+
+
+def ros2_file(folder: Path) -> Path:
+    """Return a ROS 2 bag's own file, SQLite."""
+    return next(ros2_bag(folder).glob("*.db3"))
+
+
+def mcap_file(folder: Path) -> Path:
+    return next(ros2_bag(folder, StoragePlugin.MCAP).glob("*.mcap"))
+
+
+def bag_of_texts(folder: Path, storage: StoragePlugin | None) -> Path:
+    """Return a bag that holds no readings; ROS 1 without a kind of storage."""
+    kind = "std_msgs/msg/String"
+    if storage is None:
+        store, path = get_typestore(Stores.ROS1_NOETIC), folder / "chat.bag"
+        with Writer1(path) as one:
+            topic1 = one.add_connection("/chatter", kind, typestore=store)
+            one.write(topic1, 10**9, store.serialize_ros1(store.types[kind](data="hello"), kind))
+        return path
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer2(folder / "chat", version=9, storage_plugin=storage) as two:
+        topic2 = two.add_connection("/chatter", kind, typestore=store)
+        two.write(topic2, 10**9, store.serialize_cdr(store.types[kind](data="hello"), kind))
+    return folder / "chat"
 
 
 def dataflash(imu: str = "IMU", instances: int = 2, data: np.ndarray = DATA) -> bytes:

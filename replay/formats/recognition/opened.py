@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from stillcal.calib_core.streams.samples import Sensor
@@ -55,8 +56,9 @@ def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | No
         if (found / "metadata.yaml").is_file():
             return open_ros_folder(found)
         return _archive(found, members_of_folder(found), column_map)
-    source = source_of(str(path)) if str(path) == STANDARD_INPUT else source_of(found)
-    return _log(source, column_map, gyro)
+    source = source_of(str(path) if str(path) == STANDARD_INPUT else found, magic.kind_of)
+    log = _log(source, column_map, gyro)
+    return replace(log, notes=[f"{source.path.name}: {source.said}", *log.notes]) if source.said else log
 
 
 def is_rest_table(path: Path | str, format: str | Path | None = None) -> bool:

@@ -80,6 +80,29 @@ def test_a_device_or_a_pipe_is_written_into_and_never_replaced(folder: Path, tmp
     assert sorted(p.name for p in tmp_path.iterdir() if not p.name.endswith(".lock")) == ["pipe", "pipe.csv"]
 
 
+def test_a_link_stays_one_and_its_file_is_written(folder: Path, tmp_path: Path) -> None:
+    kept, links = tmp_path / "kept", tmp_path / "links"
+    kept.mkdir()
+    links.mkdir()
+    outputs = {name: kept / f"of-{name}" for name in ("r.csv", "r.json", "p.parquet", "s.json", "d.json")}
+    for name, file in outputs.items():
+        (links / name).symlink_to(file)
+    (links / "loop.csv").symlink_to(links / "loop.csv")
+    for out in ("r.csv", "p.parquet"):
+        assert ran("convert", folder / "short.csv", "--out", links / out, "--quiet").returncode == 0
+    assert ran("replay", "sample:lab", "--store", links / "s.json", "--quiet").returncode == 0
+    assert ran("replay", "sample:lab", "--json", links / "d.json", "--quiet").returncode == 0
+    assert all((links / name).is_symlink() for name in outputs)
+    assert outputs["r.csv"].read_bytes() == (folder / "short.csv").read_bytes()
+    assert outputs["p.parquet"].read_bytes().startswith(b"PAR1")
+    assert json.loads(outputs["s.json"].read_text())["accelerometer"]
+    assert json.loads(outputs["d.json"].read_text())["accelerometer"]
+    refused = ran("convert", "sample:lab", "--out", links / "loop.csv", "--quiet")
+    assert refused.returncode == 2
+    assert len(refused.stderr.splitlines()) == 1
+    assert not [path for path in (*kept.iterdir(), *links.iterdir()) if path.suffix in (".tmp", ".part")]
+
+
 def test_standard_output_takes_one_file_and_is_left_by_its_reader_in_peace(folder: Path) -> None:
     both = ran("diagnose", folder / "short.csv", "--json", "-", "--phone-out", "-")
     assert (both.returncode, both.stdout) == (2, b"")

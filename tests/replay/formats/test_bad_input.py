@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stillcal.replay.formats import sources
 from stillcal.replay.formats.trace import TraceError, read_all
 
 HEADER = "t,ax,ay,az,gx,gy,gz"
@@ -30,6 +31,16 @@ def cell(row: int, column: int, value: str) -> Callable[[list[str]], list[str]]:
         cells = text[row - 1].split(",")
         cells[column] = value
         return [*text[: row - 1], ",".join(cells), *text[row:]]
+
+    return change
+
+
+def later(row: int, seconds: float) -> Callable[[list[str]], list[str]]:
+    """Return a change of clock: the rows from `row` on have stamps later by so much."""
+
+    def change(text: list[str]) -> list[str]:
+        moved = [line.split(",", 1) for line in text[row - 1 :]]
+        return [*text[: row - 1], *(f"{float(t) + seconds!r},{rest}" for t, rest in moved)]
 
     return change
 
@@ -56,6 +67,7 @@ def refused(path: Path, format: str = "csv") -> TraceError:
         (cell(50, 0, ""), 50, "column 't' is empty"),
         (cell(50, 2, ""), 50, "column 'ay' is empty"),
         (cell(50, 0, "0.1"), 50, "time runs backwards by 0.37 s"),
+        (later(60, 1.7e9), 60, "time jumps ahead by 1.7e+09 s, to 1700000000.58"),
         (lambda text: [*text[:60], text[60][:20]], 61, "cells instead of 7"),
         (lambda text: text[:1], 1, "header only"),
         (lambda text: text[:2], None, "one accelerometer sample"),
@@ -75,6 +87,12 @@ def test_each_is_one_line_naming_file_row_and_remedy(
     error = refused(path)
     assert what in error.what
     assert error.row == row
+
+
+def test_a_pause_of_years_on_one_clock_is_a_gap(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join(later(60, 9 * 366 * 86400.0)(lines())))
+    assert any("1 gaps in time" in note for note in read_all(path).notes)
 
 
 def test_the_row_is_found_deep_in_a_file_after_blank_lines(tmp_path: Path) -> None:
@@ -151,6 +169,27 @@ def test_a_damaged_gzip_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "r.csv.gz"
     path.write_bytes(bytes(data))
     assert "gzip" in refused(path).what
+
+
+def test_members_of_a_gzip_file_are_joined_and_some_zeros_after_them_left_out(tmp_path: Path) -> None:
+    whole = "\n".join(lines(3000)).encode()
+    packed = gzip.compress(whole[:70_000]) + gzip.compress(b"") + gzip.compress(whole[70_000:])
+    path = tmp_path / "r.csv.gz"
+    path.write_bytes(packed + bytes(10_000))
+    assert len(read_all(path).accelerometer) == 3000
+    path.write_bytes(packed + bytes(2 << 20))
+    assert "more than 1 MiB of zeros after its end" in refused(path).what
+    path.write_bytes(packed + b"\0\0more")
+    assert "gzip data cut short or damaged" in refused(path).what
+
+
+def test_a_small_gzip_file_that_unpacks_to_gigabytes_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sources, "_SMALL", 1 << 20)
+    path = tmp_path / "r.mat.gz"
+    path.write_bytes(gzip.compress(b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + bytes(1 << 24)))
+    assert "GiB once unpacked, from" in refused(path, "auto").what
 
 
 @pytest.mark.parametrize("line", ["{", '{"t": 1}x', '{"t": "1", "event": "charging", "on": true}', "[]"])

@@ -27,15 +27,18 @@ from tests.support.log_files import (
     DATA,
     IMU,
     axivity,
+    bag_of_texts,
     dataflash,
     dataflash_file,
     hdf5,
     imu_message,
     mat,
+    mcap_file,
     npz,
     parquet_file,
     ros1_bag,
     ros2_bag,
+    ros2_file,
     ulog,
     ulog_fifo,
 )
@@ -173,7 +176,7 @@ def test_a_column_map_says_what_arrays_are(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.accelerometer.xyz, DATA[:, 1:4])
 
 
-@pytest.mark.parametrize("make", [*MAKERS, ros1_bag, dataflash_file])
+@pytest.mark.parametrize("make", [*MAKERS, ros1_bag, ros2_file, mcap_file, dataflash_file])
 @pytest.mark.parametrize("keep", [0.02, 0.5, 0.97])
 def test_what_is_cut_short_is_read_in_part_or_refused_in_one_line(
     tmp_path: Path, make: Callable[[Path], Path], keep: float
@@ -186,7 +189,33 @@ def test_what_is_cut_short_is_read_in_part_or_refused_in_one_line(
     except TraceError as error:
         assert "\n" not in str(error) and str(error).startswith(str(path))
     else:
-        assert make is dataflash_file and len(recording.accelerometer) < 600
+        assert make in (dataflash_file, mcap_file) and len(recording.accelerometer) < 600
+
+
+@pytest.mark.parametrize("make", [*MAKERS, ros1_bag, ros2_file, mcap_file, dataflash_file])
+def test_a_first_byte_that_is_wrong_is_refused_in_one_line(
+    tmp_path: Path, make: Callable[[Path], Path]
+) -> None:
+    path = make(tmp_path)
+    path.write_bytes(b"XXXXXXXXXXXXXXXX" + path.read_bytes()[16:])
+    with pytest.raises(TraceError, match=r"no binary format that is known|zip data cut short") as caught:
+        read_all(path)
+    assert "\n" not in str(caught.value) and str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("storage", [None, *StoragePlugin])
+def test_a_bag_without_the_topic_names_those_it_has(tmp_path: Path, storage: StoragePlugin | None) -> None:
+    path = bag_of_texts(tmp_path, storage)
+    with pytest.raises(TraceError, match=r"no topic of type sensor_msgs/Imu; there are: /chatter \(std_msgs"):
+        read_all(path)
+
+
+def test_topics_on_two_clocks_are_refused(tmp_path: Path) -> None:
+    path = ros2_bag(tmp_path, split=True, rate_later_s=1.7e9)
+    with pytest.raises(
+        TraceError, match=r"does not overlap that of .*two files of one recording on one clock"
+    ):
+        read_all(path)
 
 
 def test_a_missing_library_is_named_with_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,8 @@ import subprocess
 import sys
 import threading
 import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +22,14 @@ from stillcal.replay.formats import sources
 from stillcal.replay.formats.recognition.opened import is_rest_table
 from stillcal.replay.formats.trace import TraceError, open_trace, read_all
 from tests.support.log_files import (
+    DATA,
     as_folder,
     as_zip,
+    dataflash_file,
     gnss_logger,
+    npz,
     phyphox_files,
+    ros1_bag,
     rows,
     sensor_logger_files,
     text,
@@ -129,6 +135,39 @@ def test_standard_input_is_read_and_leaves_no_file(tmp_path: Path) -> None:
         [sys.executable, "-c", code], input=packed, capture_output=True, env=environment, check=True
     )
     assert result.stdout.split(b"\n")[0] == b"400 []"
+
+
+@pytest.mark.parametrize("make", [npz, ros1_bag, dataflash_file])
+def test_a_binary_log_is_read_from_a_pipe(tmp_path: Path, make: Callable[[Path], Path]) -> None:
+    content = make(tmp_path).read_bytes()
+    with piped(content) as path:
+        recording = read_all(path)
+    assert len(recording.accelerometer) == len(DATA)
+    assert f"copied into a temporary file first ({len(content) / 1e6:.3g} MB)" in recording.notes[0]
+
+
+def test_a_pipe_of_nothing_known_is_refused_by_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "_room", lambda: 1 << 20)
+    with piped(bytes(1 << 24)) as path, pytest.raises(TraceError, match="no binary format that is known"):
+        read_all(path)
+
+
+@contextmanager
+def piped(content: bytes) -> Iterator[str]:
+    """Give a pipe's name from which `content` can be read; whoever reads may leave earlier."""
+    reading, writing = os.pipe()
+
+    def write() -> None:
+        with suppress(BrokenPipeError), os.fdopen(writing, "wb") as file:
+            file.write(content)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        yield f"/dev/fd/{reading}"
+    finally:
+        os.close(reading)
+        writer.join()
 
 
 def test_a_named_pipe_is_read_though_its_writer_comes_late(tmp_path: Path) -> None:
