@@ -21,7 +21,7 @@ from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.errors import UserError
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.service.storage import Storage
-from stillcal.daemon.store.store import Store
+from stillcal.daemon.store.store import Store, StoreSettings
 from stillcal.replay.trials.faults.kill import example
 from stillcal.replay.trials.faults.wire import Figures
 
@@ -45,6 +45,9 @@ CALLS = (
 
 MOST = 1000
 """More calls than one save makes."""
+
+SHORT = StoreSettings(history=2)
+"""As many calls as with a long history, sooner."""
 
 
 @dataclass(slots=True)
@@ -137,7 +140,7 @@ async def _surviving(error: int, folder: Path) -> Figures:
     for number in range(1, MOST):
         newest = replace(record, fitted_at=float(number))
         data = saved_state.encode(saved_state.SavedState(EngineState(record=newest)))
-        storage = Storage(Store(path), lambda note: None)
+        storage = Storage(Store(path, SHORT), lambda note: None)
         acknowledged = False
         with failing_call(number, error) as calls:
             try:
@@ -152,7 +155,7 @@ async def _surviving(error: int, folder: Path) -> Figures:
         known = number if acknowledged else known
         counts["calls that failed"] += calls.failed
         counts["lost calibrations"] += _number(path) < known
-        again = Storage(Store(path), lambda note: None)
+        again = Storage(Store(path, SHORT), lambda note: None)
         again.open()
         again.enqueue(Publish(float(number), newest, "newer"))
         if await again.save(data):
