@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,6 +47,10 @@ LEAST_SAMPLES = 200
 LEAST_SECONDS = 10.0
 CLEAR = 4.0
 """Standard deviations of the noise that a mean must be below a limit."""
+
+MEASURED, SEARCHED = 0.15, 0.9
+"""Share of the work that is done once single samples are judged, and once slow effects are searched for; on
+recordings of five minutes to two hours these took 5 to 17 % and 90 to 97 % of the time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,13 +118,14 @@ def examine(
     covariates: Mapping[str, Course] | None = None,
     search: bool = True,
     overview: Overview | None = None,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> Examination:
     """Measure a recording and find its effects; parameters and errors are those of `diagnose`.
 
     covariates: further logged columns by name, which a bias may follow. search: whether slow effects are
     searched for, which takes most of the time; a simulation that was made with known ones needs only to be
     measured. overview: every second of the recording, where the samples are only some of it; None where they
-    are all.
+    are all. progress: is called with the share of the work that is done.
     """
     _refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()
@@ -141,7 +146,10 @@ def examine(
     residuals = scenes(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
     stated = [Stated(f) for f in direct]
     searched = [r for r in residuals if search and not _is_of(spoiled, r.sensor)]
-    stated += [s for scene in searched for s in slow_statements(scene, without)]
+    progress(MEASURED)
+    for done, scene in enumerate(searched, 1):
+        stated += slow_statements(scene, without)
+        progress(MEASURED + (SEARCHED - MEASURED) * done / len(searched))
     affine, turns = None, None
     if gyroscope is not None:
         most = min(_limits_of("gyro_saturation", direct), default=np.inf)

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
-from rich.console import Console
 
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.errors import NotSupported
 from stillcal.daemon.cli.exits import TOO_LITTLE, VERDICT
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
+from stillcal.daemon.cli.progress import stages
 from stillcal.daemon.store.document import pretty
 from stillcal.replay.commands.command_line import command_line
 from stillcal.replay.commands.fix_for import Correction
@@ -30,6 +29,7 @@ from stillcal.replay.commands.outputs import (
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.diagnosis.condense import read_condensed
 from stillcal.replay.diagnosis.diagnose import Request, diagnose
+from stillcal.replay.diagnosis.judged import ShowStage
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.residuals import residuals_csv
@@ -182,7 +182,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     _check(asked)
     correction = _correction(asked)
     try:
-        with _stages(quiet) as show_stage:
+        with stages(quiet) as show_stage:
             outputs = _table(asked) if reading.is_rest_table(trace) else _diagnosed(asked, show_stage)
     except NotSupported as refusal:
         # Of two recordings the refusal itself names the one that is too short.
@@ -297,22 +297,20 @@ def _table(asked: _Asked) -> _Outputs:
     return _Outputs(diagnose_rests(asked.reading.rests(asked.trace), asked.trace.name))
 
 
-def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> _Outputs:
-    show_stage(f"reading {asked.trace.name}")
+def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
     whole = asked.paired or bool(asked.witnesses)
-    recording = _read(asked.reading, asked.trace, whole=whole)
+    recording = _read(asked.reading, asked.trace, show_stage, whole=whole)
     if asked.covariates:
         recording = replace(recording, covariates=read_covariates(asked.trace, asked.covariates))
     simulated = None
     if asked.simulated is not None:
-        show_stage(f"reading {asked.simulated.name}")
-        simulated = _read(asked.simulated_reading, asked.simulated, whole=whole)
+        simulated = _read(asked.simulated_reading, asked.simulated, show_stage, whole=whole)
     witnesses = tuple(_witness(path, sensor, show_stage) for path, sensor in asked.witnesses)
     phone = None if asked.phone is None else _loaded(asked.phone)
     name = "" if asked.phone is None else Path(asked.phone).name
     request = Request(simulated, phone, name, asked.phone_out is not None, asked.paired, witnesses)
     outcome = diagnose(recording, request, show_stage)
-    show_stage("writing")
+    show_stage("writing", 0.0)
     made = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC: {command_line()}"
     text = page(outcome.judged, made) if asked.report is not None else None
     notes = [*recording.notes, *(simulated.notes if simulated is not None else ())]
@@ -320,14 +318,18 @@ def _diagnosed(asked: _Asked, show_stage: Callable[[str], None]) -> _Outputs:
     return _Outputs(outcome.judged.answer, text, outcome.phone_text, notes, left)
 
 
-def _read(reading: Reading, path: Path, *, whole: bool) -> Recording:
+def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -> Recording:
     """Read a recording, of a long one only what is needed unless it is wanted `whole`."""
-    return reading.read(path) if whole else read_condensed(reading.open(path), path)
+    stage = f"reading {path.name}"
+    show_stage(stage, 0.0)
+    if whole:
+        return reading.read(path)
+    return read_condensed(reading.open(path), path, lambda done: show_stage(stage, done))
 
 
-def _witness(path: Path, sensor: str | None, show_stage: Callable[[str], None]) -> Recording:
+def _witness(path: Path, sensor: str | None, show_stage: ShowStage) -> Recording:
     name = path.name if sensor is None else f"{path.name}, sensor {sensor}"
-    show_stage(f"reading {name}")
+    show_stage(f"reading {name}", 0.0)
     return replace(Reading(sensor=sensor).read(path), name=name)
 
 
@@ -336,16 +338,6 @@ def _loaded(name: str) -> Phone:
         return load_phone(name)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-
-
-@contextmanager
-def _stages(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Give a function that shows the present stage on standard error."""
-    if quiet:
-        yield lambda stage: None
-        return
-    with Console(stderr=True).status("reading") as status:
-        yield status.update
 
 
 def _write(outputs: _Outputs, asked: _Asked) -> None:

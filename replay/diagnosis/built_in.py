@@ -35,7 +35,7 @@ def judge_built_in(
     """
     names = (name or recording.name, BUILT_IN)
     recorded = examined(recording, show_stage, without=without)
-    show_stage("comparing")
+    show_stage("comparing", 0.0)
     before = compare_with_ideal(recorded)
     case = case_of(recording, recorded, before)
     fit, after, corrected = Fit.of(before, before), None, None
@@ -57,7 +57,7 @@ def _played(
     """Play the phone with the effects found and compare it; nothing is played where nothing is at rest."""
     if not len(case.bins):
         return Fit.of(before, None, case.not_in_phone()), None, None
-    show_stage("simulating the recording's motion with the effects found")
+    show_stage("simulating the recording's motion with the effects found", 0.0)
     corrected = named(case.played(case.phone()), f"{BUILT_IN}, corrected")
     left_out = case.not_in_phone()
     if case.recording.covariates:

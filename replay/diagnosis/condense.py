@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -119,10 +120,10 @@ def _part(samples: Samples, rows: Flags) -> Samples:
     )
 
 
-def read_condensed(trace: Trace, path: Path) -> Recording:
+def read_condensed(trace: Trace, path: Path, progress: Callable[[float], None] | None = None) -> Recording:
     """Read a recording for its diagnosis; a long one is never held whole. Errors: those of Trace.chunks.
 
-    path: as it was asked for; the recording is called so.
+    path: as it was asked for; the recording is called so. progress: is called with the share that is read.
     """
     name = trace.path.name if str(path) == STANDARD_INPUT else path.name
     condenser = Condenser()
@@ -130,6 +131,8 @@ def read_condensed(trace: Trace, path: Path) -> Recording:
     for chunk in trace.chunks(BLOCK):
         condenser.add(chunk.accelerometer, chunk.gyroscope)
         events += chunk.events
+        if progress is not None:
+            progress(trace.bytes_read / max(trace.size_bytes, 1))
     none = Samples.empty(Sensor.ACCELEROMETER)
     gyroscope = Samples.empty(Sensor.GYROSCOPE) if trace.has_gyroscope else None
     return condenser.recording(Recording(none, gyroscope, events, trace.claims, trace.notes, name))

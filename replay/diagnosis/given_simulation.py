@@ -43,7 +43,7 @@ def judge_examined(
     """
     names = (recording.name, simulation.name)
     simulated = examined(simulation, show_stage)
-    show_stage("comparing")
+    show_stage("comparing", 0.0)
     before = compare(recorded, simulated, names)
     stated = findings_stated([s.finding for s in recorded.statements], "recorded")
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")

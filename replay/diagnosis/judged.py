@@ -18,11 +18,11 @@ from stillcal.replay.diagnosis.condense import overview_of
 from stillcal.replay.diagnosis.phone.case import Case
 from stillcal.replay.formats.trace import Recording
 
-ShowStage = Callable[[str], None]
-"""Is called with the name of each stage as it begins."""
+ShowStage = Callable[[str, float], None]
+"""Is called with the name of the present stage and how much of it is done, 0 to 1."""
 
 
-def silent(_stage: str) -> None:
+def silent(_stage: str, _done: float) -> None:
     """Show no stage."""
 
 
@@ -58,7 +58,8 @@ def examined(
 
     Raises NotSupported, with the recording's name, on too little data.
     """
-    show_stage(f"examining {name or recording.name or 'the recording'}")
+    stage = f"examining {name or recording.name or 'the recording'}"
+    show_stage(stage, 0.0)
     try:
         return examine(
             recording.accelerometer,
@@ -69,6 +70,7 @@ def examined(
             covariates=recording.covariates,
             search=search,
             overview=overview_of(recording),
+            progress=lambda done: show_stage(stage, done),
         )
     except NotSupported as refusal:
         where = f"{recording.name}: " if recording.name else ""

@@ -82,7 +82,7 @@ def _judged(
     witnessed: bool = False,
     show_stage: ShowStage,
 ) -> Judged:
-    show_stage("comparing the readings of one motion")
+    show_stage("comparing the readings of one motion", 0.0)
     true = mean_readings(recording, others)
     mismatch = MISMATCH if witnessed else 0.0
     bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), mismatch)

@@ -33,7 +33,7 @@ def judge_phone(
     case = case_of(recording, recorded, compare_with_ideal(recorded))
 
     def played(one: Phone) -> Recording:
-        show_stage(f"simulating {phone_name} with the recording's motion")
+        show_stage(f"simulating {phone_name} with the recording's motion", 0.0)
         conditions = replace(case.conditions, reference_c=one.heat.reference_c)
         simulation = named(case.played(one, conditions), phone_name)
         # Its stamps are those of its own rate, whatever the recording's maker says of the recording's.

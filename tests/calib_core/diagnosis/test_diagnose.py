@@ -8,7 +8,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.sensitivity import sought
-from stillcal.calib_core.diagnosis.diagnose import diagnose, examine
+from stillcal.calib_core.diagnosis.diagnose import MEASURED, SEARCHED, diagnose, examine
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -76,8 +76,10 @@ def test_too_little_is_refused_and_no_gyroscope_is_said() -> None:
         diagnose(samples[:100], None)
     with pytest.raises(NotSupported, match="at least 10 s"):
         diagnose(samples[:400], None)
-    exam = examine(samples, None)
+    done: list[float] = []
+    exam = examine(samples, None, progress=done.append)
     assert exam.statements == []
+    assert done == [MEASURED, SEARCHED]
     reasons = {(c.effect, c.sensor): c.reason for c in checks_of(exam, sought(exam))}
     assert reasons["gyro_bias_drift", "gyro"] == "no gyroscope"
     assert reasons["accel_bias_drift", "accel"] is None

@@ -80,6 +80,23 @@ def test_a_device_or_a_pipe_is_written_into_and_never_replaced(folder: Path, tmp
     assert sorted(p.name for p in tmp_path.iterdir() if not p.name.endswith(".lock")) == ["pipe", "pipe.csv"]
 
 
+def test_stages_are_shown_on_a_terminal_with_their_share_and_nowhere_else() -> None:
+    code = (
+        "import time; from stillcal.daemon.cli.progress import stages\n"
+        "with stages(False) as show: show('examining walk.csv', 0.37); time.sleep(0.3)"
+    )
+    ours, theirs = os.openpty()
+    environment = os.environ | {"TERM": "xterm", "COLUMNS": "120"}
+    subprocess.run([sys.executable, "-c", code], stderr=theirs, env=environment, check=True)
+    shown = os.read(ours, 1 << 16)
+    os.close(theirs)
+    os.close(ours)
+    assert b"examining walk.csv" in shown
+    assert b" 37%" in shown
+    piped = subprocess.run([sys.executable, "-c", code], capture_output=True, env=environment, check=True)
+    assert piped.stderr.strip() == b""
+
+
 def test_a_link_stays_one_and_its_file_is_written(folder: Path, tmp_path: Path) -> None:
     kept, links = tmp_path / "kept", tmp_path / "links"
     kept.mkdir()
