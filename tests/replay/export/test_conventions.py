@@ -262,3 +262,22 @@ def test_openvins_own_parser_reads_kalibr_s_file(tmp_path: Path) -> None:
     for key in ("Ta", "Tw", "Tg", "R_IMUtoACC", "R_IMUtoGYRO", "T_i_b"):
         rows = [[node.getNode(key).at(r).at(c).real() for c in range(3)] for r in range(3)]
         np.testing.assert_array_equal(rows, np.array(chain[key])[:3, :3])
+
+
+def test_what_is_written_for_gazebo_is_sdf_by_its_schema() -> None:
+    """The schema is of our own writing, from SDFormat's published descriptions (its head names them)."""
+    xmlschema = pytest.importorskip("xmlschema", reason="needs xmlschema (extra dev)")
+    schema = xmlschema.XMLSchema(str(Path(__file__).parents[2] / "support" / "sdf_imu.xsd"))
+    whole = written("gazebo", noisy())
+    for text in (whole, written("gazebo", random_imu(3))):
+        assert [str(error) for error in schema.iter_errors(text)] == []
+    for right, wrong in (
+        ("<stddev>0.0", "<stddev>-0.1"),
+        ("stddev>", "std_dev>"),
+        ("'gaussian'", "'normal'"),
+        ("<mean>-0.2</mean>", "<mean>-0.2</mean><mean>0.2</mean>"),
+        ("<mean>-0.2", "<mean>-0,2"),
+        ("type='imu'", ""),
+    ):
+        assert right in whole
+        assert not schema.is_valid(whole.replace(right, wrong)), (right, wrong)
