@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -31,16 +32,38 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names) or tuple(studies.STUDIES)
 
 
+FOLDERS = ("hhar", "hhar_still", "imu_tk", "mikoff", "sunsided", "ucihar")
+"""Folders of real recordings that studies read."""
+
+REMEDY = (
+    "docs/data.md lists the recordings and where they come from; without --data (and STILLCAL_DATA) the"
+    " claims that need them are not tested"
+)
+
+
+@contextmanager
+def _recordings(data: Path | None) -> Iterator[None]:
+    """Say what to do where the folder of recordings holds none, or not one that a study reads."""
+    if data is not None and not any((data / name).is_dir() for name in FOLDERS):
+        raise click.UsageError(f"--data {data}: none of {', '.join(FOLDERS)} is there; {REMEDY}")
+    try:
+        yield
+    except FileNotFoundError as error:
+        if data is None or not str(error.filename).startswith(str(data)):
+            raise
+        raise click.UsageError(f"{error.filename} is missing; {REMEDY}") from error
+
+
 def run(names: Sequence[str], out: Path, data: Path | None, seed: int, quiet: bool, *, jobs: int = 1) -> None:
     """Run studies and write the page and its figures into `out`. data: the folder of real recordings.
 
-    jobs: number of processes; a study is run by one of them. Raises UsageError where what an earlier study
-    left there is damaged.
+    jobs: number of processes; a study is run by one of them. Raises UsageError where a recording is missing,
+    or what an earlier study left there is damaged.
     """
     folder = out / page.FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
     begin, used = time.monotonic(), 0.0
-    with progress("evaluating", float(len(names)), quiet) as step:
+    with _recordings(data), progress("evaluating", float(len(names)), quiet) as step:
+        folder.mkdir(parents=True, exist_ok=True)
         results = (
             _each(names, data, folder, seed, step) if jobs == 1 else _pooled(names, data, folder, seed, jobs)
         )

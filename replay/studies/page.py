@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 from string import ascii_uppercase
+from typing import NamedTuple
 
 import msgspec
 
@@ -23,52 +24,49 @@ PAPERS = {
     "Stisen 2015": "A. Stisen et al., *Smart Devices are Different*, SenSys 2015",
 }
 
+
+class Headline(NamedTuple):
+    """A row of the summary. begins: how the claim begins; words: what the summary calls it, in brief."""
+
+    begins: str
+    words: str
+
+
 SUMMARY = {
     "Grammenos 2018": (
-        "the gyroscope's bias can be disregarded",
-        "what is accepted is a stationary state",
-        "a significant degradation is detected",
-        "calibration lowers the MSE to the aggregate: walk",
-        "gain by the method: stairs up against walk",
-        "gain by the method: stairs down against stairs up",
-        "the method gains more than the Kalman filter",
-        "residual of E, accelerometer",
-        "g from latitude and height",
-        "a Kalman filter takes 2.5 times as much or more: full matrices",
-        "a Kalman filter takes 2.5 times as much or more: its gain fixed",
-        "overhead on an app",
-        "first calibration within one day",
-        "fewer than 10 positions",
+        Headline("calibration lowers the MSE to the aggregate: walk", "traces more alike, walk: MSE"),
+        Headline("calibration lowers the MSE to the aggregate: stairs up", "the same, stairs up"),
+        Headline("calibration lowers the MSE to the aggregate: stairs down", "the same, stairs down"),
+        Headline("gain by the method: stairs up against walk", "gain in accuracy, stairs up or walk"),
+        Headline("gain by the method: stairs down against stairs up", "the same, stairs down or up"),
+        Headline("overhead on an app", "overhead on an app"),
+        Headline("a Kalman filter takes 2.5 times as much or more: full", "a Kalman filter's cost"),
+        Headline("a Kalman filter takes 2.5 times as much or more: its gain", "the same, its gain fixed"),
+        Headline("first calibration within one day", "first calibration within a day"),
+        Headline("fewer than 10 positions", "fewer than 10 positions are needed"),
     ),
     "ESGI'95": (
-        "dataset 1, positions 1-20: parameters",
-        "largest error by non-orthogonality",
-        "non-orthogonality is very serious",
-        "standard deviations are well below",
-        "dataset 3, 3-23: two like positions",
+        Headline("dataset 1, positions 1-20: parameters", "parameters of the fit, dataset 1"),
+        Headline("dataset 1, positions 1-20: maximum", "its largest error, %"),
+        Headline("largest error by non-orthogonality", "non-orthogonality: largest error, m/s²"),
+        Headline("non-orthogonality is very serious", "non-orthogonality is very serious"),
     ),
     "Collin 2019": (
-        "white noise falls",
-        "consumer sensors cannot navigate",
-        "consumer, 25 deg/h: time to 2 %",
-        "1 % of accelerometer scale, length from variance",
-        "mpu6050: the bias",
-        "Bayes, all features, real people",
+        Headline("white noise falls", "Allan deviation of white noise"),
+        Headline("consumer sensors cannot navigate", "consumer sensors navigate alone"),
+        Headline("consumer, 25 deg/h: time to 2 %", "dead reckoning: time to 2 % of error"),
+        Headline("1 % of accelerometer scale, length from variance", "1 % of scale: step length by variance"),
+        Headline("six activities, real people", "motion modes misclassified"),
     ),
     "Stisen 2015": (
-        "range of mean deviations",
-        "biases differ within a model",
-        "arrival scatters more",
-        "affinity propagation",
-        "frequency features suffer",
-        "ECDF features are the ones",
-        "training within the cluster",
-        "average F1: one device of a known model",
-        "the accelerometer scores slightly",
-        "interpolation, SVM on frequency",
+        Headline("range of mean deviations", "devices at rest: deviation from g"),
+        Headline("frequency features suffer", "frequency features suffer by far the most"),
+        Headline("ECDF features are the ones", "ECDF features are the ones to take"),
+        Headline("training within the cluster", "training within a cluster of devices"),
+        Headline("interpolation, SVM on frequency", "interpolation on an unknown model, F1"),
     ),
 }
-"""How the claims of the summary begin, by paper: the main results, whatever came out."""
+"""The rows of the summary, by paper: what its abstract and conclusions claim or rest on."""
 
 _HEAD = """# What the papers claim, and what comes out here
 
@@ -97,6 +95,10 @@ tested here. Of the {differ} figures that differ, {found} have a cause that a ru
 - *The paper's own numbers*: figures that the paper prints, used as data.
 
 ## Summary by paper
+
+The claims of each paper's abstract and conclusions and the results that these rest on, where they can be
+tested here; of the chapter (Collin 2019), which concludes from no results of its own, one or two of each
+part. Rows were chosen by what the papers say, not by what came out.
 
 {summary}
 
@@ -255,20 +257,14 @@ def tally(claims: list[Claim]) -> str:
     return table(("evidence", *papers, "all"), [*rows, total])
 
 
-def in_words(claims: list[Claim]) -> str:
-    """Return the tally as a sentence, for other pages."""
-
-    def share(*kinds: Evidence) -> tuple[int, int]:
-        own = [c for c in claims if c.evidence in kinds and c.verdict is not Verdict.OPEN]
-        return sum(c.verdict is Verdict.REPRODUCED for c in own), len(own)
-
-    real, semi, simulated = map(share, (Evidence.REAL, Evidence.SEMI_SYNTHETIC, Evidence.SIMULATION))
-    rest = share(Evidence.THEORY, Evidence.ARITHMETIC, Evidence.PRINTED)
-    return (
-        f"{real[0]} of {real[1]} claims tested on real recordings came out as published, {semi[0]} of"
-        f" {semi[1]} on semi-synthetic ones, {simulated[0]} of {simulated[1]} in simulation, {rest[0]} of"
-        f" {rest[1]} by theory, arithmetic or the papers' own numbers."
-    )
+def by_kind(claims: list[Claim]) -> str:
+    """Count the claims that could be tested by kind of evidence alone, for other pages."""
+    rows = []
+    for kind in Evidence:
+        own = [c for c in claims if c.evidence is kind and c.verdict is not Verdict.UNTESTED]
+        if own:
+            rows.append((str(kind), *_cell(own).split(" / ")))
+    return table(("evidence", "as published", "differs", "left open by the paper"), rows)
 
 
 def _has(source: str, claims: list[Claim]) -> bool:
@@ -282,25 +278,29 @@ def _cell(claims: list[Claim]) -> str:
     return " / ".join(map(str, number)) if claims else "-"
 
 
-def headlines(claims: list[Claim]) -> list[Claim]:
-    """Return the claims of the summary, in its order: those that begin as SUMMARY says."""
+def headlines(claims: list[Claim]) -> list[tuple[Headline, Claim]]:
+    """Return the rows of the summary with their claims, in its order."""
     return [
-        c
-        for source, beginnings in SUMMARY.items()
-        for beginning in beginnings
+        (headline, c)
+        for source, rows in SUMMARY.items()
+        for headline in rows
         for c in claims
-        if c.source == source and c.claim.startswith(beginning)
+        if c.source == source and c.claim.startswith(headline.begins)
     ]
 
 
 def _summary(studies: list[Study]) -> str:
-    """Return one table with the headline claims of each paper, each with a link to its study."""
+    """Return one table with the headline claims by paper, each with a link to its study."""
     found = {claim: study for study in studies for claim in study.claims}
-    rows = [
-        (c.source, f"[{c.claim}](#{_anchor(found[c].title)})", _verdict(c), str(c.evidence))
-        for c in headlines(list(found))
-    ]
-    return table(("paper", "claim", "verdict", "evidence"), rows)
+    rows: list[tuple[str, ...]] = []
+    source = ""
+    for row, c in headlines(list(found)):
+        if c.source != source:
+            source = c.source
+            rows.append((f"**{source}**", "", "", "", ""))
+        link = f"[{row.words}](#{_anchor(found[c].title)})"
+        rows.append((link, c.paper, c.ours, _verdict(c), str(c.evidence)))
+    return table(("claim", "the paper", "ours", "verdict", "evidence"), rows)
 
 
 def _details(source: str, studies: list[Study]) -> str:

@@ -41,7 +41,7 @@ STUDIES: dict[str, str] = {
     "washing-machine": "stillcal.replay.studies.stisen2015.washing_machine:study",
     "clusters": "stillcal.replay.studies.stisen2015.clusters:study",
     "still-devices": "stillcal.replay.studies.stisen2015.rests:study",
-    "heterogeneity": "stillcal.replay.studies.stisen2015.families:study",
+    "heterogeneity": "stillcal.replay.studies.stisen2015.heterogeneity:study",
     "modes": "stillcal.replay.studies.stisen2015.modes:study",
     "gyroscope": "stillcal.replay.studies.stisen2015.gyroscope:study",
     "remedies": "stillcal.replay.studies.stisen2015.remedies:study",

@@ -22,6 +22,8 @@ NAMES = ("N", "B", "K")
 TRUTH = (0.025, 0.0025, 1e-4)
 """N, B, K of the records, such as a consumer gyroscope has in deg/s: a floor that three noises share."""
 RATE, HOURS, RECORDS = 10.0, 4.0, 40
+FEW = 10.0
+"""Degrees of freedom below which a point of a curve says little."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,12 +84,11 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     records = f"{RECORDS} simulated records of {HOURS:.0f} h, 3 axes, {RATE:.0f} Hz"
     claims = (
         *_slope_claims(seed),
-        _library_claim(seed),
-        _band_claim(found, records),
         *_fit_claims(found, records),
     )
+    text = _text(found, records, file, _library(seed))
     progress(1.0)
-    return Study("allan", "Allan deviation", claims, _text(found, records, file), (file,), seed)
+    return Study("allan", "Allan deviation", claims, text, (file,), seed)
 
 
 def _slope_claims(seed: int) -> list[Claim]:
@@ -124,32 +125,12 @@ def _slope_claim(
     )
 
 
-def _library_claim(seed: int) -> Claim:
-    claim, where = "overlapping Allan deviation as allantools has it", "2.1.2, Eq. 1"
+def _library(seed: int) -> str:
+    """Say how far a curve is from allantools'."""
     if importlib.util.find_spec("allantools") is None:
-        return Claim(
-            WORK,
-            where,
-            claim,
-            "equal",
-            "-",
-            "-",
-            Verdict.UNTESTED,
-            "allantools is not installed",
-            evidence=Evidence.NONE,
-        )
+        return "allantools is not installed here."
     worst = library_difference(record(TRUTH, 7200.0, RATE, seed)[:, 0])
-    return Claim(
-        WORK,
-        where,
-        claim,
-        "equal",
-        f"within {worst:.0e} of it",
-        "one simulated record of 2 h",
-        holds(worst <= 1e-9),
-        "1e-9: both sum the same squares, in another order",
-        evidence=Evidence.ARITHMETIC,
-    )
+    return f"The overlapping Allan deviation is that of allantools to {worst:.0e} of it (one record of 2 h)."
 
 
 def library_difference(values: Array) -> float:
@@ -161,20 +142,6 @@ def library_difference(values: Array) -> float:
     if theirs[1].shape != curve.deviation.shape:
         return float("inf")
     return float(np.abs(theirs[1] / curve.deviation - 1.0).max())
-
-
-def _band_claim(found: Recovered, data: str) -> Claim:
-    return Claim(
-        WORK,
-        "2.1.2",
-        "68 % confidence bands hold the mean curve",
-        "68.3 % of points",
-        f"{found.held:.1%}",
-        data,
-        holds(abs(found.held - 0.6827) <= 0.05),
-        "within 5 %: their degrees of freedom are approximate",
-        evidence=Evidence.SIMULATION,
-    )
 
 
 def _fit_claims(found: Recovered, data: str) -> list[Claim]:
@@ -203,7 +170,7 @@ def rms_error(ratios: Array) -> float:
     return float(np.sqrt(np.mean((ratios - 1.0) ** 2)))
 
 
-def _text(found: Recovered, data: str, file: str) -> str:
+def _text(found: Recovered, data: str, file: str, library: str) -> str:
     rows = []
     for axis, name in enumerate(NAMES):
         for way, ratios in (("fitted", found.fitted[:, axis]), ("read off", found.read[:, axis])):
@@ -214,14 +181,21 @@ def _text(found: Recovered, data: str, file: str) -> str:
     within = np.abs(np.log(found.fitted)) <= 1.96 * found.errors
     covered = ", ".join(f"{name} {share:.0%}" for name, share in zip(NAMES, within.mean(axis=0), strict=True))
     head = ("", "true", "way", "5 %", "median", "95 %", "rms error")
-    return (
-        f"N, B and K of {data}; the floor is shared by three noises, as is common in phones, so that"
-        " the\ncurve's least value is not the flicker's alone and no stretch of it has any one slope. The fit"
-        " is\nright on average. K is what a record of this length shows least: in"
-        f" {np.mean(found.fitted[:, 2] < 0.2):.0%} of the records\nthe fit finds next to none of it, and says"
-        f" so by an open interval; a reading always finds\nsome, and too much.\n\n{table(head, rows)}\n\nThe"
-        f" fit's 95 % intervals hold the truth for {covered} of the records.\n\n"
-        + picture(file, "An Allan deviation with its band, and N, B, K over truth by both ways")
+    return "\n\n".join(
+        [
+            f"N, B and K of {data}; the floor is shared by three noises, as is common in phones, so that the"
+            " curve's least value is not the flicker's alone and no stretch of it has any one slope. The fit"
+            " is right on average. K is what a record of this length shows least: in"
+            f" {np.mean(found.fitted[:, 2] < 0.2):.0%} of the records the fit finds next to none of it, and"
+            " says so by an open interval; a reading always finds some, and too much.",
+            table(head, rows),
+            f"The fit's 95 % intervals hold the truth for {covered} of the records. In the figure the fit"
+            f" leaves the last points: they are of few bins (shaded: under {FEW:.0f} degrees of freedom),"
+            " weigh little, and lie below the truth more often than above it.",
+            f"Our own checks, of which the paper says nothing: {library} The 68 % bands hold the mean curve"
+            f" at {found.held:.1%} of points.",
+            picture(file, "An Allan deviation with its band, and N, B, K over truth by both ways"),
+        ]
     )
 
 
@@ -239,7 +213,9 @@ def _draw(found: Recovered, figures: Path) -> str:
         left.annotate(name, (curve.tau[-1 if name == "K" else 0], alone[-1 if name == "K" else 0]))
     left.plot([], [], ":", color=drawing.GREY, label="true parts")
     left.set(xlabel="averaging time, s", ylabel="Allan deviation, deg/s", ylim=(curve.low.min() / 4, None))
-    left.legend()
+    few = curve.tau[curve.edf < FEW]
+    left.axvspan(few[0], few[-1], color="0.92", zorder=0, label="few bins, little weight")
+    left.legend(fontsize="small")
     places = np.arange(3)
     for shift, colour, values, label in (
         (-0.17, drawing.RED, found.fitted, "fitted"),

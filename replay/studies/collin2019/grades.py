@@ -104,7 +104,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
             )
         )
         progress((number + 1) / (len(GRADES) + 1))
-    claims = (*_real_claims(data), _gap_claim())
+    claims = tuple(_real_claims(data))
     head = (
         "grade",
         "accelerometer noise, ug/sqrt(Hz)",
@@ -183,21 +183,6 @@ def _real_claims(data: Path | None) -> list[Claim]:
             )
         )
     return claims
-
-
-def _gap_claim() -> Claim:
-    decades = [math.log10(row[2] / row[0]) for name, row in TABLE1.items() if "misalignment" not in name]
-    return Claim(
-        WORK,
-        "2.2",
-        "the gap between consumer and navigation grades is many decades",
-        "many decades",
-        f"{min(decades):.1f} to {max(decades):.1f} decades",
-        "Table 1",
-        holds(max(decades) >= 3.0),
-        "at least three decades in some figure",
-        evidence=Evidence.PRINTED,
-    )
 
 
 def _mean(values: tuple[float, float, float]) -> float:

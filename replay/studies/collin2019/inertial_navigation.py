@@ -176,12 +176,11 @@ def _grade_claim(curves: dict[str, tuple[Array, Array, Array, Array]]) -> Claim:
         WORK,
         "2.2, 3.1",
         "consumer sensors cannot navigate by integration",
-        "not capable of autonomous navigation",
-        "after one minute at rest: "
-        + ", ".join(f"{grade} {_metres(error)} m" for grade, error in at.items()),
+        "not capable",
+        f"off by {', '.join(_metres(error) for error in at.values())} m after a minute, by grade",
         "simulated phones of Table 1",
         holds(at["consumer"] > 100.0 > at["tactical"] > at["navigation"]),
-        "over 100 m within a minute, and in the order of the grades",
+        f"at rest; over 100 m within a minute, and in the order of the grades: {', '.join(at)}",
         evidence=Evidence.SIMULATION,
     )
 

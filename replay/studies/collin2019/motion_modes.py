@@ -82,8 +82,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     }
     progress(0.8)
     name = f"{len(people.mode)} windows of 5 s, {PEOPLE} simulated people"
-    claims = _fig9_claims(data)
-    claims += [_error_claim(way, people, found, name) for way, found in ways.items()]
+    claims = [*_fig9_claims(data), _error_claim("three modes, simulated people", people, ways, name)]
     rows: list[tuple[str, ...]] = [(*way, "simulated", _share(people, found)) for way, found in ways.items()]
     claims, rows = _real(data, seed, claims, rows)
     text = _TEXT.format(
@@ -129,8 +128,8 @@ def _real(
         claim = Claim(
             WORK,
             "4.3",
-            "the same on real people",
-            "below 10 %",
+            _BELOW.format("two modes, real people"),
+            "almost always below 10 %",
             "-",
             name,
             Verdict.UNTESTED,
@@ -140,14 +139,13 @@ def _real(
         return [*claims, claim], rows
     real = ucihar(data)
     every = tuple(range(len(NAMES)))
-    for way, found in (
-        (("Bayes", "two"), judge_by_bayes(real, TWO)),
-        (("Bayes", "all"), judge_by_bayes(real, every)),
-        (("boosted trees", "all"), judge_by_trees(real, every, seed)),
-    ):
-        claims = [*claims, _error_claim(way, real, found, name + ", walking against stationary")]
-        rows = [*rows, (*way, "UCI HAR", _share(real, found))]
-    return claims, rows
+    ways = {
+        ("Bayes", "two"): judge_by_bayes(real, TWO),
+        ("Bayes", "all"): judge_by_bayes(real, every),
+        ("boosted trees", "all"): judge_by_trees(real, every, seed),
+    }
+    claim = _error_claim("two modes, real people", real, ways, name + ", walking against stationary")
+    return [*claims, claim], [*rows, *((*way, "UCI HAR", _share(real, found)) for way, found in ways.items())]
 
 
 def _fig9_claims(data: Path | None) -> list[Claim]:
@@ -208,20 +206,26 @@ def _fig9_claims(data: Path | None) -> list[Claim]:
     return claims
 
 
-def _error_claim(way: tuple[str, str], motion: Motion, found: Rows, data: str) -> Claim:
-    errors = error_by_person(motion, found)
-    who = "simulated people" if "simulated" in data else "real people"
+_BELOW = "{}: misclassified almost always below 10 %"
+
+
+def _error_claim(who: str, motion: Motion, ways: dict[tuple[str, str], Rows], data: str) -> Claim:
+    """Judge all classifiers of one set of people as one claim: the paper speaks of the rates reported."""
+    errors = {way: error_by_person(motion, found) for way, found in ways.items()}
+    means = [100.0 * own.mean() for own in errors.values()]
+    above = max(int(np.count_nonzero(own >= 0.1)) for own in errors.values())
+    people = len(next(iter(errors.values())))
     return Claim(
         WORK,
         "4.3",
-        f"{way[0]}, {way[1]} features, {who}: misclassified almost always below 10 %",
-        "below 10 %",
-        f"{100 * errors.mean():.1f} %; above 10 % for {np.count_nonzero(errors >= 0.1)} of {errors.size}"
+        _BELOW.format(who),
+        "almost always below 10 %",
+        f"{min(means):.1f} to {max(means):.1f} % by classifier; above 10 % for at most {above} of {people}"
         " people",
         data,
-        holds(bool(errors.mean() < 0.1)),
-        "mean over people left out one by one",
-        evidence=Evidence.SIMULATION if "simulated" in data else Evidence.REAL,
+        holds(max(means) < 10.0),
+        "means over people left out one by one. An easy question: see `mode-sequences` for six activities",
+        evidence=Evidence.SIMULATION if "simulated" in who else Evidence.REAL,
     )
 
 

@@ -19,15 +19,18 @@ from stillcal.replay.phone.motion.trajectory import Waves
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, Verdict, holds, picture, table
 from stillcal.replay.studies.methods.motion_modes import peak_frequency
-from stillcal.replay.studies.methods.steps import detect_steps, patterns
+from stillcal.replay.studies.methods.steps import detect_steps, patterns, vertical_only
 
 WORK, WHERE = "Collin 2019", "3.2, Fig. 4"
 CARRIES: tuple[Carry, ...] = ("pocket", "hand", "bag")
 WALK_S = 600.0
 
 
-def walked(carry: Carry, phone: str, seed: int) -> tuple[float, int]:
-    """Return how many steps a simulated walker took, by his own cadence, and how many are found."""
+def walked(carry: Carry, phone: str, seed: int) -> tuple[float, int, int]:
+    """Return how many steps a simulated walker took, by his own cadence, and how many are found.
+
+    Found by the norm of the force, and by its vertical component.
+    """
     simulation = simulate(Scenario(segments=(Walk(duration_s=WALK_S, carry=carry),)), load_phone(phone), seed)
     true = 0.0
     for piece in simulation.plan.pieces:
@@ -35,7 +38,9 @@ def walked(carry: Carry, phone: str, seed: int) -> tuple[float, int]:
         if isinstance(course, Waves):
             true += (piece.t_end - piece.t_start) * float(course.frequency[0])
     samples = simulation.whole().accelerometer
-    return true, detect_steps(samples.t, samples.xyz, STANDARD).start.size
+    signals = (samples.xyz, vertical_only(samples.xyz))
+    by_norm, by_vertical = (detect_steps(samples.t, forces, STANDARD).start.size for forces in signals)
+    return true, by_norm, by_vertical
 
 
 def false_steps(activity: Drive | Table, seed: int) -> float:
@@ -66,14 +71,15 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     for number, (carry, phone) in enumerate(
         (c, p) for c in CARRIES for p in ("ideal", "consumer", "mpu6050")
     ):
-        true, found = walked(carry, phone, seed)
-        rows.append((carry, phone, f"{true:.0f}", str(found), f"{100 * (found / true - 1):+.1f} %"))
-        off.append(abs(found / true - 1.0))
+        true, *found = walked(carry, phone, seed)
+        rows.append((carry, phone, f"{true:.0f}", *map(str, found)))
+        off.append([abs(number / true - 1.0) for number in found])
         progress((number + 1) / 12)
     driving, resting = false_steps(Drive(duration_s=600.0), seed), false_steps(Table(duration_s=600.0), seed)
     cadences = None if data is None else real_cadences(data)
-    claims = (_count_claim(off), _real_claim(cadences))
-    head = ("carried in the", "phone", "steps taken", "found", "")
+    by_norm, by_vertical = np.array(off).T
+    claims = (*_count_claims(by_vertical, by_norm), _real_claim(cadences))
+    head = ("carried in the", "phone", "steps taken", "found by the norm", "by the vertical")
     text = (
         f"{table(head, rows)}\n\nWhere nobody walks, the detector finds {driving:.1f} steps a minute while"
         f" driving and {resting:.1f} on tables (simulated, 10 min each).\n\n"
@@ -82,18 +88,27 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     return Study("steps", "Steps", claims, text, ("steps.png",), seed)
 
 
-def _count_claim(off: list[float]) -> Claim:
-    return Claim(
-        WORK,
-        WHERE,
-        "steps are easily detected from the norm, wherever the phone is",
-        "easily",
-        f"counts off by {100 * np.mean(off):.1f} % (mean), {100 * max(off):.1f} % at most",
-        f"{len(off)} simulated walks of {WALK_S / 60:.0f} min",
-        holds(max(off) < 0.05),
-        "each count within 5 %",
-        evidence=Evidence.SIMULATION,
+def _count_claims(by_vertical: Array, by_norm: Array) -> list[Claim]:
+    """Judge shares (k,) that counts are off, by both signals that the paper names."""
+    ways = (
+        ("a step is easily detected from the vertical acceleration", "easily", by_vertical),
+        ("the norm of the acceleration is another possibility", "other possibility", by_norm),
     )
+    return [
+        Claim(
+            WORK,
+            WHERE,
+            claim,
+            paper,
+            f"counts off by {100 * off.mean():.1f} % (mean), {100 * off.max():.1f} % at most",
+            f"{len(off)} simulated walks of {WALK_S / 60:.0f} min; vertical: along the walk's mean force",
+            holds(bool(off.max() < 0.05)),
+            "each count within 5 %, in pocket, hand and bag: the paper considers sensors on the torso, and"
+            " says that the pattern varies with the place",
+            evidence=Evidence.SIMULATION,
+        )
+        for claim, paper, off in ways
+    ]
 
 
 def _real_claim(cadences: tuple[Array, Array] | None) -> Claim:

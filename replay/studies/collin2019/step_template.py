@@ -85,7 +85,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     cells = [(carry, phone) for carry in CARRIES for phone in PHONES]
     true, crossed, matched, bent = np.zeros((4, len(cells)))
     for k, (carry, phone) in enumerate(cells):
-        true[k], crossed[k] = walked(carry, phone, seed)
+        true[k], crossed[k], _ = walked(carry, phone, seed)
         walk = recorded(carry, phone, seed)
         matched[k], bent[k] = (count(walk, template, alike) for alike in (correlation, warped))
         progress((k + 1) / len(cells))

@@ -316,9 +316,20 @@ def _draw(sets: dict[str, Array], best: Array, figures: Path) -> str:
     names = list(sets)[::-1]
     kinds = (("dataset", drawing.RED), ("first", drawing.BLUE))
     colours = [next((c for word, c in kinds if n.startswith(word)), drawing.GREY) for n in names]
-    axis.barh(names, [efficiency(sets[n], best) for n in names], color=colours)
+    values = [efficiency(sets[n], best) for n in names]
+    axis.barh(names, values, color=colours)
+    for row, value in enumerate(values):
+        if value == 0.0:
+            axis.text(0.01, row, "cannot be fitted: the angles are not seen", va="center", fontsize="small")
     figure.set_size_inches(7.0, 4.4)
     axis.set(xlabel="D-efficiency", xlim=(0.0, 1.02))
+    for colour, label in (
+        (drawing.RED, "of the report"),
+        (drawing.BLUE, "stillcal's"),
+        (drawing.GREY, "others"),
+    ):
+        axis.barh([names[0]], [0.0], color=colour, label=label)
+    figure.legend(loc="outside upper right", ncols=3)
     axis.grid(visible=False, axis="y")
     axis.tick_params(axis="y", labelsize="small")
     return drawing.save(figure, figures, "best-attitudes")

@@ -284,10 +284,10 @@ def _worth_claim(tables: list[tuple[int, float, float]]) -> Claim:
         "2.3",
         "non-orthogonality is very serious and cannot be neglected",
         "very serious",
-        "largest error falls " + ", ".join(f"{gain:.2f}" for gain in gains) + " times with the angles fitted",
+        "error falls " + ", ".join(f"{gain:.2f}" for gain in gains) + " times by fitting it",
         "its three printed tables",
         holds(max(gains) >= 2.0),
-        "would hold where halved on one of its own phones",
+        "largest error of each table; would hold where halved on one of its own phones",
         evidence=Evidence.PRINTED,
         cause=Cause(
             f"their axes are off right angles by {off:.1%} at most, not by the 2 % that 2.3 supposes; the"

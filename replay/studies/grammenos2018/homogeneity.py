@@ -205,7 +205,7 @@ def _about(values: Array, group: Array) -> Array:
 
 def _table_5(name: str) -> tuple[str, str, str]:
     before, after = TABLE_5[name]
-    figure = f"{before} → {after} ({after / before:.2f} times)"
+    figure = f"{after / before:.2f} times"
     return "5.2, Table 5", f"calibration lowers the MSE to the aggregate: {name}", figure
 
 
@@ -253,14 +253,15 @@ def _moving(name: str, found: Homogeneity, data: str, rng: np.random.Generator) 
     before, after = TABLE_5[name]
     ratio = found.ratio("mixed", METHOD)
     low, high = found.interval("mixed", METHOD, rng)
-    ours = f"{ratio:.2f} times ({low:.2f} to {high:.2f})"
+    smooth, alone = (found.ratio("mixed", STEPS.index(step)) for step in ("smoothed", "calibrated"))
+    ours = f"{ratio:.2f} (filter alone {smooth:.2f}, calibration alone {alone:.2f})"
     why = (
-        f"ratio within {RATIO_TOLERANCE}, calibrated and smoothed against raw, over people and devices"
-        " together as in the paper"
+        f"printed: {before} → {after}. Calibrated and smoothed against raw, over people and devices together"
+        f" as in the paper: {low:.2f} to {high:.2f} by people. Holds within {RATIO_TOLERANCE} of the paper's,"
+        " and where the calibration alone does half of it or more: the paper says that calibration lowers it"
     )
     cause = Cause(
-        f"smoothing alone gives {found.ratio('mixed', 1):.2f}, calibration alone"
-        f" {found.ratio('mixed', 2):.2f}: people differ more than devices. Where only devices differ,"
+        "people differ more than devices, and the filter takes that off. Where only devices differ,"
         f" calibration alone gives {found.ratio('devices', 2):.2f}, with smoothing"
         f" {found.ratio('devices', METHOD):.2f}",
         shown=found.ratio("devices", METHOD) <= after / before,
@@ -270,11 +271,19 @@ def _moving(name: str, found: Homogeneity, data: str, rng: np.random.Generator) 
         *_table_5(name),
         ours,
         data,
-        holds(abs(ratio - after / before) <= RATIO_TOLERANCE),
+        holds(abs(ratio - after / before) <= RATIO_TOLERANCE and does_half(alone, ratio)),
         why,
         evidence=Evidence.SEMI_SYNTHETIC,
         cause=cause,
     )
+
+
+def does_half(alone: float, whole: float) -> bool:
+    """Tell whether calibration alone lowers an error at least half as much as the whole method does.
+
+    alone, whole: what is left of it, as a share.
+    """
+    return 1.0 - alone >= 0.5 * (1.0 - whole)
 
 
 def _rest(rest: Rest, sit: Homogeneity, rng: np.random.Generator) -> Claim:

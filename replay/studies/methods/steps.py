@@ -84,6 +84,13 @@ def detect_steps(t: Array, forces: Array, gravity: float, settings: StepSettings
     return Steps(frozen(start[inside]), frozen(end[inside]), frozen(grid), frozen(norm))
 
 
+def vertical_only(forces: Array) -> Array:
+    """Return forces (n, 3) m/s^2 with all but their component along their mean taken off, (n, 3)."""
+    mean = forces.mean(axis=0)
+    up = mean / np.linalg.norm(mean)
+    return np.asarray((forces @ up)[:, None] * up)
+
+
 def patterns(steps: Steps, gravity: float, vertical: Array | None = None) -> Array:
     """Return p_1 to p_6 of each step, (k, 6) (Eq. 13-18); the vertical's are NaN where it is not given.
 

@@ -26,6 +26,9 @@ NAME, TITLE, WORK = "washing-machine", "On a washing machine (Figure 4)", "Stise
 SECONDS, EACH, RATE_HZ = 2.0, 20, 400.0
 """Length of a stretch, as the figure's; stretches a device; rate at which the machine's forces are made."""
 
+A_MINUTE = 60.0 / SECONDS
+"""Stretches in a minute."""
+
 EARLY, LATE, NEAR = 0.25, 3.0, 0.2
 """Medians of the interval: a sample that comes within EARLY of the one before came in a bulk with it; nothing
 for LATE is an outage; within NEAR of the median is almost equidistant."""
@@ -178,7 +181,10 @@ def _claims(found: dict[str, Delivery]) -> tuple[Claim, ...]:
     bulky = [m for m, d in found.items() if d.bulks >= 1.0 and d.outages >= 1.0]
     odd = {m: d for m, d in found.items() if d.even < 0.9}
     about = ", ".join(f"{_short(m)} {found[m].even:.0%}" for m in SHOWN)
-    pairs = ", ".join(f"{_short(m)} {found[m].bulks:.2f} and {found[m].outages:.2f}" for m in SHOWN)
+    pairs = "; ".join(
+        f"{_short(m)} {A_MINUTE * found[m].bulks:.0f} bulks, {A_MINUTE * found[m].outages:.0f} outages"
+        for m in SHOWN
+    )
     others = [d.together for m, d in found.items() if m not in odd]
     copies = ", ".join(f"{_short(m)} {d.together:.2f}" for m, d in odd.items())
     late = ", ".join(f"{_short(m)} {found[m].late:.1f}" for m in SHOWN)
@@ -186,11 +192,11 @@ def _claims(found: dict[str, Delivery]) -> tuple[Claim, ...]:
     rows = (
         (
             "bulks",
-            f"bulks and outages in 2 s: {pairs}; {len(bulky)} of {len(found)} models",
+            f"a minute: {pairs}; enough in {len(bulky)} of {len(found)} models",
             set(SHOWN) <= set(bulky),
             "holds where the two models that the paper put under load show one bulk and one outage or more in"
-            f" two seconds. A bulk: samples within {EARLY:g} of the median interval of one another; an"
-            f" outage: nothing for {LATE:g} of it. At rest: a machine has no part in it",
+            f" two seconds, {A_MINUTE:.0f} a minute. A bulk: samples within {EARLY:g} of the median interval"
+            f" of one another; an outage: nothing for {LATE:g} of it. At rest: a machine has no part in it",
             Cause(
                 f"every model: {len(found) - len(bulky)} of {len(found)} deliver evenly, see the table",
                 shown=False,
@@ -249,16 +255,17 @@ def _draw(shaken: Shaken, devices: list[Device], seed: int, folder: Path) -> str
             (axes[2 * row], found.came - found.came[0], "arrival"),
             (axes[2 * row + 1], found.made, "creation"),
         ):
-            for k, colour in enumerate(("0.75", "0.55", BLUE)):
+            for k, (name, colour) in enumerate((("x", "0.78"), ("y", "0.5"), ("z", BLUE))):
                 axis.plot(t, found.forces[:, k] - found.forces[:, k].mean(), ".-", color=colour, markersize=3,
-                          linewidth=0.6)  # fmt: skip
+                          linewidth=0.6, label=name)  # fmt: skip
             bulk = np.flatnonzero(np.diff(t) < EARLY * middle) + 1
             rows = np.unique(np.r_[bulk, bulk - 1]) if bulk.size else bulk
             axis.plot(t[rows], (found.forces[:, 2] - found.forces[:, 2].mean())[rows], ".", color=RED,
-                      markersize=4)  # fmt: skip
+                      markersize=4, label="z, in bulks")  # fmt: skip
             axis.set(title=f"{_short(device.model)}, by {title}", xlabel="time, s", xlim=(0.0, SECONDS))
     for axis in axes[::2]:
         axis.set_ylabel("force less its mean, m/s²")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, markerscale=3)
     return save(figure, folder, NAME)
 
 

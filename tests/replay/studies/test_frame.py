@@ -98,18 +98,34 @@ def test_the_tally_counts_by_kind_and_paper_what_could_be_tested() -> None:
     assert lines[-1] == "| all | 0 / 1 / 0 | 1 / 0 / 1 | 1 / 1 / 1 |"
 
 
-def test_every_headline_is_one_claim_of_the_page() -> None:
+def test_every_headline_is_one_claim_of_the_page_and_takes_one_line() -> None:
     claims = [claim for study in page.kept(DOCS / page.FOLDER) for claim in study.claims]
-    wanted = sum(map(len, page.SUMMARY.values()))
-    assert len(page.headlines(claims)) == wanted
+    found = page.headlines(claims)
+    assert [row for row, _ in found] == [row for rows in page.SUMMARY.values() for row in rows]
+    assert len(found) <= 25, "more than a screen"
+    for row, claim in found:
+        assert len(row.words) + len(claim.paper) + len(claim.ours) <= 130, claim
+        assert claim.verdict in {Verdict.REPRODUCED, Verdict.DIFFERS}, claim
 
 
-def test_other_pages_give_the_tally_of_this_one() -> None:
+def test_the_summary_has_both_figures_beside_the_verdict() -> None:
+    begins = page.SUMMARY["ESGI'95"][0]
+    claim = replace(a_study().claims[0], claim=begins.begins + " of the fit")
+    text = page.page([replace(a_study(), claims=(claim,))])
+    row = f"| [{begins.words}](#a-title) | 0.3 | 0.4 | **differs** | the paper's own numbers |"
+    assert f"| **ESGI'95** |  |  |  |  |\n{row}" in text
+
+
+def test_the_readme_gives_the_tally_by_kind() -> None:
     claims = [claim for study in page.kept(DOCS / page.FOLDER) for claim in study.claims]
-    words = page.in_words(claims)
-    assert words in " ".join((DOCS / "accuracy.md").read_text().split())
-    first = words.split(",")[0]
-    assert first in " ".join((DOCS.parent / "README.md").read_text().split())
+    wanted = page.by_kind(claims)
+    assert wanted in (DOCS.parent / "README.md").read_text(), f"README.md should have\n\n{wanted}"
+
+
+def test_the_tally_by_kind_leaves_out_what_could_not_be_tested() -> None:
+    one = a_study().claims[0]
+    claims = [one, replace(one, verdict=Verdict.OPEN), replace(one, verdict=Verdict.UNTESTED)]
+    assert page.by_kind(claims).splitlines()[2:] == ["| the paper's own numbers | 0 | 1 | 1 |"]
 
 
 def test_claims_on_the_page_are_read_at_a_glance_and_name_their_evidence() -> None:
@@ -229,3 +245,17 @@ def test_a_damaged_result_is_named_with_its_remedy(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "allan.json: not a study's result" in result.output
     assert "stillcal evaluate allan" in result.output
+
+
+def test_recordings_that_are_not_there_are_named_with_a_remedy(tmp_path: Path) -> None:
+    """A folder without any writes nothing; one without those of a study names the file."""
+    empty, some, out = tmp_path / "empty", tmp_path / "some", tmp_path / "out"
+    empty.mkdir()
+    (some / "hhar").mkdir(parents=True)
+    for data, named in ((empty, "none of hhar, hhar_still"), (some, "still_accel.npz is missing")):
+        result = CliRunner().invoke(evaluate_command, ["smoothing", "--data", str(data), "--out", str(out)])
+        assert result.exit_code == 2
+        assert named in " ".join(result.output.split())
+        assert "docs/data.md lists the recordings" in " ".join(result.output.split())
+        assert not list(tmp_path.rglob("*.json"))
+        assert data is some or not out.exists()

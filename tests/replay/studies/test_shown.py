@@ -100,6 +100,35 @@ def test_people_hide_what_calibration_does_to_devices(left: float, shown: bool) 
     assert claim.cause.shown is shown
 
 
+@pytest.mark.parametrize(
+    "smooth, alone, whole, verdict",
+    [
+        (0.95, 0.70, 0.68, Verdict.REPRODUCED),
+        (0.76, 0.99, 0.75, Verdict.DIFFERS),  # the filter's
+        (0.95, 0.50, 0.48, Verdict.DIFFERS),  # too much
+    ],
+)
+def test_calibration_itself_must_lower_the_error(
+    smooth: float, alone: float, whole: float, verdict: Verdict
+) -> None:
+    people = np.ones((10, 1)) * (1.0, smooth, alone, whole)
+    found = homogeneity.Homogeneity(people, people, people)
+    assert homogeneity._moving("walk", found, "data", np.random.default_rng(0)).verdict is verdict
+
+
+@pytest.mark.parametrize("upright, verdict", [(1e-5, True), (1e-3, False)])
+def test_norms_must_keep_a_bias_out_where_nothing_is_level(upright: float, verdict: bool) -> None:
+    effect, alone = np.array([-0.002, 0.003, 0.0, 0.004, 0.001, 0.0]), np.full(6, upright)
+    vertical, norm, others = pedestrian_tables._bias_claims(effect, alone)
+    assert [c.verdict for c in (vertical, norm, others)] == [
+        Verdict.REPRODUCED,
+        Verdict.DIFFERS,
+        Verdict.REPRODUCED,
+    ]
+    assert norm.cause is not None
+    assert norm.cause.shown is verdict
+
+
 @pytest.mark.parametrize("left, shown", [(1.05, True), (0.5, False)])
 def test_the_level_is_the_cause_where_nothing_else_changes(left: float, shown: bool) -> None:
     rest = homogeneity.Rest(np.ones((6, 3)), 0.1 * np.ones((6, 3)), np.ones((6, 2)), 1)

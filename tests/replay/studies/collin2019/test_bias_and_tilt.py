@@ -17,7 +17,7 @@ from stillcal.replay.studies.collin2019.bias_prediction import (
     predicted,
     theory,
 )
-from stillcal.replay.studies.collin2019.heading_tilt import TiltError, _only, tilted, without_bias
+from stillcal.replay.studies.collin2019.heading_tilt import tilted, without_bias
 
 
 def test_one_over_f_has_the_spectrum_and_increments_of_its_definition() -> None:
@@ -51,11 +51,6 @@ def test_a_tilted_axis_senses_the_cosine_of_turns_about_up_and_the_sine_of_other
     level = tilted(forces, 0.1 * np.ones((5, 50, 1)) * frame[:, 0], 50.0, tilt)
     # the RMS over all directions of the tilt is that of a sinusoid
     assert level.crossed == pytest.approx(math.degrees(0.1 * math.sin(tilt) / math.sqrt(2.0)), rel=1e-6)
-
-
-@pytest.mark.parametrize("scaling, verdict", [(0.2, Verdict.REPRODUCED), (0.1, Verdict.DIFFERS)])
-def test_scaling_must_be_the_larger_part(scaling: float, verdict: Verdict) -> None:
-    assert _only(TiltError(scaling, 0.15, np.ones(12)), "data").verdict is verdict
 
 
 def test_rates_lose_the_mean_at_rest_of_their_own_person() -> None:

@@ -3,8 +3,17 @@
 import numpy as np
 import pytest
 
-from stillcal.replay.studies.collin2019.mode_sequences import forward, judge, transitions
+from stillcal.replay.studies.claim import Verdict
+from stillcal.replay.studies.collin2019.mode_sequences import (
+    Judged,
+    _six,
+    among_resting,
+    forward,
+    judge,
+    transitions,
+)
 from stillcal.replay.studies.collin2019.motion_features import Motion
+from stillcal.replay.studies.har.data import ACTIVITIES
 
 
 def test_transitions_stay_within_a_person() -> None:
@@ -23,6 +32,42 @@ def test_forward_recursion_is_bayes_rule_over_all_paths() -> None:
                 path = prior[a] * likelihood[0, a] * chain[a, b] * likelihood[1, b] * chain[b, c]
                 joint[c] += path * likelihood[2, c]
     assert forward(likelihood, prior, chain)[-1] == pytest.approx(joint / joint.sum())
+
+
+def test_confusion_at_rest_is_of_windows_judged_wrongly() -> None:
+    """Of four mistakes two are among sitting, standing and lying, one leaves them, one is of walks."""
+    walk, up, sit, stand, lie = (ACTIVITIES.index(a) for a in ("walk", "stairs up", "sit", "stand", "lie"))
+    true = np.array([sit, stand, lie, sit, walk, walk])
+    found = np.array([sit, lie, sit, walk, up, walk])
+    labels = np.arange(len(ACTIVITIES))
+    posterior = np.eye(len(ACTIVITIES))[found]
+    motion = Motion(np.zeros((6, 1)), true, np.zeros(6, dtype=int), np.zeros(6))
+    assert among_resting(Judged(motion, labels, posterior, posterior)) == 0.5
+
+
+@pytest.mark.parametrize(
+    "wrong, tilted, verdict, shown",
+    [
+        (0.3, 0.05, Verdict.DIFFERS, True),
+        (0.3, 0.15, Verdict.DIFFERS, False),
+        (0.05, 0.05, Verdict.REPRODUCED, True),
+    ],
+)
+def test_six_activities_must_be_misjudged_below_a_tenth(
+    wrong: float, tilted: float, verdict: Verdict, shown: bool
+) -> None:
+    claim = _six(judged_wrongly(wrong), judged_wrongly(tilted))
+    assert claim.verdict is verdict
+    assert claim.cause is not None
+    assert claim.cause.shown is shown
+
+
+def judged_wrongly(share: float) -> Judged:
+    """Return a hundred windows of one person, a share of which is judged wrongly."""
+    true = np.zeros(100, dtype=int)
+    posterior = np.eye(2)[(np.arange(100) < round(100 * share)).astype(int)]
+    motion = Motion(np.zeros((100, 1)), true, true, np.zeros(100))
+    return Judged(motion, np.arange(2), posterior, posterior)
 
 
 def test_sequence_and_refusal_lower_the_error_of_classes_that_overlap() -> None:

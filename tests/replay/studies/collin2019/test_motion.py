@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from stillcal.replay.studies.collin2019.coning import at_20_hz
+from stillcal.replay.studies.claim import Verdict
+from stillcal.replay.studies.collin2019.coning import _bias_claim, at_20_hz, in_order
 from stillcal.replay.studies.collin2019.motion_features import MODES, simulated
 from stillcal.replay.studies.collin2019.motion_modes import error_by_person, judge_by_bayes
 from stillcal.replay.studies.methods.motion_modes import NAMES, Bayes, features, peak_frequency
@@ -56,6 +57,35 @@ def test_simulated_modes_differ_as_in_fig_9_and_are_told_apart() -> None:
     sd = [np.median(people.sd[people.mode == m]) for m in range(len(MODES))]
     assert sd[0] > 2.0 * sd[1] > 2.0 * sd[2]
     assert error_by_person(people, judge_by_bayes(people, (0, 1))).mean() < 0.1
+
+
+@pytest.mark.parametrize(
+    "errors, ordered",
+    [
+        ((1.0, 0.3, 0.09), True),
+        ((1.0, 0.34, 0.09), False),
+        ((1.0, 0.3, 0.11), False),
+        ((1.0, 0.3, 0.2), False),
+    ],
+)
+def test_coning_falls_to_a_third_twice(errors: tuple[float, ...], ordered: bool) -> None:
+    assert in_order(list(errors)) is ordered
+
+
+@pytest.mark.parametrize(
+    "by_bias, verdict, shown",
+    [
+        ({0.0: 0.01, 0.3: 0.45, 3.0: 0.9}, Verdict.REPRODUCED, False),
+        ({0.0: 0.01, 0.3: 0.35, 3.0: 0.9}, Verdict.DIFFERS, True),
+    ],
+)
+def test_a_large_coning_error_is_half_of_a_walkers(
+    by_bias: dict[float, float], verdict: Verdict, shown: bool
+) -> None:
+    claim = _bias_claim(by_bias, 0.8)
+    assert claim.verdict is verdict
+    assert claim.cause is not None
+    assert claim.cause.shown is shown
 
 
 def test_twenty_hertz_keep_the_mean_rate() -> None:

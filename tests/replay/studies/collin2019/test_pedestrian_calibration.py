@@ -72,7 +72,7 @@ def test_a_cause_is_shown_where_the_error_goes_with_it(
 
 @pytest.mark.parametrize("carry", ["pocket", "bag"])
 def test_steps_found_are_those_taken(carry: str) -> None:
-    true, found = walked(carry, "consumer", 1)
+    true, found, _ = walked(carry, "consumer", 1)
     assert found == pytest.approx(true, rel=0.05)
 
 

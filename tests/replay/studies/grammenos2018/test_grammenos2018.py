@@ -38,6 +38,7 @@ from stillcal.replay.studies.har.devices import Device, read_devices
 from stillcal.replay.studies.har.recordings import FOLDER, Still, read_still
 from stillcal.replay.studies.har.scoring import network
 from stillcal.replay.studies.methods.device_faces import calibrate_devices
+from stillcal.replay.studies.methods.smoothing import rolling_median
 
 
 def test_median_against_mean_on_white_noise() -> None:
@@ -48,6 +49,17 @@ def test_median_against_mean_on_white_noise() -> None:
         room = 4 * np.sqrt(2 * n / noise.size)  # n neighbouring outputs share their samples
         assert mean * n == pytest.approx(1.0, rel=room)
         assert median == pytest.approx(of_median, rel=room)
+
+
+@pytest.mark.parametrize("window", [10, 7])
+def test_both_medians_that_are_timed_are_medians_and_the_mean_is_one(window: int) -> None:
+    values = np.random.default_rng(3).normal(size=(300, 1)).round(1)  # with values that are alike
+    listed = values[:, 0].tolist()
+    medians = rolling_median(values, window)[:, 0]
+    assert smoothing_study.sorting(listed, window) == pytest.approx(medians)
+    assert smoothing_study.kept_sorted(listed, window) == pytest.approx(medians)
+    means = np.convolve(values[:, 0], np.full(window, 1.0 / window), mode="valid")
+    assert smoothing_study.running_mean(listed, window) == pytest.approx(means, abs=1e-12)
 
 
 def test_similarity_is_zero_with_itself_and_counts_axes_and_norm() -> None:
@@ -110,6 +122,8 @@ def test_half_an_hour_of_one_person() -> None:
     day = msgspec.structs.replace(load_scenario("tables"), duration_s=1800.0)
     life = people_study.live(people_study.slowed(load_phone("typical"), 10.0), day, 3)
     assert 0 < life.attitudes <= life.rests
+    # the gyroscope's bias, which is stated after the first rests, is no calibration of the accelerometer
+    assert (life.calibrated_at, life.iterations) == (np.inf, 0) or life.iterations > 0
     assert 0.9 < life.sensing <= 1.001  # a new phone is watched without a break
 
 

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from stillcal.replay.studies.methods.steps import StepSettings, detect_steps, even, patterns, step_length
+from stillcal.replay.studies.methods.steps import (
+    StepSettings,
+    detect_steps,
+    even,
+    patterns,
+    step_length,
+    vertical_only,
+)
 
 G = 9.81
 CADENCE = 1.8
@@ -60,6 +67,16 @@ def test_low_pass_and_grid_leave_a_slow_signal_alone() -> None:
     inner = (grid > 2.0) & (grid < 18.0)
     # (f / cutoff)^4 of a Butterworth run twice, and linear interpolation between some 200 samples a second
     assert values[inner] == pytest.approx(np.column_stack((np.sin(grid), np.cos(grid)))[inner], abs=2e-3)
+
+
+def test_only_the_vertical_is_left_of_forces() -> None:
+    t, forces = walking()
+    up, level = np.array([0.6, 0.0, 0.8]), np.array([0.8, 0.0, -0.6])
+    swinging = forces + np.sin(2 * np.pi * CADENCE * t)[:, None] * level  # whole periods: no mean
+    assert vertical_only(swinging) == pytest.approx(forces, abs=0.02)
+    assert vertical_only(swinging) @ level == pytest.approx(0.0, abs=0.02)
+    assert np.abs(swinging @ level).max() > 0.9
+    assert forces @ up == pytest.approx(np.linalg.norm(forces, axis=1))
 
 
 def test_too_little_to_walk_in_is_refused() -> None:

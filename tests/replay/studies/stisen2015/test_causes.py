@@ -11,7 +11,7 @@ from stillcal.replay.studies.claim import Verdict
 from stillcal.replay.studies.har.data import Windows
 from stillcal.replay.studies.har.features import FAMILIES, time_features, without_counts
 from stillcal.replay.studies.har.scoring import LEARNERS
-from stillcal.replay.studies.stisen2015 import families, gyroscope, remedies, remedy_causes
+from stillcal.replay.studies.stisen2015 import families, gyroscope, heterogeneity, remedies, remedy_causes
 from stillcal.replay.studies.stisen2015.modes import Rows, only
 from stillcal.replay.studies.stisen2015.recorded import METHODS
 
@@ -41,17 +41,71 @@ def a_score(lost_watch: float, lost_phone: float, by_rate: float = 0.0) -> famil
     values[:, :, column, 2:] -= lost_phone
     uncounted = np.full((len(LEARNERS), len(families.UNCOUNTED), 4, families.FOLDS), 0.9)
     uncounted[:, families.UNCOUNTED.index("rate")] -= by_rate
-    return families.Scores(values, np.zeros((3, len(families.COLUMNS))), uncounted)
+    return families.Scores(values, values[1], np.zeros((3, len(families.COLUMNS))), uncounted)
 
 
 def test_watches_are_held_against_phones() -> None:
-    alike, level, wrist = families._watches(a_score(0.3, 0.1), [True, True, False, False], "data")
-    assert alike.verdict is Verdict.REPRODUCED  # each loses alike in every cell
+    alike, level, wrist = heterogeneity._watches(a_score(0.3, 0.1), [True, True, False, False], "data")
+    assert alike.verdict is Verdict.UNTESTED  # the same motion in both ranks alike by construction
     assert "watches lose -30.0, phones -10.0; apart -20.0" in level.ours
     assert (level.verdict, wrist.verdict) == (Verdict.OPEN, Verdict.UNTESTED)
-    turned = a_score(0.0, 0.0)
-    turned.values[:, :, families.COLUMNS.index("all"), :2] = turned.values[::-1, ::-1, 0, :2]
-    assert families._watches(turned, [True, True, False, False], "data")[0].verdict is Verdict.DIFFERS
+
+
+def interpolated(**cells: tuple[float, float]) -> families.Scores:
+    """Return F1 of frequency features of 0.9, less what a kind costs as recorded and interpolated."""
+    names = (*families.COLUMNS, *families.ONLY_FREQUENCY)
+    frequency = np.full((len(LEARNERS), len(names), 4, families.FOLDS), 0.9)
+    for name, lost in cells.items():
+        for suffix, points in zip(("", ", interpolated"), lost, strict=True):
+            frequency[:, names.index(name.replace("_", " ") + suffix)] -= points
+    return replace(a_score(0.0, 0.0), frequency=frequency)
+
+
+MENDED, LEFT = (0.04, 0.01), (0.04, 0.03)
+"""What interpolation gives back three quarters of, and a quarter."""
+
+
+@pytest.mark.parametrize(
+    "rate, uneven, verdict",
+    [
+        (MENDED, LEFT, Verdict.REPRODUCED),
+        (MENDED, MENDED, Verdict.DIFFERS),
+        (LEFT, LEFT, Verdict.DIFFERS),
+        (LEFT, MENDED, Verdict.DIFFERS),
+    ],
+)
+def test_interpolation_must_mend_rates_and_not_unevenness(
+    rate: tuple[float, float], uneven: tuple[float, float], verdict: Verdict
+) -> None:
+    """Whatever errors and all together do."""
+    found = interpolated(rate=rate, uneven=uneven, errors=(0.1, 0.1), all=(0.2, 0.1))
+    assert heterogeneity._uneven(found, "data").verdict is verdict
+
+
+@pytest.mark.parametrize(
+    "errors, both, shown", [(0.06, MENDED, True), (0.04, MENDED, False), (0.06, LEFT, False)]
+)
+def test_what_interpolation_leaves_is_the_errors_where_they_are_half_of_it(
+    errors: float, both: tuple[float, float], shown: bool
+) -> None:
+    cells = {"rate": MENDED, "uneven": MENDED, "rate_and_uneven": both, "errors": (errors, errors)}
+    cause = heterogeneity._uneven(interpolated(**cells, all=(0.2, 0.1)), "data").cause
+    assert cause is not None
+    assert cause.shown is shown
+
+
+def test_the_advice_on_families_is_judged_family_by_family() -> None:
+    found = a_score(0.0, 0.0)
+    column = families.COLUMNS.index("all")
+    for lost, verdicts in (
+        ((0.05, 0.10, 0.01), (Verdict.REPRODUCED, Verdict.REPRODUCED)),
+        ((0.12, 0.10, 0.01), (Verdict.REPRODUCED, Verdict.DIFFERS)),
+        ((0.05, 0.10, 0.06), (Verdict.DIFFERS, Verdict.REPRODUCED)),
+    ):
+        values = found.values.copy()
+        values[:, :, column] -= np.array(lost)[:, None, None, None]
+        claims = heterogeneity._recommended(replace(found, values=values), "data")
+        assert tuple(claim.verdict for claim in claims) == verdicts
 
 
 def test_what_uncounted_features_lose_is_of_their_own_column() -> None:

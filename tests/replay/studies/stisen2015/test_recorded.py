@@ -15,8 +15,9 @@ from stillcal.replay.studies.har.data import Windows
 from stillcal.replay.studies.har.devices import Device
 from stillcal.replay.studies.har.recordings import Still
 from stillcal.replay.studies.har.scoring import radial_svm, tree
-from stillcal.replay.studies.stisen2015 import families as families_study
+from stillcal.replay.studies.stisen2015 import families as families_scores
 from stillcal.replay.studies.stisen2015 import gyroscope as gyroscope_study
+from stillcal.replay.studies.stisen2015 import heterogeneity as families_study
 from stillcal.replay.studies.stisen2015 import modes as modes_study
 from stillcal.replay.studies.stisen2015 import remedies as remedies_study
 from stillcal.replay.studies.stisen2015 import remedy_causes as causes_study
@@ -139,9 +140,9 @@ def test_displacement_of_a_shift_is_the_shift_in_spreads() -> None:
     """Normal features of spread 2, two moved by 3: 1.5 spreads; one that never changes is left out."""
     clean = np.c_[RNG.normal(scale=2.0, size=(4000, 2)), np.ones(4000)]
     moved = clean + np.array([3.0, -3.0, 9.0])
-    assert families_study.displacement(clean, clean) == 0.0
+    assert families_scores.displacement(clean, clean) == 0.0
     # a sample's spread is uncertain by 1 / sqrt(2 n)
-    assert families_study.displacement(clean, moved) == pytest.approx(1.5, rel=4 / np.sqrt(8000))
+    assert families_scores.displacement(clean, moved) == pytest.approx(1.5, rel=4 / np.sqrt(8000))
 
 
 def test_calibration_and_interpolation_undo_a_device() -> None:
