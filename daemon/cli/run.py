@@ -50,7 +50,7 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
     The phone is connected by a serial line. With kind = "iio" under [source], the daemon reads this machine's
     own sensors instead. SIGHUP reads the settings again. Logs go to standard error. Exit code 2 when the
     settings are wrong, or the store or the socket cannot be used; 75 after a passing fault of the machine
-    (disk, memory, descriptors): start it again.
+    (disk, memory, descriptors) or while another process holds the store: start it again.
     """
     require("stillcal run", DAEMON)
     from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has

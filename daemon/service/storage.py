@@ -15,7 +15,7 @@ from typing import TypeVar
 from stillcal.calib_core.engine.actions import Forget, Publish, Reject
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.store.document import StoreDocument
-from stillcal.daemon.store.files import store_error
+from stillcal.daemon.store.files import StoreBusyError, StoreLockedError, store_error
 from stillcal.daemon.store.store import Outcome, Store, StoreError, StoreSettings
 from stillcal.daemon.system import memory
 from stillcal.daemon.system.files import make_folder
@@ -62,7 +62,10 @@ class Storage:
             make_folder(path.parent, FOLDER_MODE)
         except OSError as error:
             raise store_error(error, path.parent, "make") from error
-        self._store.lock()
+        try:
+            self._store.lock()
+        except StoreLockedError as error:  # a command may hold it for a moment
+            raise StoreBusyError(str(error)) from error
         self._take_outcome(self._store.recover())
         state = saved_state.state_path(path)
         try:

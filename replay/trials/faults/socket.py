@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stillcal.daemon.cli.exits import TRY_AGAIN
 from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.varlink.address import NAME
 from stillcal.replay.trials.faults.target import START_S, Target, ask, lateness, question, running, status
@@ -196,7 +197,7 @@ def second_daemon(target: Target) -> Figures:
     lines = ran.stderr.splitlines()
     named = int(len(lines) == 1 and f"in use by process {target.process.pid}" in lines[0])
     counts = {"exit code": ran.returncode, "lines": len(lines), "that name the first": named}
-    return Figures("a second daemon", ran.returncode == 2 and bool(named), counts)
+    return Figures("a second daemon", ran.returncode == TRY_AGAIN and bool(named), counts)
 
 
 # Clients

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from stillcal.daemon.cli.exits import TRY_AGAIN
 from stillcal.daemon.cli.query import replies
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.wire.decoder import Hello
@@ -69,7 +70,7 @@ def test_killed_at_once_it_keeps_its_rests_and_a_second_one_is_refused(
                 second = await asyncio.to_thread(
                     subprocess.run, [*STILLCAL, "run", *more], capture_output=True, text=True, check=False
                 )
-                assert second.returncode == 2
+                assert second.returncode == TRY_AGAIN
                 assert f"in use by process {daemon.pid}" in second.stderr.splitlines()[-1]
                 daemon.kill()
             await phone
