@@ -45,7 +45,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     claims = (
         *(_against(n, variances[:, k]) for k, n in enumerate(TABLE_1)),
         _gain(variances),
-        *_costs(next(iter(parts.values()))),
+        *_costs(costs(next(iter(parts.values())))),
         _table_2(rests, parts),
     )
     file = _draw(raw, variances, figures)
@@ -101,9 +101,8 @@ def costs(values: Array) -> dict[int, tuple[float, ...]]:
     return {n: tuple(_seconds(way, axis, n) for way in (running_mean, sorting, kept_sorted)) for n in TABLE_1}
 
 
-def _costs(values: Array) -> list[Claim]:
+def _costs(spent: dict[int, tuple[float, ...]]) -> list[Claim]:
     """Compare both ways to write a median with the mean: what it costs depends on how it is written."""
-    spent = costs(values)
     claims = []
     for key, column in (("sorted", 1), ("kept", 2)):
         ratios = {n: times[column] / times[0] for n, times in spent.items()}

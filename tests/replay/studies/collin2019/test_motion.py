@@ -5,8 +5,9 @@ import pytest
 
 from stillcal.replay.studies.claim import Verdict
 from stillcal.replay.studies.collin2019.coning import _bias_claim, at_20_hz, in_order
-from stillcal.replay.studies.collin2019.motion_features import MODES, simulated
-from stillcal.replay.studies.collin2019.motion_modes import error_by_person, judge_by_bayes
+from stillcal.replay.studies.collin2019.motion_features import MODES, Motion, simulated
+from stillcal.replay.studies.collin2019.motion_modes import _error_claim, error_by_person, judge_by_bayes
+from stillcal.replay.studies.collin2019.step_detection import _count_claims
 from stillcal.replay.studies.methods.motion_modes import NAMES, Bayes, features, peak_frequency
 
 RATE = 100.0
@@ -57,6 +58,21 @@ def test_simulated_modes_differ_as_in_fig_9_and_are_told_apart() -> None:
     sd = [np.median(people.sd[people.mode == m]) for m in range(len(MODES))]
     assert sd[0] > 2.0 * sd[1] > 2.0 * sd[2]
     assert error_by_person(people, judge_by_bayes(people, (0, 1))).mean() < 0.1
+
+
+def test_every_classifier_must_misjudge_fewer_than_a_tenth() -> None:
+    """Ten windows of one person: one classifier that is always right beside one that errs now and then."""
+    mode = np.zeros(10, dtype=int)
+    motion = Motion(np.zeros((10, 1)), mode, mode, np.zeros(10))
+    for wrong, verdict in ((0, Verdict.REPRODUCED), (1, Verdict.DIFFERS)):
+        ways = {("Bayes", "two"): mode, ("Bayes", "all"): (np.arange(10) < wrong).astype(int)}
+        assert _error_claim("two modes, real people", motion, ways, "data").verdict is verdict
+
+
+@pytest.mark.parametrize("most, verdict", [(0.049, Verdict.REPRODUCED), (0.051, Verdict.DIFFERS)])
+def test_every_count_of_steps_must_be_within_a_twentieth(most: float, verdict: Verdict) -> None:
+    by_vertical, by_norm = _count_claims(np.array([0.0, most]), np.zeros(2))
+    assert (by_vertical.verdict, by_norm.verdict) == (verdict, Verdict.REPRODUCED)
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,14 @@ def test_both_medians_that_are_timed_are_medians_and_the_mean_is_one(window: int
     assert smoothing_study.running_mean(listed, window) == pytest.approx(means, abs=1e-12)
 
 
+def test_a_median_is_dear_at_twice_the_mean_with_either_window() -> None:
+    spent = {10: (1.0, 9.0, 2.0), 20: (1.0, 16.0, 1.9)}
+    anew, kept = smoothing_study._costs(spent)
+    assert (anew.verdict, kept.verdict) == (Verdict.REPRODUCED, Verdict.DIFFERS)
+    assert kept.ours == "2.0 times at 10 steps, 1.9 times at 20 steps"
+    assert kept.explained  # sorted anew it is dear
+
+
 def test_similarity_is_zero_with_itself_and_counts_axes_and_norm() -> None:
     trace = np.random.default_rng(1).normal(size=(50, 3)) + np.array([0.0, 0.0, 9.8])
     assert similarity(trace, trace) == 0.0
