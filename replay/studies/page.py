@@ -63,6 +63,7 @@ SUMMARY = {
         Headline("frequency features suffer", "frequency features suffer by far the most"),
         Headline("ECDF features are the ones", "ECDF features are the ones to take"),
         Headline("training within the cluster", "training within a cluster of devices"),
+        Headline("a model never trained on costs less", "an unknown model beside an unknown user"),
         Headline("interpolation, SVM on frequency", "interpolation on an unknown model, F1"),
     ),
 }

@@ -42,9 +42,9 @@ STUDIES: dict[str, str] = {
     "clusters": "stillcal.replay.studies.stisen2015.clusters:study",
     "still-devices": "stillcal.replay.studies.stisen2015.rests:study",
     "heterogeneity": "stillcal.replay.studies.stisen2015.heterogeneity:study",
-    "modes": "stillcal.replay.studies.stisen2015.modes:study",
+    "modes": "stillcal.replay.studies.stisen2015.modes.study:study",
     "gyroscope": "stillcal.replay.studies.stisen2015.gyroscope:study",
-    "remedies": "stillcal.replay.studies.stisen2015.remedies:study",
+    "remedies": "stillcal.replay.studies.stisen2015.remedies.study:study",
 }
 """Name to "module:function", in the order of the page (paper by paper)."""
 

@@ -113,7 +113,7 @@ def weighted_f1(truth: Labels, predicted: Labels) -> float:
     return float(score)
 
 
-def mcnemar(one: Array, other: Array) -> tuple[float, float]:
+def mcnemar(one: NDArray[Any], other: NDArray[Any]) -> tuple[float, float]:
     """Return McNemar's chi-squared with Yates' correction and its p-value for paired judgements.
 
     one, other: (n,) whether each recogniser judged each sample rightly. Only samples that one alone judged
@@ -127,6 +127,36 @@ def mcnemar(one: Array, other: Array) -> tuple[float, float]:
         return 0.0, 1.0
     statistic = max(abs(first - second) - 1.0, 0.0) ** 2 / (first + second)
     return float(statistic), float(chi2.sf(statistic, 1))
+
+
+LEAST_P = 1e-300
+"""Keeps the sign of a p-value that is too small for a float."""
+
+
+def signed_mcnemar(one: NDArray[Any], other: NDArray[Any]) -> Array:
+    """Return McNemar's p-value by recogniser; negative where `one` judged fewer rightly.
+
+    one, other: (families, learners, n), paired judgements. The test takes the n windows for independent, so
+    judgements of one window by several recognisers are not put together.
+    """
+    return np.array(
+        [
+            [
+                np.copysign(max(mcnemar(a, b)[1], LEAST_P), int(a.sum()) - int(b.sum()))
+                for a, b in zip(mine, theirs, strict=True)
+            ]
+            for mine, theirs in zip(one, other, strict=True)
+        ]
+    )
+
+
+def by_recogniser(p: Array, level: float = 0.01) -> str:
+    """Say how many recognisers are better and worse for certain, from `signed_mcnemar`."""
+    better, worse = int(np.sum((p >= 0.0) & (p < level))), int(np.sum((p < 0.0) & (p > -level)))
+    return f"better in {better}, worse in {worse} of {p.size} recognisers at p < {level:g}"
+
+
+INDEPENDENT = "McNemar's test takes windows for independent, which one person's are not"
 
 
 def by_person(right: Array, person: Labels) -> Array:

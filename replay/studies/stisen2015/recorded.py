@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.studies.har.data import RATE_HZ
@@ -19,6 +20,9 @@ MARGIN_S = 0.2
 """Left at the start of each recorded window, so that uneven sampling finds motion on either side."""
 
 METHODS = ("nearest", "linear", "cubic", "smoothed")
+RATES_HZ = (25.0, 50.0, 100.0, 200.0)
+"""Target rates of interpolation (5.2)."""
+
 SMOOTHING = 0.2
 """A smoothed spline may miss its m samples by 0.2 m in all, squared, (m/s^2)^2 (5.2)."""
 
@@ -124,3 +128,9 @@ def _smoothed(t: Array, x: Array, grid: Array) -> Array:
     t, x = t[kept], x[kept]
     splines = [UnivariateSpline(t, x[:, axis], s=SMOOTHING * len(t)) for axis in range(3)]
     return np.stack([spline(grid) for spline in splines], axis=1)
+
+
+def by_rate(device: NDArray[np.intp], rates: list[float]) -> NDArray[np.intp]:
+    """Return the nearest of RATES_HZ, as a ratio, of each row's device (n,). rates: Hz, by device."""
+    nearest = np.abs(np.log(np.array(rates)[:, None] / np.array(RATES_HZ))).argmin(axis=1)
+    return np.asarray(nearest[device], dtype=np.intp)

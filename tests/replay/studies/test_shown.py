@@ -12,7 +12,9 @@ from stillcal.replay.studies.claim import Cause, Verdict
 from stillcal.replay.studies.collin2019 import bias_prediction, pedestrian_tables
 from stillcal.replay.studies.grammenos2018 import classes, gyroscope_bias, homogeneity
 from stillcal.replay.studies.grammenos2018.slices import WAYS, Accuracy, Roc
-from stillcal.replay.studies.stisen2015 import biases, remedies, remedy_causes, washing_machine
+from stillcal.replay.studies.stisen2015 import biases, washing_machine
+from stillcal.replay.studies.stisen2015.remedies import claims as remedies
+from stillcal.replay.studies.stisen2015.remedies.causes import Causes
 from stillcal.replay.studies.stisen2015.washing_machine import SHOWN, Delivery
 
 STEADY = np.array([-0.1, 0.1] * 5)
@@ -71,8 +73,13 @@ def test_groups_help_where_one_family_gains_and_none_loses() -> None:
 
 @pytest.mark.parametrize("moving, still, shown", [(5.0, -4.0, True), (5.0, 1.0, False), (-1.0, -4.0, False)])
 def test_splines_flatten_rest_alone(moving: float, still: float, shown: bool) -> None:
-    causes = remedy_causes.Causes(80.0, 1.0, moving, still, {}, np.zeros((3, 2)), 3.0, (39.0, 197.0))
-    assert remedies._flattened(causes).shown is shown
+    """Both ways, on motion that was trained on and on other motion."""
+    for other in (True, False):
+        moves, rests = {"same": 5.0, "other": 5.0}, {"same": -4.0, "other": -4.0}
+        way = "other" if other else "same"
+        moves[way], rests[way] = moving, still
+        causes = Causes(80.0, 1.0, moves, rests, {}, {}, {}, (39.0, 197.0))
+        assert remedies._flattened(causes).shown is shown
 
 
 @pytest.mark.parametrize("together, shown", [(0.95, True), (0.85, False)])

@@ -19,6 +19,7 @@ from stillcal.replay.phone import Truth, load_phone, load_scenario, population, 
 from stillcal.replay.phone.plan import play
 from stillcal.replay.phone.simulation import TrueInterval
 from stillcal.replay.studies.claim import Verdict
+from stillcal.replay.studies.grammenos2018 import classes as classes_study
 from stillcal.replay.studies.grammenos2018 import gravity as gravity_study
 from stillcal.replay.studies.grammenos2018 import gyroscope_bias as bias_study
 from stillcal.replay.studies.grammenos2018 import homogeneity as homogeneity_study
@@ -32,6 +33,7 @@ from stillcal.replay.studies.grammenos2018 import stationary_states as states_st
 from stillcal.replay.studies.grammenos2018.algorithm_1 import algorithm_1
 from stillcal.replay.studies.grammenos2018.homogeneity import aggregate_error, at_rest, similarity, smoothed
 from stillcal.replay.studies.grammenos2018.kalman import Kalman, inverse, settled, steady_gain
+from stillcal.replay.studies.grammenos2018.slices import METHOD, WAYS, Accuracy
 from stillcal.replay.studies.grammenos2018.smoothing import filtered, middle
 from stillcal.replay.studies.har.data import Windows
 from stillcal.replay.studies.har.devices import Device, read_devices
@@ -315,6 +317,37 @@ def test_traces_brought_to_one_level_do_not_show_a_bias() -> None:
     assert found.ratio("devices", 2) < 0.05
     assert found.levelled[:, 0].mean() == pytest.approx(1e-4 * 2.0 / 3.0, rel=0.1)  # the noise, less its mean
     assert found.ratio("levelled", 2) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "net, svm, none, good, explained",
+    [
+        (0.951, 0.881, 0.9, (True, True), (False, False)),
+        (0.95, 0.88, 0.87, (False, False), (True, True)),
+        (0.94, 0.89, 0.96, (False, True), (False, False)),
+    ],
+)
+def test_the_abstract_s_accuracies_are_bounds_of_every_cell(
+    net: float, svm: float, none: float, good: tuple[bool, bool], explained: tuple[bool, bool]
+) -> None:
+    """Explained only where devices without errors miss them too; one cell alone is enough to differ."""
+
+    def found(net: float, svm: float) -> dict[tuple[tuple[str, str], str], Accuracy]:
+        made = {}
+        for pair in classes_study.PAIRS:
+            for name in classes_study.LEARNERS:
+                values = np.full((5, len(WAYS)), none)
+                values[:, WAYS.index(METHOD)] = svm if name == "SVM" else net
+                made[pair, name] = Accuracy(values, np.zeros(len(WAYS)))
+        return made
+
+    claims = classes_study._reached(found(net, svm), "data")
+    assert tuple(c.verdict is Verdict.REPRODUCED for c in claims) == good
+    assert tuple(c.explained for c in claims) == explained
+    best = found(0.97, 0.97)
+    for name in ("50", "SVM"):
+        best[classes_study.PAIRS[1], name].values[:] = 0.87
+    assert {c.verdict for c in classes_study._reached(best, "data")} == {Verdict.DIFFERS}
 
 
 def test_scattered_slices_have_everybody_on_both_sides() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +16,7 @@ from stillcal.replay.studies.har.recordings import Still
 from stillcal.replay.studies.har.scoring import radial_svm, tree
 from stillcal.replay.studies.stisen2015 import families as families_scores
 from stillcal.replay.studies.stisen2015 import gyroscope as gyroscope_study
-from stillcal.replay.studies.stisen2015 import heterogeneity as families_study
-from stillcal.replay.studies.stisen2015 import modes as modes_study
-from stillcal.replay.studies.stisen2015 import remedies as remedies_study
-from stillcal.replay.studies.stisen2015 import remedy_causes as causes_study
+from stillcal.replay.studies.stisen2015 import heterogeneity as heterogeneity_study
 from stillcal.replay.studies.stisen2015.recorded import (
     METHODS,
     Kinds,
@@ -30,11 +26,9 @@ from stillcal.replay.studies.stisen2015.recorded import (
     reference,
     resample,
 )
-from stillcal.replay.studies.stisen2015.treated import Carried
-from stillcal.replay.studies.stisen2015.treated import parts as parts_of
+from stillcal.replay.studies.stisen2015.remedies.treated import Carried
 
 RNG = np.random.default_rng(0)
-NO_CAUSES = causes_study.Causes(0.0, 0.0, 0.0, 0.0, {}, np.zeros((3, 1)), 0.0, (0.0, 0.0))
 
 
 def a_device(rate: float = 100.0) -> Device:
@@ -100,42 +94,6 @@ def test_equal_stamps_do_not_break_splines() -> None:
         assert np.isfinite(resample(recorded, 25.0, method)).all()
 
 
-def some_rows(n: int = 240) -> modes_study.Rows:
-    person, device = np.arange(n) % 12, np.arange(n) // 60
-    label = RNG.integers(0, 2, n)
-    features = {"one": RNG.normal(size=(n, 4)) + 3.0 * label[:, None]}
-    return modes_study.Rows(features, label, person, device, device // 2, device % 3)
-
-
-def test_modes_keep_apart_what_they_say() -> None:
-    rows = some_rows()
-    modes = ("user out", "model out", "one model, user out", "cluster, user out")
-    assert all(list(modes_study.splits(rows, mode, 0)) for mode in modes)
-    for train, test in modes_study.splits(rows, "user out", 0):
-        assert not set(rows.person[train]) & set(rows.person[test])
-    for train, test in modes_study.splits(rows, "model out", 0):
-        assert not set(rows.model[train]) & set(rows.model[test])
-    for train, test in modes_study.splits(rows, "one model, user out", 0):
-        assert len(set(rows.model[train])) == 1
-        assert not set(rows.model[train]) & set(rows.model[test])
-        assert not set(rows.person[train]) & set(rows.person[test])
-    for train, test in modes_study.splits(rows, "cluster, user out", 0):
-        assert set(rows.cluster[train]) == set(rows.cluster[test])
-        assert not set(rows.person[train]) & set(rows.person[test])
-
-
-def test_both_device_splits_test_the_same_devices() -> None:
-    """Device 3 is in a cluster of its own: it is tested by neither; the others' training differs."""
-    rows = replace(some_rows(), cluster=np.array([0, 0, 0, 1])[np.arange(240) // 60])
-    everywhere = list(parts_of(rows, "device out", 0))
-    inside = list(parts_of(rows, "device out, within cluster", 0))
-    for parts in (everywhere, inside):
-        assert [sorted(set(rows.device[test])) for _, test in parts] == [[0], [1], [2]]
-        assert all(not (train & test).any() for train, test in parts)
-    assert [sorted(set(rows.device[train])) for train, _ in inside] == [[1, 2], [0, 2], [0, 1]]
-    assert all(3 in rows.device[train] for train, _ in everywhere)
-
-
 def test_displacement_of_a_shift_is_the_shift_in_spreads() -> None:
     """Normal features of spread 2, two moved by 3: 1.5 spreads; one that never changes is left out."""
     clean = np.c_[RNG.normal(scale=2.0, size=(4000, 2)), np.ones(4000)]
@@ -169,55 +127,6 @@ def test_sensors_are_told_apart_by_what_they_see() -> None:
     found = gyroscope_study.scores(forces, blind[::-1], label, person, 0, number=2)
     assert found.by_fold[0].mean() > 95.0
     assert found.by_fold[1].mean() < 65.0
-
-
-def test_siblings_are_trained_on_their_own_model() -> None:
-    """Two models whose labels mean the opposite: only a sibling is right."""
-    n = 240
-    device, label = np.arange(n) // 60, RNG.integers(0, 2, n)
-    sign = np.where(device < 2, 1.0, -1.0) * (2 * label - 1)
-    features = {name: RNG.normal(size=(n, 4)) + 4.0 * sign[:, None] for name in modes_study.FAMILIES}
-    rows = modes_study.Rows(features, label, np.arange(n) % 12, device, device // 2, 0 * device)
-    found = modes_study.siblings(rows, 0)
-    assert found.f1[0].min() > 0.95
-    assert found.f1[1].max() < 0.05
-
-
-def test_clusters_are_compared_with_all_devices_fold_by_fold() -> None:
-    """Two clusters in every fold, each two points above all devices; folds lie far apart."""
-    by_fold = np.linspace(0.5, 0.9, modes_study.FOLDS)
-    everyone = np.tile(by_fold, (4, 4, 1))
-    inside = np.repeat(everyone, 2, axis=2) + 0.02
-    found = modes_study._cluster({"fifth of users out": everyone, "cluster, user out": inside}, "data")
-    assert found.verdict is Verdict.REPRODUCED
-    assert "+2.0 (+2.0 to +2.0)" in found.because
-
-
-@pytest.mark.parametrize("worse, good", [(None, True), ("model out", False)])
-def test_families_together_must_be_ahead_in_every_mode(worse: str | None, good: bool) -> None:
-    """Each learner has another best family, and together they are a point above it."""
-    alone = np.array([[0.8, 0.7, 0.7, 0.7], [0.7, 0.8, 0.7, 0.7], [0.7, 0.7, 0.8, 0.8]])
-    together = {mode: 0.79 if mode == worse else 0.81 for mode in modes_study.MODES}
-    found = {mode: np.vstack((alone, np.full(4, f1))) for mode, f1 in together.items()}
-    drawn = np.array([[60.0, 64.0, 68.0], [55.0, 56.0, 57.0]])
-    changed = {"rows": np.array([88.0]), "user out": drawn, "one model, user out": drawn}
-    changed["combined"] = np.array([72.0, 71.0])
-    ten, user, one, _, combined = modes_study._figure_5(found, changed, "data")
-    assert (combined.verdict is Verdict.REPRODUCED) is good
-    assert combined.ours.startswith(f"in {6 if good else 5} of 6 modes; user out 81.0 against 80.0 %")
-    assert [c.explained for c in (ten, user, one)] == [
-        True,
-        True,
-        True,
-    ]  # 88 near 91, 64 near 66.7, 56 near 56.4
-    few = changed | {"rows": np.array([85.0]), "user out": drawn - 10.0, "one model, user out": drawn + 10.0}
-    assert not any(c.explained for c in modes_study._figure_5(found, few, "data")[:3])
-
-
-def test_ten_folds_test_every_row_once() -> None:
-    parts = list(modes_study.splits(some_rows(), "ten-fold", 0))
-    assert len(parts) == 10
-    assert (np.sum([test for _, test in parts], axis=0) == 1).all()
 
 
 def test_comparison_of_ways_sees_what_is_there() -> None:
@@ -256,37 +165,6 @@ def test_tilt_is_the_angle_of_the_mean() -> None:
 
 
 def test_without_recordings_nothing_is_judged(tmp_path: Path) -> None:
-    for module in (families_study, modes_study, remedies_study, classes_study, gyroscope_study):
+    for module in (heterogeneity_study, classes_study, gyroscope_study):
         study = module.study(None, tmp_path, 0, lambda share: None)
         assert {c.verdict for c in study.claims} == {Verdict.UNTESTED}
-
-
-def test_significance_has_the_sign_of_the_change() -> None:
-    raw = np.zeros((3, 4, 100), dtype=bool)
-    raw[..., :50] = True
-    better, worse = raw.copy(), raw.copy()
-    better[0, 0, :80] = True
-    worse[1, 2, 10:50] = False
-    right = {("model out", "raw"): raw, ("model out", "linear"): better, ("model out", "cubic"): worse}
-    found = remedies_study.Found({}, {}, right, NO_CAUSES)
-    up, down = (found.significance("model out", way) for way in ("linear", "cubic"))
-    assert 0.0 < up[0, 0] < 1e-6
-    assert -1e-6 < down[1, 2] < 0.0
-    assert np.delete(up.ravel(), 0) == pytest.approx(1.0)
-    assert np.delete(down.ravel(), 6) == pytest.approx(1.0)
-
-
-def test_judged_windows_are_paired_whatever_the_features() -> None:
-    n = 60
-    label = np.arange(n) % 2
-    sharp, blurred = label[:, None] + 0.0 * np.ones((n, 2)), RNG.normal(size=(n, 2))
-    zeros = np.zeros(n, dtype=int)
-    rows = [
-        modes_study.Rows({"a": f}, label, np.arange(n) // 10, zeros, zeros, zeros) for f in (sharp, blurred)
-    ]
-    parts = list(modes_study.splits(rows[0], "user out", 0))
-    (f1, right), (_, other) = (modes_study.judged(r, parts, 0) for r in rows)
-    assert right.shape == other.shape == (1, 4, n)
-    assert right.all()
-    assert f1 == pytest.approx(1.0)
-    assert 0.2 < other.mean() < 0.8

@@ -33,6 +33,29 @@ def test_outliers_of_a_normal_sample() -> None:
     assert np.mean(timing_study.outliers(drawn)) == pytest.approx(0.00698, abs=4 * np.sqrt(0.007 / 200_000))
 
 
+def intervals(*values: float) -> timing_study.Intervals:
+    """A hundred intervals of 10 ms, a little uneven, and those given beside them."""
+    even = 10.0 + np.linspace(-0.5, 0.5, 100)
+    made = np.concatenate([even, values])
+    return timing_study.Intervals(made, made)
+
+
+def test_few_and_long_intervals_are_told_from_many() -> None:
+    """Each of three models: none beyond the whiskers; 3 % that are long; 20 % that are a tick off."""
+    even, long, ticks = (), (100.0,) * 3, (8.0, 12.0) * 10
+    for beyond, few, means, explained in ((even, True, False, False), (long, True, True, False),
+                                          (ticks, False, False, True)):  # fmt: skip
+        found = {name: intervals(*beyond) for name in "abc"}
+        outliers, far = timing_study._outliers(found)
+        assert (outliers.verdict is Verdict.REPRODUCED) is few
+        assert (far.verdict is Verdict.REPRODUCED) is means
+        assert outliers.explained is explained
+    one = {"a": intervals(*long), "b": intervals(), "c": intervals(), "d": intervals()}
+    assert timing_study._outliers(one)[1].verdict is Verdict.DIFFERS  # one of four is not many
+    many = {name: intervals(*(100.0,) * 20) for name in "abc"}
+    assert not timing_study._outliers(many)[0].explained  # beyond, many, and long
+
+
 def test_clusters_of_well_separated_groups() -> None:
     rng = np.random.default_rng(1)
     centres = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0]])

@@ -9,18 +9,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.studies.har.data import ACTIVITIES, RATE_HZ, Windows
 from stillcal.replay.studies.har.features import FAMILIES, frequency_features, without_counts
 from stillcal.replay.studies.har.scoring import LEARNERS
 from stillcal.replay.studies.stisen2015.families import COMMON_HZ
-from stillcal.replay.studies.stisen2015.modes import Rows, only, score, splits
-from stillcal.replay.studies.stisen2015.recorded import METHODS, reference, resample
-from stillcal.replay.studies.stisen2015.treated import RATES_HZ, SPLITS, parts
+from stillcal.replay.studies.stisen2015.modes.rows import Judged, Part, Rows, judge, other_windows, splits
+from stillcal.replay.studies.stisen2015.recorded import METHODS, by_rate, reference, resample
 
 MOVING = ("walk", "stairs up", "stairs down")
+
+
+MOST, HALVES = 400, 2
+"""Rows that a recogniser is trained on at most; groups of windows of which one is not trained on."""
+
+OUT, DEVICE, WITHIN = "model out", "device out", "device out, within cluster"
+ByWay = dict[str, float]
+"""Points by way: of a mode that keeps people, and of its `other_windows`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,46 +37,67 @@ class Causes:
     slower: gained by going from 50 to 25 Hz on a faultless device, frequency features, mean of learners.
     moving, still: gained by smoothed splines, a model out, forest on frequency features, among activities in
     motion and among the others. uncounted: gained by each of METHODS, a model out, on time features
-    `without_counts`. same_rate: (3, parts), gained by training on the other devices of one rate instead of on
-    all. within: gained by linear interpolation among devices of one rate, frequency features. mixed: Hz,
+    `without_counts`. same_rate: (3, devices), gained by training on the other devices of one rate instead of
+    on all. within: gained by linear interpolation among devices of one rate, frequency features. mixed: Hz,
     lowest and highest rate within the cluster that mixes them most.
     """
 
     ceiling: float
     slower: float
-    moving: float
-    still: float
-    uncounted: dict[str, float]
-    same_rate: Array
-    within: float
+    moving: ByWay
+    still: ByWay
+    uncounted: dict[str, ByWay]
+    same_rate: dict[str, Array]
+    within: ByWay
     mixed: tuple[float, float]
 
 
 def tried(rows: dict[str, Rows], rates: list[float], windows: Windows, few: Windows, seed: int) -> Causes:
     """Try every cause. rows: by way, of devices with these rates, Hz. few: the windows behind them."""
-    out = list(splits(rows["raw"], "model out", seed))
+    out = halves(rows["raw"], OUT, seed)
     forest = {"forest": LEARNERS["forest"]}
     frequency = {way: of_family(rows[way], "frequency") for way in ("raw", "smoothed")}
     moves = np.isin(rows["raw"].label, [ACTIVITIES.index(a) for a in MOVING])
     gains = []
     for mask in (moves, ~moves):
-        before, after = (only(frequency[way], mask) for way in ("raw", "smoothed"))
-        again = list(splits(before, "model out", seed))
-        gains.append(_points(score(after, again, seed, forest)) - _points(score(before, again, seed, forest)))
-    plain = _points(score(_uncounted(rows["raw"]), out, seed))
-    alike = {way: replace(rows[way], cluster=_by_rate(rows[way].device, rates)) for way in ("raw", "linear")}
-    anywhere, inside = (list(parts(alike["raw"], split, seed)) for split in SPLITS[2:])
-    within = {way: score(alike[way], inside, seed) for way in alike}
+        before, after = (frequency[way].only(mask) for way in ("raw", "smoothed"))
+        again = halves(before, OUT, seed)
+        smoothed, raw = (judge(own, again, seed, forest, most=MOST) for own in (after, before))
+        gains.append(gained(smoothed, raw))
+    plain = judge(_uncounted(rows["raw"]), out, seed, most=MOST)
+    alike = {way: replace(rows[way], cluster=by_rate(rows[way].device, rates)) for way in ("raw", "linear")}
+    anywhere = judge(alike["raw"], halves(alike["raw"], DEVICE, seed), seed, most=MOST)
+    inside = {way: judge(own, halves(own, WITHIN, seed), seed, most=MOST) for way, own in alike.items()}
     return Causes(
         ceiling=_faultless(windows, COMMON_HZ, seed, learners=("SVM",)),
         slower=_faultless(few, COMMON_HZ, seed) - _faultless(few, RATE_HZ, seed),
         moving=gains[0],
         still=gains[1],
-        uncounted={m: _points(score(_uncounted(rows[m]), out, seed)) - plain for m in METHODS},
-        same_rate=100.0 * (within["raw"] - score(alike["raw"], anywhere, seed)).mean(axis=1),
+        uncounted={m: gained(judge(_uncounted(rows[m]), out, seed, most=MOST), plain) for m in METHODS},
+        same_rate={
+            WITHIN: (by_device(inside["raw"][WITHIN]) - by_device(anywhere[DEVICE])).mean(axis=1),
+            other_windows(WITHIN): (
+                by_device(inside["raw"][other_windows(WITHIN)]) - by_device(anywhere[other_windows(DEVICE)])
+            ).mean(axis=1),
+        },
         mixed=_most_mixed(rows["raw"], np.array(rates)),
-        within=_points(within["linear"][_FREQUENCY]) - _points(within["raw"][_FREQUENCY]),
+        within=gained(inside["linear"], inside["raw"], _FREQUENCY),
     )
+
+
+def halves(rows: Rows, mode: str, seed: int) -> list[Part]:
+    """Return the parts of a mode; where it keeps people, half of the windows are not trained on."""
+    return list(splits(rows, mode, seed, HALVES))
+
+
+def by_device(found: Judged) -> Array:
+    """Return F1 of `halves` by what is left out, both halves together, percent; (families, learners, n)."""
+    return np.asarray(100.0 * found.f1.reshape(*found.f1.shape[:2], -1, HALVES).mean(axis=3))
+
+
+def gained(after: dict[str, Judged], before: dict[str, Judged], family: int = 0) -> ByWay:
+    """Return by way how much more F1 one thing has than another, points, mean of learners."""
+    return {way: float((found.mean - before[way].mean)[family].mean()) for way, found in after.items()}
 
 
 _FREQUENCY = list(FAMILIES).index("frequency")
@@ -83,12 +110,6 @@ def of_family(rows: Rows, family: str) -> Rows:
 
 def _uncounted(rows: Rows) -> Rows:
     return replace(rows, features={"time": without_counts(rows.features["time"])})
-
-
-def _by_rate(device: NDArray[np.intp], rates: list[float]) -> NDArray[np.intp]:
-    """Return the nearest of RATES_HZ, as a ratio, of each row's device (n,)."""
-    nearest = np.abs(np.log(np.array(rates)[:, None] / np.array(RATES_HZ))).argmin(axis=1)
-    return np.asarray(nearest[device], dtype=np.intp)
 
 
 def _most_mixed(rows: Rows, rates: Array) -> tuple[float, float]:
@@ -104,10 +125,8 @@ def _faultless(
     clean = reference(windows.accel)
     samples = clean.samples if rate == RATE_HZ else resample(clean, rate, "linear")
     none = np.zeros(len(windows), dtype=np.intp)
-    rows = Rows({"frequency": frequency_features(samples)}, windows.label, windows.person, none, none, none)
+    rows = Rows(
+        {"frequency": frequency_features(samples)}, windows.label, windows.person, none, none, none, none
+    )
     chosen = {name: LEARNERS[name] for name in learners}
-    return _points(score(rows, list(splits(rows, "ten-fold", seed)), seed, chosen, most=len(windows)))
-
-
-def _points(f1: Array) -> float:
-    return 100.0 * float(f1.mean())
+    return float(judge(rows, list(splits(rows, "ten-fold", seed)), seed, chosen)["ten-fold"].mean.mean())
