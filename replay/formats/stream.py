@@ -131,8 +131,12 @@ class SampleFile:
 
     def _check_finite(self, values: Array, lines: NDArray[np.int64]) -> None:
         """Raise TraceError for values that are not finite, and for empty cells that must have a number."""
-        if not values.size or EMPTY < values.min() <= values.max() < np.inf:
-            return  # false with NaN
+        if not values.size:
+            return
+        low, high = float(values.min()), float(values.max())
+        finite = low >= EMPTY and high < np.inf  # false with NaN
+        if finite and (low > EMPTY or self._only_whole_samples_empty(values)):
+            return
         bad = ~np.isfinite(values)
         temperature = self._layout.temperature
         if temperature is not None and bad[:, temperature].any():
@@ -150,6 +154,14 @@ class SampleFile:
             holds = "is empty" if cell == EMPTY else f"holds {cell}, which is not a finite number"
             what = f"{self._table.column_name(self._layout.wanted[column])} {holds}"
             raise TraceError(self.path, what, "correct or delete that row", int(lines[row]))
+
+    def _only_whole_samples_empty(self, values: Array) -> bool:
+        """Whether of the cells that must have a number only all three of a sensor are empty, in any row."""
+        empty = values == EMPTY
+        if self._layout.time is not None and empty[:, self._layout.time].any():
+            return False
+        by_sensor = [empty[:, axes].T for axes in self._layout.axes.values()]
+        return all(np.array_equal(x, y) and np.array_equal(y, z) for x, y, z in by_sensor)
 
     def _stamps(self, values: Array, first_row: int) -> Array:
         time = self._map.time
@@ -178,25 +190,26 @@ class SampleFile:
         for sensor, axes in self._layout.axes.items():
             xyz = rows.values[:, axes]
             there = xyz[:, 0] != EMPTY
-            xyz_si = self._si(sensor, xyz)
-            self._check_limits(rows, xyz_si, there)
-            samples = Samples(sensor, frozen(rows.t), frozen(xyz_si), temperature, arrival)
+            samples = Samples(sensor, frozen(rows.t), frozen(self._si(sensor, xyz)), temperature, arrival)
+            lines = rows.lines
             if not there.all():
                 self._without_cells += int(np.count_nonzero(~there))
-                samples = _selected(samples, there)
+                samples, lines = _selected(samples, there), lines[there]
+            self._check_limits(samples, lines)
             run[sensor] = samples
         return run
 
-    def _check_limits(self, rows: Rows, xyz: Array, there: NDArray[np.bool_]) -> None:
-        """Raise TraceError for stamps and readings that no sensor gives."""
-        if not xyz.size or usable(rows.t[[0, -1]], np.array([[xyz.min()] * 3, [xyz.max()] * 3])).all():
+    def _check_limits(self, samples: Samples, lines: NDArray[np.int64]) -> None:
+        """Raise TraceError for stamps and readings that no sensor gives. lines: (n,) of the samples."""
+        t, xyz = samples.t, samples.xyz
+        if not xyz.size or usable(t[[0, -1]], np.array([[xyz.min()] * 3, [xyz.max()] * 3])).all():
             return  # the stamps are in order
-        wild = there & ~usable(rows.t, xyz)
+        wild = ~usable(t, xyz)
         if wild.any():
             i = int(wild.argmax())
             values = " ".join(f"{value:.4g}" for value in xyz[i])
-            what = f"{values} at {rows.t[i]:.6g} s is beyond any sensor's range"
-            raise TraceError(self.path, what, "correct or delete that row", int(rows.lines[i]))
+            what = f"{values} at {t[i]:.6g} s is beyond any sensor's range"
+            raise TraceError(self.path, what, "correct or delete that row", int(lines[i]))
 
     def _si(self, sensor: Sensor, xyz: Array) -> Array:
         sensor_map = self._map.sensor(sensor)

@@ -18,8 +18,10 @@ from stillcal.replay.formats.tables.table import EMPTY
 LONG_BYTES = 1 << 27
 """Shorter files are read sooner than Arrow is imported, unless something else has imported it."""
 
-Reader = Callable[[bytes, Sequence[int]], Array | None]
-"""Given lines with commas between cells, and places of columns, returns (rows, k); None where it cannot."""
+Reader = Callable[[bytes, int, Sequence[int]], Array | None]
+"""Given lines with commas between cells, how many they are, and places of columns, returns (rows, k).
+
+None where it cannot read them."""
 
 
 def compiled_reader(size_bytes: int, width: int) -> Reader | None:
@@ -34,7 +36,7 @@ def compiled_reader(size_bytes: int, width: int) -> Reader | None:
     names = [str(place) for place in range(width)]
     parsing = csv.ParseOptions(quote_char=False, double_quote=False)
 
-    def read(text: bytes, places: Sequence[int]) -> Array | None:
+    def read(text: bytes, count: int, places: Sequence[int]) -> Array | None:
         wanted = {names[place]: pa.float64() for place in places}
         reading = csv.ReadOptions(use_threads=False, block_size=len(text) + 1, column_names=names)
         converting = csv.ConvertOptions(
@@ -44,10 +46,12 @@ def compiled_reader(size_bytes: int, width: int) -> Reader | None:
             table = csv.read_csv(pa.py_buffer(text), reading, parsing, converting)
         except pa.ArrowInvalid:
             return None
-        values = np.empty((table.num_rows, len(places)))
+        if table.num_rows != count:
+            return None
+        values = np.empty((count, len(places)))
         for i, place in enumerate(places):
             column = table.column(names[place])
             values[:, i] = (column.fill_null(EMPTY) if column.null_count else column).to_numpy()
-        return values if table.num_rows == text.count(b"\n") else None
+        return values
 
     return read

@@ -82,9 +82,9 @@ class TextTable:
         self.skipped_rows = 0
         plain = not key and self._dates not in places
         compiled = compiled_reader(self.size_bytes, self.width) if plain else None
-        for data, first_line, unfinished in self._line_blocks(BLOCK_BYTES):
+        for data, first_line, count, unfinished in self._line_blocks(BLOCK_BYTES):
             text = self._normal(data)
-            values = None if compiled is None else compiled(text, places)
+            values = None if compiled is None else compiled(text, count, places)
             if values is not None:
                 yield Block(values, np.arange(first_line, first_line + len(values)))
                 continue
@@ -116,8 +116,8 @@ class TextTable:
         except csv.Error:
             return [line]
 
-    def _line_blocks(self, size: int) -> Iterator[tuple[bytes, int, bool]]:
-        """Yield (whole lines, number of the first, whether the last one lacks its line end)."""
+    def _line_blocks(self, size: int) -> Iterator[tuple[bytes, int, int, bool]]:
+        """Yield (whole lines, number of the first, how many, whether the last one lacks its line end)."""
         line, tail = 1, b""
         with self._source.open() as file:
             stream = unpacked(file)
@@ -133,10 +133,11 @@ class TextTable:
                         raise TraceError(self.path, "a line does not end", _TEXT_REMEDY, line)
                     continue
                 text, tail = tail + data[:cut], data[cut:]
-                yield text, line, False
-                line += text.count(b"\n")
+                count = text.count(b"\n")
+                yield text, line, count, False
+                line += count
             if tail:
-                yield tail + b"\n", line, True
+                yield tail + b"\n", line, 1, True
 
     def _read(self, stream: BinaryIO, size: int) -> bytes:
         try:

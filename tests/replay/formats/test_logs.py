@@ -330,15 +330,15 @@ def test_arrow_reads_the_same_bits_and_leaves_what_it_cannot_read() -> None:
     text = "".join(",".join(map(repr, row)) + "\n" for row in values.tolist()).encode()
     read = compiled_reader(LONG_BYTES, 3)
     assert read is not None
-    table = read(text, [2, 0])
+    table = read(text, 500, [2, 0])
     assert table is not None
     np.testing.assert_array_equal(table, values[:, [2, 0]])
-    empty = read(b"1,,3\n4,5,6\n", [1])
+    empty = read(b"1,,3\n4,5,6\n", 2, [1])
     assert empty is not None and empty.tolist() == [[EMPTY], [5.0]]
-    finite = read(b"1,nan,3\n", [1])
+    finite = read(b"1,nan,3\n", 1, [1])
     assert finite is not None and np.isnan(finite).all()  # the reader of samples refuses it by name
     for refused in (b"1,x,3\n", b"1,2\n", b"1,2,3,4\n", b"1,2,3\n\n4,5,6\n", b"1,1_0,3\n"):
-        assert read(refused, [1]) is None, refused
+        assert read(refused, refused.count(b"\n"), [1]) is None, refused
 
 
 def test_an_axivity_recording_of_both_sensors(tmp_path: Path) -> None:
