@@ -208,7 +208,7 @@ def main(days: int, seed: int, rate: float, often: bool, keep: Path | None) -> N
     click.echo(f"\n{'':12} {'first day':>12} {'2nd quarter':>12} {'last quarter':>12}")
     for g in found:
         click.echo(f"{g.name:12} {g.first_day:12} {g.second:12} {g.last:12} {'flat' if g.flat else 'GROWS'}")
-    counters = lived.status.get("counters")
+    counters = lived.status["counts"]
     click.echo(f"exit code {lived.exit_code}; {counters}")
     sys.exit(not all(g.flat for g in found) or lived.exit_code != 0)
 
