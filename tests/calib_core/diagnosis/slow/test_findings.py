@@ -49,7 +49,7 @@ def found(sensor: str, seed: int, family: str = "white", **kind: object) -> list
 @pytest.mark.slow
 @pytest.mark.parametrize("family", nulls.FAMILIES)
 def test_silent_where_nothing_is_wrong(family: str) -> None:
-    """Of days drawn anew, one scene in e^4 = 55 may pass the score; what is then said is weighed once more."""
+    """Of days drawn anew, one scene in e^4 = 55 may pass the score; its finding is weighed once more."""
     rng = np.random.default_rng([11, nulls.FAMILIES.index(family) % 2])
     bins = nulls.bins_of(rng, nulls.schedule(rng), family)
     for scene in scenes(bins, nulls.G):
