@@ -169,6 +169,9 @@ def test_p_is_given_by_recogniser_and_judgements_are_paired_by_window() -> None:
     p = paired(Judged(np.zeros((3, 4, 1)), one, row, 0 * row), both, row)
     assert 0.0 < p[0, 0] < 1e-6 and -1e-6 < p[1, 2] < 0.0
     assert (np.delete(p.ravel(), [0, 6]) == 1.0).all()
+    twice[..., :n], twice[..., n:] = True, False
+    always = Judged(np.zeros((3, 4, 1)), np.ones((3, 4, n), dtype=bool), row, 0 * row)
+    assert (paired(always, both, row) < 1e-6).all()  # half of the windows meet the one that is wrong
 
 
 # The verdicts: scores that are as the paper has them, and each claim's own turned.
@@ -327,6 +330,32 @@ def test_causes_are_shown_only_where_they_take_the_difference_away() -> None:
     assert best.verdict is Verdict.DIFFERS and best.explained  # model out is above it on known motion alone
     levels[other_windows("model out")] += 7.0
     assert not verdicts(found_from(levels))["best"].explained
+
+
+@pytest.mark.parametrize(
+    "draws, shown", [((69.5, 69.5, 69.5), True), ((70.0, 70.0, 70.0), False), ((66.7, 66.7, 70.0), False)]
+)
+def test_fewer_people_are_a_cause_where_every_draw_halves_the_difference(
+    draws: tuple[float, ...], shown: bool
+) -> None:
+    """Six points above the paper: 69.7 is half of it."""
+    levels = as_the_paper_has_it()
+    levels["user out"] += 6.0
+    found = found_from(levels)
+    causes = replace(found.causes, nine={**found.causes.nine, "user out": np.array(draws)})
+    assert verdicts(replace(found, causes=causes))["user"].explained is shown
+
+
+@pytest.mark.parametrize("left, shown", [(-3.9, True), (-4.1, False)])
+def test_counting_features_are_a_cause_where_without_them_half_is_gone(left: float, shown: bool) -> None:
+    levels = as_the_paper_has_it()
+    for way in ways("model out"):
+        levels[way][TIME] = levels[INTRA][TIME] - 8.0
+    found = found_from(levels)
+    for way in ways("model out"):
+        found.causes.uncounted[way] = found.causes.uncounted[INTRA] + left
+    trees = verdicts(found)["trees"]
+    assert (trees.verdict, trees.explained) == (Verdict.DIFFERS, shown)
 
 
 def test_a_model_out_that_is_ahead_on_known_motion_alone_is_explained_by_it() -> None:

@@ -167,6 +167,15 @@ def test_causes_must_hold_both_ways() -> None:
     assert not now["interpolation"].explained and not now["frequency"].explained
 
 
+@pytest.mark.parametrize("test, explained", [(UNKNOWN[1], True), (UNKNOWN[0], False)])
+def test_what_holds_on_known_motion_alone_is_explained_by_it(test: str, explained: bool) -> None:
+    found = as_the_paper_has_it()
+    cell(test, "cubic", 50.0, 86.1)(found)
+    low = verdicts(found)["low"]
+    assert (low.verdict, low.explained) == (Verdict.DIFFERS, explained)
+    assert ("never saw" in low.why_it_differs) is explained
+
+
 def test_significance_has_the_sign_of_the_change() -> None:
     found = as_the_paper_has_it()
     found.right[USER, "linear"][0, 0] = share(0.3)
