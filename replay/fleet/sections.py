@@ -110,7 +110,8 @@ def _biases(report: Report) -> list[Row]:
     rows = []
     for model in models:
         own = [s for s in report.spreads if s.model == model and s.quantity.startswith("accelerometer bias")]
-        cells = (f"{s.median:+.3f} ({s.low:+.3f} to {s.high:+.3f})" for s in own)
+        alone = own[0].devices == 1
+        cells = (f"{s.median:+.3f}" + ("" if alone else f" ({s.low:+.3f} to {s.high:+.3f})") for s in own)
         rows.append((model, str(own[0].devices), *cells))
     return rows
 

@@ -10,8 +10,9 @@ import numpy as np
 from stillcal.calib_core.accelerometer.observability import most_helpful_attitude
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
+from stillcal.replay.palette import BLUE, ORANGE
 from stillcal.replay.plots.inputs import Material
-from stillcal.replay.plots.style import BLUE, GREY, GRID, MILLI_G, ORANGE
+from stillcal.replay.plots.style import GREY, GRID, MILLI_G
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +63,7 @@ def draw(part: FigureBase, material: Material) -> None:
         part.colorbar(drawn, ax=[left, right], shrink=0.7, label="|force| - g after, rms, mg")
     part.suptitle(
         f"{len(rests.t)} rests in {len(up)} attitudes (larger: more rests)\n"
-        + fill(f"ring, would help most: {wanted.words}", _LINE),
+        + fill(f"ring: the attitude that would help most: {wanted.words}", _LINE),
         fontsize="medium",
     )
 

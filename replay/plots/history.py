@@ -73,7 +73,11 @@ def _panel(
 ) -> None:
     """Draw one kind of parameter minus its last value. units: factor to the unit shown; s per time unit."""
     gain, length = units
-    span = np.ptp([m.at or 0.0 for m in moments]) / length or 1.0
+    span = np.ptp([m.at or 0.0 for m in moments]) / length
+    if span == 0.0:  # a single moment stands in the middle of the panel
+        only = (moments[0].at or 0.0) / length
+        axis.set_xlim(only - 0.5, only + 0.5)
+        span = 1.0
     last = [sensor(m.record) for m in moments if m.what != "rejected" and sensor(m.record) is not None]
     zero = _values(last[-1], names)[0] if last else np.zeros(3)
     for accepted in (True, False):

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stillcal.calib_core.errors import NotSupported
+from stillcal.replay.palette import BLUE, RED
 from stillcal.replay.plots.inputs import Material
-from stillcal.replay.plots.style import BLUE, GREY, MILLI_G, NORMAL_95, RED, within
+from stillcal.replay.plots.style import GREY, MILLI_G, NORMAL_95, within
 
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase

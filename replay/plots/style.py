@@ -1,4 +1,4 @@
-"""The style of all figures: sizes, colours for the colour-blind too (Okabe and Ito), light grids.
+"""The style of all figures: sizes, colours (palette.py), light grids.
 
 matplotlib is imported only where a figure is made. An axis of a sensor has the same colour and mark
 everywhere.
@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.replay.palette import BLUE, GREEN, ORANGE, PURPLE, RED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase
 
-BLUE, RED, GREEN, ORANGE, PURPLE, GREY = "#0072b2", "#d55e00", "#009e73", "#e69f00", "#cc79a7", "0.45"
+GREY = "0.45"
 COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, GREY)
 AXES = (("x", RED, "o"), ("y", GREEN, "s"), ("z", BLUE, "^"))
 """Name, colour and mark of a sensor's three axes."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stillcal.replay.palette import BLUE, GREEN, ORANGE, PURPLE, RED
 from stillcal.replay.plots import style
-from stillcal.replay.plots.style import AXES, BLUE, COLOURS, GREEN, GREY, ORANGE, PURPLE, RED, panels
+from stillcal.replay.plots.style import AXES, COLOURS, GREY, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

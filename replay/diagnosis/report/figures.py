@@ -22,6 +22,7 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.curves import Curve, running_median
 from stillcal.replay.diagnosis.words.names import parameter_noun
 from stillcal.replay.diagnosis.words.units import pretty, shown_in
+from stillcal.replay.palette import BLUE, RED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +34,7 @@ WIDTH, HEIGHT = 5.0, 3.1
 ROW_INCHES = 0.45
 """Height of one number's row."""
 
-INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", "#c65a11", "#0b6e99"
+INK, RECORDED, BEFORE, AFTER = "#222222", "#444444", RED, BLUE
 SHADED_BELOW = 0.9
 """A finding in less than this share of the recording is shaded in time."""
 

@@ -31,18 +31,20 @@ from stillcal.replay.diagnosis.words.next_recording import to_record
 from stillcal.replay.diagnosis.words.relation_text import probability_text, with_interval
 from stillcal.replay.diagnosis.words.summary import headline, outcome, reasons
 from stillcal.replay.diagnosis.words.units import plain, pretty, shown_in
+from stillcal.replay.palette import BLUE, GREEN, RED
 
-STYLE = """
+STYLE = (
+    """
 :root{color-scheme:light}
 body{font:16px/1.5 system-ui,sans-serif;color:#222;background:#fff;margin:0 auto;max-width:64rem;
  padding:1rem;overflow-wrap:anywhere}
 h1{font-size:1.5rem;line-height:1.25}h2{font-size:1.2rem;margin-top:2.2rem;border-top:1px solid #ccc;
  padding-top:1rem}h3{font-size:1.05rem;margin-top:1.8rem}
-.verdict{font-size:1.15rem;padding:.8rem 1rem;border-left:.4rem solid #c65a11;background:#fbf3ec}
-.verdict.match{border-color:#2e7d32;background:#f0f7f0}
-.verdict.identified{border-color:#0b6e99;background:#f1f6f8}
+.verdict{font-size:1.15rem;padding:.8rem 1rem;border-left:.4rem solid @RED;background:#fbf3ec}
+.verdict.match{border-color:@GREEN;background:#f0f7f0}
+.verdict.identified{border-color:@BLUE;background:#f1f6f8}
 .verdict.not_judged{border-color:#777;background:#f4f4f4}
-.made{font-size:.85rem;color:#555}
+a{color:@BLUE}.made{font-size:.85rem;color:#555}
 nav ul{columns:2 20rem;padding-left:1.2rem}
 .pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,27rem),1fr));gap:1rem}
 figure{margin:.6rem 0;max-width:31rem}
@@ -51,7 +53,10 @@ code,.equation{font-family:ui-monospace,monospace;font-size:.92rem}
 .equation{background:#f6f6f6;padding:.5rem .7rem;white-space:pre-wrap}
 footer{margin-top:2.5rem;font-size:.85rem;color:#555}
 @media print{h2,h3{break-after:avoid}figure,tr,.verdict{break-inside:avoid}nav{display:none}}
-"""
+""".replace("@RED", RED)
+    .replace("@GREEN", GREEN)
+    .replace("@BLUE", BLUE)
+)
 
 RELATIONS = {
     "lacking": "{} lacks it",

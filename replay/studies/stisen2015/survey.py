@@ -15,6 +15,7 @@ from stillcal.calib_core.accelerometer.known_attitudes import FaceCalibration
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.formats.hhar_still import read
+from stillcal.replay.plots.style import AXES
 from stillcal.replay.studies.methods.device_faces import DeviceOutcome, calibrate_devices
 
 _PAGE = """# How far phones are off
@@ -107,10 +108,10 @@ def draw(outcomes: list[DeviceOutcome], path: Path) -> None:
     figure = Figure(figsize=(9.0, 0.32 * len(calibrated) + 1.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     rows = np.arange(len(calibrated))
-    for axis, (colour, marker) in enumerate((("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "^"))):
+    for axis, (name, colour, marker) in enumerate(AXES):
         biases = [o.calibration.model.bias[axis] for o in calibrated if o.calibration]
         scales = [_scale_errors(o.calibration)[axis] for o in calibrated if o.calibration]
-        left.plot(biases, rows, marker, color=colour, label="xyz"[axis])
+        left.plot(biases, rows, marker, color=colour, label=name)
         right.plot(scales, rows, marker, color=colour)
     left.set_yticks(rows, [_name(o) for o in calibrated])
     left.invert_yaxis()

@@ -25,6 +25,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.events import Charging
 from stillcal.daemon.cli.main import cli
+from stillcal.replay import palette
 from stillcal.replay.commands.simulate import truth_of
 from stillcal.replay.phone import Phone, Simulation, load_phone, load_scenario, simulate
 from stillcal.replay.plots import style
@@ -211,7 +212,7 @@ def _drawn(lived: Lived, simulation: Simulation, path: Path) -> str:
     true = truth_of(simulation)
     for panel, (sensor, label, size, gain) in zip(panels, _PANELS, strict=True):
         t, errors = _errors_through(lived, true[sensor], sensor, size, simulation.duration)
-        panel.step(t / 3600, gain * errors, where="post", color=style.BLUE)
+        panel.step(t / 3600, gain * errors, where="post", color=palette.BLUE)
         panel.set(yscale="log", ylabel=label)
         for begin, end in _charging(simulation):
             panel.axvspan(begin / 3600, end / 3600, color="0.9")

@@ -13,6 +13,7 @@ import numpy as np
 
 import stillcal
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.replay import palette
 from stillcal.replay.plots import style
 
 if TYPE_CHECKING:
@@ -39,8 +40,8 @@ def _draw_rests(axis: Axes, calibration: stillcal.Calibration) -> None:
     minutes = [0.5 * (s.t_start + s.t_end) / 60.0 for s in states]
     force = np.array([s.specific_force for s in states])
     for values, colour, label in (
-        (force, style.RED, "raw"),
-        (part.model.apply(force), style.BLUE, "calibrated"),
+        (force, palette.RED, "raw"),
+        (part.model.apply(force), palette.BLUE, "calibrated"),
     ):
         error = MILLI_G * (np.linalg.norm(values, axis=1) - part.gravity)
         rms = float(np.sqrt(np.mean(error**2)))
