@@ -133,6 +133,8 @@ def test_what_a_file_does_not_mention_keeps_its_default():
             "[engine.schedule]\ncheck_interval_s = -5",
             r"^c\.toml:2: \[engine\.schedule\] check_interval_s = -5",
         ),
+        ("[engine.schedule]\nreview_interval_s = 1e-9", r"^c\.toml:2: .* must be within 1\.\.1e\+09 s$"),
+        ("[engine.schedule]\nreview_interval_s = 0.999", r"^c\.toml:2: .* must be within 1\.\.1e\+09 s$"),
         ("[engine.schedule]\nreview_interval_s = nan", r"^c\.toml:2: .* = nan: must be a number$"),
         (
             "[engine]\nshedule = {}",
