@@ -122,7 +122,8 @@ def _lowest(found: Found) -> Claim:
         + (", ".join(f"{way} {v:.1f}" for way, v in lower.items()) or "none")
         + " %. The paper itself says elsewhere that user and model out is lower",
         Cause(
-            "of the modes that keep people these are as low or lower: " + (", ".join(kept) or "none"),
+            f"of the modes that keep people {len(kept)} are as low or lower: "
+            + (", ".join(f"{way} {lower[way]:.1f}" for way in kept) or "none"),
             shown=not kept,
         ),
     )
@@ -175,7 +176,8 @@ def _knn(found: Found) -> Claim:
         holds(len(ahead) == len(asked)),
         f"in all modes of Figure 5, both ways. Points of kNN above the forest: {listed}",
         Cause(
-            f"kNN is ahead by {', '.join(ahead) or 'none'}"
+            f"kNN is ahead in {len(ahead)} modes: "
+            + (", ".join(f"{way} {lead[way]:+.1f}" for way in ahead) or "none")
             + (", where the tested motion itself is in training" if set(ahead) <= seen else ""),
             shown=False,
         ),
