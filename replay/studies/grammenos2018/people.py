@@ -323,8 +323,7 @@ def _day(found: list[Life], shares: dict[int, float], norms: Array) -> Claim:
     ours = f"{shares[first]:.0%} of phones from {first} rests, {shares[last]:.0%} from {last}"
     why = (
         "normally: in more than half, from as many rests as the paper found in 12 h. By the number of rests"
-        " of a"
-        f" day: {others}"
+        f" of a day: {others}"
     )
     cause = Cause(
         f"with all {np.median(_column(found, 'rests')):.0f} rests of such a day {done:.0%} are calibrated,"
@@ -445,7 +444,9 @@ def _text(found: list[Life], lived: list[Life], fewest: dict[str, Array], file: 
             f" has {np.median(_column(found, 'rests')):.0f} rests. From {NUMBERS[0]} of them, drawn among"
             " all, next to no phone can be calibrated; from all of them"
             f" {np.mean(np.isfinite(_column(found, 'calibrated_at'))):.0%} can, which is what the times in"
-            " the table are of. That is tried only while a charger is plugged in.",
+            " the table are of. Both ways it is tried while a charger is plugged in. The drawn days fit"
+            " the rests alone; the engine adds what is known of sound phones, so that its first calibration"
+            " comes with the first charge.",
             picture(file, "Attitudes found in twelve hours; time to nine attitudes and to a calibration"),
             table(("", "5 %", "median", "95 %"), rows),
         ]
