@@ -92,6 +92,7 @@ tested here. Of the {differ} figures that differ, {found} have a cause that a ru
 
 - *Real recordings*: recordings of real devices, alone.
 - *Semi-synthetic*: real activity (one phone) carried through the measured errors and noise of real devices.
+  *Other windows*: tested on motion that was not trained on through another device either.
 - *Simulation*: simulated phones or random draws. It shows that the methods behave as the paper says, and
   nothing about real sensors.
 - *Theory*: a derivation, checked numerically. *Arithmetic*: counted, timed or computed from given numbers.

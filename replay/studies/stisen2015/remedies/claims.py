@@ -78,9 +78,8 @@ def _judged(key: str, ours: str, good: list[bool], because: str, cause: Cause | 
     """Judge a claim by whether it holds on motion that was trained on, and on other motion."""
     if good == [True, False]:
         cause = Cause(
-            "it holds as the paper tests, where the tested motion is in training through other devices,"
-            " and not"
-            " on motion that the same recognisers never saw",
+            "as the paper tests, where the tested motion is in training through other devices, it holds; on"
+            f" motion that the same recognisers never saw it does not: {ours}",
             shown=True,
         )
     return _claim(key, ours, holds(all(good)), f"{because}; both ways", cause)
