@@ -67,7 +67,7 @@ def query_command(method: str, parameters: tuple[str, ...], path: str, as_json: 
     try:
         for reply in replies(where, _question(method, parameters)):
             if "error" in reply:
-                _exit_with_error(str(reply["error"]), reply.get("parameters") or {})
+                _exit_with_error(str(reply["error"]), reply.get("parameters") or {}, where, method)
             _print(reply.get("parameters") or {}, as_json)
     except NoDaemonError as error:
         click.echo(
@@ -146,12 +146,30 @@ def _value(text: str) -> Any:
         return text
 
 
-def _exit_with_error(error: str, parameters: dict[str, Any]) -> None:
+def _shape(where: Path, method: str) -> str:
+    """Return how a method of the daemon is called, from its own description; empty for another's method."""
+    asked = {
+        "method": "org.varlink.service.GetInterfaceDescription",
+        "parameters": {"interface": NAME},
+    }
+    wanted = f"method {method.removeprefix(f'{NAME}.')}("
+    for reply in replies(where, asked):
+        description = str((reply.get("parameters") or {}).get("description", ""))
+        for line in description.splitlines():
+            if line.startswith(wanted):
+                return line.removeprefix("method ").partition(" -> ")[0]
+    return ""
+
+
+def _exit_with_error(error: str, parameters: dict[str, Any], where: Path, method: str) -> None:
     """Print in one line why the daemon refused, and exit with the code for it."""
     name = error.rpartition(".")[2]
     if name == "MethodNotFound":
         method = parameters.get("method", "")
         raise click.UsageError(printable(f"no method {method}: `stillcal query --help` lists the methods"))
+    if name == "InvalidParameter" and (shape := _shape(where, method)):
+        what = f"{parameters.get('parameter', 'a parameter')} is not as {method} takes it: {shape}"
+        raise click.UsageError(printable(f"{what}; what has a ? may be left out"))
     missing = ", ".join(parameters.get("missing") or [])
     facts = [str(parameters.get("reason") or ""), f"needed: {missing}" if missing else ""]
     other = [f"{key} {value}" for key, value in parameters.items() if key not in ("reason", "missing")]
