@@ -261,7 +261,7 @@ def _moving(name: str, found: Homogeneity, data: str, rng: np.random.Generator) 
         " and where the calibration alone does half of it or more: the paper says that calibration lowers it"
     )
     cause = Cause(
-        "people differ more than devices, and the filter takes that off. Where only devices differ,"
+        "people differ more than devices, and calibration leaves them as they are. Where only devices differ,"
         f" calibration alone gives {found.ratio('devices', 2):.2f}, with smoothing"
         f" {found.ratio('devices', METHOD):.2f}",
         shown=found.ratio("devices", METHOD) <= after / before,
