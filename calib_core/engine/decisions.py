@@ -287,6 +287,8 @@ class CalibrationPolicy:
         gyroscope_alone.py has the rules. Does nothing where there is a full calibration.
         """
         state = self._state
+        if not any(held.rest.rate is not None for held in state.pool.held):
+            return
         if state.record is None:
             rests = self._rests_since(None)
             alone = first_bias(rests, state.gravity, t, self._settings.quality)

@@ -78,8 +78,10 @@ class Coarseness:
     @property
     def step(self) -> float:
         """Standard uncertainty that quantisation alone puts into a mean, norm over axes, SI; 0 if fine."""
+        if not self.coarse:
+            return 0.0
         known = self.lsb[np.isfinite(self.lsb)]
-        return float(np.sqrt((known**2).sum() / 12.0)) if self.coarse else 0.0
+        return float(np.sqrt((known**2).sum() / 12.0))
 
     def observed(self, windows: SensorWindows, looked: Flags, ceiling: float) -> Coarseness:
         """Count the windows looked at, (n,), that are quieter than `ceiling`; used only after `renewed`."""

@@ -17,7 +17,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.static.classify import LABELS, Coarseness, Codes, Flags, Windows, classify, trainable
 from stillcal.calib_core.static.gather import Gatherer, GatherState
-from stillcal.calib_core.static.noise_floor import Floor, counted, rate_class, renewed
+from stillcal.calib_core.static.noise_floor import Floor, counted, octave_of, renewed
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import DetectorSettings, Label, Ledger, Mode, Sense, Sleep, Want
 from stillcal.calib_core.static.windows import (
@@ -154,16 +154,19 @@ class StationaryDetector:
         """
         state, k = self._state, self.settings
         pairs = ((rest.force_sd, k.accel_factor), (rest.rate_sd, k.gyro_factor))
-        rate = rate_class(np.array([rest.n / max(rest.duration, 1e-9)]))[0]
+        rate = octave_of(rest.n / max(rest.duration, 1e-9))
         for floor, coarse, (sd, factor) in zip(state.floors, state.coarse, pairs, strict=True):
+            if sd is None:
+                continue
+            x, y, z = sd.tolist()
             limit = math.hypot(factor * float(floor.level[rate]), coarse.step)
-            if sd is not None and math.sqrt(float((sd**2).mean())) > limit:
+            if math.sqrt((x * x + y * y + z * z) / 3.0) > limit:
                 return False
         return True
 
     def noise_floor(self, rate_hz: float) -> tuple[float, float]:
         """Return both sensors' noise floors at a sampling rate, m/s^2 and rad/s, inf where unknown yet."""
-        octave = rate_class(np.array([rate_hz]))[0]
+        octave = octave_of(rate_hz)
         return float(self._state.floors[0].level[octave]), float(self._state.floors[1].level[octave])
 
     def _take(self, block: Samples) -> None:

@@ -9,6 +9,7 @@ bandwidth), and the floor is the lowest cluster that holds enough windows.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,12 @@ def rate_class(rate: Array) -> Index:
     """Return the octave of sampling rates (Hz), (n,), as an index."""
     octave: Index = (np.log2(np.maximum(rate, 1.0)) - 1.0).astype(np.intp)
     return octave.clip(0, _RATES - 1)
+
+
+@lru_cache(maxsize=1024)
+def octave_of(rate: float) -> int:
+    """Return the octave of one sampling rate, Hz; rests are looked at again and again."""
+    return int(rate_class(np.array([rate]))[0])
 
 
 def counted(floor: Floor, classes: Index, spreads: Array) -> Floor:
