@@ -17,6 +17,12 @@ from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.residuals import View
 
 ITERATIONS = 25
+ALONG = 1e-6
+"""Part of a column's own length below which it lies along the baseline, or along other columns."""
+
+ROUNDING = 1e-12
+"""Part of a column's own square that is left at least when the baseline is taken from it."""
+
 NOTHING = -1
 """The last hypothesis of every reduced view: no effect."""
 
@@ -78,18 +84,21 @@ def reduce_view(
     made = families(view)
     always = np.zeros((*view.y.shape, 0)) if shared is None else shared
     last = np.arange(design.shape[2], design.shape[2] + always.shape[2])
-    columns = [*columns, last[:0]]
+    columns = [np.concatenate([own, last]) for own in [*columns, last[:0]]]
     design = np.concatenate([design, always], axis=2)
     blocks, groups = len(view.y), _grouped(columns)
-    seen = np.abs(design).max(axis=(0, 1)) > 0.0
-    everything = stacked(view, design[:, :, seen], extra)
+    few = stacked(view, design[:, :, :0], extra)
     volume = blocks * float(np.log(view.variance).sum())
     parts = []
     for family in made:
-        whitened = (family.rotation @ everything) / np.sqrt(family.diagonals)[:, None, :, None]
-        y, part, determinant = projected(whitened, view.baseline.shape[2], int(seen.sum()))
-        x = np.zeros((*y.shape, seen.size))
-        x[:, :, seen] = part
+        root = 1.0 / np.sqrt(family.diagonals)
+        y, taken, determinant = _freed(
+            (family.rotation @ few) * root[:, None, :, None], view.baseline.shape[2]
+        )
+        turned = family.rotation @ design
+        roots = np.tile(root, (1, blocks))
+        flat = turned.reshape(-1, design.shape[2])
+        lost = (taken * roots[:, None, :]) @ flat
         log_det = blocks * np.log(family.diagonals).sum(axis=1) + volume
         prior = np.log(family.weight)
         parts.append(
@@ -97,8 +106,8 @@ def reduce_view(
                 prior,
                 prior - 0.5 * (log_det + determinant),
                 np.einsum("gn,gn->g", y, y),
-                np.einsum("gn,gnm->gm", y, x),
-                *_grams(x, groups, last),
+                (y * roots) @ flat,
+                *_grams(turned, 1.0 / family.diagonals, lost, groups),
             )
         )
     prior, constant, yy, xy, *grams = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -110,7 +119,7 @@ def reduce_view(
         yy,
         xy,
         _apart(groups, grams),
-        [np.concatenate([own, last]) for own in columns],
+        columns,
         view.known + view.y.size - baseline,
         names,
         np.concatenate([f.walk for f in made]),
@@ -147,20 +156,28 @@ def _grouped(columns: list[Array]) -> list[tuple[list[int], Array]]:
     return [(rows, np.array([columns[i] for i in rows])) for rows in widths.values()]
 
 
-def _grams(x: Array, groups: list[tuple[list[int], Array]], shared: Array) -> list[Array]:
-    """Return the inner products (S, r, k + c, k + c) of each group's hypotheses' columns.
+def _grams(turned: Array, weight: Array, lost: Array, groups: list[tuple[list[int], Array]]) -> list[Array]:
+    """Return the inner products (S, r, k, k) of each group's hypotheses' columns.
 
-    x: (S, n, M) all columns under S shapes; shared: (c,) which of them go with every hypothesis.
+    turned: (b, n, M) all columns in axes where the S shapes are diagonal, weight: (S, n) their inverse
+    variances there. lost: (S, c, M) what of the columns lies along the c directions that are projected out.
+    The products of columns are the same under all shapes, so one matrix product weighs them for all.
     """
-    always, out = x[:, None, :, shared], []
-    corner = np.swapaxes(always, -1, -2) @ always
+    out = []
     for rows, columns in groups:
-        part, k = x[:, :, columns].transpose(0, 2, 3, 1), columns.shape[1]
-        made = np.empty((len(x), len(rows), k + shared.size, k + shared.size))
-        made[..., :k, :k] = part @ np.swapaxes(part, -1, -2)
-        made[..., :k, k:] = part @ always
-        made[..., k:, :k] = np.swapaxes(made[..., :k, k:], -1, -2)
-        made[..., k:, k:] = corner
+        k = columns.shape[1]
+        i, j = np.triu_indices(k)
+        part = turned[:, :, columns]
+        pairs = (part[..., i] * part[..., j]).sum(axis=0)
+        whole = (weight @ pairs.reshape(weight.shape[1], -1)).reshape(len(weight), len(rows), i.size)
+        made = np.empty((len(weight), len(rows), k, k))
+        made[..., i, j] = whole
+        made[..., j, i] = whole
+        away = lost[:, :, columns].transpose(0, 2, 3, 1)
+        least = ROUNDING * np.einsum("...ii->...i", made)
+        made -= away @ np.swapaxes(away, -1, -2)
+        d = np.arange(k)
+        made[..., d, d] = np.maximum(made[..., d, d], least)
         out.append(made)
     return out
 
@@ -180,24 +197,39 @@ def stacked(view: View, design: Array, extra: Array | None) -> Array:
     return np.concatenate([view.baseline, view.y[:, :, None], design, found], axis=2)
 
 
-def projected(whitened: Array, width: int, candidates: int) -> tuple[Array, Array, Array]:
+def projected(whitened: Array, width: int, candidates: int) -> tuple[Array, Array]:
     """Return y (S, b n) and design (S, b n, M) free of the baseline and what was found.
-
-    The third is log|B' C^-1 B| (S,).
 
     whitened: (S, b, n, width + 1 + M + q), under S shapes, in the order of `stacked`.
     """
+    few = np.delete(whitened, np.s_[width + 1 : width + 1 + candidates], axis=3)
+    y, taken, _ = _freed(few, width)
+    design = whitened[..., width + 1 : width + 1 + candidates].reshape(*y.shape, candidates)
+    return y, design - np.swapaxes(taken, -1, -2) @ (taken @ design)
+
+
+def _freed(whitened: Array, width: int) -> tuple[Array, Array, Array]:
+    """Return the data (S, b n) free of the baseline and what was found, and the directions taken from them.
+
+    whitened: (S, b, n, width + 1 + q) baseline, data and what was found, under S shapes. The second is
+    (S, b p + q, b n), orthonormal or nothing: each block's baseline by itself, then what was found, over all
+    blocks. The third is log|B' C^-1 B| (S,).
+    """
+    shapes, blocks, n = whitened.shape[:3]
     q, r = np.linalg.qr(whitened[..., :width])
-    others = whitened[..., width:]
-    others = others - q @ (np.swapaxes(q, -1, -2) @ others)
-    diagonal = np.abs(np.einsum("...ii->...i", r))
-    determinant = 2.0 * np.log(diagonal + 1e-300).sum(axis=(-2, -1))
-    flat = others.reshape(len(others), -1, others.shape[-1])
-    if flat.shape[2] > 1 + candidates:
-        found, _ = np.linalg.qr(flat[:, :, 1 + candidates :])
-        flat = flat[:, :, : 1 + candidates]
-        flat = flat - found @ (np.swapaxes(found, -1, -2) @ flat)
-    return flat[:, :, 0], flat[:, :, 1:], determinant
+    determinant = 2.0 * np.log(np.abs(np.einsum("...ii->...i", r)) + 1e-300).sum(axis=(-2, -1))
+    rest = whitened[..., width:]
+    before = np.sqrt((rest**2).sum(axis=(1, 2)))
+    rest = (rest - q @ (np.swapaxes(q, -1, -2) @ rest)).reshape(shapes, blocks * n, -1)
+    own = np.zeros((shapes, blocks, q.shape[3], blocks, n))
+    for block in range(blocks):
+        own[:, block, :, block] = np.swapaxes(q[:, block], -1, -2)
+    found, sizes, _ = np.linalg.svd(rest[:, :, 1:] / (before[:, None, 1:] + 1e-300), full_matrices=False)
+    found = np.swapaxes(found * (sizes > ALONG)[:, None, :], -1, -2)
+    y = rest[:, :, 0]
+    y = y - np.einsum("sqn,sq->sn", found, np.einsum("sqn,sn->sq", found, y))
+    taken = np.concatenate([own.reshape(shapes, -1, blocks * n), found], axis=1)
+    return y, taken, determinant
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -122,7 +122,7 @@ class _Whitened:
         seen = np.abs(columns).max(axis=(0, 1)) > 0.0
         everything = stacked(self.view, columns[:, :, seen], self.extra)
         whitened = self.rotations[c] @ everything / self.diagonals[c]
-        (y,), (part,), _ = projected(whitened[None], self.view.baseline.shape[2], int(seen.sum()))
+        (y,), (part,) = projected(whitened[None], self.view.baseline.shape[2], int(seen.sum()))
         x = np.zeros((y.size, seen.size))
         x[:, seen] = part
         left = float(y @ y) / max(y.size - self.view.parameters, 1)

@@ -1,0 +1,76 @@
+"""A view's sums, beside the same sums by plain linear algebra, shape by shape."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.inference.likelihood import reduce_view
+from stillcal.calib_core.diagnosis.inference.noise_models import families
+from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from tests.support.diagnosis import nulls
+
+
+@pytest.fixture(scope="module")
+def views() -> list[View]:
+    rng = np.random.default_rng(8)
+    bins = nulls.bins_of(rng, nulls.schedule(rng), "flicker")
+    return [view for scene in scenes(bins, nulls.G) for view in scene.views]
+
+
+def by_residual_projection(
+    view: View, columns: np.ndarray, found: np.ndarray
+) -> list[tuple[np.ndarray, ...]]:
+    """Return y'y, x'y and x'x under each shape of a view with one block, by the pseudo-inverse."""
+    out = []
+    for family in families(view):
+        for diagonal in family.diagonals:
+            white = family.rotation / np.sqrt(diagonal)[:, None]
+            taken = white @ np.concatenate([view.baseline[0], found], axis=1)
+            away = np.eye(len(white)) - taken @ np.linalg.pinv(taken, rcond=1e-9)
+            y, x = away @ white @ view.y[0], away @ white @ columns
+            out.append((np.asarray(y @ y), x.T @ y, x.T @ x))
+    return out
+
+
+@pytest.mark.parametrize("twice", [False, True])
+def test_the_sums_are_those_of_plain_algebra_though_what_was_found_came_twice(
+    views: list[View], twice: bool
+) -> None:
+    rng = np.random.default_rng(9)
+    view = next(v for v in views if len(v.y) == 1)
+    columns = rng.normal(size=(view.y.shape[1], 4))
+    found = rng.normal(size=(view.y.shape[1], 2))
+    again = np.concatenate([found, 3.0 * found[:, :1], view.baseline[0][:, :1]], axis=1) if twice else found
+    reduced = reduce_view(view, columns[None], [np.arange(4), np.array([1])], again[None])
+    plain = by_residual_projection(view, columns, found)
+    for mine, theirs in zip(
+        (reduced.yy, reduced.xy, reduced.blocks[0]), zip(*plain, strict=True), strict=True
+    ):
+        np.testing.assert_allclose(mine, np.array(theirs), rtol=1e-7, atol=1e-7 * np.abs(theirs).max())
+    np.testing.assert_allclose(reduced.blocks[1][:, 0, 0], reduced.blocks[0][:, 1, 1])
+
+
+def test_two_blocks_have_their_baselines_apart_and_what_was_found_together(views: list[View]) -> None:
+    view = next((v for v in views if len(v.y) > 1), None)
+    if view is None:
+        pytest.skip("no view here has two blocks")
+    rng = np.random.default_rng(10)
+    blocks, n = view.y.shape
+    columns, found = rng.normal(size=(blocks, n, 3)), rng.normal(size=(blocks, n, 1))
+    reduced = reduce_view(view, columns, [np.arange(3)], found)
+    family, g = families(view)[0], 0
+    white = family.rotation / np.sqrt(family.diagonals[g])[:, None]
+    p = view.baseline.shape[2]
+    taken = np.zeros((blocks * n, blocks * p + 1))
+    for block, (first, last) in enumerate(pairwise(range(0, blocks * n + 1, n))):
+        taken[first:last, block * p : (block + 1) * p] = white @ view.baseline[block]
+        taken[first:last, -1:] = white @ found[block]
+    away = np.eye(blocks * n) - taken @ np.linalg.pinv(taken, rcond=1e-9)
+    y, x = away @ (view.y @ white.T).ravel(), away @ (white @ columns).reshape(blocks * n, 3)
+    np.testing.assert_allclose(reduced.yy[g], y @ y, rtol=1e-7)
+    np.testing.assert_allclose(reduced.xy[g], x.T @ y, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(reduced.blocks[0][g], x.T @ x, rtol=1e-7, atol=1e-9)
