@@ -50,6 +50,11 @@ TABLE_5 = {
 }
 PAPER = {
     "similar": ("5.1, Table 4", "walking and stairs down are the most similar of the pairs", "0.178, least"),
+    "order": (
+        "5.1, Table 4",
+        "stairs up and stairs down are more similar than walking and stairs up",
+        "0.210 against 0.219",
+    ),
     "threshold": ("5.1, Table 4", "similarity of the significantly similar pairs is below 0.25", "0.18-0.22"),
     "biking": ("5.1, Table 4; Table 5", "walking against biking; biking's MSE", "0.224; 0.0186 → 0.0086"),
     "rest": ("5.2, Table 5", "at rest, calibration leaves the MSE as it was (sit)", "0.0009 → 0.0009"),
@@ -225,6 +230,8 @@ def _similar(windows: Windows, rng: np.random.Generator) -> list[Claim]:
     share = np.mean([pair == ("walk", "stairs down") for pair in least])
     ours = ", ".join(f"{a} / {b} {found[a, b]:.2f}" for a, b in TABLE_4)
     best = min(TABLE_4, key=lambda pair: found[pair])
+    up, first = (("stairs up", "stairs down"), ("walk", "stairs up"))
+    closer = np.mean([d[up] < d[first] for d in drawn])
     why = (
         "the paper normalises in a way it does not state, so that sizes cannot be compared; ours are in"
         f" (m/s²)², of traces averaged over everybody's windows; sit / stand: {found['sit', 'stand']:.2f}"
@@ -239,6 +246,20 @@ def _similar(windows: Windows, rng: np.random.Generator) -> list[Claim]:
             holds(best == ("walk", "stairs down")),
             chance,
             evidence=Evidence.REAL,
+        ),
+        Claim(
+            WORK,
+            *PAPER["order"],
+            f"{found[up]:.2f} against {found[first]:.2f}",
+            DATA,
+            holds(found[up] < found[first]),
+            "sizes cannot be compared, their order can: the rest of the table's",
+            evidence=Evidence.REAL,
+            cause=Cause(
+                f"as in the paper in {closer:.0%} of samples of people drawn anew: it does not hang on who is"
+                " in them",
+                shown=False,
+            ),
         ),
         Claim(WORK, *PAPER["threshold"], ours, DATA, Verdict.UNTESTED, why, evidence=Evidence.NONE),
     ]

@@ -15,7 +15,7 @@ from stillcal.replay.studies.grammenos2018.slices import WAYS, Accuracy, Roc
 from stillcal.replay.studies.stisen2015 import biases, washing_machine
 from stillcal.replay.studies.stisen2015.remedies import claims as remedies
 from stillcal.replay.studies.stisen2015.remedies.causes import Causes
-from stillcal.replay.studies.stisen2015.washing_machine import SHOWN, Delivery
+from stillcal.replay.studies.stisen2015.washing_machine import Delivery
 
 STEADY = np.array([-0.1, 0.1] * 5)
 """Scatter of ten people or folds that says little."""
@@ -86,7 +86,7 @@ def test_splines_flatten_rest_alone(moving: float, still: float, shown: bool) ->
 def test_stamps_given_at_delivery_follow_it(together: float, shown: bool) -> None:
     good = Delivery(bulks=1.0, outages=1.0, even=0.9, together=0.1, late=10.0, interval=10.0)
     late = replace(good, even=0.5, together=together)
-    even = washing_machine._claims({SHOWN[0]: good, SHOWN[1]: late, "another": good})[1]
+    even = washing_machine._claims({"a": good, "b": late})[1]
     assert even.verdict is Verdict.DIFFERS
     assert even.cause is not None
     assert even.cause.shown is shown

@@ -9,12 +9,12 @@ from stillcal.replay.studies.claim import Cause, Claim, holds
 from stillcal.replay.studies.har.data import ACTIVITIES
 from stillcal.replay.studies.har.features import FAMILIES
 from stillcal.replay.studies.har.scoring import LEARNERS
-from stillcal.replay.studies.stisen2015.modes.claims import NEAR, OTHER, claim
+from stillcal.replay.studies.stisen2015.both_ways import OTHER, both_ways
+from stillcal.replay.studies.stisen2015.modes.claims import NEAR, ONE, claim
 from stillcal.replay.studies.stisen2015.modes.rows import other_windows
 from stillcal.replay.studies.stisen2015.modes.scores import FEW, FIGURE_5, INTRA, TREES, Found, ways
 
 MOVING = ("walk", "stairs up", "stairs down")
-ONE = "one model, user out"
 
 COMPARED = {
     "similar": (
@@ -41,9 +41,15 @@ COMPARED = {
         "frequency: user and model out is below user out with every learner but kNN",
         "all but kNN",
     ),
+    "breaks": ("4.2", "trained on one model, C4.5 breaks down the most of the learners", "most significant"),
     "pca": ("4.2, Figure 10", "PCA helps ECDF features with a tree trained on one model", "improved"),
     "pca others": ("4.2, Figure 10", "PCA lowers the scores of time and frequency features", "harmful"),
 }
+
+
+def _apart() -> list[str]:
+    """Return the ways of other windows of Figure 5's modes."""
+    return [way for way in ways(*FIGURE_5) if way not in FIGURE_5]
 
 
 def comparisons(found: Found) -> list[Claim]:
@@ -56,6 +62,7 @@ def comparisons(found: Found) -> list[Claim]:
         _knn(found),
         _alike(found),
         *_both_out(found),
+        _breaks(found),
         *_principal(found),
     ]
 
@@ -86,18 +93,20 @@ def _similar(found: Found) -> Claim:
 
 
 def _combined(found: Found) -> Claim:
-    asked = ways(*FIGURE_5)
-    ahead = {way: float(found.together[way].mean() - found.f1(way).max(axis=0).mean()) for way in asked}
-    beaten = [way for way in asked if ahead[way] > 0.0]
+    asked, apart = FIGURE_5, _apart()
+    ahead = {
+        way: float(found.together[way].mean() - found.f1(way).max(axis=0).mean()) for way in (*asked, *apart)
+    }
+    beaten, other = ([way for way in some if ahead[way] > 0.0] for some in (asked, apart))
     alone = found.f1("user out").max(axis=0)
     lean = found.causes.lean
     short = "; ".join(f"{way} {gain:+.1f}" for way, gain in ahead.items())
     return claim(
         COMPARED["combined"],
-        f"in {len(beaten)} of {len(asked)} modes; user out {found.together['user out'].mean():.1f} against"
-        f" {alone.mean():.1f} %",
+        f"in {len(beaten)} of {len(asked)} modes ({OTHER} {len(other)} of {len(apart)}); user out"
+        f" {found.together['user out'].mean():.1f} against {alone.mean():.1f} %",
         holds(len(beaten) == len(asked)),
-        "against the best single family of each learner, on the mean of learners, in all modes and both ways."
+        "against the best single family of each learner, on the mean of learners, in all modes of Figure 5."
         f" Points ahead: {short}",
         Cause(
             "frequency features are the weakest here. Time and ECDF together, without them, have"
@@ -108,7 +117,7 @@ def _combined(found: Found) -> Claim:
 
 
 def _lowest(found: Found) -> Claim:
-    asked = ways(*(mode for mode in FIGURE_5 if mode != "user out"))
+    asked = [mode for mode in FIGURE_5 if mode != "user out"]
     user = float(found.by_learner("user out", "time").mean())
     others = {way: float(found.by_learner(way, "time").mean()) for way in asked}
     lower = {way: value for way, value in others.items() if value <= user}
@@ -118,7 +127,7 @@ def _lowest(found: Found) -> Claim:
         COMPARED["lowest"],
         f"user out {user:.1f} %; {least} {others[least]:.1f} %",
         holds(not lower),
-        "means of learners, both ways. As low or lower: "
+        "means of learners. As low or lower: "
         + (", ".join(f"{way} {v:.1f}" for way, v in lower.items()) or "none")
         + " %. The paper itself says elsewhere that user and model out is lower",
         Cause(
@@ -138,6 +147,7 @@ def _trees(found: Found) -> Claim:
         f"{', '.join(f'{v:.1f}' for v in a)} against {', '.join(f'{v:.1f}' for v in b)}" for a, b in scores
     ]
     few, plain = found.causes.few, found.causes.uncounted
+    above = [bool((a > b).all()) for a, b in scores]
     half = all(
         bool((plain[a] - plain[b] >= 0.5 * (x - y)).all())
         for (a, b), (x, y) in zip(both, scores, strict=True)
@@ -151,9 +161,9 @@ def _trees(found: Found) -> Claim:
     ]
     return claim(
         COMPARED["trees"],
-        f"{words[0]}; {OTHER} {words[1]} %",
-        holds(all(bool((a > b).all()) for a, b in scores)),
-        f"{', '.join(TREES)}; holds where both are higher with a model out, both ways",
+        both_ways(words, above, " %"),
+        holds(above[0]),
+        f"{', '.join(TREES)}; holds where both are higher with a model out",
         Cause(
             "without the features that count by the sample, which are alike only within a model,"
             f" {listed[1]} %; on {FEW} rows each, all time features, {listed[0]} %",
@@ -163,18 +173,19 @@ def _trees(found: Found) -> Claim:
 
 
 def _knn(found: Found) -> Claim:
-    asked = ways(*FIGURE_5)
-    lead = {way: _lead(found, way) for way in asked}
-    ahead = [way for way in asked if lead[way] > 0.0]
-    seen = {way for way in asked if way == "ten-fold" or (other_windows(way) in asked)}
+    asked, apart = FIGURE_5, _apart()
+    lead = {way: _lead(found, way) for way in (*asked, *apart)}
+    ahead, other = ([way for way in some if lead[way] > 0.0] for some in (asked, apart))
+    seen = {way for way in asked if way == "ten-fold" or other_windows(way) in apart}
     listed = ", ".join(f"{way} {v:+.1f}" for way, v in lead.items())
     user = found.by_learner("user out", "ECDF")
     knn, forest = (list(LEARNERS).index(name) for name in ("kNN", "forest"))
     return claim(
         COMPARED["knn"],
-        f"in {len(ahead)} of {len(asked)} modes; user out {user[knn]:.1f} against {user[forest]:.1f} %",
+        f"in {len(ahead)} of {len(asked)} modes ({OTHER} {len(other)} of {len(apart)}); user out"
+        f" {user[knn]:.1f} against {user[forest]:.1f} %",
         holds(len(ahead) == len(asked)),
-        f"in all modes of Figure 5, both ways. Points of kNN above the forest: {listed}",
+        f"in all modes of Figure 5. Points of kNN above the forest: {listed}",
         Cause(
             f"kNN is ahead in {len(ahead)} modes: "
             + (", ".join(f"{way} {lead[way]:+.1f}" for way in ahead) or "none")
@@ -190,16 +201,21 @@ def _lead(found: Found, way: str) -> float:
 
 
 def _alike(found: Found) -> Claim:
-    asked = ways(*FIGURE_5)
-    spread = np.mean([np.ptp(found.f1(way), axis=1) for way in asked], axis=0)
-    least = int(np.sum([np.ptp(found.f1(way), axis=1).argmin() == 2 for way in asked]))
-    cells = ", ".join(f"{name} {v:.1f}" for name, v in zip(FAMILIES, spread, strict=True))
+    ecdf = list(FAMILIES).index("ECDF")
+    asked, apart = FIGURE_5, _apart()
+    modes, other = (np.array([np.ptp(found.f1(way), axis=1) for way in some]) for some in (asked, apart))
+    least = int(np.sum(modes.argmin(axis=1) == ecdf))
+    good = [bool(own.mean(axis=0).argmin() == ecdf) for own in (modes, other)]
+    cells = [
+        ", ".join(f"{name}{v:.1f}" for name, v in zip(names, own.mean(axis=0), strict=True))
+        for names, own in (([f"{name} " for name in FAMILIES], modes), ([""] * len(FAMILIES), other))
+    ]
     return claim(
         COMPARED["alike"],
-        f"apart by {cells} points",
-        holds(bool(spread.argmin() == list(FAMILIES).index("ECDF"))),
-        "best less worst learner, mean of the modes of Figure 5, both ways; ECDF is the least in"
-        f" {least} of {len(asked)} modes",
+        both_ways([f"apart by {cells[0]}", cells[1]], good, " points"),
+        holds(good[0]),
+        f"best less worst learner, mean of the modes of Figure 5; ECDF is the least in {least} of"
+        f" {len(asked)} modes",
         Cause(f"mode by mode ECDF is the least in {least} of {len(asked)}", shown=False),
     )
 
@@ -239,6 +255,21 @@ def _both_out(found: Found) -> list[Claim]:
             )
         )
     return made
+
+
+def _breaks(found: Found) -> Claim:
+    """Compare the learners by what is lost where training is on one model instead of on all."""
+    change = found.f1(ONE) - found.f1("user out")
+    learners = change.mean(axis=0)
+    families = ", ".join(f"{name} {v:+.1f}" for name, v in zip(FAMILIES, change.mean(axis=1), strict=True))
+    by_family = "; ".join(f"{n} {_named_changes(v)}" for n, v in zip(FAMILIES, change, strict=True))
+    return claim(
+        COMPARED["breaks"],
+        f"{_named_changes(learners)} points",
+        holds(bool(learners.argmin() == list(LEARNERS).index("tree"))),
+        f"F1 on one model with a user out less a user out, mean of families; by family: {families}",
+        Cause(f"family by family: {by_family}", shown=False),
+    )
 
 
 def _named_changes(values: Array) -> str:

@@ -79,8 +79,9 @@ class Causes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """judged: by way, the modes of MODES and `other_windows` of those that keep people.
+    """rows: without their features.
 
+    judged: by way, the modes of MODES and `other_windows` of those that keep people.
     together: F1 of all three families side by side by way of FIGURE_5 and learner, percent, (4,). reduced: F1
     by family and learner on principal components, one model, a user out, percent, (3, 4).
     """
@@ -124,7 +125,7 @@ def measure(rows: Rows, rates: list[float], seed: int, progress: Progress) -> Fo
         progress((k + 1) / (len(MODES) + 2))
     one = "one model, user out"
     reduced = judge(rows, list(splits(rows, one, seed)), seed, PRINCIPAL)[one].mean
-    return Found(rows, judged, side_by_side, reduced, tried(rows, rates, seed))
+    return Found(replace(rows, features={}), judged, side_by_side, reduced, tried(rows, rates, seed))
 
 
 def tried(rows: Rows, rates: list[float], seed: int) -> Causes:

@@ -1,4 +1,4 @@
-"""Remedies: every verdict on both sides of its line, on known motion and on other motion."""
+"""Remedies: every verdict on both sides of its line; what fails on other motion alone is said, not judged."""
 
 from __future__ import annotations
 
@@ -77,10 +77,15 @@ def differ(found: Found) -> set[str]:
     return {key for key, claim in verdicts(found).items() if claim.verdict is Verdict.DIFFERS}
 
 
+def noted(found: Found) -> set[str]:
+    return {key for key, claim in verdicts(found).items() if "not on other windows" in claim.ours}
+
+
 def test_what_is_as_the_paper_has_it_both_ways_is_reproduced() -> None:
     found = verdicts(as_the_paper_has_it())
     assert {key for key, claim in found.items() if claim.verdict is Verdict.DIFFERS} == set()
     assert found["calibrated"].verdict is Verdict.OPEN
+    assert not noted(as_the_paper_has_it())
 
 
 def gain(test: str, family: int, by: float, ways: tuple[str, ...] = METHODS) -> Callable[[Found], None]:
@@ -108,7 +113,7 @@ def no_gain_of_one(test: str) -> Callable[[Found], None]:
 
 TURNS = [
     *(
-        turn
+        (test, *turn)
         for test in UNKNOWN
         for turn in (
             (cell(test, "linear", 25.0, 70.4), {"interpolation", "simple"}),
@@ -123,21 +128,27 @@ TURNS = [
             (judged_as(test, TREE, "cubic", -0.5), {"significant"}),
         )
     ),
-    (gain(USER, FREQUENCY, 8.1), {"known"}),
-    *((gain(test, FREQUENCY, 7.1), {"within"}) for test in INSIDE),
-    *((judged_as(test, learner, "linear", 0.01), {"within significant"}) for test in INSIDE
+    (USER, gain(USER, FREQUENCY, 8.1), {"known"}),
+    *((test, gain(test, FREQUENCY, 7.1), {"within"}) for test in INSIDE),
+    *((test, judged_as(test, learner, "linear", 0.01), {"within significant"}) for test in INSIDE
       for learner in (KNN, SVM, FOREST)),
-    *((judged_as(test, TREE, "linear", 0.01), set[str]()) for test in INSIDE),
-    *((lambda found, test=test: found.scores[test, "raw"].__isub__(2.0), {"cluster"}) for test in INSIDE),
+    *((test, judged_as(test, TREE, "linear", 0.01), set[str]()) for test in INSIDE),
+    *((test, lambda found, test=test: found.scores[test, "raw"].__isub__(2.0), {"cluster"})
+      for test in INSIDE),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("turn, turned", TURNS)
-def test_each_verdict_turns_with_its_own_scores(turn: Callable[[Found], object], turned: set[str]) -> None:
+@pytest.mark.parametrize("test, turn, turned", TURNS)
+def test_each_verdict_turns_with_its_own_scores(
+    test: str, turn: Callable[[Found], object], turned: set[str]
+) -> None:
+    """On other windows nothing turns; the cell says what does not hold there."""
     found = as_the_paper_has_it()
     turn(found)
     also = {"within"} if turned == {"known"} else set()  # both are held against the gain with a model out
-    assert turned <= differ(found) <= turned | also
+    other = test in {UNKNOWN[1], INSIDE[1]}
+    assert turned <= (noted(found) if other else differ(found)) <= turned | also
+    assert not other or not differ(found)
 
 
 def test_gains_on_known_devices_are_counted_against_those_on_unknown_ones() -> None:
@@ -156,24 +167,24 @@ def test_causes_must_hold_both_ways() -> None:
         cell(test, "linear", 25.0, 70.0)(found)
         gain(test, TIME, 3.0, ("cubic",))(found)
     now = verdicts(found)
-    assert now["interpolation"].explained and now["frequency"].explained
+    assert now["frequency"].explained
     assert not now["time"].explained  # without what counts by the sample splines gain still
     less = {method: {"same": -0.1, "other": -0.1} for method in METHODS}
     assert verdicts(replace(found, causes=replace(found.causes, uncounted=less)))["time"].explained
     one = less | {"cubic": {"same": -0.1, "other": 0.1}}
     assert not verdicts(replace(found, causes=replace(found.causes, uncounted=one)))["time"].explained
-    still = replace(found.causes, still={"same": -1.0, "other": 1.0}, ceiling=87.0)
-    now = verdicts(replace(found, causes=still))
-    assert not now["interpolation"].explained and not now["frequency"].explained
+    still = replace(found.causes, still={"same": -1.0, "other": 1.0})
+    assert not verdicts(replace(found, causes=still))["frequency"].explained
 
 
-@pytest.mark.parametrize("test, explained", [(UNKNOWN[1], True), (UNKNOWN[0], False)])
-def test_what_holds_on_known_motion_alone_is_explained_by_it(test: str, explained: bool) -> None:
+@pytest.mark.parametrize("ceiling, shown", [(79.9, False), (79.7, True), (87.0, False)])
+def test_a_faultless_device_explains_a_gain_that_reaches_it(ceiling: float, shown: bool) -> None:
+    """From 65 to 79.8 %, less than half of the paper's gain."""
     found = as_the_paper_has_it()
-    cell(test, "cubic", 50.0, 86.1)(found)
-    low = verdicts(found)["low"]
-    assert (low.verdict, low.explained) == (Verdict.DIFFERS, explained)
-    assert ("never saw" in low.why_it_differs) is explained
+    cell(UNKNOWN[0], "raw", 0.0, 65.0)(found)
+    cell(UNKNOWN[0], "linear", 25.0, 79.8)(found)
+    now = verdicts(replace(found, causes=replace(found.causes, ceiling=ceiling)))["interpolation"]
+    assert (now.verdict, now.explained) == (Verdict.DIFFERS, shown)
 
 
 def test_significance_has_the_sign_of_the_change() -> None:

@@ -56,6 +56,53 @@ def test_few_and_long_intervals_are_told_from_many() -> None:
     assert not timing_study._outliers(many)[0].explained  # beyond, many, and long
 
 
+def deviating(*sizes: float, model: str) -> biases_study.Deviations:
+    """Devices of one model, each with one recording."""
+    n = len(sizes)
+    return biases_study.Deviations(
+        np.array(sizes),
+        np.array(["back"] * n),
+        np.array([f"{model} {s}" for s in sizes]),
+        np.array([model] * n),
+    )
+
+
+def joined(*parts: biases_study.Deviations) -> biases_study.Deviations:
+    return biases_study.Deviations(
+        *(np.concatenate([getattr(p, c) for p in parts]) for c in ("value", "face", "device", "model"))
+    )
+
+
+@pytest.mark.parametrize("old, verdict", [(0.4, Verdict.REPRODUCED), (0.0, Verdict.DIFFERS)])
+def test_newer_models_are_compared_by_device(old: float, verdict: Verdict) -> None:
+    """A model that Table 1 does not have has no year."""
+    found = joined(
+        deviating(*(old + 0.01 * k for k in range(4)), model="HTC-Desire"),
+        deviating(*(-0.2 - 0.01 * k for k in range(4)), model="LG-Nexus4"),
+        deviating(9.0, model="nameless"),
+    )
+    assert biases_study._newer(found).verdict is verdict
+
+
+@pytest.mark.parametrize("watch, verdict", [(-0.19, Verdict.REPRODUCED), (-0.21, Verdict.DIFFERS)])
+def test_watches_are_compared_by_the_size_of_their_biases(watch: float, verdict: Verdict) -> None:
+    found = joined(deviating(watch, model="LG_G-Watch"), deviating(0.1, -0.3, model="LG-Nexus4"))
+    assert biases_study._watches(found).verdict is verdict
+
+
+def two_sensors(*scatters: tuple[float, float]) -> list[timing_study.Intervals]:
+    wave = np.tile([-1.0, 1.0], 50)
+    return [timing_study.Intervals(10.0 + a * wave, 10.0 + b * wave) for a, b in scatters]
+
+
+@pytest.mark.parametrize(
+    "gyroscope, verdict", [((0.9, 1.0), Verdict.REPRODUCED), ((1.1, 1.0), Verdict.DIFFERS)]
+)
+def test_both_sensors_scatter_more_by_arrival(gyroscope: tuple[float, float], verdict: Verdict) -> None:
+    for sensors in (two_sensors((0.9, 1.0), gyroscope), two_sensors(gyroscope, (0.9, 1.0))):
+        assert timing_study._gyro("Gear", *sensors).verdict is verdict
+
+
 def test_clusters_of_well_separated_groups() -> None:
     rng = np.random.default_rng(1)
     centres = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0]])
