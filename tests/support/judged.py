@@ -53,7 +53,10 @@ def kept(name: str) -> list[Call]:
 
 
 def keep(name: str, calls: Sequence[Call]) -> None:
-    """Keep a study's scores."""
+    """Keep a study's scores; without any there is no file."""
+    if not calls:
+        kept_at(name).unlink(missing_ok=True)
+        return
     FOLDER.mkdir(exist_ok=True)
     kept_at(name).write_bytes(lzma.compress(msgspec.msgpack.encode(calls)))
 
