@@ -14,6 +14,7 @@ import lzma
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
@@ -30,6 +31,9 @@ FOLDER = Path(__file__).parents[1] / "replay" / "studies" / "scores"
 PACKAGE = "stillcal.replay.studies"
 MOST, LARGE = 100_000, 10_000_000
 """Bytes of one call's scores, compressed and not. What is called with more is not kept: recordings."""
+
+QUICK_S = 0.5
+"""Processor time within which scores are judged, but for imports."""
 
 Judging = Callable[..., Any]
 
@@ -124,10 +128,13 @@ def _encoded(values: tuple[Any, ...]) -> bytes | None:
 
 
 def _comes_back(call: Call) -> bool:
+    """Tell whether the scores make claims again, and soon: what takes long measures, and does not judge."""
+    begun = time.process_time()
     try:
-        return bool(judged(call))
+        claims = judged(call)
     except (TypeError, msgspec.ValidationError):
         return False
+    return bool(claims) and time.process_time() - begun <= QUICK_S
 
 
 def _plain(value: Any) -> Any:
@@ -155,4 +162,4 @@ if __name__ == "__main__":
     for study in sys.argv[1:]:
         found = recorded(study, Path(os.environ.get("STILLCAL_DATA", "../shared/data")))
         keep(study, found)
-        print(study, sum(len(judged(call)) for call in found), kept_at(study).stat().st_size, flush=True)
+        print(study, sum(len(judged(call)) for call in found), "claims", flush=True)

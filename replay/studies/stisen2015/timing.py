@@ -116,13 +116,14 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
         return without_recordings(NAME, TITLE, [(WORK, *row) for row in PAPER.values()], seed)
     recordings = [r for r in read_still(data) if not r.reference]
     found = by_model([r for r in recordings if r.face == "back"])
+    spreads = {model: both_stamps(own) for model, own in found.items()}
     progress(0.5)
     both = {name: _sensors(data / "hhar" / kind) for name, kind in (("Nexus 4", "Phones"), ("Gear", "Watch"))}
     claims = (
-        _rates(found),
-        _arrival(found),
-        *_outliers(found),
-        _iphone(found),
+        _rates(spreads),
+        _arrival(spreads),
+        *_outliers(spreads),
+        _iphone(spreads),
         Claim(
             WORK,
             *PAPER["load"],
@@ -132,7 +133,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
             "no recording was made under load among these",
             evidence=Evidence.NONE,
         ),
-        *(_gyro(name, *sensors) for name, sensors in both.items()),
+        *(_gyro(name, both_stamps(a), both_stamps(g)) for name, (a, g) in both.items()),
     )
     file = _draw(found, figures)
     progress(1.0)
@@ -159,11 +160,58 @@ def _claim(
     return Claim(WORK, *PAPER[key], ours, data, holds(good), because, evidence=Evidence.REAL, cause=cause)
 
 
-def _rates(found: dict[str, Intervals]) -> Claim:
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How the intervals of one model, of one kind of stamp, are spread, ms.
+
+    number: of intervals. box: from the lower to the upper quartile. beyond: how many lie beyond the whiskers;
+    near: of those, within half a median of it. long: how many are longer than 1.5 medians. outside: whether
+    the mean lies outside of the quartiles.
+    """
+
+    number: int
+    median: float
+    mean: float
+    sd: float
+    box: float
+    longest: float
+    beyond: int
+    near: int
+    long: int
+    outside: bool
+
+
+def spread(intervals: Array) -> Spread:
+    """Describe intervals (n,), ms."""
+    median, far = float(np.median(intervals)), outliers(intervals)
+    off = intervals / median - 1.0
+    low, high = np.percentile(intervals, [25, 75])
+    return Spread(
+        number=len(intervals),
+        median=median,
+        mean=float(intervals.mean()),
+        sd=float(intervals.std()),
+        box=float(high - low),
+        longest=float(intervals.max()),
+        beyond=int(far.sum()),
+        near=int(np.sum(np.abs(off[far]) < 0.5)),
+        long=int(np.sum(off > 0.5)),
+        outside=not bool(low <= intervals.mean() <= high),
+    )
+
+
+BothStamps = tuple[Spread, Spread]
+"""By creation and by arrival."""
+
+
+def both_stamps(intervals: Intervals) -> BothStamps:
+    """Describe the intervals by both kinds of stamps."""
+    return spread(intervals.creation), spread(intervals.arrival)
+
+
+def _rates(found: dict[str, BothStamps]) -> Claim:
     ratios = {
-        model: float(np.median(i.creation)) * RATES_HZ[model] / 1e3
-        for model, i in found.items()
-        if model in RATES_HZ
+        model: made.median * RATES_HZ[model] / 1e3 for model, (made, _) in found.items() if model in RATES_HZ
     }
     off = [f"{model} {ratio:.2f} times" for model, ratio in ratios.items() if abs(ratio - 1) > 0.1]
     near = len(ratios) - len(off)
@@ -171,37 +219,33 @@ def _rates(found: dict[str, Intervals]) -> Claim:
     return _claim("rates", f"{near} of {len(ratios)} models", near > len(ratios) / 2, why)
 
 
-def _arrival(found: dict[str, Intervals]) -> Claim:
-    more = [model for model, i in found.items() if i.scatter[1] > i.scatter[0]]
-    ratio = {model: i.scatter[1] / i.scatter[0] for model, i in found.items() if "iphone" not in model}
+def _arrival(found: dict[str, BothStamps]) -> Claim:
+    more = [model for model, (made, came) in found.items() if came.sd > made.sd]
+    ratio = {model: came.sd / made.sd for model, (made, came) in found.items() if "iphone" not in model}
     most = max(ratio, key=lambda m: ratio[m])
-    nexus = found["LG-Nexus4"].scatter
+    made, came = found["LG-Nexus4"]
     why = (
         "holds where arrival's sd is larger for more than half of the models and the Nexus 4's for certain;"
         f" the largest ratio but for the suspended iPhones is {ratio[most]:.0f} ({most})"
     )
-    ours = f"{len(more)} of {len(found)} models; Nexus 4: {nexus[0]:.2f} and {nexus[1]:.2f} ms"
-    return _claim("arrival", ours, len(more) > len(found) / 2 and nexus[1] > nexus[0], why)
+    ours = f"{len(more)} of {len(found)} models; Nexus 4: {made.sd:.2f} and {came.sd:.2f} ms"
+    return _claim("arrival", ours, len(more) > len(found) / 2 and came.sd > made.sd, why)
 
 
-def _outliers(found: dict[str, Intervals]) -> list[Claim]:
-    beyond = np.concatenate([outliers(i.creation) for i in found.values()])
-    off = np.concatenate([i.creation / np.median(i.creation) for i in found.values()]) - 1.0
-    small = float(np.sum(np.abs(off[beyond]) < 0.5)) / max(int(beyond.sum()), 1)
-    long = float(np.mean(off > 0.5))
-    arrival = float(np.mean(np.concatenate([outliers(i.arrival) for i in found.values()])))
-    most = {m: float(np.mean(outliers(i.creation))) for m, i in found.items()}
+def _outliers(found: dict[str, BothStamps]) -> list[Claim]:
+    made, came = ([stamps[k] for stamps in found.values()] for k in (0, 1))
+    number, beyond = sum(i.number for i in made), sum(i.beyond for i in made)
+    arrival = sum(i.beyond for i in came) / sum(i.number for i in came)
+    small, long = sum(i.near for i in made) / max(beyond, 1), sum(i.long for i in made) / number
+    most = {m: i.beyond / i.number for m, i in zip(found, made, strict=True)}
     model = max(most, key=lambda m: most[m])
-    far = [m for m, i in found.items() if i.creation.mean() > FAR * np.median(i.creation)]
-    outside = [
-        sum(_outside(own) for own in kind)
-        for kind in ([i.creation for i in found.values()], [i.arrival for i in found.values()])
-    ]
+    far = [m for m, i in zip(found, made, strict=True) if i.mean > FAR * i.median]
+    outside = [sum(i.outside for i in kind) for kind in (made, came)]
     return [
         _claim(
             "outliers",
-            f"{beyond.mean():.1%} of intervals; {model} {most[model]:.0%}",
-            bool(beyond.mean() <= FEW),
+            f"{beyond / number:.1%} of intervals; {model} {most[model]:.0%}",
+            beyond / number <= FEW,
             f"by creation ({arrival:.1%} by arrival); holds up to {FEW:.0%}, seven times what a normal"
             " distribution has",
             cause=Cause(
@@ -227,38 +271,29 @@ def _outliers(found: dict[str, Intervals]) -> list[Claim]:
     ]
 
 
-def _outside(intervals: Array) -> bool:
-    """Tell whether the mean of intervals (n,) lies outside of their quartiles."""
-    low, high = np.percentile(intervals, [25, 75])
-    return not low <= intervals.mean() <= high
-
-
-def _iphone(found: dict[str, Intervals]) -> Claim:
-    longest = {model: float(i.arrival.max()) / 1e3 for model, i in found.items()}
+def _iphone(found: dict[str, BothStamps]) -> Claim:
+    longest = {model: came.longest / 1e3 for model, (_, came) in found.items()}
     others = max(value for model, value in longest.items() if "iphone" not in model)
     ours = f"{longest['iphone-6_s']:.0f} s at the longest; other models {others:.2f} s"
     why = "holds where the longest is over 1 s and ten times that of any other model"
     return _claim("iphone", ours, longest["iphone-6_s"] > max(1.0, 10 * others), why)
 
 
-def _gyro(name: str, accelerometer: Intervals, gyroscope: Intervals) -> Claim:
+def _gyro(name: str, accelerometer: BothStamps, gyroscope: BothStamps) -> Claim:
     """Compare the scatter of both sensors of one device, by creation and by arrival."""
-    sensors = (accelerometer, gyroscope)
-    made, came = zip(*(i.scatter for i in sensors), strict=True)
-    boxes = [
-        [float(np.ptp(np.percentile(own, [25, 75]))) for own in (i.creation, i.arrival)] for i in sensors
-    ]
+    (made, came), (turned, turned_came) = accelerometer, gyroscope
     return _claim(
         name,
-        f"{made[0]:.2f} by creation, {came[0]:.2f} ms by arrival; gyroscope {made[1]:.2f}, {came[1]:.2f} ms",
-        came[0] > made[0] and came[1] > made[1],
+        f"{made.sd:.2f} by creation, {came.sd:.2f} ms by arrival; gyroscope {turned.sd:.2f},"
+        f" {turned_came.sd:.2f} ms",
+        came.sd > made.sd and turned_came.sd > turned.sd,
         "sd, pauses of 1 s and more left out; holds where arrival's is larger for both sensors. One device in"
         " activity: the still experiment has no gyroscope here",
         data="hhar: first 10,000 rows of each sensor",
         cause=Cause(
-            f"by quartiles, as box plots show them, {boxes[0][0]:.2f} by creation, {boxes[0][1]:.2f} ms by"
-            f" arrival; gyroscope {boxes[1][0]:.2f}, {boxes[1][1]:.2f} ms",
-            shown=all(b > a for a, b in boxes),
+            f"by quartiles, as box plots show them, {made.box:.2f} by creation, {came.box:.2f} ms by arrival;"
+            f" gyroscope {turned.box:.2f}, {turned_came.box:.2f} ms",
+            shown=came.box > made.box and turned_came.box > turned.box,
         ),
     )
 

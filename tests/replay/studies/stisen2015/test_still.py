@@ -33,11 +33,11 @@ def test_outliers_of_a_normal_sample() -> None:
     assert np.mean(timing_study.outliers(drawn)) == pytest.approx(0.00698, abs=4 * np.sqrt(0.007 / 200_000))
 
 
-def intervals(*values: float) -> timing_study.Intervals:
+def intervals(*values: float) -> timing_study.BothStamps:
     """A hundred intervals of 10 ms, a little uneven, and those given beside them."""
     even = 10.0 + np.linspace(-0.5, 0.5, 100)
     made = np.concatenate([even, values])
-    return timing_study.Intervals(made, made)
+    return timing_study.both_stamps(timing_study.Intervals(made, made))
 
 
 def test_few_and_long_intervals_are_told_from_many() -> None:
@@ -90,9 +90,10 @@ def test_watches_are_compared_by_the_size_of_their_biases(watch: float, verdict:
     assert biases_study._watches(found).verdict is verdict
 
 
-def two_sensors(*scatters: tuple[float, float]) -> list[timing_study.Intervals]:
+def two_sensors(*scatters: tuple[float, float]) -> list[timing_study.BothStamps]:
     wave = np.tile([-1.0, 1.0], 50)
-    return [timing_study.Intervals(10.0 + a * wave, 10.0 + b * wave) for a, b in scatters]
+    both = [timing_study.Intervals(10.0 + a * wave, 10.0 + b * wave) for a, b in scatters]
+    return [timing_study.both_stamps(own) for own in both]
 
 
 @pytest.mark.parametrize(
