@@ -89,7 +89,8 @@ def _limited() -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _peak_bytes() -> int:
+def peak_bytes() -> int:
+    """Return the most memory that this process has ever taken."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
@@ -105,7 +106,7 @@ def fuzzed(
     seeds = target.seeds()
     for data in seeds:
         target.feed(data)
-    room = _peak_bytes() + MOST_MEMORY
+    room = peak_bytes() + MOST_MEMORY
     strategy = inputs(seeds)
     while True:
 
@@ -126,7 +127,7 @@ def fuzzed(
                 trying.write_bytes(data)
             with _limited():
                 target.feed(data)
-            if _peak_bytes() > room:
+            if peak_bytes() > room:
                 raise TooMuchError(f"more than {MOST_MEMORY} bytes of memory")
 
         try:
