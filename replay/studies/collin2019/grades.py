@@ -167,22 +167,30 @@ def _real_claims(data: Path | None) -> list[Claim]:
                 )
             )
             continue
-        low, middle, high = np.percentile(found[name], [25, 50, 75])
-        claims.append(
-            Claim(
-                WORK,
-                "Table 1",
-                f"consumer grade: {words}",
-                f"{paper:g}",
-                f"{middle:.3g} (quartiles {low:.3g} to {high:.3g})",
-                f"hhar_still: {found[name].size} real phones and watches",
-                holds(bool(1.0 / ORDER <= middle / paper <= ORDER)),
-                f"within a factor of {ORDER:.1f} of the median, half an order of magnitude: the table calls"
-                " its figures indicative orders of magnitude",
-                evidence=Evidence.REAL,
-            )
-        )
+        claims.append(_consumer(words, paper, found[name]))
     return claims
+
+
+def _consumer(words: str, paper: float, values: Array) -> Claim:
+    """Judge what real devices measure, (devices,), by the table's figure."""
+    low, middle, high = np.percentile(values, [25, 50, 75])
+    return Claim(
+        WORK,
+        "Table 1",
+        f"consumer grade: {words}",
+        f"{paper:g}",
+        f"{middle:.3g} (quartiles {low:.3g} to {high:.3g})",
+        f"hhar_still: {values.size} real phones and watches",
+        holds(of_order(float(middle), paper)),
+        f"within a factor of {ORDER:.1f} of the median, half an order of magnitude: the table calls"
+        " its figures indicative orders of magnitude",
+        evidence=Evidence.REAL,
+    )
+
+
+def of_order(ours: float, paper: float) -> bool:
+    """Return whether a figure is within half an order of magnitude of the table's."""
+    return 1.0 / ORDER <= ours / paper <= ORDER
 
 
 def _mean(values: tuple[float, float, float]) -> float:

@@ -200,10 +200,8 @@ def _vector(forces: Array) -> Array:
 
 
 def maximum_agrees(ours: float, paper: float, *, bound: bool) -> bool:
-    """Tell whether a maximum, percent, is as printed: below a bound, or the figure rounded or cut off."""
-    if bound:
-        return ours < paper
-    return abs(ours - paper) <= 0.005 or round(100.0 * paper) == math.floor(100.0 * ours)
+    """Tell whether a maximum, percent, is as printed: below a bound, or rounded to the printed figure."""
+    return ours < paper if bound else abs(ours - paper) <= 0.005
 
 
 def _maximum_rows() -> Iterator[Row]:
@@ -223,15 +221,22 @@ def _maximum_rows() -> Iterator[Row]:
                 0.0,
                 bool(agrees),
                 why,
-                None if agrees else _why_larger(number, positions, errors),
+                None if agrees else _why_larger(number, positions, errors) if bound else cut_off(ours, paper),
             )
 
 
 def _remark(number: int, positions: str) -> str:
-    """Say what a maximum of dataset 3 shows, from the data."""
-    if number != 3:
-        return ""
-    return "; " + (_what_is_missing() if positions == "3-23" else "the printed figure is ours cut off")
+    """Say what dataset 3's largest maximum shows, from the data."""
+    return f"; {_what_is_missing()}" if (number, positions) == (3, "3-23") else ""
+
+
+def cut_off(ours: float, paper: float) -> Cause:
+    """Try whether the printed percentage, of two digits, is ours with its further digits dropped."""
+    shown = math.floor(100.0 * ours) == round(100.0 * paper)
+    return Cause(
+        f"{ours:.4g}, its further digits dropped instead of rounded, is {math.floor(100.0 * ours) / 100.0}",
+        shown,
+    )
 
 
 def _why_larger(number: int, positions: str, errors: Array) -> Cause:

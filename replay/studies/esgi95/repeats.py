@@ -165,7 +165,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     progress(0.6)
     real = {} if data is None else pieces(data)
     again = np.empty(0) if data is None else placings(data)
-    claims = (_small_claim(), _simulated_claim(by_hand, hand), _real_claim(real))
+    claims = (_small_claim(PRINTED), _simulated_claim(by_hand, hand), _real_claim(real))
     rows = [_row("printed", PRINTED), _row("simulated, laid perfectly", perfect)]
     rows.append(_row(f"simulated, placed within {1e3 * hand:.2g} mrad", by_hand))
     rows += [_row(f"{name}, one session", scatter) for name, scatter in real.items()]
@@ -182,8 +182,8 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     return Study("repeats", "Repeated calibrations", claims, text, ("repeats.png",), seed)
 
 
-def _small_claim() -> Claim:
-    x, y = PRINTED_SD_X / np.abs(PRINTED_X), PRINTED_SD_Y / np.abs(PRINTED_Y)
+def _small_claim(scatter: Scatter) -> Claim:
+    x, y = scatter.X / np.abs(PRINTED_X), scatter.y / np.abs(PRINTED_Y)
     row, column = np.unravel_index(np.where(OFF, x, 0.0).argmax(), x.shape)
     ratio = max(float(x[row, column]), float(y.max()))
     return Claim(
@@ -208,7 +208,6 @@ def _small_claim() -> Claim:
 
 def _simulated_claim(by_hand: Scatter, hand: float) -> Claim:
     ours, paper = by_hand.groups[1:], PRINTED.groups[1:]
-    ratio = [o / p for o, p in zip(ours, paper, strict=True)]
     return Claim(
         WORK,
         WHERE,
@@ -216,14 +215,15 @@ def _simulated_claim(by_hand: Scatter, hand: float) -> Claim:
         ", ".join(f"{p:.2g}" for p in paper),
         ", ".join(f"{o:.2g}" for o in ours),
         f"400 simulated repeats, placed within {1e3 * hand:.2g} mrad",
-        holds(all(0.5 < r < 2.0 for r in ratio)),
-        "within a factor of two, one irregularity explaining both",
+        Verdict.OPEN,
+        "the irregularity is computed from the printed figures, so that it gives them back; that one explains"
+        " both groups is what this shows. The paper names no cause",
         evidence=Evidence.SIMULATION,
     )
 
 
 def _real_claim(real: dict[str, Scatter]) -> Claim:
-    claim = "repeats on real phones scatter no more than printed"
+    claim = "scatter of repeats on real phones, not laid down anew"
     if not real:
         return Claim(
             WORK,
@@ -246,8 +246,8 @@ def _real_claim(real: dict[str, Scatter]) -> Claim:
         ", ".join(f"{g:.2g}" for g in PRINTED.groups),
         ", ".join(f"{g:.2g}" for g in middle) + f" (medians); {inside} of {len(real)} phones in all three",
         f"hhar_still: {len(real)} phones, 5 s pieces",
-        holds(inside > len(real) / 2),
-        "for most phones; without being laid down anew, so this is noise and wander alone",
+        Verdict.OPEN,
+        "the paper claims nothing of other phones; not laid down anew, this is noise and wander alone",
         evidence=Evidence.REAL,
     )
 

@@ -40,7 +40,6 @@ PAPER = {
         "the same with nothing fitted to make up for g",
         "0.6015, 0.0090 (67 to 1)",
     ),
-    "scale": ("4.5", "default g makes calibrated forces worse", "stated"),
     "gyro": ("5.2, Table 8", "gyroscope: default g, local g", "0.2015, 0.1276 (1.6 to 1)"),
     "formula": ("4.5, Eq. 16-18", "g from latitude and height is more accurate than the default", "stated"),
 }
@@ -85,7 +84,7 @@ def costs(phones: int, seed: int, progress: Progress) -> Costs:
 def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> Study:
     """Compare what is left by the default g with what is left by the local one."""
     found = costs(PHONES, seed, progress)
-    claims = (_fitted(found), _judged(found), _force(found), _gyro(), _formula())
+    claims = (_fitted(found), _judged(found), _gyro(), _formula())
     file = _draw(found, figures)
     return Study(NAME, TITLE, claims, _text(found, file), (file,), seed)
 
@@ -132,15 +131,6 @@ def _judged(found: Costs) -> Claim:
         evidence=Evidence.SIMULATION,
         cause=cause,
     )
-
-
-def _force(found: Costs) -> Claim:
-    before, after = np.median(found.force, axis=0)
-    expected = LOCAL - STANDARD
-    worse = float(np.mean(found.force[:, 0] > found.force[:, 1]))
-    ours = f"norm off by {1e3 * before:.1f}, {1e3 * after:.2f} mm/s²; worse in {worse:.0%} of phones"
-    why = f"holds where it is so in 95 % of phones or more; the difference of g is {1e3 * expected:.1f} mm/s²"
-    return Claim(WORK, *PAPER["scale"], ours, DATA, holds(worse >= 0.95), why, evidence=Evidence.SIMULATION)
 
 
 def _gyro() -> Claim:

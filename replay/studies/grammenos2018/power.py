@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from stillcal.calib_core.accelerometer import fit as accelerometer
+from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.model import SensorModel
@@ -34,17 +35,21 @@ PAPER = {
     "operations": ("5.3", "operations a reading and sensor", "9 additions, 9 multiplications"),
     "kalman": (
         "5.3.1, Table 9",
-        "a Kalman filter takes 2.5 times as much or more: full matrices, as a library has it",
-        "3.2 times (220.5, 68.5 mA)",
+        "a Kalman filter's processor time: full matrices, as a library has it",
+        "of power: 2.5 times or more",
     ),
     "fixed": (
         "5.3.1, Table 9",
-        "a Kalman filter takes 2.5 times as much or more: its gain fixed once it has settled",
-        "3.2 times (220.5, 68.5 mA)",
+        "a Kalman filter's processor time: its gain fixed once it has settled",
+        "of power: 2.5 times or more",
     ),
-    "current": ("5.3.1, Table 9", "current above the baseline, both sensors at 50 Hz", "68.5 and 220.5 mA"),
+    "current": (
+        "1, 5.3.1, Table 9",
+        "at least 2.5 times less power than a Kalman filter, both sensors at 50 Hz",
+        "3.2 times (68.5, 220.5 mA)",
+    ),
     "overhead": ("5.3.2", "overhead on an app that polls at 25 Hz", "below 5 %"),
-    "fit": ("5.3.2", "a full calibration takes", "less than 10 s"),
+    "fit": ("5.3.2", "a full calibration takes; ours the accelerometer's fit alone", "less than 10 s"),
     "probing": ("4.4, 5.3", "probe and window instead of continuous sensing", "the point of Algorithm 1"),
 }
 
@@ -194,50 +199,64 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     return Study(NAME, TITLE, claims, _text(done, clock, found, always), (), seed)
 
 
-def _claim(key: str, ours: str, good: bool, data: str, because: str, *, cause: Cause | None = None) -> Claim:
+def _claim(key: str, ours: str, verdict: Verdict, data: str, because: str) -> Claim:
     simulated = key in {"overhead", "probing"}
     evidence = Evidence.SIMULATION if simulated else Evidence.ARITHMETIC
-    return Claim(WORK, *PAPER[key], ours, data, holds(good), because, evidence=evidence, cause=cause)
+    return Claim(WORK, *PAPER[key], ours, data, verdict, because, evidence=evidence)
 
 
 def _operations(done: dict[str, dict[str, int]]) -> Claim:
     ours = _words(done["apply"])
     good = done["apply"] == {"additions": 9, "multiplications": 9}
     return _claim(
-        "operations", ours, good, "counted as they are done", "exactly as many, subtractions as additions"
+        "operations",
+        ours,
+        holds(good),
+        "counted as they are done",
+        "exactly as many, subtractions as additions",
     )
 
 
 def _kalman(done: dict[str, dict[str, int]], clock: Times) -> list[Claim]:
-    """Compare both ways to write the same filter with the correction."""
+    """Set both ways to write the same filter beside the correction."""
     why = (
-        "holds where the processor time is 2.5 times the correction's or more; one reading at a time, all in"
-        " numpy, in one run"
-    )
-    full = clock.kalman / clock.apply
-    cause = Cause(
-        "both ways to write the same filter, side by side, which give the same estimates once the gain has"
-        f" settled: with full matrices it takes {full:.1f} times the time, so that the paper's 2.5 is of an"
-        " implementation",
-        shown=full >= 2.5,
+        "the paper measures power, not time; what power would follow is in the next row. One reading at a"
+        " time, all in numpy, in one run; both ways give the same estimates once the gain has settled"
     )
     claims = []
     for key, name, spent in (("kalman", "Kalman", clock.kalman), ("fixed", "gain fixed", clock.fixed)):
         ratio, many = spent / clock.apply, sum(done[name].values()) / sum(done["apply"].values())
         ours = f"{ratio:.1f} times the time, {many:.1f} the operations"
-        claims.append(_claim(key, ours, ratio >= 2.5, "measured side by side", why, cause=cause))
+        claims.append(_claim(key, ours, Verdict.OPEN, "measured side by side", why))
     return claims
 
 
 def _current(clock: Times) -> Claim:
-    ours = [IMU_MA + CORE_MA * 2.0 * POLL_HZ * t for t in (clock.apply, clock.kalman)]
-    text = f"by the model {ours[0]:.2f} and {ours[1]:.2f} mA ({ours[1] / ours[0]:.2f} times)"
+    """Judge the power by the model of current, as there is no battery here."""
+    busy = [2.0 * POLL_HZ * spent for spent in (clock.apply, clock.kalman, clock.fixed)]
+    ours, kalman, fixed = (IMU_MA + CORE_MA * share for share in busy)
     why = (
-        f"no battery here. Arithmetic keeps a core busy {2.0 * POLL_HZ * clock.apply:.2%} or"
-        f" {2.0 * POLL_HZ * clock.kalman:.2%} of the time, in an interpreter: the paper's 150 mA between the"
-        " two are of two programs rather than of two formulas"
+        f"holds where the model gives 2.5 times or more. No battery here: the {CORE_MA:.0f} mA of a busy core"
+        f" are assumed. Arithmetic keeps it busy {busy[0]:.2%} or {busy[1]:.2%} of the time, in an"
+        f" interpreter; with its gain fixed the filter is {fixed / ours:.2f} times ours"
     )
-    return Claim(WORK, *PAPER["current"], text, "stated model", Verdict.UNTESTED, why, evidence=Evidence.NONE)
+    needed = 1.5 * IMU_MA / (busy[1] - 2.5 * busy[0]) if busy[1] > 2.5 * busy[0] else np.inf
+    cause = Cause(
+        f"what the core draws, and how fast this host is: at {needed:.0f} instead of {CORE_MA:.0f} mA the"
+        " model gives 2.5 times. The paper's 150 mA between the two are of two programs, not to be had",
+        shown=False,
+    )
+    text = f"{kalman / ours:.2f} times ({ours:.2f}, {kalman:.2f} mA) by a model"
+    return Claim(
+        WORK,
+        *PAPER["current"],
+        text,
+        "stated model",
+        holds(kalman / ours >= 2.5),
+        why,
+        evidence=Evidence.ARITHMETIC,
+        cause=cause,
+    )
 
 
 def _overhead(found: Day, clock: Times) -> Claim:
@@ -250,13 +269,16 @@ def _overhead(found: Day, clock: Times) -> Claim:
         " reach it"
     )
     ours = f"{share:.1%} of the sensors' own current"
-    return _claim("overhead", ours, share < 0.05, "a simulated day at 25 Hz, typical phone", why)
+    return _claim("overhead", ours, holds(share < 0.05), "a simulated day at 25 Hz, typical phone", why)
 
 
 def _fit(spent: float) -> Claim:
     data = "30 rests of the typical phone, drawn"
-    why = "processor time of the accelerometer's fit on this host"
-    return _claim("fit", f"{1e3 * spent:.1f} ms", spent < 10.0, data, why)
+    why = (
+        "processor time on this host. The paper's includes collecting, the gyroscope and a phone of 2018;"
+        " Algorithm 1 has no part in ours"
+    )
+    return _claim("fit", f"{1e3 * spent:.1f} ms", holds(spent < 10.0), data, why)
 
 
 def _probing(found: Day, always: Day) -> Claim:
@@ -267,8 +289,11 @@ def _probing(found: Day, always: Day) -> Claim:
         f"{found.sensing * IMU_MA:.3f} mA instead of {always.sensing * IMU_MA:.3f} mA,"
         f" {found.engine / always.engine:.2f} times the processor time; "
     )
-    why += "holds where less than a tenth is asked for; the first hour is sensed without a break"
-    return _claim("probing", ours, found.sensing < 0.1, "a simulated day at 25 Hz, typical phone", why)
+    why += (
+        f"the share follows our settings: {EnergySettings().on_time_fraction:.0%} of the time may be asked"
+        " for, and the first hour is sensed without a break"
+    )
+    return _claim("probing", ours, Verdict.OPEN, "a simulated day at 25 Hz, typical phone", why)
 
 
 def _words(done: dict[str, int]) -> str:

@@ -95,7 +95,7 @@ def test_stamps_given_at_delivery_follow_it(together: float, shown: bool) -> Non
 def traces(devices: tuple[float, ...], levelled: tuple[float, ...]) -> homogeneity.Homogeneity:
     """Return the MSE of ten people by step; people and devices together as nothing had helped."""
     people = np.ones((10, 1))
-    return homogeneity.Homogeneity(people * devices, np.ones((10, 4)), people * levelled)
+    return homogeneity.Homogeneity(people * devices, np.ones((10, 4)), people * levelled, people * levelled)
 
 
 @pytest.mark.parametrize("left, shown", [(0.5, True), (0.9, False)])
@@ -119,7 +119,7 @@ def test_calibration_itself_must_lower_the_error(
     smooth: float, alone: float, whole: float, verdict: Verdict
 ) -> None:
     people = np.ones((10, 1)) * (1.0, smooth, alone, whole)
-    found = homogeneity.Homogeneity(people, people, people)
+    found = homogeneity.Homogeneity(people, people, people, people)
     assert homogeneity._moving("walk", found, "data", np.random.default_rng(0)).verdict is verdict
 
 
@@ -136,10 +136,11 @@ def test_norms_must_keep_a_bias_out_where_nothing_is_level(upright: float, verdi
     assert norm.cause.shown is verdict
 
 
-@pytest.mark.parametrize("left, shown", [(1.05, True), (0.5, False)])
-def test_the_level_is_the_cause_where_nothing_else_changes(left: float, shown: bool) -> None:
+@pytest.mark.parametrize("left, shown", [((1.05, 1.05), True), ((1.05, 0.5), False), ((0.5, 1.05), False)])
+def test_the_level_is_the_cause_where_nothing_else_changes(left: tuple[float, float], shown: bool) -> None:
+    """By the calibration alone and by the method whole."""
     rest = homogeneity.Rest(np.ones((6, 3)), 0.1 * np.ones((6, 3)), np.ones((6, 2)), 1)
-    claim = homogeneity._rest(rest, traces((1.0,) * 4, (1.0, 1.0, left, left)), np.random.default_rng(0))
+    claim = homogeneity._rest(rest, traces((1.0,) * 4, (1.0, 1.0, *left)), np.random.default_rng(0))
     assert claim.verdict is Verdict.DIFFERS
     assert claim.cause is not None
     assert claim.cause.shown is shown
