@@ -125,7 +125,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     rest = at_rest(data)
     carried = CARRIED.format(len(devices))
     claims = (
-        *_similar(windows, rng),
+        *_similar(*_similarities(windows, rng)),
         *(_moving(a, found[a], carried, rng) for a in MOVING),
         _rest(rest, found["sit"], rng),
         Claim(
@@ -220,7 +220,12 @@ def _table_5(name: str) -> tuple[str, str, str]:
     return "5.2, Table 5", f"calibration lowers the MSE to the aggregate: {name}", figure
 
 
-def _similar(windows: Windows, rng: np.random.Generator) -> list[Claim]:
+Pairs = dict[tuple[str, str], float]
+"""Definition 5.1 by pair of activities, (m/s^2)^2."""
+
+
+def _similarities(windows: Windows, rng: np.random.Generator) -> tuple[Pairs, list[Pairs]]:
+    """Return the similarity of pairs over everybody, and of Table 4's in samples of people drawn anew."""
     traces = {
         a: np.array(
             [windows.of(a).only(windows.of(a).person == p).accel.mean(axis=0) for p in windows.people]
@@ -232,6 +237,11 @@ def _similar(windows: Windows, rng: np.random.Generator) -> list[Claim]:
     drawn = [
         _pairs(traces, rng.integers(0, len(windows.people), len(windows.people))) for _ in range(BOOTSTRAPS)
     ]
+    return found, drawn
+
+
+def _similar(found: Pairs, drawn: list[Pairs]) -> list[Claim]:
+    """Judge `_similarities`."""
     least = [min(d, key=lambda p: d[p]) for d in drawn]
     share = np.mean([pair == ("walk", "stairs down") for pair in least])
     ours = ", ".join(f"{a} / {b} {found[a, b]:.2f}" for a, b in TABLE_4)
@@ -271,7 +281,7 @@ def _similar(windows: Windows, rng: np.random.Generator) -> list[Claim]:
     ]
 
 
-def _pairs(traces: dict[str, Array], people: NDArray[np.intp]) -> dict[tuple[str, str], float]:
+def _pairs(traces: dict[str, Array], people: NDArray[np.intp]) -> Pairs:
     mean = {a: traces[a][people].mean(axis=0) for a in MOVING}
     return {pair: similarity(mean[pair[0]], mean[pair[1]]) for pair in TABLE_4}
 
