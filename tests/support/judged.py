@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
@@ -79,15 +80,29 @@ def judged(call: Call) -> list[Claim]:
 def recorded(name: str, data: Path, seed: int = 0) -> list[Call]:
     """Run a study, and return the scores of everything that can be judged again without it."""
     importlib.import_module(STUDIES[name].split(":")[0])
-    calls: list[Call] = []
-    inside: list[str] = []
+    whole = Seen(None, [])
+    inside = [whole]
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as figures:
         for place in [m for n, m in sys.modules.items() if n.startswith(PACKAGE)]:
             for key, value in list(vars(place).items()):
                 if inspect.isfunction(value) and value.__module__.startswith(PACKAGE) and _judges(value):
-                    patch.setattr(place, key, _watched(value, calls, inside))
+                    patch.setattr(place, key, _watched(value, inside))
         run(name, data, Path(figures), seed, lambda share: None)
-    return [call for call in calls if _comes_back(call)]
+    return whole.kept()
+
+
+@dataclass
+class Seen:
+    """A call as it was seen, None where its scores cannot be kept, and those that it made itself."""
+
+    call: Call | None
+    within: list[Seen]
+
+    def kept(self) -> list[Call]:
+        """Return the call, or where it does not come back those within."""
+        if self.call is not None and _comes_back(self.call):
+            return [self.call]
+        return [call for seen in self.within for call in seen.kept()]
 
 
 def _judges(function: Judging) -> bool:
@@ -100,16 +115,15 @@ def _judges(function: Judging) -> bool:
     return Claim in parts and set(parts) <= {Claim, ...} and not decided
 
 
-def _watched(function: Judging, calls: list[Call], inside: list[str]) -> Judging:
+def _watched(function: Judging, inside: list[Seen]) -> Judging:
     @wraps(function)
     def watched(*args: Any, **named: Any) -> Any:
-        if not inside:
-            bound = inspect.signature(function).bind(*args, **named)
-            bound.apply_defaults()
-            arguments = _encoded(tuple(bound.arguments.values()))
-            if arguments is not None:
-                calls.append(Call(function.__module__, function.__name__, arguments))
-        inside.append(function.__name__)
+        bound = inspect.signature(function).bind(*args, **named)
+        bound.apply_defaults()
+        arguments = _encoded(tuple(bound.arguments.values()))
+        call = Call(function.__module__, function.__name__, arguments) if arguments is not None else None
+        inside[-1].within.append(Seen(call, []))
+        inside.append(inside[-1].within[-1])
         try:
             return function(*args, **named)
         finally:
