@@ -21,7 +21,6 @@ NOT_KEPT = {
     "people",
     "quality-check",
     "stationary-states",
-    "classes",
 }
 """Studies that run long, or judge what cannot be kept; their rules have tests with made-up scores."""
 
