@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.diagnose import Examination, still_bins
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
+from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.streams.course import Course
@@ -31,6 +32,7 @@ from stillcal.replay.diagnosis.judged import charging_events
 from stillcal.replay.formats.trace import Recording
 
 MATRIX_NUMBERS = 9
+LINE = "vibration_tone"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,6 +156,8 @@ def _added(
     rng: np.random.Generator,
 ) -> Array | None:
     """Return what a difference adds to the samples, (n, 3); None where it cannot be added."""
+    if one.effect == LINE and one.relation == "lacking" and one.recorded is not None:
+        return _tone(samples, one.recorded)
     if one.difference is None:
         return None
     if one.effect == "noise_level":
@@ -164,6 +168,12 @@ def _added(
     if kind == "bias":
         return np.asarray(np.broadcast_to(one.difference.value, samples.xyz.shape))
     return _by_physics(drivers, samples, one.difference)
+
+
+def _tone(samples: Samples, found: Finding) -> Array:
+    """Return a sine of the frequency and amplitudes found, all along, its axes in phase."""
+    frequency, amplitude = (np.asarray(found.parameters[n].value) for n in ("frequency", "amplitude"))
+    return np.asarray(np.outer(np.sin(2.0 * np.pi * frequency * samples.t), amplitude))
 
 
 def _limit(one: Discrepancy) -> float | None:

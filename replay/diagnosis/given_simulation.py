@@ -11,8 +11,9 @@ from typing import Any
 
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, compare
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
-from stillcal.replay.diagnosis.corrected import Corrected, correct
+from stillcal.replay.diagnosis.corrected import LINE, Corrected, correct
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, silent
 from stillcal.replay.formats.trace import Recording
 
@@ -78,10 +79,15 @@ def with_own_values(measured: Examination, simulated: Examination, changed: Coll
     sensors whose noise or single values were changed on purpose.
     """
     own = {s.sensor: s for s in simulated.streams if s.sensor not in changed}
-    slow = [s for s in measured.statements if s.hypothesis is not None or s.finding.sensor in changed]
-    direct = [s for s in simulated.statements if s.hypothesis is None and s.finding.sensor not in changed]
+
+    def anew(one: Stated) -> bool:
+        return one.hypothesis is not None or one.finding.sensor in changed or one.finding.effect == LINE
+
     return replace(
         measured,
         streams=[own.get(s.sensor, s) for s in measured.streams],
-        statements=[*direct, *slow],
+        statements=[
+            *(s for s in simulated.statements if not anew(s)),
+            *(s for s in measured.statements if anew(s)),
+        ],
     )

@@ -22,7 +22,7 @@ from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.phone.phone import Phone
-from tests.support.report_days import phone_with, recorded
+from tests.support.report_days import TONE, phone_with, recorded
 
 SLOPE = np.array([0.006, 0.0, -0.005])
 
@@ -111,6 +111,14 @@ def test_the_corrected_simulation_passes_though_its_values_came_in_steps() -> No
     assert said["verdict"] == "identified"
     assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
     assert said["fit"]["not_put_in"] == []
+
+
+@pytest.mark.slow
+def test_a_line_that_the_simulation_lacks_is_put_into_it() -> None:
+    said = answer(named(recorded(phone_with(TONE), 3), "real.csv"), simulated(0.0))
+    assert [(f["effect"], f["relation"]) for f in said["findings"]] == [("vibration_tone", "lacking")]
+    assert said["verdict"] == "identified" and said["fit"]["not_put_in"] == []
+    assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
 
 
 @pytest.mark.slow
