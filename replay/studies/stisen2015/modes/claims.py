@@ -271,13 +271,18 @@ def _by_person(judged: Judged, person: Labels) -> Array:
     return 100.0 * by_person(judged.right.mean(axis=(0, 1)), person[judged.row])
 
 
+def _fold_by_fold(found: Found, one: str, other: str) -> tuple[str, Array]:
+    """Return two modes' F1 in words, and what the first gains over the other by fold of people (folds,)."""
+    first, second = (by_fold(found.judged[mode]) for mode in (one, other))
+    return f"{first.mean():.1f} against {second.mean():.1f} %", first - second
+
+
 def _cluster(found: Found) -> Claim:
     """Compare training within a cluster with training on all, fold by fold of people."""
-    inside, whole = (by_fold(found.judged[mode]) for mode in ("cluster, user out", "user out"))
-    gain = inside - whole
+    figures, gain = _fold_by_fold(found, "cluster, user out", "user out")
     return claim(
         AVERAGES["cluster"],
-        f"{inside.mean():.1f} against {whole.mean():.1f} %",
+        figures,
         holds(interval(gain)[0] > 0.0),
         "holds where the interval of the difference by folds of people lies above zero:"
         f" {with_interval(gain)} points; a fifth of the people left out",
@@ -291,11 +296,10 @@ def _cluster(found: Found) -> Claim:
 
 def _one_model(found: Found) -> Claim:
     """Compare training within a cluster with training on one other model, fold by fold of people."""
-    inside, one = (by_fold(found.judged[mode]) for mode in ("cluster, user out", ONE))
-    gain = inside - one
+    figures, gain = _fold_by_fold(found, "cluster, user out", ONE)
     return claim(
         AVERAGES["one model"],
-        f"{inside.mean():.1f} against {one.mean():.1f} %",
+        figures,
         holds(interval(gain)[0] > 0.0),
         "holds where the interval of the difference by folds of people lies above zero:"
         f" {with_interval(gain)} points; a fifth of the people left out. The one model is never the"
@@ -305,12 +309,11 @@ def _one_model(found: Found) -> Claim:
 
 def _device(found: Found) -> Claim:
     """Compare cluster and model on the devices that have another one in both, fold by fold of people."""
-    cluster, model = (by_fold(found.judged[mode]) for mode in (CLUSTER_DEVICE, MODEL_DEVICE))
+    figures, gain = _fold_by_fold(found, CLUSTER_DEVICE, MODEL_DEVICE)
     number = len(np.unique(found.rows.device[found.judged[CLUSTER_DEVICE].row]))
-    gain = cluster - model
     return claim(
         AVERAGES["device"],
-        f"{cluster.mean():.1f} against {model.mean():.1f} % on {number} devices",
+        f"{figures} on {number} devices",
         holds(interval(gain)[0] > 0.0),
         "on the devices that have another one both in their cluster and of their model; holds where the"
         f" interval of the difference by folds of people lies above zero: {with_interval(gain)} points",
