@@ -7,6 +7,7 @@ import errno
 import math
 import signal
 import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -93,7 +94,7 @@ def test_a_passing_error_at_the_start_ends_it_so_that_systemd_starts_it_again(
         "os.open = failing\n"
         "from stillcal.daemon.cli.main import main; main()\n"
     )
-    command = [STILLCAL[0].replace("stillcal", "python"), "-c", script, "run"]
+    command = [sys.executable, "-c", script, "run"]
     more = ["--config", str(tmp_path / "stillcal.toml"), *arguments(tmp_path)]
     ran = subprocess.run([*command, *more], capture_output=True, text=True, check=False)
     assert ran.returncode == 75, ran.stderr
@@ -118,9 +119,8 @@ def test_sigterm_is_obeyed_while_the_engine_computes_without_end(tmp_path: Path)
         "Engine.feed = spin\n"
         "from stillcal.daemon.cli.main import main; main()\n"
     )
-    python = STILLCAL[0].replace("stillcal", "python")
     device = Device(tmp_path / "tty")
-    command = [python, "-c", script, "run", *arguments(tmp_path)]
+    command = [sys.executable, "-c", script, "run", *arguments(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
         try:
             heard(daemon, "connected")
