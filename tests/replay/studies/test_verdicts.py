@@ -33,6 +33,7 @@ from stillcal.replay.studies.grammenos2018 import (
     quality_check,
     stationary_states,
 )
+from stillcal.replay.studies.grammenos2018.first_fits import FirstFits
 from stillcal.replay.studies.grammenos2018.slices import WAYS, Accuracy
 
 RNG = np.random.default_rng(0)
@@ -337,6 +338,7 @@ def test_what_follows_a_setting_or_a_printed_figure_is_left_open() -> None:
         repeats._simulated_claim(hand, 1e-3),
         repeats._real_claim({"phone": hand}),
         people._iterations([life()] * 3),
+        people._own([FirstFits(11, 1.0, 0.97, 0)] * 2, 100),
         _at(1, minimisation._convergence, minimised(), "d"),
     ]
     assert {claim.verdict for claim in claims} == {Verdict.OPEN}

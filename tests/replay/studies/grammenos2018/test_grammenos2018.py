@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from stillcal.calib_core.accelerometer.parameters import basis
 from stillcal.calib_core.gravity import STANDARD, somigliana
 from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.model import SensorModel
@@ -20,6 +21,7 @@ from stillcal.replay.phone.plan import play
 from stillcal.replay.phone.simulation import TrueInterval
 from stillcal.replay.studies.claim import Verdict
 from stillcal.replay.studies.grammenos2018 import classes as classes_study
+from stillcal.replay.studies.grammenos2018 import first_fits
 from stillcal.replay.studies.grammenos2018 import gravity as gravity_study
 from stillcal.replay.studies.grammenos2018 import gyroscope_bias as bias_study
 from stillcal.replay.studies.grammenos2018 import homogeneity as homogeneity_study
@@ -143,6 +145,25 @@ def test_fewer_positions_than_parameters_are_never_enough() -> None:
     for k, phone in enumerate(population(5, 0)):
         checked = people_study.fewest_positions(phone, spread, k)
         assert 6 <= people_study.fewest_positions(phone, spread, k, checked=False) <= checked
+
+
+def test_a_first_calibration_is_counted_where_it_is_made_and_held_against_the_truth() -> None:
+    spread = np.random.default_rng(1).normal(size=(12, 3))
+    spread /= np.linalg.norm(spread, axis=1, keepdims=True)
+    phones = population(6, 0)
+    flat = np.tile([0.0, 0.0, 1.0], (12, 1))
+    found = first_fits.first_fits(phones, [*[spread] * 4, flat, flat], 0, 12, 1.0)
+    assert (found.done, found.worse) == (4 / 6, 0)
+    assert 0.8 < found.held <= 1.0
+
+
+def test_true_parameters_make_every_norm_gravity() -> None:
+    (phone,) = population(1, 3)
+    bias, scale = np.split(basis(9) @ first_fits.true_parameters(phone), [3])
+    up = np.random.default_rng(0).normal(size=(5, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    raw = up @ np.asarray(phone.accel.scale).T + phone.accel.bias
+    assert np.linalg.norm((raw - bias) @ scale.reshape(3, 3).T, axis=1) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_rests_are_drawn_among_those_of_the_whole_day() -> None:
