@@ -103,10 +103,15 @@ class _Phone:
         factor = float(ratio(finding, "rate"))
         for which in ("accel", "gyro"):
             settings = getattr(self.phone, which)
-            if settings is not None:
-                after = float(f"{settings.rate_hz * factor:.6g}")
-                note_change(self._fixed, f"{which}.rate_hz", settings.rate_hz, after)
-                self._set_sensor(which, rate_hz=after)
+            if settings is None:
+                continue
+            after = float(f"{settings.rate_hz * factor:.6g}")
+            cutoff = settings.cutoff_hz
+            beyond = cutoff is not None and cutoff >= after / 2
+            self._set_sensor(which, rate_hz=after, cutoff_hz=None if beyond else cutoff)
+            note_change(self._fixed, f"{which}.rate_hz", settings.rate_hz, after)
+            if beyond:
+                self._fixed.changed.append(f"{which}.cutoff_hz: {cutoff:g} taken out, beyond half of the rate")
 
     def other(self, finding: Finding) -> None:
         """Put in an effect that the phone lacks, change one that it has, or take one out."""
@@ -185,7 +190,10 @@ class _Phone:
         return settings
 
     def _set_sensor(self, which: str, **values: Any) -> None:
-        settings = msgspec.structs.replace(getattr(self.phone, which), **values)
+        try:
+            settings = msgspec.structs.replace(getattr(self.phone, which), **values)
+        except ValueError as error:
+            raise CannotHold(str(error)) from error
         self.phone = msgspec.structs.replace(self.phone, **{which: settings})
 
     def _set_noise(self, finding: Finding, **values: Any) -> None:

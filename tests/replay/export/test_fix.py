@@ -102,6 +102,16 @@ def test_a_phone_file_that_is_not_plain_is_written_anew_and_says_so() -> None:
     assert any("comments are lost" in line for line in made.changed)
 
 
+@pytest.mark.parametrize(("rate_hz", "cutoff_hz"), [(90.0, 44.0), (88.0, None)])
+def test_a_low_pass_stays_while_it_is_below_half_of_the_new_rate(
+    rate_hz: float, cutoff_hz: float | None
+) -> None:
+    text = "[accel]\ncutoff_hz = 44.0\n\n[gyro]\n"
+    made = fixed("phone", text, finding("sample_rate", "timing", {"rate": (rate_hz, 100.0)}, axes=""))
+    phone = msgspec.convert(tomllib.loads(made.text), type=Phone)
+    assert (phone.accel.rate_hz, phone.accel.cutoff_hz) == (rate_hz, cutoff_hz)
+
+
 def test_what_the_recording_does_not_have_is_taken_out_of_a_phone() -> None:
     gone = finding(
         "gyro_g_sensitivity", "gyro", {"matrix": (np.zeros((3, 3)), np.eye(3) * 1e-4)}, "superfluous"
