@@ -111,7 +111,9 @@ class _Phone:
             self._set_sensor(which, rate_hz=after, cutoff_hz=None if beyond else cutoff)
             note_change(self._fixed, f"{which}.rate_hz", settings.rate_hz, after)
             if beyond:
-                self._fixed.changed.append(f"{which}.cutoff_hz: {cutoff:g} taken out, beyond half of the rate")
+                self._fixed.changed.append(
+                    f"{which}.cutoff_hz: {cutoff:g} taken out: not below half the rate"
+                )
 
     def other(self, finding: Finding) -> None:
         """Put in an effect that the phone lacks, change one that it has, or take one out."""
