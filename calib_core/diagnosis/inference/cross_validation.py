@@ -84,13 +84,15 @@ def held_out(
         chosen = [
             _likeliest(p, r, choice, own[0]) for p, r, choice in zip(parts[0], rows, of_part, strict=True)
         ]
-        known = [_known(each, rows, chosen, count) for each, count in zip(parts, own, strict=True)]
+        factors = [_factor(shape, r) for shape, r in zip(chosen, rows, strict=True)]
+        known = [_known(each, rows, factors, count) for each, count in zip(parts, own, strict=True)]
         best = int(np.argmax([value for value, _, _ in known]))
         value, size, sums = known[best]
         training.append(value)
+        everything = [np.ones(r.size, dtype=bool) for r in rows]
         every = [
-            p.sums(np.ones(p.y.size, dtype=bool), shape, s.scale)
-            for p, shape, s in zip(parts[best], chosen, sums, strict=True)
+            p.sums(r, _factor(shape, r), s.scale)
+            for p, r, shape, s in zip(parts[best], everything, chosen, sums, strict=True)
         ]
         score += _evidence(every, own[best])[0] - value
         misses += [
@@ -104,16 +106,21 @@ def held_out(
 
 
 def _known(
-    parts: Sequence[_Part], rows: Sequence[NDArray[np.bool_]], shapes: Sequence[Array], own: int
+    parts: Sequence[_Part], rows: Sequence[NDArray[np.bool_]], factors: Sequence[Array], own: int
 ) -> tuple[float, Array, list[_Sums]]:
     """Return the log evidence of the bins `rows`, the effects' likeliest sizes, and the bins' sums."""
-    sums = [p.sums(r, shape) for p, r, shape in zip(parts, rows, shapes, strict=True)]
+    sums = [p.sums(r, factor) for p, r, factor in zip(parts, rows, factors, strict=True)]
     return (*_evidence(sums, own), sums)
 
 
 def _likeliest(part: _Part, rows: NDArray[np.bool_], shapes: Sequence[Array], own: int) -> Array:
     """Return the shape under which the bins `rows` of a part are likeliest."""
-    return max(shapes, key=lambda shape: _evidence([part.sums(rows, shape)], own)[0])
+    return max(shapes, key=lambda shape: _evidence([part.sums(rows, _factor(shape, rows))], own)[0])
+
+
+def _factor(shape: Array, rows: NDArray[np.bool_]) -> Array:
+    """Return the Cholesky factor (m, m) of the bins `rows` of a shape (n, n)."""
+    return np.asarray(np.linalg.cholesky(shape[np.ix_(rows, rows)]))
 
 
 def _dealt(t: Array, start: float, end: float) -> NDArray[np.int64]:
@@ -156,9 +163,8 @@ class _Part:
         columns = np.concatenate([np.zeros((view.y.shape[1], 0)), *effects], axis=1)
         return cls(view, view.y[block], baseline, columns)
 
-    def sums(self, rows: NDArray[np.bool_], shape: Array, scale: float | None = None) -> _Sums:
-        """Return what the bins `rows` say under a shape (n, n); its scale is theirs if not given."""
-        lower = np.linalg.cholesky(shape[np.ix_(rows, rows)])
+    def sums(self, rows: NDArray[np.bool_], lower: Array, scale: float | None = None) -> _Sums:
+        """Return what the bins `rows` say. lower: (m, m) factor of their shape; scale: theirs by default."""
         both = np.column_stack([self.baseline, self.effects, self.y])[rows]
         white = np.linalg.solve(lower, both)
         p = self.baseline.shape[1]
@@ -171,7 +177,7 @@ class _Part:
         freedom = (len(white) - p) * float(np.log(scale)) + len(white) * float(np.log(2.0 * np.pi))
         constant = -0.5 * float(left[-1, -1]) / scale - float(logs) - 0.5 * freedom
         information, target = left[:-1, :-1] / scale, left[:-1, -1] / scale
-        return _Sums(constant, information, target, np.asarray(lower), white, np.asarray(own), scale)
+        return _Sums(constant, information, target, lower, white, np.asarray(own), scale)
 
     def _scale(self, left: Array, freedom: int) -> float:
         """Return the likeliest scale; left: (k + 1, k + 1) inner products of the effects and the data."""
@@ -204,12 +210,13 @@ def _evidence(sums: Sequence[_Sums], own: int) -> tuple[float, Array]:
     information = np.asarray(sum(s.information for s in sums))
     target = np.asarray(sum(s.target for s in sums))
     constant = sum(s.constant for s in sums)
-    values, means = [], []
-    for size in SIZES if own else SIZES[:1]:
-        width = np.where(np.arange(target.size) < own, size, 1.0)
-        lower = np.linalg.cholesky(np.outer(width, width) * information + np.eye(target.size))
-        half = np.linalg.solve(lower, width * target)
-        values.append(constant + 0.5 * float(half @ half) - float(np.log(lower.diagonal()).sum()))
-        means.append(width * np.linalg.solve(lower.T, half))
-    value = log_sum(np.array(values)) - float(np.log(len(values)))
-    return value, np.asarray(means[int(np.argmax(values))])
+    sizes = SIZES if own else SIZES[:1]
+    widths = np.where(np.arange(target.size) < own, sizes[:, None], 1.0)
+    precision = widths[:, :, None] * information * widths[:, None, :] + np.eye(target.size)
+    lower = np.linalg.cholesky(precision)
+    half = np.linalg.solve(lower, (widths * target)[:, :, None])[:, :, 0]
+    logs = np.log(lower.diagonal(axis1=1, axis2=2)).sum(axis=1)
+    values = constant + 0.5 * (half**2).sum(axis=1) - logs
+    best = int(np.argmax(values))
+    value = log_sum(values) - float(np.log(len(values)))
+    return value, np.asarray(widths[best] * np.linalg.solve(lower[best].T, half[best]))

@@ -187,7 +187,7 @@ def _apart(groups: list[tuple[list[int], Array]], grams: list[Array]) -> list[Ar
     out: list[Array] = [np.empty(0)] * sum(len(rows) for rows, _ in groups)
     for (rows, _), made in zip(groups, grams, strict=True):
         for j, i in enumerate(rows):
-            out[i] = made[:, j]
+            out[i] = np.ascontiguousarray(made[:, j])
     return out
 
 
@@ -343,7 +343,7 @@ def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> tuple[Arra
         _, likely = joint(views, [log_terms(v, r) for v, r in zip(views, left, strict=True)])
         weights = [w * v.dof / (v.known + r) for v, w, r in zip(views, likely, left, strict=True)]
         previous, beta = beta, _solve(views, h, weights)
-        if np.allclose(previous, beta, rtol=1e-5, atol=1e-9):
+        if (np.abs(previous - beta) <= 1e-9 + 1e-5 * np.abs(beta)).all():
             break
     terms = [log_terms(v, residuals(v, h, beta)) for v in views]
     value, likely = joint(views, terms)
@@ -353,12 +353,12 @@ def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> tuple[Arra
 def residuals(view: Reduced, h: int, beta: Array) -> Array:
     """Return the whitened sum of squares (G,) under every shape with hypothesis `h` at `beta`."""
     linear = view.xy[:, view.columns[h]] @ beta
-    quadratic = np.einsum("i,gij,j->g", beta, view.blocks[h], beta)
+    quadratic = (view.blocks[h] @ beta) @ beta
     return np.asarray(np.maximum(view.yy - 2.0 * linear + quadratic, 0.0))
 
 
 def _solve(views: Sequence[Reduced], h: int, weights: list[Array]) -> Array:
-    information = sum(np.einsum("g,gij->ij", w, v.blocks[h]) for v, w in zip(views, weights, strict=True))
+    information = sum(_expected(v, h, w) for v, w in zip(views, weights, strict=True))
     target = sum(w @ v.xy[:, v.columns[h]] for v, w in zip(views, weights, strict=True))
     linear = np.asarray(target)
     return np.asarray(
@@ -410,4 +410,4 @@ def expected_information(views: Sequence[Reduced], h: int, beta: Array, likely: 
 
 
 def _expected(view: Reduced, h: int, weight: Array) -> Array:
-    return np.asarray(np.einsum("g,gij->ij", weight, view.blocks[h]))
+    return np.asarray(np.tensordot(weight, view.blocks[h], 1))

@@ -111,9 +111,15 @@ def _judged(
     """Score a hypothesis on all axes and on each alone, and keep the better; None where it is hopeless.
 
     Set 4 `index` of the reduced scene is the whole hypothesis, the next three are its axes. All axes cost a
-    factor of two in trials, one axis one of six.
+    factor of two in trials, one axis one of six. No axis gains more than all of them.
     """
     best, whole = -np.inf, 4 * index
+    freedom = degrees(reduced, whole)
+    if (
+        not freedom
+        or score(gain_bound(reduced, whole) - null, 1, freedom, trials * 2) < thresholds.WORTH_FITTING
+    ):
+        return None
     for part, cost in ((whole, 2), (whole + 1, 6), (whole + 2, 6), (whole + 3, 6)):
         rank, dof = visible(reduced, part), degrees(reduced, part)
         if rank == 0:

@@ -53,8 +53,11 @@ def simulated(share: float) -> Recording:
     return named(recorded(phone_with(*effects), 8), "sim.csv")
 
 
+judged = cache(judge_simulation)
+
+
 def answer(recording: Recording, simulation: Recording) -> dict[str, Any]:
-    return judge_simulation(recording, simulation).answer
+    return judged(recording, simulation).answer
 
 
 def effects(said: Mapping[str, Any]) -> set[str]:
@@ -217,7 +220,7 @@ def test_what_is_compared_is_stated_agreed_or_undecided() -> None:
 @pytest.mark.slow
 def test_the_page_shows_both_files_and_every_finding() -> None:
     pytest.importorskip("matplotlib")
-    drawn = page(judge_simulation(real(), simulated(0.5)))
+    drawn = page(judged(real(), simulated(0.5)))
     assert "real.csv against sim.csv" in drawn and "Differences found, all identified" in drawn
     assert (
         "is too small in sim.csv" in drawn

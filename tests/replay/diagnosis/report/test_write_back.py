@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -36,7 +37,10 @@ def test_a_recording_with_the_written_phone_is_accepted_and_one_without_its_term
     better = load_phone(tmp_path / "better.toml")
     with_it = recorded(better, 17, claims=better)
     without = recorded(msgspec.structs.replace(better, effects=()), 17, claims=better)
-    answers = [judge_simulation(case.recording, named(r, "sim.csv")).answer for r in (with_it, without)]
+    real, *played = (
+        replace(r, name="sim.csv", gyroscope=None) for r in (case.recording, with_it, without)
+    )  # what is written is the accelerometer's
+    answers = [judge_simulation(real, r).answer for r in played]
     assert answers[0]["verdict"] == "match", answers[0]["findings"]
     assert [(f["effect"], f["relation"]) for f in answers[1]["findings"]] == [(THERMAL["name"], "lacking")]
 
@@ -84,10 +88,6 @@ def test_a_phone_file_is_judged_as_any_simulation_is(recording: Maker) -> None:
     right = judge_phone(real, phone_with(THERMAL), "phone.toml").answer
     assert right["verdict"] == "match", right["findings"]
     assert "accel_bias_temperature" in {a["effect"] for a in right["agreed"]}
-    wrong = judge_phone(real, phone_with(THERMAL | {"slope": [0.006, 0.004, -0.005]}), "phone.toml").answer
-    (left,) = wrong["findings"]
-    assert left["effect"] == "accel_bias_temperature" and left["axes"] == ["y"]
-    np.testing.assert_allclose(left["difference"]["slope"]["value"], [0.0, -0.004, 0.0], atol=4e-4)
 
 
 @pytest.mark.slow
