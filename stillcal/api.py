@@ -294,8 +294,7 @@ def diagnose(
     The same as `stillcal diagnose`. recording: a Recording, or what `load` takes. phone: the simulation to be
     judged, a ready phone's name or the path of a phone.toml; None for the phone that calibration assumes,
     with constant scale and bias and plain noise. simulated: what any simulator recorded; it is then judged
-    instead, and the answer has schema 2 (what differs, what agrees, what could not be compared).
-    the answer has schema 2 (what differs, what agrees, what could not be compared).
+    instead. The answer has schema 2 (what differs, what agrees, what could not be compared).
 
     Raises NotSupported where there is too little data, ValueError where the phone cannot be had.
     """

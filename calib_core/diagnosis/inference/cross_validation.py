@@ -166,7 +166,7 @@ class _Part:
     def sums(self, rows: NDArray[np.bool_], lower: Array, scale: float | None = None) -> _Sums:
         """Return what the bins `rows` say. lower: (m, m) factor of their shape; scale: theirs by default."""
         both = np.column_stack([self.baseline, self.effects, self.y])[rows]
-        white = np.linalg.solve(lower, both)
+        white = np.asarray(np.linalg.solve(lower, both))
         p = self.baseline.shape[1]
         own = np.linalg.cholesky(white[:, :p].T @ white[:, :p] + DIFFUSE * np.eye(p))
         taken = np.linalg.solve(own, white[:, :p].T @ white[:, p:])

@@ -38,9 +38,9 @@ class Reduced:
     """A view under G shapes with M candidate columns.
 
     prior: (G,) log; constant: (G,) prior and determinants; yy: (G,); xy: (G, M); blocks: one (G, k, k) a
-    hypothesis; columns: its column indices; dof: nu0 + n - p; walk: (G,) variance rate, 1/s, of random walks;
-    jump: (G,) variance of what is another in every rest; near: (G, G) how an axis' shape scatters about the
-    one that the axes share; known: nu0.
+    hypothesis; columns: its column indices; dof: nu0 + n - p; power: (G,) variance of the wander; walk: (G,)
+    variance rate, 1/s, of random walks; jump: (G,) variance of what is another in every rest; near: (G, G)
+    how an axis' shape scatters about the one that the axes share; known: nu0.
 
     shared: how many parameters at the end of every hypothesis are not the effect's: what all views of a
     sensor share whatever else there is. Hypothesis `NOTHING` has these alone. settled: (c,) their
@@ -55,6 +55,7 @@ class Reduced:
     columns: list[Array]
     dof: float
     family: tuple[str, ...]
+    power: Array
     walk: Array
     jump: Array
     near: Array
@@ -122,6 +123,7 @@ def reduce_view(
         columns,
         view.known + view.y.size - baseline,
         names,
+        np.concatenate([f.power for f in made]),
         np.concatenate([f.walk for f in made]),
         np.concatenate([f.jump for f in made]),
         _nearness(names),

@@ -66,14 +66,16 @@ class Kind:
 class Family:
     """One kind of wander beside white noise, at G strengths.
 
-    strengths, weight: (G,), prior; walk: (G,) variance rate of the random walk in it, unit^2/s; jump: (G,)
-    variance of what is another in every rest, unit^2.
+    strengths, weight: (G,), prior; power: (G,) variance by which it makes two bins differ, half of it, over
+    all pairs, unit^2; walk: (G,) variance rate of the random walk in it, unit^2/s; jump: (G,) variance of
+    what is another in every rest, unit^2.
     rotation: (n, n), takes data into axes where the shapes are diagonal; diagonals: (G, n).
     """
 
     name: str
     strengths: Array
     weight: Array
+    power: Array
     walk: Array
     jump: Array
     rotation: Array
@@ -98,14 +100,17 @@ def _diagonalised(view: View) -> list[Family]:
     made = kinds(view)
     n, weight = view.t.size, 1.0 / (len(made) + 1)
     none, alone = np.zeros(1), np.array([weight])
-    found = [Family("white", none, alone, none, none, whiten, np.ones((1, n)))]
+    found = [Family("white", none, alone, none, none, none, whiten, np.ones((1, n)))]
     prior = strength_prior() * weight
     median = float(np.median(view.variance))
     for name, kind in made.items():
         values, vectors = np.linalg.eigh(whiten @ (kind.covariance * median) @ whiten.T)
         diagonals = 1.0 + STRENGTHS[:, None] * np.maximum(values, 0.0)
-        walk, jump = STRENGTHS * median * kind.walk, STRENGTHS * median * kind.jump
-        found.append(Family(name, STRENGTHS, prior, walk, jump, vectors.T @ whiten, diagonals))
+        power = STRENGTHS * median
+        rotation = vectors.T @ whiten
+        found.append(
+            Family(name, STRENGTHS, prior, power, power * kind.walk, power * kind.jump, rotation, diagonals)
+        )
     return found
 
 

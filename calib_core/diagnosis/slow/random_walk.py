@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.bias import UNIT
-from stillcal.calib_core.diagnosis.inference.bayes_factor import of_probabilities
+from stillcal.calib_core.diagnosis.inference.bayes_factor import LEAST_PROBABILITY
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
@@ -38,14 +38,16 @@ LEAST_SPREAD = 0.15
 class Walk:
     """Posterior of one view.
 
-    density: (G,) unit/sqrt(s) of shapes that walk; weight, prior: (G,) their probability, after and before;
-    bounded: (G,) whether a
-    shape is a Gauss-Markov process, a walk only at first; mixed: (G,) whether another wander is in it.
+    weight, prior: (G,) probability of each shape, after and before; density: (G,) unit/sqrt(s) of its walk;
+    alike: (G,) density of a walk that moves the bias as much as all of the shape's wander does;
+    bounded: (G,) whether a shape is a Gauss-Markov process, a walk only at first; mixed: (G,) whether another
+    wander is in it.
     """
 
     weight: Array
     prior: Array
     density: Array
+    alike: Array
     bounded: NDArray[np.bool_]
     mixed: NDArray[np.bool_]
 
@@ -54,8 +56,13 @@ class Walk:
         return float(self.weight[self._above(limit)].sum())
 
     def log_bayes_factor(self, limit: float) -> float:
-        """Return the evidence for such a walk, in nats, against all other shapes."""
-        return of_probabilities(self.beyond(limit), float(self.prior[self._above(limit)].sum()))
+        """Return the evidence for such a walk, nats, against one that moves the bias as `limit` at most."""
+        above, below = self._above(limit), self.alike <= limit
+        return self._log_evidence(above) - self._log_evidence(below)
+
+    def _log_evidence(self, some: NDArray[np.bool_]) -> float:
+        after, before = self.weight[some].sum(), self.prior[some].sum()
+        return float(np.log(max(after, LEAST_PROBABILITY)) - np.log(max(before, LEAST_PROBABILITY)))
 
     def _above(self, limit: float) -> NDArray[np.bool_]:
         return np.asarray(self.density > limit * np.where(self.bounded, BOUNDED, 1.0))
@@ -65,9 +72,10 @@ class Walk:
 
         Where a walk is beyond what a phone may have, that nothing else wanders as strongly is likelier.
         """
-        share = self.weight * np.where(self.mixed, MIXED, 1.0)
+        some = self.density > 0.0
+        share = (self.weight * np.where(self.mixed, MIXED, 1.0))[some]
         share = share / max(float(share.sum()), 1e-300)
-        logs = np.log(self.density)
+        logs = np.log(self.density[some])
         middle = float(share @ logs)
         spread = float(np.hypot(np.sqrt(share @ (logs - middle) ** 2), LEAST_SPREAD))
         return (
@@ -83,13 +91,13 @@ def walks_of(views: Sequence[Reduced]) -> list[Walk]:
     out = []
     for view, weight in zip(views, weights, strict=True):
         scale = (view.known + view.left) / max(view.dof - 2.0, 1.0)
-        some = view.walk > 0.0
         bounded = np.array(["walk" not in name for name in view.family])
         mixed = np.array(["+" in name for name in view.family])
+        pure = ~bounded & ~mixed
+        rate = view.walk[pure].sum() / view.power[pure].sum()
         prior = np.exp(view.prior - log_sum(view.prior))
-        out.append(
-            Walk(weight[some], prior[some], np.sqrt(view.walk * scale)[some], bounded[some], mixed[some])
-        )
+        density, alike = np.sqrt(view.walk * scale), np.sqrt(view.power * scale * rate)
+        out.append(Walk(weight, prior, density, alike, bounded, mixed))
     return out
 
 

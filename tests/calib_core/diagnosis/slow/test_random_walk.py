@@ -1,0 +1,50 @@
+"""A bias random walk beyond what a phone may have is sure, though other strong wander is like it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene, nothing
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.slow.random_walk import Walk, random_walk, walks_of
+from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from tests.support.diagnosis import nulls
+
+LIMIT = thresholds.RANDOM_WALK["gyro"]
+
+
+def reduced(density: float, family: str = "white") -> tuple[Scene, list[Reduced]]:
+    """Return a gyroscope's scene whose bias walks by `density`, rad/s/sqrt(s), with its sums."""
+    rng = np.random.default_rng(5)
+    day = nulls.schedule(rng)
+    steps = rng.standard_normal((day.t.size, 3)) * np.sqrt(np.gradient(day.t))[:, None]
+    bins = nulls.bins_of(rng, day, family, gyro_error=density * np.cumsum(steps, axis=0))
+    scene = next(s for s in scenes(bins, nulls.G) if s.sensor == "gyro")
+    return scene, reduce_scene(scene, [nothing(scene)])
+
+
+def test_a_walk_of_ten_times_what_is_allowed_is_sure_and_its_density_is_right() -> None:
+    (finding,) = random_walk(*reduced(10.0 * LIMIT))
+    assert finding.effect == "gyro_bias_random_walk" and finding.axes == ["x", "y", "z"]
+    assert finding.evidence.log_bayes_factor > 12.0, "no wander of a sound phone moves a bias as far"
+    for low, high in finding.parameters["density"].ci95:  # type: ignore[union-attr]
+        assert low < 10.0 * LIMIT < high
+
+
+@pytest.mark.parametrize("family", ["white", "flicker", "gm300", "walk_strong"])
+def test_what_is_allowed_is_no_finding(family: str) -> None:
+    scene, sums = reduced(0.1 * LIMIT, family)
+    assert random_walk(scene, sums) == []
+    assert max(w.log_bayes_factor(LIMIT) for w in walks_of(sums)) < 3.0
+
+
+def test_other_strong_wander_speaks_against_the_name_and_not_for_a_sound_phone() -> None:
+    """Shapes: a sound wander, a strong flicker, a strong walk; the data rule out the first alone."""
+    plain = np.zeros(3, dtype=bool)
+    weight, alike = np.array([1e-9, 0.007, 0.993]), np.array([0.5, 9.0, 10.0])
+    walk = Walk(weight, np.array([0.4, 0.2, 0.4]), np.array([0.0, 0.0, 10.0]), alike, plain, plain)
+    assert walk.beyond(1.0) == pytest.approx(0.993)
+    assert walk.log_bayes_factor(1.0) == pytest.approx(np.log(0.993 / 1e-9))
