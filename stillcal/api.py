@@ -34,7 +34,7 @@ from stillcal.replay.diagnosis.diagnose import Request
 from stillcal.replay.diagnosis.diagnose import diagnose as find_differences
 from stillcal.replay.diagnosis.words.summary import summary
 from stillcal.replay.formats.claims import Claims
-from stillcal.replay.formats.in_memory import column_names, of_arrays, of_table, warmed
+from stillcal.replay.formats.in_memory import is_table, of_arrays, of_table, part_of, warmed
 from stillcal.replay.formats.trace import Recording, read_all
 from stillcal.replay.notebook import html_table
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, record_rows, why_not
@@ -84,16 +84,19 @@ def load(
     A file or folder: `load("walk.csv")`, `load("flight.ulg")`; the format is recognised by its content.
     `format` overrides that with a format's name or the path of a column map (docs/formats.md),
     `gyroscope_file` names the gyroscope's own file where there are two, `sensor` one of a log's sensors.
-    `start` and `stop` cut, in s after the first sample. `load("sample:lab")` comes with stillcal.
+    `load("sample:lab")` comes with stillcal.
 
-    A table: `load(frame)`, a pandas data frame or anything else with named columns (a mapping, a structured
-    array): t, ax, ay, az; optionally gx, gy, gz, temperature, t_arrival. NaN stands for an empty cell; a row
-    whose three cells of a sensor are NaN has no sample of that sensor. Columns of other usual names are found
-    as in a file, and `notes` says what was read as what.
+    A table: `load(frame)`, a pandas data frame or anything else with named columns (an Arrow table, a
+    mapping, a structured array): t, ax, ay, az; optionally gx, gy, gz, temperature, t_arrival. NaN stands for
+    an empty cell; a row whose three cells of a sensor are NaN has no sample of that sensor. The index is a
+    column too where it has a name or holds times, which may be dates. Columns of other usual names, and
+    arrays (n, 3) such as `acc`, are found as in a file; `notes` says what was read as what.
 
     Arrays: `load(t=t, accelerometer=force, gyroscope=rate)`. t: (n,) s, never decreasing. accelerometer:
     (n, 3) m/s^2, body axes. gyroscope: (n, 3) rad/s, or (m, 3) with times of its own in gyroscope_t (m,) s.
     temperature: (n,) degC. t_arrival: (n,) s on the host's clock.
+
+    `start` and `stop` cut any of them, in s after the first sample.
 
     With tables and arrays, events are mappings as lines of NAME.events.jsonl hold them, such as
     {"t": 60.0, "event": "charging", "on": True}; claims is a mapping as NAME.json holds it, such as
@@ -103,32 +106,41 @@ def load(
     Raises UserError where something is missing, not finite, runs backwards in time or is in other units, and
     TypeError where it is not said what to load.
     """
+    arrays = (t, accelerometer, gyroscope, gyroscope_t, temperature, t_arrival)
+    if source is not None and any(array is not None for array in arrays):
+        raise TypeError("load() takes a file, a table or arrays, not two of them")
+    if isinstance(source, str | os.PathLike):
+        if claims is not None or tuple(events):
+            raise TypeError("events and claims of a file lie beside it (docs/formats.md)")
+        gyroscope_path = None if gyroscope_file is None else Path(gyroscope_file)
+        form = None if format is None else _text(format)
+        return read_all(os.fspath(source), form, gyroscope_path, sensor=sensor, start=start, stop=stop)
+    if format is not None or gyroscope_file is not None:
+        raise TypeError("format and gyroscope_file are of files")
     if isinstance(source, Recording):
-        return source
-    if source is not None and column_names(source) is not None:
-        return of_table(source, name or "table", events, claims)
-    if source is not None and not isinstance(source, str | os.PathLike):
+        recording = source
+    elif source is not None and is_table(source):
+        recording = of_table(source, name or "table", events, claims, sensor)
+    elif source is not None:
         raise TypeError(
             "load() takes a path, a table with named columns, or load(t=..., accelerometer=...) for arrays;"
             f" {type(source).__name__} is none of them"
         )
-    if source is not None:
-        gyroscope_path = None if gyroscope_file is None else Path(gyroscope_file)
-        form = None if format is None else _text(format)
-        return read_all(os.fspath(source), form, gyroscope_path, sensor=sensor, start=start, stop=stop)
-    if t is None or accelerometer is None:
+    elif t is None or accelerometer is None:
         raise TypeError("load() needs a path, a table, or both t and accelerometer")
-    return of_arrays(
-        t=t,
-        accelerometer=accelerometer,
-        gyroscope=gyroscope,
-        gyroscope_t=gyroscope_t,
-        temperature=temperature,
-        t_arrival=t_arrival,
-        name=name or "arrays",
-        events=events,
-        claims=claims,
-    )
+    else:
+        recording = of_arrays(
+            t=t,
+            accelerometer=accelerometer,
+            gyroscope=gyroscope,
+            gyroscope_t=gyroscope_t,
+            temperature=temperature,
+            t_arrival=t_arrival,
+            name=name or "arrays",
+            events=events,
+            claims=claims,
+        )
+    return recording if start is None and stop is None else part_of(recording, start, stop)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,9 @@ import click
 Command = TypeVar("Command", bound=Callable[..., Any])
 Option = Callable[[Command], Command]
 
-_NAMES = "hhar, imu_tk, mikoff, imucal, phyphox, sensorlogger, sensorlogger_ios, mpu6050, airbrakes"
+_NAMES = (
+    "hhar, imu_tk, mikoff, imucal, phyphox, sensorlogger, sensorlogger_ios, sensorlog, mpu6050, airbrakes"
+)
 
 
 def format_option(what: str = "TRACE", *, rests: bool) -> Option[Any]:

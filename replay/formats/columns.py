@@ -184,15 +184,18 @@ def parse_map(text: bytes, path: Path) -> ColumnMap:
 
 
 def find_columns(wanted: Sequence[Column], names: Sequence[str] | None, width: int) -> list[int] | None:
-    """Return the places of `wanted` among the header's names (or `width` columns), None if any is missing."""
+    """Return the places of `wanted` among the header's names (or `width` columns), None if any is missing.
+
+    The mark of a comment before a name (#, %) does not count: headers are read without it.
+    """
     places = []
     for column in wanted:
         if isinstance(column, int):
             if column >= width:
                 return None
             places.append(column)
-        elif names is None or column not in names:
+        elif names is None or (column not in names and column.lstrip("#% ") not in names):
             return None
         else:
-            places.append(list(names).index(column))
+            places.append(list(names).index(column if column in names else column.lstrip("#% ")))
     return places

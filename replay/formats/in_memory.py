@@ -6,7 +6,7 @@ in a file is refused here too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,70 +22,129 @@ from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event
 from stillcal.replay.formats.columns import load_map
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.merge import Cut
 from stillcal.replay.formats.recognition.log import Log
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.stream import filled_forward
+from stillcal.replay.formats.tables.cells import dates_in_seconds, is_date
 from stillcal.replay.formats.tables.numbers import in_arrays
 from stillcal.replay.formats.tables.table import EMPTY
 from stillcal.replay.formats.trace import Chunk, Recording, Trace, whole
 
+OWN = ("t", "ax", "ay", "az")
+"""Columns by which a table is in stillcal's own units."""
+
 AXES = {Sensor.ACCELEROMETER: ("ax", "ay", "az"), Sensor.GYROSCOPE: ("gx", "gy", "gz")}
 
 
-def column_names(table: Any) -> list[str] | None:
-    """Return the names of a table's columns; None where `table` is no table.
+def is_table(table: Any) -> bool:
+    """Whether something has named columns: a data frame, an Arrow table, a mapping or a structured array."""
+    return _keys(table) is not None
 
-    A table is a data frame (anything with `columns`), a mapping of columns, or a structured array.
-    """
+
+def _keys(table: Any) -> list[Any] | None:
+    """Return what a table's columns are called, as it is asked for them; None where it is no table."""
     if isinstance(table, Mapping):
-        return [str(name) for name in table]
-    names = getattr(table, "columns", None)
+        return list(table)
+    names = getattr(table, "column_names", None)  # Arrow, whose `columns` are the values
+    if names is None:
+        names = getattr(table, "columns", None)
     if names is None:
         names = getattr(getattr(table, "dtype", None), "names", None)
-    return None if names is None else [str(name) for name in names]
+    return None if names is None else list(names)
 
 
-def of_table(table: Any, name: str, events: Iterable[Any], claims: Any) -> Recording:
-    """Return the recording that a table of columns holds. Raises TraceError where it cannot be used."""
-    names = column_names(table) or []
-    wanted = ["t", *AXES[Sensor.ACCELEROMETER]]
-    if not set(wanted) <= set(names):
-        found = _by_names(table, names, name)
-        if found is not None:
-            return checked(found.accelerometer, found.gyroscope, name, events, claims, notes=found.notes)
-    if any(axis in names for axis in AXES[Sensor.GYROSCOPE]):
+def of_table(
+    table: Any, name: str, events: Iterable[Any], claims: Any, sensor: str | None = None
+) -> Recording:
+    """Return the recording that a table of columns holds. Raises TraceError where it cannot be used.
+
+    sensor: which one of several is read, as of a file.
+    """
+    columns = dict(_columns(table))
+    if not all(column in columns for column in OWN):
+        found = _by_names(columns, name, sensor)
+        return checked(found.accelerometer, found.gyroscope, name, events, claims, notes=found.notes)
+    wanted = list(OWN)
+    if any(axis in columns for axis in AXES[Sensor.GYROSCOPE]):
         wanted += AXES[Sensor.GYROSCOPE]
     for column in wanted:
-        if column not in names:
+        if column not in columns:
             raise TraceError(name, f"no column {column!r}", f"name its columns {', '.join(wanted)}")
-    columns = {c: _numbers(table[c], c, name) for c in [*wanted, "temperature", "t_arrival"] if c in names}
+    columns = {
+        c: _numbers(columns[c], c, name) for c in [*wanted, "temperature", "t_arrival"] if c in columns
+    }
     also = (_filled(columns.get("temperature")), _filled(columns.get("t_arrival")))
     parts: dict[Sensor, Samples | None] = {}
-    for sensor, axes in AXES.items():
+    for one, axes in AXES.items():
         xyz = np.column_stack([columns[a] for a in axes]) if axes[0] in columns else None
-        parts[sensor] = None if xyz is None else _samples(name, sensor, columns["t"], xyz, also)
+        parts[one] = None if xyz is None else _samples(name, one, columns["t"], xyz, also)
     accelerometer = parts[Sensor.ACCELEROMETER]
     assert accelerometer is not None, "its columns are among those that must be there"
     return checked(accelerometer, parts[Sensor.GYROSCOPE], name, events, claims)
 
 
-def _by_names(table: Any, names: list[str], name: str) -> Recording | None:
-    """Return what a table of other columns holds by their names, None where they say nothing.
+def _columns(table: Any) -> Iterator[tuple[str, Any]]:
+    """Yield a table's columns by name, times in s; arrays of three columns as `acc[0]` to `acc[2]`.
 
-    Raises TraceError where they say what it holds, and it cannot be used.
+    The index of a data frame is a column too, where it has a name or holds times.
     """
-    columns = {}
-    for column in names:
-        with suppress(TypeError, ValueError):  # texts, dates
-            columns[column] = np.asarray(table[column], dtype=np.float64)
-    numbers = in_arrays(Path(name), {k: v for k, v in columns.items() if v.ndim == 1}, 0)
-    sensors = settled(numbers, load_map("csv"))
+    index = None if isinstance(table, Mapping) else getattr(table, "index", None)
+    kind = getattr(getattr(index, "dtype", None), "kind", "")
+    if kind and (getattr(index, "name", None) is not None or kind in "mM"):
+        yield str(getattr(index, "name", None) or "time"), _in_seconds(index)
+    for key in _keys(table) or []:
+        named = "_".join(map(str, key)) if isinstance(key, tuple) else str(key)
+        values = _in_seconds(table[key])
+        if getattr(values, "ndim", 1) == 2:
+            yield from ((f"{named}[{i}]", column) for i, column in enumerate(np.asarray(values).T))
+        else:
+            yield named, values
+
+
+def _in_seconds(values: Any) -> Any:
+    """Return dates as s since 1970, spans of time in s, and anything else as it is."""
+    kind = getattr(getattr(values, "dtype", None), "kind", "")
+    if kind in ("m", "M"):
+        stamps = np.asarray(values, dtype=f"{'datetime' if kind == 'M' else 'timedelta'}64[ns]")
+        return np.where(np.isnat(stamps), np.nan, stamps.astype(np.int64) / 1e9)
+    texts = not kind or kind in "OU"
+    if texts and np.ndim(values) == 1 and all(isinstance(v, str) and is_date(v.encode()) for v in values):
+        return dates_in_seconds([v.encode() for v in values])
+    return values
+
+
+def _by_names(columns: Mapping[str, Any], name: str, sensor: str | None) -> Recording:
+    """Return what a table of other columns holds by their names. Raises TraceError."""
+    numbers = {}
+    for column, values in columns.items():
+        with suppress(TypeError, ValueError):  # texts
+            numbers[column] = np.asarray(values, dtype=np.float64)
+    table = in_arrays(Path(name), {k: v for k, v in numbers.items() if v.ndim == 1}, 0)
+    sensors = settled(table, load_map("csv"))
     if not sensors:
-        return None
-    trace = Trace(Log(Path(name), "table", sensors))
+        listed = ", ".join(list(columns)[:12]) or "it has none"
+        what = f"no accelerometer found in its columns ({listed})"
+        raise TraceError(name, what, "name them t, ax, ay, az (s, m/s^2) and gx, gy, gz (rad/s)")
+    trace = Trace(Log(Path(name), "table", sensors), sensor)
     chunks = list(trace.chunks())
     gyroscope = whole([c.gyroscope for c in chunks]) if trace.has_gyroscope else None
     return Recording(whole([c.accelerometer for c in chunks]), gyroscope, [], Claims(), trace.notes, name)
+
+
+def part_of(recording: Recording, start: float | None, stop: float | None) -> Recording:
+    """Return what of a recording lies between two times, s after its first sample. Raises TraceError."""
+    cut = Cut(start, stop)
+    pairs = list(cut.applied((c.accelerometer, c.gyroscope) for c in recording.chunks()))
+    accelerometer = whole([a for a, _ in pairs]) if pairs else recording.accelerometer[:0]
+    if len(accelerometer) < 2:
+        what = f"{cut.said} {len(accelerometer)} samples of the accelerometer"
+        raise TraceError(recording.name, what, "give a longer part")
+    gyroscope = None if recording.gyroscope is None else whole([g for _, g in pairs])
+    events = cut.started(recording.events, *pairs[0])
+    end = max(float(s.t[-1]) for s in pairs[-1] if len(s))
+    kept = events if stop is None else [event for event in events if event.t <= end]
+    return replace(recording, accelerometer=accelerometer, gyroscope=gyroscope, events=kept)
 
 
 def of_arrays(
@@ -182,7 +241,7 @@ def _samples(
 
 def _numbers(values: Any, column: str, name: str) -> Array:
     try:
-        return np.asarray(values, dtype=np.float64)
+        return np.asarray(_in_seconds(values), dtype=np.float64)
     except (TypeError, ValueError):
         raise TraceError(name, f"{column} holds what is not a number", "give numbers, NaN for none") from None
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.streams.limits import usable
+from stillcal.calib_core.streams.limits import STAMP_S, usable
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import Clock, Rows, seconds_per_unit
@@ -207,6 +207,10 @@ class SampleFile:
         wild = ~usable(t, xyz)
         if wild.any():
             i = int(wild.argmax())
+            if abs(t[i]) > STAMP_S:
+                what = f"the time stamp {t[i]:.6g} s is beyond any clock"
+                remedy = 'give s, or set unit = "ns", "us" or "ms" in a column map (docs/formats.md)'
+                raise TraceError(self.path, what, remedy, int(lines[i]))
             values = " ".join(f"{value:.4g}" for value in xyz[i])
             what = f"{values} at {t[i]:.6g} s is beyond any sensor's range"
             raise TraceError(self.path, what, "correct or delete that row", int(lines[i]))

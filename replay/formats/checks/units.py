@@ -24,6 +24,9 @@ OPENING, ENOUGH = 200, 2000
 FEWEST = 10
 """With fewer samples, nothing is checked."""
 
+_NO_GRAVITY = 2.0
+"""m/s^2: where nearly all of the first samples are smaller, there is no gravity in them."""
+
 DEGREE = float(np.pi / 180)
 """rad."""
 
@@ -80,6 +83,10 @@ class UnitCheck:
                 what = f"the accelerometer reads zero in all of the first {norms.size} samples"
                 raise TraceError(self.path, what, "check that it was on and that the columns are its own")
             self._judge_size(norms)
+            middle, high = np.quantile(norms, (0.5, 0.95))
+            if high < _NO_GRAVITY:
+                what = f"the acceleration is about {middle:.4g} in size: gravity was taken out of it"
+                raise TraceError(self.path, what, "give the accelerometer with gravity")
         self._norms = []
 
     def _judge_time(self, t: Array) -> None:

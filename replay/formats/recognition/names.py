@@ -13,9 +13,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.formats.columns import Column
 
 _ACCELERATION = {
-    *("a", "acc", "accel", "accelerometer", "accelerometers", "acceleration", "accelerations", "accl"),
+    *(
+        "a",
+        "acc",
+        "acce",
+        "accel",
+        "accelerometer",
+        "accelerometers",
+        "acceleration",
+        "accelerations",
+        "accl",
+    ),
     *("force", "gforce", "gf"),
 }
 _RATE = {
@@ -98,6 +109,10 @@ _UNITS = {
     **dict.fromkeys(("mdps", "mdeg/s"), "mdeg/s"),
 }
 _FORCE = {"m/s^2", "g", "mg"}
+_TURNING = {"rad/s", "deg/s", "mdeg/s"}
+_PER_TIME = re.compile(r"/ ?s|s ?\^? ?-[12]|dps")
+"""Units in brackets that tell the quantity where no word does: not "deg", which angles have too."""
+
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[^A-Za-z0-9°µ²^']+")
@@ -110,7 +125,7 @@ class Axes:
 
     sensor: Sensor
     label: str
-    columns: tuple[str, str, str]
+    columns: tuple[Column, Column, Column]
     unit: str | None
 
 
@@ -118,7 +133,7 @@ class Axes:
 class Stamps:
     """A column that may be the time. unit: None where its name does not say."""
 
-    column: str
+    column: Column
     label: str
     unit: Literal["s", "ms", "us", "ns"] | None
 
@@ -153,8 +168,9 @@ def find_stamps(names: Sequence[str]) -> list[Stamps]:
         units = [_TIME_UNITS[w] for w in (bracket, *words) if w in _TIME_UNITS]
         rest = [w for w in words if w not in _TIME_UNITS and w not in _TIME]
         is_time = any(w in _TIME for w in words) or (bool(units) and not rest and not bracket)
-        if is_time and not set(words) & (_NEITHER | _THERMOMETER):
-            late = bool(set(words) & _ARRIVAL)
+        by_unit = bracket in _TIME_UNITS
+        if (is_time or by_unit) and not set(words) & (_NEITHER | _THERMOMETER):
+            late = bool(set(words) & _ARRIVAL) or not is_time
             found.append((late, place, Stamps(name, "_".join(rest), units[0] if units else None)))
     return [stamps for _, _, stamps in sorted(found, key=lambda f: f[:2])]
 
@@ -183,12 +199,14 @@ def _axis_of(name: str) -> _Word | None:
     """Return which axis of which sensor a column is, None where it is none."""
     bracket, words = _words(name)
     unit = _UNITS.get(bracket.replace(" ", "").replace("_", "")) or ("g" if bracket == "g" else None)
+    by_unit = unit if _PER_TIME.search(bracket) else None
     axis, words = _split_axis(bracket, words)
     if axis is None:
         return None
     stated, words = _split_unit(words)
     kinds = set(words)
-    acceleration, rate = bool(kinds & _ACCELERATION), bool(kinds & _RATE)
+    acceleration = bool(kinds & _ACCELERATION) or by_unit == "m/s^2"
+    rate = bool(kinds & _RATE) or {"ang", "vel"} <= kinds or by_unit in _TURNING
     if kinds & _NEITHER or (acceleration and kinds & {"angular", "rotation"}) or not (acceleration or rate):
         return None
     sensor = Sensor.ACCELEROMETER if acceleration else Sensor.GYROSCOPE

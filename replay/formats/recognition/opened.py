@@ -11,6 +11,7 @@ from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.arrays import open_arrays
 from stillcal.replay.formats.logs.axivity import open_axivity
+from stillcal.replay.formats.logs.betaflight import open_betaflight
 from stillcal.replay.formats.logs.dataflash import open_dataflash
 from stillcal.replay.formats.logs.gnss_logger import open_gnss_logger
 from stillcal.replay.formats.logs.ros import open_ros, open_ros_folder
@@ -20,6 +21,7 @@ from stillcal.replay.formats.recognition.log import Log, LoggedSensor
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.recognition.text_formats import (
+    BETAFLIGHT,
     GNSS_LOGGER,
     REST,
     UNKNOWN,
@@ -124,13 +126,15 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -
     form = text_format(source)
     if form.name == GNSS_LOGGER:
         return open_gnss_logger(source)
+    if form.name == BETAFLIGHT:
+        return open_betaflight(source, form.column_map)
     if form.name == REST:
         raise RestTableGivenError(source.path, "a rest table holds no samples", "give a recording of samples")
     said = f" ({form.said})" if form.said else ""
     notes = [f"{source.path.name}: read as {form.name}{said}"] if form.name not in (UNKNOWN, "csv") else []
     if form.name == UNKNOWN and gyro is None:
         table = TextTable(source, form.column_map)
-        sensors = settled(table, form.column_map) if table.names is not None else []
+        sensors = settled(table, form.column_map)
         if sensors:
             return Log(source.path, "text table", sensors, beside=source.path)
     return _mapped(source, form, gyro, notes)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,14 @@ from stillcal.replay.formats.checks.axes import turnings
 from stillcal.replay.formats.checks.units import shown_unit
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import seconds_per_unit
-from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap, find_columns
+from stillcal.replay.formats.columns import (
+    Column,
+    ColumnMap,
+    SensorMap,
+    TemperatureMap,
+    TimeMap,
+    find_columns,
+)
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import LoggedSensor, Part
 from stillcal.replay.formats.recognition.names import Axes, Stamps, find_axes, find_stamps, find_thermometer
@@ -33,15 +40,25 @@ from stillcal.replay.formats.tables.table import EMPTY, Table
 _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
 """Sizes of the median acceleration for each unit: gravity, with room for bias, scale and motion."""
 
+MOST_REPEATS = 0.5
+"""Share of stamps that may repeat the one before: batches share one, but whole seconds are no clock."""
+
 _PROBED_ROWS = 20_000
 _FASTEST_RAD_S = 70.0
 """rad/s: 4000 deg/s, the widest range of consumer gyroscopes (Bosch BMI270 and its like measure 2000)."""
 
 
+_STEADIER = 3.0
+"""By so much gravity's size varies less than that of rates, where both could be gravity's by their median."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Candidate:
+    """Columns of one accelerometer, with those of its gyroscope and those that may be its time."""
+
     accelerometer: Axes
     gyroscope: Axes | None
+    stamps: Sequence[Stamps]
 
 
 def settled(table: Table, column_map: ColumnMap, rate_hz: float | None = None) -> list[LoggedSensor]:
@@ -50,9 +67,7 @@ def settled(table: Table, column_map: ColumnMap, rate_hz: float | None = None) -
     column_map: how the table is cut into columns; its sensors do not matter. rate_hz: as the file states it.
     Raises TraceError where there are axes of an accelerometer that cannot be read.
     """
-    names = table.names or []
-    axes = find_axes(names)
-    candidates = _paired(axes)
+    candidates = _paired(table.names) if table.names is not None else _counted(table)
     if not candidates:
         return []
     sensors: list[LoggedSensor] = []
@@ -67,8 +82,9 @@ def settled(table: Table, column_map: ColumnMap, rate_hz: float | None = None) -
     return sensors
 
 
-def _paired(axes: Sequence[Axes]) -> list[_Candidate]:
+def _paired(names: Sequence[str]) -> list[_Candidate]:
     """Return each accelerometer with the gyroscope of its label, or the only one there is."""
+    axes, stamps = find_axes(names), find_stamps(names)
     force = [a for a in axes if a.sensor is Sensor.ACCELEROMETER]
     rates = [a for a in axes if a.sensor is Sensor.GYROSCOPE]
     found = []
@@ -76,14 +92,38 @@ def _paired(axes: Sequence[Axes]) -> list[_Candidate]:
         same = [g for g in rates if g.label == accelerometer.label]
         alike = len(rates) == len(force)
         gyroscope = same[0] if same else rates[0] if len(rates) == 1 else rates[i] if alike else None
-        found.append(_Candidate(accelerometer, gyroscope))
+        own = [s for s in stamps if s.label in ("", accelerometer.label)]
+        found.append(_Candidate(accelerometer, gyroscope, own + [s for s in stamps if s not in own]))
     return found
+
+
+def _counted(table: Table) -> list[_Candidate]:
+    """Return the sensors of a table without names: a time, three axes, and three more where there are any.
+
+    table: of 4 or 7 columns. Those are the accelerometer's whose size is gravity's. Raises TraceError where
+    both could be.
+    """
+    stamps = [Stamps(0, "", None)]
+    first, second = (Axes(Sensor.ACCELEROMETER, "", (place, place + 1, place + 2), None) for place in (1, 4))
+    if table.width == 4:
+        return [_Candidate(first, None, stamps)]
+    probe = _Probe(table)
+    sizes = [probe.norms(axes) for axes in (first, second)]
+    fits = [_gravity_unit(norms) is not None for norms in sizes]
+    if all(fits):
+        one, other = (np.subtract(*np.quantile(norms, (0.75, 0.25))) / np.median(norms) for norms in sizes)
+        fits = [one * _STEADIER < other, other * _STEADIER < one]
+    if sum(fits) != 1:
+        what = "which of columns 1 to 3 and 4 to 6 (counted from 0) are the acceleration is not clear by size"
+        raise TraceError(table.path, what, "name them in a first line, such as time, acc_x, ..., gyr_z")
+    force, rates = (first, second) if fits[0] else (second, first)
+    return [_Candidate(force, replace(rates, sensor=Sensor.GYROSCOPE), stamps)]
 
 
 def _sensor(table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float | None) -> LoggedSensor:
     probe = _Probe(table)
     accelerometer, gyroscope = candidate.accelerometer, candidate.gyroscope
-    time, time_said = _time(table, probe, candidate, rate_hz)
+    time, time_said = _time(table, probe, candidate.stamps, rate_hz)
     force_unit, force_said = _force_unit(table.path, probe, accelerometer)
     chosen: dict[str, Any] = {
         "time": time,
@@ -103,14 +143,15 @@ def _sensor(table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float
         chosen["temperature"] = TemperatureMap(column=thermometer[0], unit=thermometer[1])
         said.append(f"temperature {thermometer[0]} in {thermometer[1]}")
     column_map = msgspec.structs.replace(base, **chosen)
-    note = f"{table.path.name}: columns recognised by their names: {'; '.join(said)}"
+    how = "counted from 0" if table.names is None else "recognised by their names"
+    note = f"{table.path.name}: columns {how}: {'; '.join(said)}"
     sensors = [Sensor.ACCELEROMETER] + ([] if gyroscope is None else [Sensor.GYROSCOPE])
     about = "accelerometer" + ("" if gyroscope is None else ", gyroscope")
     return LoggedSensor.of(accelerometer.label or "imu", [Part(table, column_map, sensors)], about, [note])
 
 
 def _listed(axes: Axes) -> str:
-    return " ".join(axes.columns)
+    return " ".join(map(str, axes.columns))
 
 
 class _Probe:
@@ -119,7 +160,7 @@ class _Probe:
     def __init__(self, table: Table) -> None:
         self._table = table
 
-    def column(self, name: str) -> Array:
+    def column(self, name: Column) -> Array:
         """Return the first values of a column, (n,), NaN where a cell is empty."""
         return self._columns([name])[:, 0]
 
@@ -129,7 +170,7 @@ class _Probe:
             norms: Array = np.linalg.norm(self._columns(axes.columns), axis=1)
         return norms[np.isfinite(norms)]
 
-    def _columns(self, names: Sequence[str]) -> Array:
+    def _columns(self, names: Sequence[Column]) -> Array:
         places = find_columns(list(names), self._table.names, self._table.width) or []
         block = next(iter(self._table.blocks(places)), None)
         values = np.empty((0, len(names))) if block is None else block.values[:_PROBED_ROWS]
@@ -143,32 +184,36 @@ class _Probe:
         return bool(known.size and low < np.median(known) < high)
 
 
-def _time(table: Table, probe: _Probe, candidate: _Candidate, rate_hz: float | None) -> tuple[TimeMap, str]:
+def _time(
+    table: Table, probe: _Probe, stamps: Sequence[Stamps], rate_hz: float | None
+) -> tuple[TimeMap, str]:
     """Return where the stamps come from, and how to say it. Raises TraceError where there are none."""
-    stamps = find_stamps(table.names or [])
-    stamps.sort(key=lambda s: s.label not in ("", candidate.accelerometer.label))
-    no_numbers = None
+    unusable = None
     for choice in stamps:
         if _holds_dates(table, choice.column):
             return TimeMap(column=choice.column, unit="date"), f"time {choice.column} in dates"
         try:
             values = probe.column(choice.column)
         except TraceError as error:
-            no_numbers = error
+            remedy = "give the time as a number of s, ms, us or ns"
+            unusable = unusable or TraceError(table.path, error.what, remedy, error.row)
             continue
         unit = _time_unit(choice, values)
-        if unit is not None:
+        if unit is not None and _repeating(values) > MOST_REPEATS:
+            what = f"{_repeating(values):.0%} of the stamps in column {choice.column!r} repeat the one before"
+            remedy = "give one column of times that differ from sample to sample"
+            unusable = unusable or TraceError(table.path, what, remedy)
+        elif unit is not None:
             return TimeMap(column=choice.column, unit=unit), f"time {choice.column} in {unit}"
     if rate_hz is not None:
         return TimeMap(rate_hz=rate_hz), f"no time stamps, {rate_hz:.6g} Hz as the file states"
-    if no_numbers is not None:
-        remedy = "give the time as a number of s, ms, us or ns"
-        raise TraceError(table.path, no_numbers.what, remedy, no_numbers.row)
+    if unusable is not None:
+        raise unusable
     what = "no column of time stamps found"
     raise TraceError(table.path, what, "name one t (s), or give rate_hz in a column map (docs/formats.md)")
 
 
-def _holds_dates(table: Table, column: str) -> bool:
+def _holds_dates(table: Table, column: Column) -> bool:
     """Whether a column of a text table begins with a date."""
     (place,) = find_columns([column], table.names, table.width) or [0]
     return len(table.first_row) > place and is_date(table.first_row[place].encode())
@@ -180,7 +225,16 @@ def _time_unit(choice: Stamps, values: Array) -> Any:
     if known.size < 2 or np.mean(np.diff(known) >= 0) < 0.9 or known[-1] <= known[0]:
         return None
     seconds = seconds_per_unit("auto" if choice.unit is None else choice.unit, known, None)
+    if (
+        "fine" in choice.label and seconds != 1e-6
+    ):  # Xsens' SampleTimeFine: us in some devices, 0.1 ms in others
+        return None
     return {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}.get(seconds or 0.0)
+
+
+def _repeating(stamps: Array) -> float:
+    """Return the share of stamps that repeat the one before."""
+    return float(np.mean(np.diff(stamps) == 0)) if stamps.size > 1 else 0.0
 
 
 def _force_unit(path: Path, probe: _Probe, axes: Axes) -> tuple[Any, str]:
@@ -188,13 +242,19 @@ def _force_unit(path: Path, probe: _Probe, axes: Axes) -> tuple[Any, str]:
     if axes.unit is not None:
         return axes.unit, ""
     norms = probe.norms(axes)
+    unit = _gravity_unit(norms)
+    if unit is not None:
+        return unit, " (by the size of gravity)"
     typical = float(np.median(norms)) if norms.size else 0.0
-    for unit, (low, high) in _GRAVITY_IN.items():
-        if low < typical < high:
-            return unit, " (by the size of gravity)"
     what = f"{_listed(axes)} are about {typical:.4g} in size, which is gravity in no unit"
     remedy = "give the accelerometer with gravity; of raw counts say the value of one in a column map"
     raise TraceError(path, what, remedy)
+
+
+def _gravity_unit(norms: Array) -> str | None:
+    """Return the unit in which sizes (n,) are gravity's, None where they are in none."""
+    typical = float(np.median(norms)) if norms.size else 0.0
+    return next((unit for unit, (low, high) in _GRAVITY_IN.items() if low < typical < high), None)
 
 
 def _rate_unit(table: Table, draft: ColumnMap, axes: Axes, force_unit: str) -> tuple[Any, str]:
@@ -207,11 +267,14 @@ def _rate_unit(table: Table, draft: ColumnMap, axes: Axes, force_unit: str) -> t
     accelerometer, gyroscope = (
         run.get(s, Samples.empty(s))[:_PROBED_ROWS] for s in (Sensor.ACCELEROMETER, Sensor.GYROSCOPE)
     )
+    fastest = float(np.abs(gyroscope.xyz).max()) if len(gyroscope) else 0.0
+    if fastest > np.degrees(_FASTEST_RAD_S):
+        return "mdeg/s", " (too fast for deg/s)"
     votes = Counter(map(shown_unit, turnings(accelerometer, gyroscope)))
     if votes["deg/s"] != votes["as stated"]:
         unit = "deg/s" if votes["deg/s"] > votes["as stated"] else "rad/s"
         return unit, " (as gravity's direction turns)"
-    if len(gyroscope) and float(np.abs(gyroscope.xyz).max()) > _FASTEST_RAD_S:
+    if fastest > _FASTEST_RAD_S:
         return "deg/s", " (too fast for rad/s)"
     unit = "rad/s" if force_unit == "m/s^2" else "deg/s"
     return unit, f" (assumed, as usual beside {force_unit}; a column map can say otherwise)"

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -16,10 +15,16 @@ from stillcal.replay.formats.columns import (
     find_columns,
     load_map,
 )
+from stillcal.replay.formats.recognition.header import (
+    DELIMITERS,
+    cells_of,
+    delimiter_of,
+    lines_before_header,
+)
 from stillcal.replay.formats.sources import Source
-from stillcal.replay.formats.tables.text import text_head
+from stillcal.replay.formats.tables.text import text_head, uncommented
 
-GNSS_LOGGER = "gnss_logger"
+BETAFLIGHT, GNSS_LOGGER = "betaflight", "gnss_logger"
 REST, UNKNOWN = "rest", ""
 
 _HHAR_NAMES = ["Arrival_Time", "Creation_Time", "x", "y", "z"]
@@ -45,24 +50,32 @@ class TextFormat:
 def text_format(source: Source) -> TextFormat:
     """Recognise a text table. Raises TraceError where the file is empty or no text."""
     head = text_head(source)
-    lines = [line for line in head.splitlines() if line.strip()]
-    if _is_gnss_logger(lines):
+    lines = [line.rstrip("\r") for line in head.split("\n")]
+    filled = [line for line in lines if line.strip()]
+    if _is_gnss_logger(filled):
         return TextFormat(GNSS_LOGGER, load_map("csv"))
-    if _numbers_in(_split(lines[0], " ")) or _hhar_row(lines[0]):
-        return _headerless(lines)
-    return _with_header(lines, source.path, whole=len(head) < (1 << 15) and not source.zipped)
+    if _numbers_in(cells_of(filled[0])) or _hhar_row(filled[0]):
+        return _headerless(filled)
+    before = lines_before_header(lines)
+    filled = [line for line in lines[before:] if line.strip()]
+    form = _with_header(filled, whole=len(head) < (1 << 15) and not source.zipped)
+    skipped = msgspec.structs.replace(form.column_map, skip_lines=form.column_map.skip_lines + before)
+    return replace(form, column_map=skipped)
 
 
-def _with_header(lines: list[str], path: Path, *, whole: bool) -> TextFormat:
-    marks = [mark for mark in (",", ";", "\t") if mark in lines[0]]
-    delimiter = max(marks, key=lines[0].count) if marks else " "
-    names = [n.strip().strip('"').lstrip("#").strip() for n in _split(lines[0], delimiter)]
+def _with_header(lines: list[str], *, whole: bool) -> TextFormat:
+    header = uncommented(lines[0])
+    marks = [mark for mark in DELIMITERS if mark in header]
+    delimiter = max(marks, key=header.count) if marks else " "
+    names = [n.strip().strip('"').strip() for n in _split(header, delimiter)]
     if set(_HHAR_NAMES) <= set(names):
         hhar = load_map("hhar")
         first = names.index("Index") if "Index" in names else None
         return TextFormat("hhar", hhar if first is None else msgspec.structs.replace(hhar, skip_lines=1))
     if names[:1] == ["time"] and set(names) >= _SENSOR_LOGGER_NAMES:
         return _sensor_logger(names, lines[1:])
+    if names[:1] == ["loopIteration"]:
+        return TextFormat(BETAFLIGHT, _cut_as(load_map("csv"), delimiter))
     if _is_rest_table(names, [_split(line, delimiter) for line in lines[1:]], whole=whole):
         return TextFormat(REST, load_map("csv"))
     for name in sorted(builtin_formats(), key=lambda n: n != "csv"):
@@ -118,40 +131,38 @@ def _sensor_logger(names: list[str], rows: list[str]) -> TextFormat:
         if len(cells) == len(names) and _numbers_in([cells[p] for p in places]):
             norms.append(float(np.linalg.norm([float(cells[p]) for p in places])))
     in_g = bool(norms) and float(np.median(norms)) < _G_UNTIL
-    return TextFormat("sensorlogger_ios" if in_g else "sensorlogger", load_map("sensorlogger"))
+    name = "sensorlogger_ios" if in_g else "sensorlogger"
+    return TextFormat(name, load_map(name))
 
 
 def _headerless(lines: list[str]) -> TextFormat:
     """Recognise a table without a header by the count and the size of its cells."""
-    comma = "," in lines[0]
+    delimiter = delimiter_of(lines[0])
     if _hhar_row(lines[0]):
         return TextFormat("hhar", load_map("hhar"))
-    rows = [_split(line, "," if comma else " ") for line in lines[:200]]
+    rows = [_split(line, delimiter) for line in lines[:200]]
     width = len(rows[0])
     usable = [[float(c) for c in row] for row in rows if len(row) == width and _numbers_in(row)]
     values = np.array(usable)
-    if not comma and width == 4 and np.median(np.abs(values[:, 1:])) > 1000:
+    blanks = delimiter == " "
+    if blanks and width == 4 and np.median(np.abs(values[:, 1:])) > 1000:
         return TextFormat("imu_tk", load_map("imu_tk"))
-    if not comma and width == 6 and 4 < np.median(np.linalg.norm(values[:, :3], axis=1)) < 16:
+    if blanks and width == 6 and 4 < np.median(np.linalg.norm(values[:, :3], axis=1)) < 16:
         return TextFormat(
             "mikoff", load_map("mikoff"), "no time stamps: 100 Hz is taken, as mikoff's logs have"
         )
-    names = {4: "t ax ay az", 7: "t ax ay az gx gy gz"}.get(width)
-    rising = len(values) > 1 and bool((np.diff(values[:, 0]) >= 0).all())
-    if names is not None and rising:
-        return TextFormat(UNKNOWN, _counted(width, comma=comma))
-    return TextFormat(UNKNOWN, load_map("csv"))
+    return TextFormat(UNKNOWN, _counted(width, delimiter) if width in (4, 7) else load_map("csv"))
 
 
-def _counted(width: int, *, comma: bool) -> ColumnMap:
-    """Return the map of a table without header whose columns stand as in stillcal's own: t, force, rates."""
-    return ColumnMap(
+def _counted(width: int, delimiter: str) -> ColumnMap:
+    """Return how a table without a header is cut into columns, which are then counted."""
+    base = ColumnMap(
         time=TimeMap(column=0, unit="auto"),
         accelerometer=SensorMap(columns=(1, 2, 3), unit="m/s^2"),
         gyroscope=SensorMap(columns=(4, 5, 6), unit="rad/s") if width == 7 else None,
-        delimiter="," if comma else "space",
         header=False,
     )
+    return _cut_as(base, delimiter)
 
 
 def _hhar_row(line: str) -> bool:
@@ -165,9 +176,7 @@ def _is_gnss_logger(lines: list[str]) -> bool:
 
 
 def _split(line: str, delimiter: str) -> list[str]:
-    if delimiter == " " and "," not in line:
-        return line.split()
-    return line.split("," if delimiter == " " else delimiter)
+    return line.split() if delimiter == " " else line.split(delimiter)
 
 
 def _numbers_in(cells: list[str]) -> bool:

@@ -9,6 +9,7 @@ Arrow where that is installed (compiled.py). What columns mean is not known here
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
@@ -39,9 +40,11 @@ BLOCK_BYTES = 1 << 20
 _LONGEST_LINE = 1 << 24
 """Bytes in which no line ends, beyond which a file is not text."""
 
+_MARK_OF_COMMENT = re.compile(r"^\s*(?:#+|%+|//)\s*")
 _BLANKS = "space"
 _TEXT_REMEDY = "give the recording as plain text in UTF-8 (or gzip of it)"
 _ROW_REMEDY = "correct or delete that row"
+_DATE_REMEDY = 'call the column "time", or set unit = "date" in a column map (docs/formats.md)'
 _CUT_REMEDY = "the recording was cut short: delete its last line, or copy it again"
 
 
@@ -62,7 +65,8 @@ class TextTable:
         head = text_head(self._source)
         lines = head.split("\n")
         self._skip = column_map.skip_lines + column_map.header
-        self.delimiter = _delimiter(lines[min(column_map.skip_lines, len(lines) - 1)], column_map.delimiter)
+        header = uncommented(lines[min(column_map.skip_lines, len(lines) - 1)])
+        self.delimiter = _delimiter(header, column_map.delimiter)
         self.names = self._header(lines) if column_map.header else None
         rows = [line for line in lines[self._skip :] if line.strip()]
         if not rows:
@@ -106,7 +110,7 @@ class TextTable:
     def _header(self, lines: list[str]) -> list[str]:
         if len(lines) <= self._map.skip_lines or not lines[self._map.skip_lines].strip():
             raise TraceError(self.path, "the file has no header", "name the columns in its first line", 1)
-        return [name.strip() for name in self._cells(lines[self._map.skip_lines])]
+        return [name.strip() for name in self._cells(uncommented(lines[self._map.skip_lines]))]
 
     def _cells(self, line: str) -> list[str]:
         if self.delimiter == _BLANKS:
@@ -233,12 +237,18 @@ class TextTable:
             if not is_number(cell):
                 text = cell.decode("utf-8", "backslashreplace").strip()[:40]
                 what = f"{self.column_name(columns[i % len(columns)])} holds {text!r}, which is not a number"
-                return TraceError(self.path, what, _ROW_REMEDY, int(lines[i // len(columns)]))
+                remedy = _DATE_REMEDY if is_date(cell) else _ROW_REMEDY
+                return TraceError(self.path, what, remedy, int(lines[i // len(columns)]))
         return TraceError(self.path, "not a table of numbers", _TEXT_REMEDY, int(lines[0]))
 
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""
         return f"column {self.names[place]!r}" if self.names is not None else f"column {place}"
+
+
+def uncommented(line: str) -> str:
+    """Return a line without the mark of a comment (# % //), which some logs put before their header."""
+    return _MARK_OF_COMMENT.sub("", line)
 
 
 def text_head(source: Source) -> str:

@@ -46,6 +46,8 @@ MEANINGS = (
         "the recording, or what the daemon has gathered, does not support it; what is missing is said",
     ),
     (exits.NO_DAEMON, "no daemon answers"),
+    (exits.VERDICT, "the diagnosis came to a verdict that `--fail-on` names"),
+    (exits.TRY_AGAIN, "a passing fault of the machine stopped the daemon: start it again"),
     (exits.INTERRUPTED, "interrupted; nothing is left half-written"),
 )
 

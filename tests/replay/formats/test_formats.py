@@ -154,7 +154,11 @@ def test_a_zip_without_a_recording_says_what_it_holds(tmp_path: Path) -> None:
 def test_sensor_logger_on_ios_is_in_g_with_the_other_sign(tmp_path: Path) -> None:
     path = sensor_logger(tmp_path, "AccelerometerUncalibrated.csv", z="-1.0")
     sensor_logger(tmp_path, "GyroscopeUncalibrated.csv", z="0.3")
-    recording = read_all(path, "sensorlogger_ios")
+    recording = read_all(path)
+    assert "read as sensorlogger_ios" in recording.notes[0]
+    np.testing.assert_array_equal(
+        recording.accelerometer.xyz, read_all(path, "sensorlogger_ios").accelerometer.xyz
+    )
     assert recording.gyroscope is not None
     np.testing.assert_allclose(recording.accelerometer.xyz[0], -9.80665 * np.array([0.1, 0.2, -1.0]))
     np.testing.assert_allclose(recording.gyroscope.xyz[0], [0.1, 0.2, 0.3])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import importlib.util
 import io
 import os
 import struct
@@ -111,17 +112,117 @@ def test_columns_of_any_usual_name_are_found_with_their_units(
     assert all(part in recording.notes[0] for part in notes), recording.notes
 
 
-def test_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> None:
+LONG = rows(2000)
+OWN = "t,ax,ay,az,gx,gy,gz"
+PREAMBLE = "// General information:\n// Rate,100\nSample,Time (s),Comment\n\n"
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        text("t;ax;ay;az;gx;gy;gz", LONG, ";").replace(".", ","),
+        text("t|ax|ay|az|gx|gy|gz", LONG, "|"),
+        text(f"# {OWN}", LONG),
+        text(f"# made by hand\n# twice, and, again\n#{OWN}", LONG),
+        text(f"# {OWN.replace(',', ' ')}", LONG, " "),
+        text(f"sep=,\nDevice:,left\n\n{OWN}", LONG),
+        text(PREAMBLE + OWN.replace(",", "\t"), LONG, "\t"),
+        text(
+            "Zeit (s),Kraft x (m/s^2),Kraft y (m/s^2),Kraft z (m/s^2),AsX(°/s),AsY(°/s),AsZ(°/s)",
+            LONG * [*[1] * 4, *[DEGREES] * 3],
+        ),
+    ],
+)
+def test_separators_comments_and_what_stands_before_a_header(tmp_path: Path, table: str) -> None:
     path = tmp_path / "r.csv"
-    path.write_text(text("t;ax;ay;az;gx;gy;gz", rows(), ";").replace(".", ","))
+    path.write_text(table)
+    recording = read_all(path)
+    np.testing.assert_array_equal(recording.accelerometer.xyz, LONG[:, 1:4])
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.gyroscope.xyz, LONG[:, 4:], rtol=1e-14)
+
+
+@pytest.mark.parametrize("header", ["time,acc_x,acc_y,acc_z", "t,ax,ay,az"])
+def test_acceleration_without_gravity_is_refused(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(text(header, rows()[:, :4] * [1, 0.02, 0.02, 0.02]))
+    with pytest.raises(TraceError, match=r"gravity (in no unit|was taken out)"):
+        read_all(path)
+    path.write_text(text(header, rows()[:, :4] * [1, 0.45, 0.45, 0.45]))
     assert len(read_all(path).accelerometer) == 400
 
 
-def test_acceleration_without_gravity_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("order", "mark"), [([0, 1, 2, 3, 4, 5, 6], ","), ([0, 4, 5, 6, 1, 2, 3], ";")])
+def test_without_a_header_the_columns_of_gravitys_size_are_the_accelerometers(
+    tmp_path: Path, order: list[int], mark: str
+) -> None:
     path = tmp_path / "r.csv"
-    path.write_text(text("time,acc_x,acc_y,acc_z", rows()[:, :4] * [1, 0.01, 0.01, 0.01]))
-    with pytest.raises(TraceError, match="gravity in no unit"):
+    path.write_text(text("", LONG[:, order], mark).lstrip())
+    recording = read_all(path)
+    np.testing.assert_array_equal(recording.accelerometer.xyz, LONG[:, 1:4])
+    assert recording.gyroscope is not None
+    np.testing.assert_array_equal(recording.gyroscope.xyz, LONG[:, 4:])
+    assert "columns counted from 0" in recording.notes[0]
+    path.write_text(text("", np.column_stack([LONG[:, :4], LONG[:, 1:4] / 9.81]), mark).lstrip())
+    with pytest.raises(TraceError, match="which of columns 1 to 3 and 4 to 6"):
         read_all(path)
+
+
+def test_a_column_of_whole_seconds_is_no_clock(tmp_path: Path) -> None:
+    path, t = tmp_path / "r.csv", LONG[:, :1]
+    path.write_text(text("sec,nanosec,ax,ay,az", np.column_stack([t // 1, t % 1 * 1e9, LONG[:, 1:4]])))
+    with pytest.raises(TraceError, match="99% of the stamps in column 'sec' repeat"):
+        read_all(path)
+    path.write_text(text("sec,time,ax,ay,az", np.column_stack([t // 1, LONG[:, :4]])))
+    assert read_all(path).rate_hz == pytest.approx(100.0)
+
+
+NAMES = "loopIteration,time (us)," + ",".join(f"{f}[{i}]" for f in ("gyroADC", "accSmooth") for i in range(3))
+
+
+def blackbox(header: str, rate: float, force: float, digits: int | None = None) -> str:
+    """A log as blackbox_decode writes it; rate, force: what 1 rad/s and 1 m/s^2 are in it, rounded."""
+    values = np.column_stack([LONG[:, 4:] * rate, LONG[:, 1:4] * force]).round(digits or 0)
+    times = np.round(LONG[:, 0] * 1e6).astype(int).tolist()
+    kind = int if digits is None else float
+    rows_ = zip(times, values, strict=True)
+    lines = [",".join(map(str, [i, t, *map(kind, v), "ARM|ANGLE"])) for i, (t, v) in enumerate(rows_)]
+    return "\n".join([header + ",flags", *lines]) + "\n"
+
+
+COUNTS = blackbox(NAMES, DEGREES, 2048 / 9.80665)
+EXPLORER = '"Product","Blackbox flight data recorder"\n"acc_1G",2048\n"gyroScale",1.7453292519943296e-8\n'
+IN_UNITS = NAMES.replace("]", "] (g)").replace("] (g)", "] (deg/s)", 3)
+HEADERS = "fieldname,fieldvalue\nacc_1G,2048\ngyro_scale,0x3f800000\nblackbox_high_resolution,1\n"
+
+
+@pytest.mark.parametrize(
+    ("table", "beside", "steps"),
+    [
+        (EXPLORER + COUNTS, "", (1 / DEGREES, 9.80665 / 2048)),
+        (blackbox(NAMES, 10 * DEGREES, 2048 / 9.80665), HEADERS, (0.1 / DEGREES, 9.80665 / 2048)),
+        (
+            blackbox(IN_UNITS, DEGREES, 1 / 9.80665, 2),
+            "",
+            (0.01 / DEGREES, 0.01 * 9.80665),
+        ),
+    ],
+)
+def test_a_betaflight_log_is_read_in_the_unit_that_it_says(
+    tmp_path: Path, table: str, beside: str, steps: tuple[float, float]
+) -> None:
+    path = tmp_path / "LOG00001.01.csv"
+    path.write_text(table)
+    if beside:
+        with pytest.raises(TraceError, match=r"accSmooth\[0\] is in counts.*--save-headers"):
+            read_all(path)
+        (tmp_path / "LOG00001.01.headers.csv").write_text(beside)
+    recording = read_all(path)
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.gyroscope.xyz, LONG[:, 4:], rtol=0, atol=0.501 * steps[0])
+    np.testing.assert_allclose(recording.accelerometer.xyz, LONG[:, 1:4], rtol=0, atol=0.501 * steps[1])
+    np.testing.assert_allclose(recording.accelerometer.t, LONG[:, 0], atol=1e-9)
+    assert "takes its own offsets off" in recording.notes[0]
 
 
 def test_standard_input_is_read_and_leaves_no_file(tmp_path: Path) -> None:
@@ -294,8 +395,40 @@ def test_a_data_frame_of_other_columns_is_read_by_their_names() -> None:
     assert recording.gyroscope is not None
     np.testing.assert_allclose(recording.gyroscope.xyz, data[:, 4:])
     assert "in g (by the size of gravity)" in recording.notes[0]
-    with pytest.raises(stillcal.UserError, match="no column 't'"):
+    with pytest.raises(stillcal.UserError, match=r"no accelerometer found in its columns \(label\)"):
         stillcal.load(frame[["label"]])
+
+
+def test_tables_with_dates_an_index_or_arrays_of_three_columns_are_read() -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(LONG, columns=OWN.split(","))
+    start = 1767225600
+    dates = pandas.to_datetime(np.round((LONG[:, 0] + start) * 1e3).astype(np.int64), unit="ms")
+    unstamped = frame.drop(columns="t")
+    tables = [
+        (frame.set_index("t"), 0),
+        (unstamped.set_index(dates), start),
+        (frame.assign(t=dates.tz_localize("UTC")), start),
+        (unstamped.assign(time=dates.astype(str)), start),
+        ({"t": LONG[:, 0], "acc": LONG[:, 1:4], "gyroscope": LONG[:, 4:]}, 0),
+        (unstamped.assign(time=pandas.to_timedelta(LONG[:, 0], unit="s")), 0),
+    ]
+    if importlib.util.find_spec("pyarrow"):
+        tables.append((importlib.import_module("pyarrow").Table.from_pandas(frame), 0))
+    for table, first in tables:
+        recording = stillcal.load(table)
+        np.testing.assert_allclose(recording.accelerometer.t - first, LONG[:, 0], atol=1e-6)
+        np.testing.assert_array_equal(recording.accelerometer.xyz, LONG[:, 1:4])
+        assert recording.gyroscope is not None
+        np.testing.assert_array_equal(recording.gyroscope.xyz, LONG[:, 4:])
+    part = stillcal.load(frame, start=5, stop=6.5)
+    assert (part.accelerometer.t[0], part.accelerometer.t[-1]) == (5.0, 6.5)
+    assert part.gyroscope is not None and len(part.gyroscope) == 151
+    with pytest.raises(stillcal.UserError, match="from 30 s to the end there is 0 samples"):
+        stillcal.load(frame, start=30)
+    for unused in ({"t": LONG[:, 0]}, {"format": "csv"}):
+        with pytest.raises(TypeError):
+            stillcal.load(frame, **unused)
 
 
 def test_a_rest_table_is_told_from_a_recording_without_time(tmp_path: Path) -> None:
