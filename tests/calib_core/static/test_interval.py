@@ -166,16 +166,17 @@ def test_a_quantiser_on_two_codes_leaves_a_step_over_the_root_of_twelve():
     np.testing.assert_allclose(found, np.hypot(white, STEP / np.sqrt(12)), rtol=1e-6)
 
 
-def test_noise_over_four_codes_dithers_the_step_as_theory_says():
+def test_noise_over_three_codes_dithers_the_step_as_theory_says():
     """Widrow and Kollar 2008: what is left is LSB / (pi sqrt 2) exp(-2 pi^2 sd^2 / LSB^2)."""
-    codes = np.zeros(10 * N)
-    codes[[5, 9, 14]] = 2.0, -1.0, -1.0  # a mean of nought over four codes; the other windows stay on one
-    sd = np.sqrt(6 / (10 * N - 10))
-    left = STEP / (np.pi * np.sqrt(2)) * np.exp(-2 * np.pi**2 * sd**2)
+    window = np.zeros(N)
+    window[[2, 6, 10, 14]] = 1.0, -1.0, 1.0, -1.0  # a mean of nought in every window
+    codes = np.tile(window, 10)
+    before_rounding = 4 / (N - 1) - 1 / 12 - 0.05
+    left = STEP / (np.pi * np.sqrt(2)) * np.exp(-2 * np.pi**2 * before_rounding)
     found = made(STEP * codes[:, None] * np.ones(3) + [0.0, 0.0, 98 * STEP]).force_uncertainty
-    white = STEP * np.sqrt(6) / np.sqrt(10 * N - 1) / np.sqrt(10 * N)
+    white = STEP * np.sqrt(40) / np.sqrt(10 * N - 1) / np.sqrt(10 * N)
     np.testing.assert_allclose(found, np.hypot(white, left), rtol=1e-6)
-    assert left > 5 * white
+    assert 3 * white < left < 0.6 * STEP / (np.pi * np.sqrt(2))
 
 
 def test_batches_weigh_windows_by_their_samples():

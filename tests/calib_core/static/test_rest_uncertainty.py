@@ -79,6 +79,25 @@ def test_uncertainties_cover_the_truth(name, duration):
     assert one < 0.97
 
 
+@pytest.mark.parametrize("place", [0.25, 0.4])
+@pytest.mark.parametrize("sd", [0.25, 0.3, 0.4])
+def test_noise_on_three_codes_is_trusted_as_far_as_it_dithers_wherever_the_mean_lies(sd, place):
+    """The rest's variance is largest between two codes and does not show there how small the noise is."""
+    rng, found = np.random.default_rng(8), []
+    t = np.arange(60 * RATE) / RATE
+    for _ in range(20):
+        codes = np.round(np.array([100.0, -100.0, 200.0]) + place + rng.normal(0, sd, (t.size, 3)))
+        rows = StationaryDetector()
+        rests = rows.feed(Samples.checked(Sensor.ACCELEROMETER, t, 0.04 * codes)) + rows.finish()
+        found += [
+            (r.specific_force / 0.04 - [100, -100, 200] - place, r.force_uncertainty / 0.04) for r in rests
+        ]
+    off, uncertainty = np.array(found).transpose(1, 0, 2)
+    assert np.mean(np.abs(off) < 1.96 * uncertainty) > 0.9
+    if sd == 0.4:
+        assert np.median(uncertainty) < 0.1  # a third of a step over the root of twelve
+
+
 @pytest.mark.parametrize("sd", [0.02, 0.1, 0.3, 1.0])
 def test_quantised_readings_cover_the_truth(sd):
     """Any place of the truth between two codes, noise of `sd` steps: the mean's own rounding is admitted."""
