@@ -28,13 +28,14 @@ from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
+from stillcal.calib_core.streams.samples import warmed
 from stillcal.calib_core.streams.smoothing import smoothed
 from stillcal.daemon.store.document import calibration_json
 from stillcal.replay.diagnosis.diagnose import Request
 from stillcal.replay.diagnosis.diagnose import diagnose as find_differences
 from stillcal.replay.diagnosis.words.summary import summary
 from stillcal.replay.formats.claims import Claims
-from stillcal.replay.formats.in_memory import is_table, of_arrays, of_table, part_of, warmed
+from stillcal.replay.formats.in_memory import is_table, of_arrays, of_table, part_of
 from stillcal.replay.formats.trace import Recording, read_all
 from stillcal.replay.notebook import html_table
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, record_rows, why_not

@@ -22,7 +22,7 @@ from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibra
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.rest import RestState
-from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.streams.samples import Samples, Sensor, warmed
 from stillcal.calib_core.temperature.forecast import PLAUSIBLE_K
 from stillcal.calib_core.temperature.thermometer import Thermometer, felt
 
@@ -87,13 +87,15 @@ def correct_both(
     """Correct both sensors' samples; a sensor that the record holds nothing of stays as it is.
 
     The gyroscope's terms that follow force take it from the corrected accelerometer, interpolated to the
-    gyroscope's times. thermometer: its readings before them.
+    gyroscope's times; those that follow temperature take the accelerometer's where it has none of its own.
+    thermometer: its readings before them.
     """
     accel = _corrected(record, accelerometer, None, thermometer)
     if gyroscope is None:
         return accel, None
     force = interpolated(accel, gyroscope.t)
-    return accel, _corrected(record, gyroscope, force, thermometer)
+    gyro = _corrected(record, warmed(gyroscope, accelerometer), force, thermometer)
+    return accel, replace(gyro, temperature=gyroscope.temperature)
 
 
 def _corrected(

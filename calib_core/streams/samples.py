@@ -7,7 +7,7 @@ their own time stamps. Values are SI and read-only; other units are converted wh
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -139,6 +139,17 @@ class Samples:
         if backwards.any():
             row = int(backwards.argmax()) + 1
             raise SampleError(row, f"time runs backwards, from {self.t[row - 1]:.6f} to {self.t[row]:.6f} s")
+
+
+def warmed(gyroscope: Samples, accelerometer: Samples) -> Samples:
+    """Return the gyroscope's samples with the temperature of the accelerometer's last one, as in a file.
+
+    They stay as they are where they have a temperature of their own, or the accelerometer has none.
+    """
+    if accelerometer.temperature is None or gyroscope.temperature is not None or not len(gyroscope):
+        return gyroscope
+    last = np.searchsorted(accelerometer.t, gyroscope.t, side="right") - 1
+    return replace(gyroscope, temperature=frozen(accelerometer.temperature[np.maximum(last, 0)]))
 
 
 def _unusable(t: float, xyz: Array) -> str:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.calibration.terms import correct, interpolated
-from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.streams.samples import Samples, Sensor, warmed
 from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.subscribers import Subscriber, Subscribers
@@ -56,6 +56,7 @@ class LiveStream:
         self._listeners = Subscribers[Live]()
         self._patience: dict[Subscriber[Live], float] = {}
         self._force: Samples | None = None
+        self._accelerometer: Samples | None = None
 
     def __len__(self) -> int:
         return len(self._listeners)
@@ -88,7 +89,7 @@ class LiveStream:
         thermometer: its readings before them.
         """
         if not len(self):
-            self._force = None
+            self._force = self._accelerometer = None
             return
         gyroscope_first = list(join_blocks(blocks))
         for block in sorted(gyroscope_first, key=lambda block: block.sensor):
@@ -101,18 +102,22 @@ class LiveStream:
 
     def interrupt(self, reason: str) -> None:
         """Tell all listeners that the samples do not continue."""
-        self._force = None
+        self._force = self._accelerometer = None
         self._listeners.notify(Interruption(reason))
 
     def _corrected(
         self, block: Samples, record: CalibrationRecord | None, thermometer: Thermometer
     ) -> Samples | None:
         """Return corrected samples; None without a calibration of their sensor."""
+        if block.sensor is Sensor.ACCELEROMETER:
+            self._accelerometer = block
         if record is None:
             return None
         try:
             if block.sensor is Sensor.GYROSCOPE:
-                return correct(record, block, self._force_at(block.t), thermometer)
+                warm = block if self._accelerometer is None else warmed(block, self._accelerometer)
+                corrected = correct(record, warm, self._force_at(block.t), thermometer)
+                return replace(corrected, temperature=block.temperature)
             force = correct(record, block, None, thermometer)
         except NotCalibratedError:
             return None

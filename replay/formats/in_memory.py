@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.samples import Samples, Sensor, warmed
 from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event
 from stillcal.replay.formats.columns import load_map
@@ -208,14 +207,6 @@ def checked(
         units.see(chunk.accelerometer, chunk.gyroscope)
     units.finish()
     return recording
-
-
-def warmed(gyroscope: Samples, accelerometer: Samples) -> Samples:
-    """Return the gyroscope's samples with the temperature of the accelerometer's last one, as in a file."""
-    if accelerometer.temperature is None or gyroscope.temperature is not None or not len(gyroscope):
-        return gyroscope
-    last = np.searchsorted(accelerometer.t, gyroscope.t, side="right") - 1
-    return replace(gyroscope, temperature=frozen(accelerometer.temperature[np.maximum(last, 0)]))
 
 
 def _samples(

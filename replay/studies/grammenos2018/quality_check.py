@@ -10,8 +10,10 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.replay.phone import Charging, Chunk, Phone, Truth, load_phone, load_scenario, simulate
 from stillcal.replay.phone.effects.on_bias import AccelBiasStep, GyroBiasDrift
 from stillcal.replay.studies.claim import (
@@ -89,7 +91,7 @@ def live(phone: Phone, duration: float, seed: int) -> Days:
             fresh = last is None or record.accelerometer is not last.accelerometer
             renewed += [float(chunk.accelerometer.t[0])] if fresh else []
             last = record
-            rows += _off(chunk, truth, (None, first, record))
+            rows += _off(chunk, truth, (None, first, record), engine.present.thermometer)
         assert chunk.gyroscope is not None, "these phones have gyroscopes"
         before = engine.state.degraded
         engine.feed(chunk.gyroscope, chunk.accelerometer, *chunk.events)
@@ -107,8 +109,14 @@ def live(phone: Phone, duration: float, seed: int) -> Days:
     )
 
 
-def _off(chunk: Chunk, truth: Truth, records: tuple[CalibrationRecord | None, ...]) -> list[list[float]]:
-    """Return t, three rates and three norms' errors of each true rest within a chunk."""
+def _off(
+    chunk: Chunk, truth: Truth, records: tuple[CalibrationRecord | None, ...], thermometer: Thermometer
+) -> list[list[float]]:
+    """Return t, three rates and three norms' errors of each true rest within a chunk.
+
+    Samples are corrected as `stillcal apply` corrects them, by the records' terms too. thermometer: its
+    readings before the chunk.
+    """
     rows = []
     begin = float(chunk.accelerometer.t[0])
     assert chunk.gyroscope is not None
@@ -116,16 +124,21 @@ def _off(chunk: Chunk, truth: Truth, records: tuple[CalibrationRecord | None, ..
         a, b = max(rest.t_start + 0.5, begin), min(rest.t_end - 0.5, chunk.t_end)
         if b - a < LEAST_S:
             continue
-        force, rate = (_mean(s, a, b) for s in (chunk.accelerometer, chunk.gyroscope))
-        forces = [force if r is None else r.model(Sensor.ACCELEROMETER).apply(force) for r in records]
-        rates = [rate if r is None else r.model(Sensor.GYROSCOPE).apply(rate) for r in records]
-        norms = [abs(float(np.linalg.norm(f)) - rest.gravity) for f in forces]
-        rows.append([a, *(float(np.linalg.norm(w)) for w in rates), *norms])
+        raw = chunk.accelerometer.between(a, b), chunk.gyroscope.between(a, b)
+        means = [_means(*raw, record, thermometer) for record in records]
+        norms = [abs(float(np.linalg.norm(force)) - rest.gravity) for force, _ in means]
+        rows.append([a, *(float(np.linalg.norm(rate)) for _, rate in means), *norms])
     return rows
 
 
-def _mean(samples: Samples, begin: float, end: float) -> Array:
-    return np.asarray(samples.between(begin, end).xyz.mean(axis=0))
+def _means(
+    force: Samples, rate: Samples, record: CalibrationRecord | None, thermometer: Thermometer
+) -> tuple[Array, Array]:
+    """Return the mean force and rate, (3,) each, by a record or raw."""
+    if record is not None:
+        force, corrected = correct_both(record, force, rate, thermometer)
+        rate = rate if corrected is None else corrected
+    return np.asarray(force.xyz.mean(axis=0)), np.asarray(rate.xyz.mean(axis=0))
 
 
 def recovery(days: Days, at: float) -> float:

@@ -14,15 +14,17 @@ from click.testing import CliRunner
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate, with_updated_bias
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
-from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
+from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord, Term, TermParameter
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
-from stillcal.calib_core.calibration.terms import compensated, correct, with_terms
+from stillcal.calib_core.calibration.terms import compensated, correct, correct_both, with_terms
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.cli.store import store_group
+from stillcal.daemon.service.live_stream import LiveBlock, LiveStream
 from stillcal.daemon.store.store import Store
 from stillcal.replay.phone import draw_rests, load_phone
 
@@ -183,3 +185,35 @@ def test_the_gyroscopes_bias_is_measured_without_what_force_adds(record: Calibra
         measured = with_updated_bias(known, compensated(pool, known), 60.0)
         assert measured is not None and measured.gyroscope is not None
         assert measured.gyroscope.bias == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_gyroscope_without_a_thermometer_takes_the_accelerometers(record: CalibrationRecord) -> None:
+    """Phones tell the temperature with one sensor; the bias of both stands at the reference."""
+    gyro = GyroscopeRecord(scale=np.eye(3), bias=np.array([0.01, 0.0, -0.02]), parameters=3)
+    slope = TermParameter(value=np.array([1e-3, 0.0, -2e-3]), unit="rad/s/K")
+    reference = {"temperature": 20.0}
+    known = replace(
+        record,
+        gyroscope=gyro,
+        terms=(
+            Term(
+                effect="gyro_bias_temperature",
+                sensor=Sensor.GYROSCOPE,
+                parameters={"slope": slope},
+                reference=reference,
+            ),
+        ),
+    )
+    t, celsius = np.arange(4.0), np.array([20.0, 21.0, 25.0, 30.0])
+    force = Samples.checked(Sensor.ACCELEROMETER, t, np.tile([0.0, 0.0, 9.8], (4, 1)), celsius)
+    true_bias = gyro.bias + (celsius - 20.0)[:, None] * slope.value
+    rate = Samples.checked(Sensor.GYROSCOPE, t + 0.1, true_bias)
+    _, corrected = correct_both(known, force, rate)
+    assert corrected is not None and corrected.temperature is None
+    np.testing.assert_allclose(corrected.xyz, 0.0, atol=1e-12)
+    live = LiveStream()
+    listener, _ = live.subscribe(0.0)
+    live.take([rate, force], known, 0.0, Thermometer())
+    sent = [listener.queue.get_nowait() for _ in range(2)][-1]
+    assert isinstance(sent, LiveBlock)
+    np.testing.assert_allclose(sent.samples.xyz, 0.0, atol=1e-12)
