@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.formats.claims import Claims
+from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.trace import Recording, read_all
 
-FILES = {
-    "imu_tk/xsens_acc.mat.gz": "imu_tk",
-    "mikoff/imu0.log": "mikoff",
-    "mikoff/imu1.log": "mikoff",
-    "mikoff/imu2.log": "mikoff",
-    "imucal/example_ferraris_session.csv": "imucal",
-    "hhar/Phones_accelerometer.csv.gz": "hhar",
-    "hhar/Watch_accelerometer.csv.gz": "hhar",
-    "sunsided/still_10min.csv.gz": "mpu6050",
-    "sunsided/full_sphere.csv.gz": "mpu6050",
-    "rocket/jackpot_launch_1.csv.gz": "airbrakes",
-}
-"""Recordings that the formats read, and their formats."""
+FILES = (
+    "imu_tk/xsens_acc.mat.gz",
+    "mikoff/imu0.log",
+    "mikoff/imu1.log",
+    "mikoff/imu2.log",
+    "imucal/example_ferraris_session.csv",
+    "hhar/Phones_accelerometer.csv.gz",
+    "hhar/Watch_accelerometer.csv.gz",
+    "sunsided/still_10min.csv.gz",
+    "sunsided/full_sphere.csv.gz",
+    "rocket/jackpot_launch_1.csv.gz",
+    "px4/sample.ulg",
+    "carbonix/flight_three_imus.npz",
+    "axivity/ax3_testfile.cwa",
+    "axivity/ax6_testfile.cwa",
+)
+"""Recordings that are read as they are; their formats are recognised."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,13 +42,11 @@ class Source:
 
 def sources(folder: Path, maker: str | None = None) -> Iterator[Source]:
     """Yield every recording of samples that is there, or one maker's, named like its folder."""
-    for name, form in FILES.items():
+    for name in FILES:
         if (folder / name).exists() and maker in (None, name.split("/")[0]):
-            yield Source(name, name.split("/")[0], read_all(folder / name, form))
+            yield Source(name, name.split("/")[0], read_all(folder / name))
     if maker in (None, "broad"):
         yield from _broad(folder / "broad")
-    if maker in (None, "hhar_still"):
-        yield from _still(folder / "hhar_still")
 
 
 def _broad(folder: Path) -> Iterator[Source]:
@@ -55,39 +54,8 @@ def _broad(folder: Path) -> Iterator[Source]:
     from scipy.io import loadmat  # noqa: PLC0415 - only these files need it
 
     for path in sorted(folder.glob("*.mat")):
-        file = loadmat(path)
-        t = np.arange(len(file["imu_acc"])) / float(file["sampling_rate"].squeeze())
-        accelerometer = _samples(Sensor.ACCELEROMETER, t, file["imu_acc"])
-        gyroscope = _samples(Sensor.GYROSCOPE, t, file["imu_gyr"])
-        recording = Recording(accelerometer, gyroscope, [], Claims(), [])
-        yield Source(f"broad/{path.name[:2]}", "broad", recording, np.asarray(file["opt_quat"]))
-
-
-def _still(folder: Path) -> Iterator[Source]:
-    if not (folder / "index.csv").exists():
-        return
-    samples = np.load(folder / "still_accel.npz")
-    with (folder / "index.csv").open(newline="") as lines:
-        for row in csv.DictReader(lines):
-            rows = slice(int(row["start"]), int(row["start"]) + int(row["count"]))
-            name = f"hhar_still/{row['model']}/{row['device']}/{row['position']}"
-            yield Source(name, f"{row['model']}/{row['device']}", _resting(samples, rows))
-
-
-def _resting(samples: dict[str, Array], rows: slice) -> Recording:
-    """Return one still recording, its stamps those of arrival: creation's unit differs between devices.
-
-    Samples that arrive within one millisecond share a stamp there; they are spread over their interval.
-    """
-    arrival = np.maximum.accumulate(np.asarray(samples["arrival_ms"][rows], dtype=np.float64)) / 1000.0
-    index = np.arange(arrival.size)
-    first = np.flatnonzero(np.r_[True, np.diff(arrival) > 0])
-    t = np.interp(index, np.r_[first, arrival.size], np.r_[arrival[first], arrival[-1] + 1e-3])
-    return Recording(_samples(Sensor.ACCELEROMETER, t, samples["acc"][rows]), None, [], Claims(), [])
-
-
-def _samples(sensor: Sensor, t: Array, values: Array) -> Samples:
-    return Samples(sensor, frozen(t), frozen(values))
+        attitude = np.asarray(loadmat(path, variable_names=["opt_quat"])["opt_quat"])
+        yield Source(f"broad/{path.name[:2]}", "broad", read_all(path), attitude)
 
 
 def part(recording: Recording, first: float, last: float) -> Recording:

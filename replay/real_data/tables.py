@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.diagnosis.diagnose import diagnose_recording
 from stillcal.replay.formats.trace import Recording
@@ -19,24 +20,33 @@ Finding = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What is found in one recording. halves, sisters: names found there again, by (effect, sensor)."""
+    """What is found in one recording. halves: names found in either half, by (effect, sensor).
+
+    compared, not_compared: how many effects could be looked for, and how many not.
+    """
 
     name: str
     seconds: float
+    rate_hz: float
     verdict: str
     findings: list[Finding]
-    limits: list[str]
+    compared: int
+    not_compared: int
     halves: list[set[tuple[str, str]] | None]
 
 
-def diagnose(recording: Recording, name: str) -> tuple[str, list[Finding], list[str]]:
-    """Return verdict, findings and limits; a refusal is a verdict too."""
+def diagnose(recording: Recording, name: str) -> dict[str, Any] | None:
+    """Return the answer; None where there is too little data."""
     try:
-        answer = diagnose_recording(recording, name)
-    except NotSupported as refusal:
-        return "too little data", [], [str(refusal)]
-    limits = list(dict.fromkeys(one["reason"] for one in answer["not_compared"]))
-    return answer["verdict"], answer["findings"], limits
+        return diagnose_recording(recording, name)
+    except NotSupported:
+        return None
+
+
+def found(recording: Recording, name: str) -> list[Finding]:
+    """Return the findings, none with too little data."""
+    answer = diagnose(recording, name)
+    return [] if answer is None else answer["findings"]
 
 
 def names(findings: Sequence[Finding]) -> set[tuple[str, str]]:
@@ -50,13 +60,22 @@ def names(findings: Sequence[Finding]) -> set[tuple[str, str]]:
 def row(source: Source) -> Row:
     """Diagnose one recording, and either half of it alone where anything is found."""
     t = source.recording.accelerometer.t
-    verdict, findings, limits = diagnose(source.recording, source.name)
+    answer = diagnose(source.recording, source.name)
+    told = answer or {"verdict": "too little data", "findings": [], "sensitivity": [], "not_compared": []}
     halves: list[set[tuple[str, str]] | None] = []
-    if findings:
-        for first in (0.0, 0.5):
-            half = diagnose(part(source.recording, first, first + 0.5), source.name)
-            halves.append(None if half[0] == "too little data" else names(half[1]))
-    return Row(source.name, float(t[-1] - t[0]), verdict, findings, limits, halves)
+    for first in (0.0, 0.5) if told["findings"] else ():
+        half = diagnose(part(source.recording, first, first + 0.5), source.name)
+        halves.append(None if half is None else names(half["findings"]))
+    return Row(
+        source.name,
+        float(t[-1] - t[0]),
+        1.0 / sample_period(t),
+        told["verdict"],
+        told["findings"],
+        len({(s["effect"], s["sensor"]) for s in told["sensitivity"]}),
+        len({(n["effect"], n["sensor"]) for n in told["not_compared"]}),
+        halves,
+    )
 
 
 def agreement(row: Row, finding: Finding, sisters: Sequence[Row]) -> str:
@@ -92,10 +111,10 @@ def inject_all(
         for what in effects:
             if not injection.supports(source.recording, what):
                 continue
-            before = names(diagnose(injection.control(source.recording, what), source.name)[1])
+            before = names(found(injection.control(source.recording, what), source.name))
             for strength in injection.STRENGTHS:
                 changed, _ = injection.injected(source.recording, what, strength, seed=1)
-                results.append(_outcome_of(source, what, strength, before, diagnose(changed, source.name)[1]))
+                results.append(_outcome_of(source, what, strength, before, found(changed, source.name)))
                 tick()
     return results
 
