@@ -10,15 +10,20 @@ from rich.console import Console
 from rich.progress import Progress
 
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
+from stillcal.replay.formats.hhar_still import recordings as recordings_of
 from stillcal.replay.formats.trace import read_rest_table
+from stillcal.replay.real_data import sound_phones
 from stillcal.replay.real_data.injection import DIRECT, SLOW
-from stillcal.replay.real_data.page import page
+from stillcal.replay.real_data.page import Shown, page
 from stillcal.replay.real_data.sources import Source, sources
 from stillcal.replay.real_data.tables import Finding, inject_all, row
 from stillcal.replay.real_data.withheld_thermometer import Withheld, withheld
 
 HOSTS = ("imu_tk/xsens_acc.mat.gz", "mikoff/imu0.log", "sunsided/still_10min.csv.gz", "broad/14")
 """Recordings that effects are injected into: one of each maker, the longest."""
+
+PARTS = 5
+"""Parts that the devices on a table are dealt into; each is judged by the devices of the others."""
 
 
 @click.command()
@@ -30,11 +35,13 @@ def main(folder: Path, out: Path) -> None:
         recordings = list(progress.track(sources(folder), description="reading"))
         rows = [row(s) for s in progress.track(recordings, description="diagnosing")]
         hidden = _withheld(recordings)
+        table = folder / "hhar_still"
+        still = sound_phones.held_out(recordings_of(table), PARTS) if table.exists() else []
         hosts = [s for s in recordings if s.name in HOSTS]
         task = progress.add_task("injecting", total=len(hosts) * len(SLOW + DIRECT) * 3)
         results = inject_all(hosts, SLOW + DIRECT, lambda: progress.advance(task))
         progress.update(task, completed=len(hosts) * len(SLOW + DIRECT) * 3)
-    out.write_text(page(recordings, rows, _tables_of_rests(), hidden, results))
+    out.write_text(page(Shown(recordings, rows, _tables_of_rests(), hidden, results, still)))
     click.echo(f"{out}: {len(rows)} recordings, {len(results)} injections")
 
 

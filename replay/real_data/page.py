@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from stillcal.replay.real_data import optical_reference as optical
 from stillcal.replay.real_data.injection import STRENGTHS
+from stillcal.replay.real_data.sound_phones import Judged
 from stillcal.replay.real_data.sources import Source
 from stillcal.replay.real_data.tables import Finding, Injected, Row, agreement, tally
 from stillcal.replay.real_data.withheld_thermometer import Withheld
@@ -30,11 +32,13 @@ recording alone, and of other recordings of the same device. A *match* where lit
 little: the third column tells of how many effects the recording could show. That is few where a phone lies in
 one attitude, or has no thermometer.
 
-190 recordings of real phones that lie on a table are judged in [hhar_still.md](hhar_still.md).
-
 ### Beside optical truth
 
 {optical}
+
+### Phones on a table
+
+{still}
 
 ### Tables of rests (ESGI'95)
 
@@ -60,26 +64,37 @@ the untouched twin of the recording says. Strengths are {strengths} times the si
 """
 
 
-def page(
-    recordings: Sequence[Source],
-    rows: Sequence[Row],
-    rests: Sequence[tuple[str, str, list[Finding]]],
-    hidden: Sequence[tuple[Source, Withheld | None]],
-    results: Sequence[Injected],
-) -> str:
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What the page shows.
+
+    rests: name, verdict and findings of tables of rests; still: phones on a table, judged by what others show.
+    """
+
+    recordings: Sequence[Source]
+    rows: Sequence[Row]
+    rests: Sequence[tuple[str, str, list[Finding]]]
+    hidden: Sequence[tuple[Source, Withheld | None]]
+    results: Sequence[Injected]
+    still: Sequence[Judged]
+
+
+def page(shown: Shown) -> str:
     """Return the page's text."""
-    device = {s.name: s.device for s in recordings}
+    rows = shown.rows
+    device = {s.name: s.device for s in shown.recordings}
     return _PAGE.format(
         found=_findings_table(rows, device),
-        optical=_optical(recordings, rows),
+        optical=_optical(shown.recordings, rows),
+        still=_still(shown.still),
         rests=_table(
             ("table", "verdict", "found"),
-            [(name, verdict, "; ".join(map(described, f)) or "-") for name, verdict, f in rests],
+            [(name, verdict, "; ".join(map(described, f)) or "-") for name, verdict, f in shown.rests],
         ),
-        withheld=_withheld(hidden),
+        withheld=_withheld(shown.hidden),
         strengths=", ".join(f"{s:.2g}" for s in STRENGTHS),
-        injected=_injected(results),
-        misnamed=_misnamed(results),
+        injected=_injected(shown.results),
+        misnamed=_misnamed(shown.results),
     )
 
 
@@ -162,6 +177,28 @@ def _optical(recordings: Sequence[Source], rows: Sequence[Row]) -> str:
         return "(no recording with cameras is there)"
     head = ("recording", "s seen", "as it is", "bias, scale, misalignment off", "squares off too")
     return _OPTICAL + _table((*head, "squares' share", "`gyro_nonlinearity` found"), lines)
+
+
+def _still(answers: Sequence[Judged]) -> str:
+    if not answers:
+        return "(not there)"
+    alarmed = [a for a in answers if a.findings]
+    devices = {(a.recording.model, a.recording.device) for a in answers}
+    lines = []
+    for effect, count in Counter(f.effect for a in alarmed for f in a.findings).most_common():
+        again = sum(f.effect == effect for a in alarmed for f in a.confirmed)
+        models = Counter(a.recording.model for a in alarmed if any(f.effect == effect for f in a.findings))
+        lines.append(
+            (f"`{effect}`", str(count), str(again), ", ".join(f"{m} {n}" for m, n in models.most_common()))
+        )
+    share = f"{len(alarmed) / len(answers):.0%}".replace("%", " %")
+    return (
+        f"{len(alarmed)} of {len(answers)} recordings ({share}) have a finding, of {len(devices)} phones and"
+        " watches (Stisen et al. 2015;\naccelerometer only, mostly 70 s each). Each device is judged by what"
+        " others commonly show. This alone:\n"
+        "`python -m stillcal.replay.real_data.sound_phones $STILLCAL_DATA/hhar_still --verbose`.\n\n"
+        + _table(("found", "findings", "in both halves too", "recordings by model"), lines)
+    )
 
 
 def _withheld(hidden: Sequence[tuple[Source, Withheld | None]]) -> str:

@@ -2,7 +2,7 @@
 
 `sound_phones.toml` holds, quantity by quantity, either the numbers of real devices, one each, or a range that
 a standard or a datasheet gives, with the source. The first kind is made anew from recordings by
-`python -m stillcal.replay.trials.sound_phones --learn`.
+`python -m stillcal.replay.real_data.sound_phones --learn`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Sound phones must be silent: real phones on a table, judged by what other phones commonly show.
 
-    python -m stillcal.replay.trials.sound_phones FOLDER            # how many recordings have a finding
-    python -m stillcal.replay.trials.sound_phones FOLDER --learn    # the populations, as sound_phones.toml
+    python -m stillcal.replay.real_data.sound_phones FOLDER            # how many recordings have a finding
+    python -m stillcal.replay.real_data.sound_phones FOLDER --learn    # the populations, as sound_phones.toml
 
 FOLDER holds the still experiment of Stisen et al. 2015 (index.csv, still_accel.npz). Devices are dealt into
 parts; the recordings of each part are judged by populations that were learnt from the devices of the others.
