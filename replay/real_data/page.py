@@ -68,7 +68,7 @@ the untouched twin of the recording says. Strengths are {strengths} times the si
 class Shown:
     """What the page shows.
 
-    rests: name, verdict and findings of tables of rests; still: phones on a table, judged by what others show.
+    rests: name, verdict, findings of tables of rests; still: phones on a table, judged by what others show.
     """
 
     recordings: Sequence[Source]
