@@ -18,7 +18,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.claims import Claims
-from stillcal.replay.formats.columns import ColumnMap, load_map
+from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
 from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
@@ -28,7 +28,7 @@ from stillcal.replay.formats.recognition.names import is_rate_hz
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.stream import SampleFile
-from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats
+from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats, of_arrow
 
 MOST_ARRAYS = 2000
 """Arrays of a file that are looked at; a recording has a few dozen."""
@@ -153,7 +153,8 @@ class _ParquetColumns(_Arrays):
             wanted = [names[p] for p in places]
             done = 0
             with parquet.ParquetFile(str(stored.local)) as file:
-                for batch in file.iter_batches(BLOCK_ROWS, columns=list(dict.fromkeys(wanted))):
+                chosen = list(dict.fromkeys(wanted))
+                for batch in file.iter_batches(BLOCK_ROWS, columns=chosen, use_threads=False):
                     done += batch.num_rows
                     columns = [_numbers(batch.column(batch.schema.get_field_index(n))) for n in wanted]
                     yield np.column_stack(columns), done / max(self.length, 1)
@@ -163,13 +164,9 @@ class _ParquetColumns(_Arrays):
 
 def _numbers(column: Any) -> Array:
     """Return an Arrow column as numbers, NaN where it is null; times in s."""
-    from pyarrow import compute  # noqa: PLC0415 - only where a Parquet file is read
-
     unit = getattr(column.type, "unit", None)
-    if unit is not None:
-        column = compute.cast(column, "int64")
-    values = as_floats(column.to_numpy(zero_copy_only=False))
-    return values * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit] if unit is not None else values
+    values = of_arrow(column if unit is None else column.cast("int64"))
+    return values if unit is None else values * TIME_UNITS[unit]
 
 
 def _hdf5(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:

@@ -50,8 +50,8 @@ def compiled_reader(size_bytes: int, width: int) -> Reader | None:
             return None
         values = np.empty((count, len(places)))
         for i, place in enumerate(places):
-            column = table.column(names[place])
-            values[:, i] = (column.fill_null(EMPTY) if column.null_count else column).to_numpy()
+            column = table.column(names[place]).combine_chunks()
+            values[:, i] = np.from_dlpack(column.fill_null(EMPTY) if column.null_count else column)
         return values
 
     return read

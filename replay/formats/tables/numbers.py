@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -71,6 +72,16 @@ def as_floats(values: ArrayLike) -> Array:
     """Return numbers as 64-bit floats; damaged ones become NaN or infinite without a warning."""
     with np.errstate(invalid="ignore", over="ignore"):
         return np.asarray(values, dtype=np.float64)
+
+
+def of_arrow(column: Any) -> Array:
+    """Return an Arrow array of numbers as 64-bit floats, NaN where it is null.
+
+    Not by Arrow's own `to_numpy`: that imports pandas where it is installed, half a second of work.
+    """
+    if column.null_count:
+        column = column.cast("float64").fill_null(np.nan)
+    return as_floats(np.from_dlpack(column))
 
 
 def in_arrays(path: Path, columns: dict[str, Array], size_bytes: int) -> NumberTable:

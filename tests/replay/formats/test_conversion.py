@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +47,15 @@ def test_it_is_read_back_the_same(tmp_path: Path, ending: str, shared: bool) -> 
     np.testing.assert_array_equal(again.accelerometer.temperature, first.accelerometer.temperature)
     assert again.claims == first.claims
     assert not list(tmp_path.glob(".*"))
+
+
+def test_parquet_is_read_without_pandas(tmp_path: Path) -> None:
+    """Arrow imports it where one lets it, which takes longer than reading a short recording."""
+    pytest.importorskip("pandas")
+    recording(shared=False).save(tmp_path / "r.parquet")
+    code = "import sys, stillcal; stillcal.load(sys.argv[1]); print('pandas' in sys.modules)"
+    command = [sys.executable, "-c", code, str(tmp_path / "r.parquet")]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "False\n"
 
 
 def test_simulated_and_corrected_recordings_may_be_parquet(tmp_path: Path, make_record: Any) -> None:
