@@ -13,6 +13,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.replay.formats.tables.numbers import of_arrow
 from stillcal.replay.formats.tables.table import EMPTY
 
 LONG_BYTES = 1 << 27
@@ -51,7 +52,7 @@ def compiled_reader(size_bytes: int, width: int) -> Reader | None:
         values = np.empty((count, len(places)))
         for i, place in enumerate(places):
             column = table.column(names[place]).combine_chunks()
-            values[:, i] = np.from_dlpack(column.fill_null(EMPTY) if column.null_count else column)
+            values[:, i] = of_arrow(column, EMPTY)
         return values
 
     return read
