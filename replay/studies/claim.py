@@ -70,6 +70,7 @@ class Claim:
     source: the paper, as page.py lists them. where: its place in the paper, such as "Table 2" or "3.5.3".
     data: what our figure was computed from. because: the tolerance and its reason, or what is missing.
     evidence: the kind of evidence. cause: why our figure differs, told only where the verdict is DIFFERS.
+    brief: our figure in the page's summary, where `ours` is too long for it.
     """
 
     source: str
@@ -82,6 +83,7 @@ class Claim:
     because: str = ""
     evidence: Evidence = field(kw_only=True)
     cause: Cause | None = field(default=None, kw_only=True)
+    brief: str = field(default="", kw_only=True)
 
     @property
     def why_it_differs(self) -> str:

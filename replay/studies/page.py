@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from string import ascii_uppercase
@@ -34,39 +35,35 @@ class Headline(NamedTuple):
 
 SUMMARY = {
     "Grammenos 2018": (
-        Headline("calibration lowers the MSE to the aggregate: walk", "traces more alike, MSE: walk"),
-        Headline("calibration lowers the MSE to the aggregate: stairs up", "the same: stairs up"),
-        Headline("calibration lowers the MSE to the aggregate: stairs down", "the same: stairs down"),
-        Headline("gain by the method: stairs up against walk", "gain in accuracy: stairs up or walk"),
-        Headline("gain by the method: stairs down against stairs up", "the same: stairs down or up"),
+        Headline("calibration lowers the MSE to the aggregate: walk", "traces more alike: MSE, walk"),
+        Headline("gain by the method: stairs up against walk", "gain in accuracy: up / walk"),
+        Headline("gain by the method: stairs down against stairs up", "the same: stairs down / up"),
         Headline("similar activities, calibrated: accuracy of neural", "accuracy, networks"),
         Headline("similar activities, calibrated: accuracy of the SVM", "accuracy, SVM"),
         Headline("overhead on an app", "overhead on an app"),
-        Headline("at least 2.5 times less power", "less power than a Kalman filter"),
         Headline("first calibration within one day", "first calibration within a day"),
-        Headline("fewer than 10 positions", "fewer than 10 positions are needed"),
+        Headline("fewer than 10 positions", "fewer than 10 positions needed"),
     ),
     "ESGI'95": (
         Headline("dataset 1, positions 1-20: parameters", "parameters of the fit, dataset 1"),
         Headline("dataset 1: maximum", "its largest error, %"),
-        Headline("largest error by non-orthogonality", "non-orthogonality: largest error, m/s²"),
-        Headline("non-orthogonality of up to 2 %", "non-orthogonality of 2 % is serious"),
+        Headline("largest error by non-orthogonality", "non-orthogonality: error, m/s²"),
+        Headline("non-orthogonality of up to 2 %", "2 % of it is serious"),
     ),
     "Collin 2019": (
-        Headline("white noise falls", "Allan deviation of white noise"),
+        Headline("white noise falls", "Allan deviation, white noise"),
         Headline("consumer sensors cannot navigate", "consumer sensors navigate alone"),
-        Headline("consumer, 25 deg/h: time to 2 %", "dead reckoning: time to 2 % of error"),
-        Headline("1 % of accelerometer scale, length from variance", "1 % of scale: step length by variance"),
+        Headline("1 % of accelerometer scale, length from variance", "1 % of scale: step length"),
         Headline("six activities, our features", "motion modes misclassified"),
     ),
     "Stisen 2015": (
-        Headline("range of mean deviations", "devices at rest: deviation from g"),
-        Headline("average F1 falls", "heterogeneity impairs significantly: F1"),
-        Headline("frequency features suffer", "frequency features suffer by far the most"),
-        Headline("ECDF features are the ones", "ECDF features are the ones to take"),
-        Headline("training within the cluster against", "training within a cluster of devices"),
+        Headline("range of mean deviations", "devices at rest: off from g"),
+        Headline("average F1 falls", "heterogeneity impairs: F1"),
+        Headline("frequency features suffer", "frequency features suffer most"),
+        Headline("ECDF features are the ones", "ECDF features are to be taken"),
+        Headline("training within the cluster against", "training within a cluster, F1"),
         Headline("a model never trained on costs less", "unknown model against user"),
-        Headline("interpolation, SVM on frequency", "interpolation on an unknown model, F1"),
+        Headline("interpolation, SVM on frequency", "interpolation, unknown model, F1"),
     ),
 }
 """The rows of the summary, by paper: what its abstract and conclusions claim or rest on."""
@@ -106,7 +103,8 @@ tested here. Of the {differ} figures that differ, {found} have a cause that a ru
 
 The claims of each paper's abstract and conclusions and the results that these rest on, where they can be
 tested here; of the chapter (Collin 2019), which concludes from no results of its own, one or two of each
-part. Rows were chosen by what the papers say, not by what came out.
+part. Rows were chosen by what the papers say, not by what came out. Figures are cut short here: each claim
+leads to its study, and the tables below have all of it.
 
 {summary}
 
@@ -139,6 +137,9 @@ The studies are the package `stillcal.replay.studies`. It lies inside `replay` b
 recordings and simulated phones through the product, as the rest of `replay` does, and nothing of the product
 imports it.
 """
+
+EVIDENCE = {Evidence.REAL: "real", Evidence.PRINTED: "printed"}
+"""Kinds of evidence whose names are too long for the summary."""
 
 METHODS = {
     "coning": "coning errors of a gyroscope's rates (Collin 2019, 4.2, Eq. 26-27)",
@@ -245,7 +246,12 @@ def page(studies: list[Study]) -> str:
         )
         for s in studies
     ]
-    return "\n".join([head, *sections])
+    return _spaced("\n".join([head, *sections]))
+
+
+def _spaced(text: str) -> str:
+    """Put the space before each per cent sign, which Python's own format of shares leaves out."""
+    return re.sub(r"(?<=\d)%", " %", text)
 
 
 def tally(claims: list[Claim]) -> str:
@@ -307,7 +313,9 @@ def _summary(studies: list[Study]) -> str:
             source = c.source
             rows.append((f"**{source}**", "", "", "", ""))
         link = f"[{row.words}](#{_anchor(found[c].title)})"
-        rows.append((link, c.paper, c.ours, _verdict(c), str(c.evidence)))
+        rows.append(
+            (link, c.paper, c.brief or c.ours, _verdict(c), EVIDENCE.get(c.evidence, str(c.evidence)))
+        )
     return table(("claim", "the paper", "ours", "verdict", "evidence"), rows)
 
 

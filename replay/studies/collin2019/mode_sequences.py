@@ -35,6 +35,21 @@ PAPER = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Errors:
+    """Shares of windows judged wrongly, by person (people,): each alone, in sequence, and alone where sure.
+
+    refused: share that is not judged, not being sure. resting: of those judged wrongly alone, what share
+    confuses two activities at rest.
+    """
+
+    alone: Array
+    together: Array
+    sure: Array
+    refused: float
+    resting: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Judged:
     """Windows of people, in order.
 
@@ -58,6 +73,17 @@ class Judged:
     def refused(self, least: float) -> float:
         """Return the share of windows that are not judged."""
         return float(np.mean(self.posterior.max(axis=1) < least))
+
+
+def errors(found: Judged) -> Errors:
+    """Return what the claims are judged on."""
+    return Errors(
+        alone=found.errors(found.posterior),
+        together=found.errors(found.filtered),
+        sure=found.errors(found.posterior, CHOSEN),
+        refused=found.refused(CHOSEN),
+        resting=among_resting(found),
+    )
 
 
 def transitions(label: NDArray[np.intp], person: NDArray[np.intp], classes: int) -> Array:
@@ -115,14 +141,15 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     every = tuple(range(len(NAMES)))
     groups = {name: judge(people, columns) for name, columns in (("two", TWO), ("all", every))}
     tilted = judge(with_attitude(people, data), (*every, *range(len(NAMES), len(NAMES) + 3)))
-    claims = (_sequence(groups["all"]), _six(groups["all"], tilted), _partial(groups["all"]))
+    found = errors(groups["all"])
+    claims = (_sequence(found), _six(found, errors(tilted)), _partial(found))
     file = _draw(groups, figures)
     progress(1.0)
     return Study(NAME, TITLE, claims, _text(groups, file), (file,), seed)
 
 
-def _sequence(found: Judged) -> Claim:
-    alone, together = (100.0 * found.errors(p) for p in (found.posterior, found.filtered))
+def _sequence(found: Errors) -> Claim:
+    alone, together = 100.0 * found.alone, 100.0 * found.together
     low, high = interval(together - alone)
     return Claim(
         *PAPER[0],
@@ -136,10 +163,11 @@ def _sequence(found: Judged) -> Claim:
     )
 
 
-def _six(found: Judged, tilted: Judged) -> Claim:
+def _six(found: Errors, tilted: Errors) -> Claim:
     """Judge the error on six activities. tilted: with each window's mean force among the features."""
-    alone, together = (100.0 * found.errors(p).mean() for p in (found.posterior, found.filtered))
-    once, known = (100.0 * tilted.errors(p).mean() for p in (tilted.posterior, tilted.filtered))
+    alone, together, once, known = (
+        100.0 * own.mean() for own in (found.alone, found.together, tilted.alone, tilted.together)
+    )
     return Claim(
         *PAPER[1],
         f"{alone:.1f} %, in sequence {together:.1f}; with mean forces {once:.1f}, {known:.1f} %",
@@ -149,8 +177,9 @@ def _six(found: Judged, tilted: Judged) -> Claim:
         " classes varies, says the paper. That it differs is of these features, which do not tell attitude:"
         " the paper does not list its own. With mean forces: each window's mean force among the features",
         evidence=Evidence.REAL,
+        brief=f"{alone:.1f} %; with mean forces {once:.1f} %",
         cause=Cause(
-            f"{100 * among_resting(found):.0f} % of the windows judged wrongly are of sitting, standing or"
+            f"{100 * found.resting:.0f} % of the windows judged wrongly are of sitting, standing or"
             " lying taken for one another, as the features do not tell how the phone is tilted. With each"
             f" window's mean force among them {once:.1f} %, in sequence {known:.1f} %",
             shown=bool(known < 10.0),
@@ -166,13 +195,12 @@ def among_resting(found: Judged) -> float:
     return float(np.mean(np.isin(judged[wrong], resting) & np.isin(found.motion.mode[wrong], resting)))
 
 
-def _partial(found: Judged) -> Claim:
-    errors = 100.0 * found.errors(found.posterior), 100.0 * found.errors(found.posterior, CHOSEN)
-    low, high = interval(errors[1] - errors[0])
+def _partial(found: Errors) -> Claim:
+    alone, sure = 100.0 * found.alone, 100.0 * found.sure
+    low, high = interval(sure - alone)
     return Claim(
         *PAPER[2],
-        f"{errors[0].mean():.1f} → {errors[1].mean():.1f} % wrong, {100 * found.refused(CHOSEN):.0f} % not"
-        " judged",
+        f"{alone.mean():.1f} → {sure.mean():.1f} % wrong, {100 * found.refused:.0f} % not judged",
         DATA,
         holds(high < 0.0),
         f"judged where the posterior is {CHOSEN:g} or more; holds where the interval by people of the change"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from stillcal.replay.studies.grammenos2018.slices import (
     WAYS,
     Accuracy,
     Roc,
+    Slices,
     compare,
     flat,
     louder,
@@ -40,8 +42,8 @@ from stillcal.replay.studies.har.devices import CARRIED, read_devices
 from stillcal.replay.studies.har.scoring import (
     Learner,
     interval,
-    linear_svm,
     network,
+    plain_svm,
     radial_svm,
     tree,
     with_interval,
@@ -81,7 +83,7 @@ PAPER = {
     "baseline": ("5.2", "accuracy without calibration: SVM; networks on walking, on stairs", "80; 92, 85 %"),
     "networks": ("abstract", "similar activities, calibrated: accuracy of neural networks", "> 95 %"),
     "reached": ("abstract", "similar activities, calibrated: accuracy of the SVM", "> 88 %"),
-    "overfit": ("5.2", "more than 25 hidden units overfit: accuracy falls", "in some cells"),
+    "overfit": ("5.2, Table 6", "more than 25 hidden units do worse", "in some cells"),
     "roc": ("5.2, Figures 6 and 7", "network of 100: area under the ROC curve rises", "rises (figures)"),
     "small": ("5.2", "a small model on tilt, tested on other devices, gains by calibration", "-"),
 }
@@ -109,24 +111,11 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
         if pair in FIGURES:
             rocs[pair] = roc(cut, LEARNERS["100"], seed)
         if pair in PAIRS:
-            short = slices(windows.of(*pair), devices, seed, BRIEF)
-            apart, loud = scattered(cut, seed), slices(windows.of(*pair), [louder(d) for d in devices], seed)
-            for name in ("SVM", "100"):
-                mixed[pair, f"{name}, brief"] = compare(
-                    short, LEARNERS[name], flat, seed, False, ways=("raw",)
-                )
-                mixed[pair, f"{name}, scattered"] = compare(
-                    apart, LEARNERS[name], flat, seed, False, ways=("raw",)
-                )
-            mixed[pair, "linear"] = compare(cut, linear_svm, flat, seed, False, ways=("raw", METHOD))
-            mixed[pair, "louder"] = compare(loud, radial_svm, flat, seed, False, ways=("raw", "calibrated"))
-        if pair == PAIRS[2]:
-            for units in (25, 100):
-                long = network(units, LONG_TRAINING)
-                mixed[pair, f"{units}, long"] = compare(cut, long, flat, seed, False, ways=(METHOD,))
-                mixed[pair, f"{units}, few"] = compare(
-                    cut, network(units), flat, seed, False, ways=(METHOD,), most=FEW
-                )
+            own = windows.of(*pair)
+            altered = Altered(
+                cut, slices(own, devices, seed, BRIEF), slices(own, [louder(d) for d in devices], seed)
+            )
+            mixed |= {(pair, name): found for name, found in _tried(pair, altered, seed).items()}
     carried = CARRIED.format(len(devices))
     claims = (
         *(_gains(pair, mixed, carried) for pair in PAIRS),
@@ -150,6 +139,31 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     )
     files = (_draw(mixed, other, figures), _draw_roc(rocs, figures))
     return Study(NAME, TITLE, claims, _text(mixed, other, files), files, seed)
+
+
+class Altered(NamedTuple):
+    """A pair's slices as they are, of BRIEF samples, and through devices with LOUDER errors."""
+
+    cut: Slices
+    brief: Slices
+    loud: Slices
+
+
+def _tried(pair: tuple[str, str], altered: Altered, seed: int) -> dict[str, Accuracy]:
+    """Try every cause on a pair of activities in motion; by learner and what was altered."""
+    cut = altered.cut
+    found = {
+        f"{name}, {how}": compare(own, learner, flat, seed, False, ways=("raw",))
+        for name, learner in (("SVM", plain_svm), ("100", LEARNERS["100"]))
+        for how, own in (("brief", altered.brief), ("scattered", scattered(cut, seed)))
+    }
+    found["plain"] = compare(cut, plain_svm, flat, seed, False, ways=("raw", METHOD))
+    found["louder"] = compare(altered.loud, radial_svm, flat, seed, False, ways=("raw", "calibrated"))
+    for units in (25, 100) if pair == PAIRS[2] else ():
+        long = network(units, LONG_TRAINING)
+        found[f"{units}, long"] = compare(cut, long, flat, seed, False, ways=(METHOD,))
+        found[f"{units}, few"] = compare(cut, network(units), flat, seed, False, ways=(METHOD,), most=FEW)
+    return found
 
 
 def _table_6(pair: tuple[str, str]) -> tuple[str, str, str]:
@@ -250,17 +264,20 @@ def _svm(mixed: Found, data: str) -> Claim:
     words = ", ".join(f"over {_name(name)} {with_interval(m)}" for name, m in more.items())
     why = f"holds where the SVM gains more than each network, by intervals over people: {words}"
     good = all(interval(m)[0] > 0.0 for m in more.values())
-    linear = np.mean([mixed[pair, "linear"].values for pair in PAIRS], axis=0)
-    radial = np.mean([mixed[pair, "SVM"].by_way("raw") for pair in PAIRS])
-    nets = np.mean([mixed[pair, n].by_way("raw") for pair in PAIRS for n in LEARNERS if n != "SVM"])
-    gain = 100.0 * (linear[:, 1] - linear[:, 0])
-    weaker = interval(gain - np.mean([mean[n] for n in LEARNERS if n != "SVM"], axis=0))[0] > 0.0
+    plain = np.mean([mixed[pair, "plain"].values for pair in PAIRS], axis=0)
+    radial, nets = (
+        np.mean([mixed[pair, name].by_way("raw") for pair in PAIRS for name in names])
+        for names in (("SVM",), [n for n in LEARNERS if n != "SVM"])
+    )
+    gain = 100.0 * (plain[:, 1] - plain[:, 0])
+    over = [gain - own for name, own in mean.items() if name != "SVM"]
     cause = Cause(
         f"the paper's SVM is the weaker classifier; here it starts from {radial:.1f} %, the networks from"
-        f" {nets:.1f} %. One with a linear kernel starts from {100 * linear[:, 0].mean():.1f} % and gains"
-        f" {with_interval(gain)} points"
-        + (", more than the networks" if weaker else ": being weaker is not enough"),
-        shown=weaker,
+        f" {nets:.1f} %, as its samples are standardised, of which the paper says nothing. On samples as they"
+        f" are, with LIBSVM's own width of the kernel (1 over their number), it starts from"
+        f" {100 * plain[:, 0].mean():.1f} % and gains {with_interval(gain)} points, over the networks"
+        f" {', '.join(map(with_interval, over))}",
+        shown=all(interval(own)[0] > 0.0 for own in over),
     )
     return Claim(
         WORK, *PAPER["svm"], ours, data, holds(good), why, evidence=Evidence.SEMI_SYNTHETIC, cause=cause
@@ -317,8 +334,9 @@ def _baselines(mixed: Found, data: str) -> list[Claim]:
     ]
     cause = Cause(
         "a slice of 40 samples is 0.8 s here, 0.2 to 0.8 s on the paper's devices of 50 to 200 Hz. With"
-        f" slices of 0.2 s: {words[0]}. With people in both parts, which the paper does not exclude:"
-        f" {words[1]}" + ("" if as_printed else ". Neither gives all three of the paper's figures"),
+        f" slices of 0.2 s, and an SVM on samples as they are: {words[0]}. With people in both parts, which"
+        f" the paper does not exclude: {words[1]}"
+        + ("" if as_printed else ". Neither gives all three of the paper's figures"),
         shown=bool(as_printed),
     )
     ours = f"{svm:.0f}; {walk:.0f}, {stairs:.0f} %"
@@ -355,6 +373,7 @@ def _reached(mixed: Found, data: str) -> list[Claim]:
                 f"up, down: stairs. Holds where every cell of Table 6 is above {bound:.0f} %, people and"
                 f" devices mixed, nobody in both parts; {len(cells) - len(missed)} of {len(cells)} are",
                 evidence=Evidence.SEMI_SYNTHETIC,
+                brief=_span(list(cells.values())) + " %",
                 cause=Cause(
                     f"in the cells that miss it, devices without errors or noise have {best} %: no"
                     " calibration reaches it on these people's walk",
@@ -384,38 +403,41 @@ def _near_baseline(svm: float, walk: float, stairs: float) -> bool:
 
 
 def _overfit(mixed: Found, data: str) -> Claim:
+    """Judge by gains, as Table 6 shows them: it has no accuracy by units."""
     cells = [(pair, name) for pair in PAIRS for name in ("50", "100")]
+    gained = {c: mixed[c].gain(METHOD) - mixed[c[0], "25"].gain(METHOD) for c in cells}
     less = {c: mixed[c].by_way(METHOD) - mixed[c[0], "25"].by_way(METHOD) for c in cells}
+    lower = [c for c in cells if interval(gained[c])[1] < 0.0]
     worse = [c for c in cells if interval(less[c])[1] < 0.0]
     known = ", ".join(
         f"{name} {100 * np.mean([mixed[p, name].known[WAYS.index(METHOD)] for p in PAIRS]):.0f} %"
         for name in ("25", "50", "100")
     )
-    change = {n: np.mean([less[p, n] for p in PAIRS], axis=0) for n in ("50", "100")}
-    long = {units: mixed[PAIRS[2], f"{units}, long"].values[:, 0] for units in (25, 100)}
-    few = {units: mixed[PAIRS[2], f"{units}, few"].values[:, 0] for units in (25, 100)}
-    told = ", ".join(f"{n} {with_interval(own)}" for n, own in change.items())
+    long, few = (
+        {units: mixed[PAIRS[2], f"{units}, {how}"].values[:, 0] for units in (25, 100)}
+        for how in ("long", "few")
+    )
+    told = ", ".join(
+        f"{n} {with_interval(np.mean([gained[p, n] for p in PAIRS], axis=0))}" for n in ("50", "100")
+    )
     why = (
-        "holds where with 50 or 100 units some pair's interval by people lies below that with 25; points more"
-        f" than with 25, by units: {told}"
+        "the paper refers to Table 6, which has gains. Holds where some pair gains less with 50 or 100 units"
+        f" than with 25, by the interval over people; mean of pairs, points: {told}. That this is"
+        f" overfitting, as the paper says, is not seen: accuracy itself falls in {len(worse)} of"
+        f" {len(cells)} cells. On the slices trained on: {known}. On the two stairs,"
+        f" trained {LONG_TRAINING} instead of 40 iterations, 25"
+        f" {long[25].mean():.1%}, 100 {long[100].mean():.1%}; on {FEW} instead of {MOST} slices, 25"
+        f" {few[25].mean():.1%}, 100 {few[100].mean():.1%}"
     )
-    cause = Cause(
-        f"on the two stairs, trained {LONG_TRAINING} instead of 40 iterations, 25 {long[25].mean():.1%}, 100"
-        f" {long[100].mean():.1%}; trained on {FEW} instead of {MOST} slices, 25 {few[25].mean():.1%}, 100"
-        f" {few[100].mean():.1%}. On the slices trained on: {known}",
-        shown=min(long[100].mean() - long[25].mean(), few[100].mean() - few[25].mean()) < 0.0,
-    )
-    means = ", ".join(f"{own.mean():+.1f} with {n}" for n, own in change.items())
-    ours = f"it falls in {len(worse)} of {len(cells)} cells; points against 25 units: {means}"
     return Claim(
         WORK,
         *PAPER["overfit"],
-        ours,
+        f"gain falls in {len(lower)} of {len(cells)} cells; accuracy in {len(worse)}",
         data,
-        holds(bool(worse)),
+        holds(bool(lower)),
         why,
         evidence=Evidence.SEMI_SYNTHETIC,
-        cause=cause,
+        cause=Cause(f"mean of pairs, points: {told}", shown=False),
     )
 
 

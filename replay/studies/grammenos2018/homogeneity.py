@@ -62,6 +62,9 @@ PAPER = {
 RATIO_TOLERANCE = 0.1
 """Half of what the paper's own moving activities differ by (0.52 to 0.68), and a little."""
 
+CHANCE = 0.05
+"""Share of samples of people within which an order is taken for chance."""
+
 BOOTSTRAPS = 500
 STEPS = ("raw", "smoothed", "calibrated", "calibrated and smoothed")
 METHOD = 3
@@ -125,9 +128,9 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     rest = at_rest(data)
     carried = CARRIED.format(len(devices))
     claims = (
-        *_similar(*_similarities(windows, rng)),
+        *_similar(_similarities(windows, rng)),
         *(_moving(a, found[a], carried, rng) for a in MOVING),
-        _rest(rest, found["sit"], rng),
+        _rest(rest, found["sit"], carried, rng),
         Claim(
             WORK,
             *PAPER["biking"],
@@ -224,8 +227,20 @@ Pairs = dict[tuple[str, str], float]
 """Definition 5.1 by pair of activities, (m/s^2)^2."""
 
 
-def _similarities(windows: Windows, rng: np.random.Generator) -> tuple[Pairs, list[Pairs]]:
-    """Return the similarity of pairs over everybody, and of Table 4's in samples of people drawn anew."""
+@dataclass(frozen=True, slots=True)
+class Similar:
+    """Similarity of pairs over everybody, and of Table 4's in samples of people drawn anew.
+
+    scaled: the same of traces brought to 0 and 1 by axis.
+    """
+
+    found: Pairs
+    drawn: list[Pairs]
+    scaled: Pairs
+    scaled_drawn: list[Pairs]
+
+
+def _similarities(windows: Windows, rng: np.random.Generator) -> Similar:
     traces = {
         a: np.array(
             [windows.of(a).only(windows.of(a).person == p).accel.mean(axis=0) for p in windows.people]
@@ -234,32 +249,50 @@ def _similarities(windows: Windows, rng: np.random.Generator) -> tuple[Pairs, li
     }
     pairs = [*TABLE_4, ("sit", "stand")]
     found = {(a, b): similarity(traces[a].mean(axis=0), traces[b].mean(axis=0)) for a, b in pairs}
-    drawn = [
-        _pairs(traces, rng.integers(0, len(windows.people), len(windows.people))) for _ in range(BOOTSTRAPS)
-    ]
-    return found, drawn
+    everybody = np.arange(len(windows.people))
+    samples = [rng.integers(0, len(everybody), len(everybody)) for _ in range(BOOTSTRAPS)]
+    return Similar(
+        found,
+        [_pairs(traces, people, np.asarray) for people in samples],
+        _pairs(traces, everybody, to_one),
+        [_pairs(traces, people, to_one) for people in samples],
+    )
 
 
-def _similar(found: Pairs, drawn: list[Pairs]) -> list[Claim]:
+def to_one(trace: Array) -> Array:
+    """Return a trace (n, 3) with each axis brought to 0 at its lowest and 1 at its highest."""
+    return np.asarray((trace - trace.min(axis=0)) / np.ptp(trace, axis=0))
+
+
+def _similar(own: Similar) -> list[Claim]:
     """Judge `_similarities`."""
-    least = [min(d, key=lambda p: d[p]) for d in drawn]
-    share = np.mean([pair == ("walk", "stairs down") for pair in least])
+    found, down = own.found, ("walk", "stairs down")
+    share, by_chance = (
+        np.mean([min(d, key=lambda p: d[p]) == down for d in drawn])
+        for drawn in (own.drawn, own.scaled_drawn)
+    )
     ours = ", ".join(f"{a} / {b} {found[a, b]:.2f}" for a, b in TABLE_4)
     best = min(TABLE_4, key=lambda pair: found[pair])
     up, first = (("stairs up", "stairs down"), ("walk", "stairs up"))
-    closer = np.mean([d[up] < d[first] for d in drawn])
+    closer, scaled = (
+        float(np.mean([d[up] < d[first] for d in drawn])) for drawn in (own.drawn, own.scaled_drawn)
+    )
+    sizes = ", ".join(f"{a} / {b} {own.scaled[a, b]:.3f}" for a, b in TABLE_4)
     why = (
         "Table 4 normalises in a way it does not state, so that sizes cannot be compared; ours are in"
         f" (m/s²)², of traces averaged over everybody's windows; sit / stand: {found['sit', 'stand']:.2f}"
     )
-    chance = f"holds for the pair in {share:.0%} of samples of people drawn anew"
+    chance = (
+        f"holds for the pair in {share:.0%} of samples of people drawn anew; of traces brought to 0 and 1 by"
+        f" axis in {by_chance:.0%}"
+    )
     return [
         Claim(
             WORK,
             *PAPER["similar"],
             ours,
             DATA,
-            holds(best == ("walk", "stairs down")),
+            holds(best == down),
             chance,
             evidence=Evidence.REAL,
         ),
@@ -272,17 +305,18 @@ def _similar(found: Pairs, drawn: list[Pairs]) -> list[Claim]:
             "sizes cannot be compared, their order can: the rest of the table's",
             evidence=Evidence.REAL,
             cause=Cause(
-                f"as in the paper in {closer:.0%} of samples of people drawn anew: it does not hang on who is"
-                " in them",
-                shown=False,
+                "the paper normalises traces, and does not say how. Brought to 0 and 1 by axis they are of"
+                f" its size ({sizes}), and the order is chance: as in the paper in {scaled:.0%} of samples of"
+                f" people drawn anew. As they are it is so in {closer:.0%}",
+                shown=CHANCE <= scaled <= 1.0 - CHANCE,
             ),
         ),
         Claim(WORK, *PAPER["threshold"], ours, DATA, Verdict.UNTESTED, why, evidence=Evidence.NONE),
     ]
 
 
-def _pairs(traces: dict[str, Array], people: NDArray[np.intp]) -> Pairs:
-    mean = {a: traces[a][people].mean(axis=0) for a in MOVING}
+def _pairs(traces: dict[str, Array], people: NDArray[np.intp], ready: Callable[[Array], Array]) -> Pairs:
+    mean = {a: ready(traces[a][people].mean(axis=0)) for a in MOVING}
     return {pair: similarity(mean[pair[0]], mean[pair[1]]) for pair in TABLE_4}
 
 
@@ -311,6 +345,7 @@ def _moving(name: str, found: Homogeneity, data: str, rng: np.random.Generator) 
         holds(abs(ratio - after / before) <= RATIO_TOLERANCE and does_half(alone, ratio)),
         why,
         evidence=Evidence.SEMI_SYNTHETIC,
+        brief=f"{ratio:.2f} times; calibration alone {alone:.2f}",
         cause=cause,
     )
 
@@ -323,33 +358,32 @@ def does_half(alone: float, whole: float) -> bool:
     return 1.0 - alone >= 0.5 * (1.0 - whole)
 
 
-def _rest(rest: Rest, sit: Homogeneity, rng: np.random.Generator) -> Claim:
+def _rest(rest: Rest, sit: Homogeneity, data: str, rng: np.random.Generator) -> Claim:
+    """Judge sitting as the other rows of Table 5: over people and devices together, by the method whole."""
+    ratio = sit.ratio("mixed", METHOD)
+    low, high = sit.interval("mixed", METHOD, rng)
     before, after = rest.mse("before"), rest.mse("after")
-    low, high = sit.interval("devices", 2, rng)
-    ours = f"{before:.4f} → {after:.4f} (m/s²)², {after / before:.2f} times"
-    data = f"hhar_still: {rest.devices} real devices, each face calibrated from the other five"
-    why = (
-        f"would hold within 10 %; sitting, carried through the devices: {sit.ratio('devices', 2):.2f} times"
-        f" ({low:.2f} to {high:.2f})"
-    )
     alone, together = sit.levelled.mean(axis=0), sit.levelled_mixed.mean(axis=0)
-    views = ((alone[0], alone[2]), (alone[0], alone[METHOD]), (together[0], together[METHOD]))
-    said = [f"{first:.5f} → {last:.5f}" for first, last in views]
+    why = (
+        f"holds within 10 %, over people and devices together as the rows of activities: {low:.2f} to"
+        f" {high:.2f} by people. Where only devices differ calibration does lower it:"
+        f" {sit.ratio('devices', 2):.2f} times, and on real faces of {rest.devices} devices, each face"
+        f" calibrated from the other five, {before:.4f} → {after:.4f} (m/s²)²"
+    )
     cause = Cause(
-        "whether the paper's traces were brought to one level, as what differs at rest is the level. With"
-        f" each trace's own mean taken off, sitting goes from {said[0]} (m/s²)² where only devices differ and"
-        f" nothing is smoothed; from {said[1]} by the method whole; from {said[2]} by the method whole with"
-        " people and devices together. Definition 5.2 only divides by the number of traces",
-        shown=all(abs(last / first - 1.0) <= 0.1 for first, last in views),
+        f"with each trace's own mean taken off, which is what differs at rest, {alone[0]:.5f} →"
+        f" {alone[METHOD]:.5f} (m/s²)² where only devices differ, {together[0]:.5f} → {together[METHOD]:.5f}"
+        " with people and devices together",
+        shown=all(abs(own[METHOD] / own[0] - 1.0) <= 0.1 for own in (alone, together)),
     )
     return Claim(
         WORK,
         *PAPER["rest"],
-        ours,
+        f"{ratio:.2f} times (calibration alone {sit.ratio('mixed', 2):.2f})",
         data,
-        holds(abs(after / before - 1) <= 0.1),
+        holds(abs(ratio - 1.0) <= 0.1),
         why,
-        evidence=Evidence.REAL,
+        evidence=Evidence.SEMI_SYNTHETIC,
         cause=cause,
     )
 

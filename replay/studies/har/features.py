@@ -57,18 +57,42 @@ def frequency_features(windows: Array, seconds: float = SECONDS) -> Array:
     Coefficients are shares of the whole spectrum's sum, up to the window's own highest frequency; where that
     is below 20 Hz the rest is zero.
     """
-    norm = np.linalg.norm(windows, axis=2)
-    mean = norm.mean(axis=1)
-    spectrum = np.abs(np.fft.rfft(norm - mean[:, None], axis=1))[:, 1:]
+    return _spectral(np.linalg.norm(windows, axis=2), seconds)
+
+
+def frequency_magnitudes(windows: Array, seconds: float = SECONDS) -> Array:
+    """Return `frequency_features` with coefficients and sum as magnitudes; 45 a window.
+
+    A magnitude grows with the number of samples: a device that samples twice as fast doubles it.
+    """
+    return _spectral(np.linalg.norm(windows, axis=2), seconds, shares=False)
+
+
+def frequency_by_axis(windows: Array, seconds: float = SECONDS) -> Array:
+    """Return `frequency_features` of the norm and then the same of each axis; 180 a window."""
+    axes = [_spectral(windows[:, :, axis], seconds) for axis in range(3)]
+    return np.concatenate([frequency_features(windows, seconds), *axes], axis=1)
+
+
+def _spectral(values: Array, seconds: float, *, shares: bool = True) -> Array:
+    """Return the spectral features of one series a window, (n, length). shares: of the spectrum's sum."""
+    mean = values.mean(axis=1)
+    spectrum = np.abs(np.fft.rfft(values - mean[:, None], axis=1))[:, 1:]
     total = spectrum.sum(axis=1) + 1e-9
     share = spectrum / total[:, None]
     slot = (np.arange(1, share.shape[1] + 1) / seconds / 0.5 - 0.5).astype(int)
-    bins = np.zeros((len(windows), BINS))
+    bins = np.zeros((len(values), BINS))
     for k in np.unique(slot[slot < BINS]):
-        bins[:, k] = share[:, slot == k].sum(axis=1)
+        bins[:, k] = (share if shares else spectrum)[:, slot == k].sum(axis=1)
     entropy = -(share * np.log(share + 1e-12)).sum(axis=1)
     peak = share.argmax(axis=1)
-    rest = [entropy, (peak + 1) / seconds, share.max(axis=1), total / norm.shape[1], mean]
+    rest = [
+        entropy,
+        (peak + 1) / seconds,
+        share.max(axis=1),
+        total / (values.shape[1] if shares else 1.0),
+        mean,
+    ]
     return np.concatenate([bins, np.stack(rest, axis=1)], axis=1)
 
 

@@ -59,6 +59,16 @@ def radial_svm(seed: int) -> Any:
     return _scaled(SVC())
 
 
+def plain_svm(seed: int) -> Any:
+    """Return a support vector machine with Gaussian kernels on features as they are.
+
+    Not standardised; the kernel's width is that which LIBSVM takes, 1 over the number of features.
+    """
+    from sklearn.svm import SVC  # noqa: PLC0415 - an extra
+
+    return SVC(gamma="auto")
+
+
 def network(hidden: int, iterations: int = 40) -> Learner:
     """Return a maker of networks with one hidden layer of so many units, trained for so many iterations."""
 
@@ -74,14 +84,18 @@ LEARNERS: dict[str, Learner] = {"kNN": nearest, "tree": tree, "SVM": linear_svm,
 """Those of Stisen et al. 2015, 4.1."""
 
 
-def principal(learner: Learner, share: float | None = 0.95) -> Learner:
-    """Return the learner on the components that keep `share` of the features' variance; None keeps all."""
+def principal(learner: Learner, share: float | None = 0.95, *, scaled: bool = True) -> Learner:
+    """Return the learner on the components that keep `share` of the features' variance; None keeps all.
+
+    scaled: whether features are standardised first.
+    """
 
     def make(seed: int) -> Any:
         from sklearn.decomposition import PCA  # noqa: PLC0415 - an extra
         from sklearn.pipeline import make_pipeline  # noqa: PLC0415 - an extra
 
-        return _scaled(make_pipeline(PCA(share, random_state=seed), learner(seed)))
+        reduced = make_pipeline(PCA(share, random_state=seed), learner(seed))
+        return _scaled(reduced) if scaled else reduced
 
     return make
 

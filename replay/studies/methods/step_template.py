@@ -46,6 +46,14 @@ def form(samples: Sequence[Samples]) -> Template:
     return Template(centred / np.linalg.norm(centred))
 
 
+def stretched(template: Template, factor: float) -> Template:
+    """Return the template of a walk whose steps take `factor` times as long."""
+    m = template.shape.size
+    shape = np.interp(np.linspace(0.0, m - 1.0, round(m * factor)), np.arange(m), template.shape)
+    centred = shape - shape.mean()
+    return Template(centred / np.linalg.norm(centred))
+
+
 def correlation(norm: Array, template: Template) -> Array:
     """Return the correlation of the norm (n,) with the template at each place, (n - m + 1,), -1 to 1."""
     windows = np.lib.stride_tricks.sliding_window_view(norm, template.shape.size)
@@ -84,7 +92,7 @@ def places(norm: Array, template: Template, alike: Likeness, least: float = LEAS
     return np.asarray(find_peaks(alike(norm, template), height=least, distance=apart)[0], dtype=np.float64)
 
 
-def count(samples: Samples, template: Template, alike: Likeness = correlation) -> int:
-    """Count the steps of samples."""
+def count(samples: Samples, template: Template, alike: Likeness = correlation, least: float = LEAST) -> int:
+    """Count the steps of samples: places as alike as `least` or more."""
     norm = np.linalg.norm(even(samples.t, samples.xyz)[1], axis=1)
-    return int(places(norm, template, alike).size)
+    return int(places(norm, template, alike, least).size)

@@ -74,6 +74,12 @@ FEW, MANY = 0.05, 1.0 / 3.0
 FAR = 1.1
 """Times its median that a mean is far from it."""
 
+AT_REST = {"Nexus 4": "LG-Nexus4", "Gear": "Samsung-Galaxy-Gear"}
+"""The devices of the activity recordings by their models in the still experiment."""
+
+LOST = 3.0
+"""Medians of an interval beyond which samples were lost."""
+
 PAUSE_MS = 1000.0
 """Longer intervals in the activity recordings lie between exercises."""
 
@@ -133,7 +139,10 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
             "no recording was made under load among these",
             evidence=Evidence.NONE,
         ),
-        *(_gyro(name, both_stamps(a), both_stamps(g)) for name, (a, g) in both.items()),
+        *(
+            _gyro(name, both_stamps(a), both_stamps(g), spreads[AT_REST[name]][0].longest)
+            for name, (a, g) in both.items()
+        ),
     )
     file = _draw(found, figures)
     progress(1.0)
@@ -166,7 +175,8 @@ class Spread:
 
     number: of intervals. box: from the lower to the upper quartile. beyond: how many lie beyond the whiskers;
     near: of those, within half a median of it. long: how many are longer than 1.5 medians. outside: whether
-    the mean lies outside of the quartiles.
+    the mean lies outside of the quartiles. steady: the standard deviation of those up to LOST medians.
+    lost: share of those beyond.
     """
 
     number: int
@@ -179,6 +189,8 @@ class Spread:
     near: int
     long: int
     outside: bool
+    steady: float
+    lost: float
 
 
 def spread(intervals: Array) -> Spread:
@@ -197,6 +209,8 @@ def spread(intervals: Array) -> Spread:
         near=int(np.sum(np.abs(off[far]) < 0.5)),
         long=int(np.sum(off > 0.5)),
         outside=not bool(low <= intervals.mean() <= high),
+        steady=float(intervals[intervals <= LOST * median].std()),
+        lost=float(np.mean(intervals > LOST * median)),
     )
 
 
@@ -279,8 +293,11 @@ def _iphone(found: dict[str, BothStamps]) -> Claim:
     return _claim("iphone", ours, longest["iphone-6_s"] > max(1.0, 10 * others), why)
 
 
-def _gyro(name: str, accelerometer: BothStamps, gyroscope: BothStamps) -> Claim:
-    """Compare the scatter of both sensors of one device, by creation and by arrival."""
+def _gyro(name: str, accelerometer: BothStamps, gyroscope: BothStamps, at_rest: float) -> Claim:
+    """Compare the scatter of both sensors of one device, by creation and by arrival.
+
+    at_rest: the longest interval of its model by creation in the still experiment, ms.
+    """
     (made, came), (turned, turned_came) = accelerometer, gyroscope
     return _claim(
         name,
@@ -291,9 +308,11 @@ def _gyro(name: str, accelerometer: BothStamps, gyroscope: BothStamps) -> Claim:
         " activity: the still experiment has no gyroscope here",
         data="hhar: first 10,000 rows of each sensor",
         cause=Cause(
-            f"by quartiles, as box plots show them, {made.box:.2f} by creation, {came.box:.2f} ms by arrival;"
-            f" gyroscope {turned.box:.2f}, {turned_came.box:.2f} ms",
-            shown=came.box > made.box and turned_came.box > turned.box,
+            f"gaps of up to {made.longest:.0f} ms, which widen both stamps alike; at rest its accelerometer"
+            f" has none over {at_rest:.0f} ms. Without intervals over {LOST:g} medians,"
+            f" {max(made.lost, turned.lost):.1%} of them, {made.steady:.2f} by creation, {came.steady:.2f} ms"
+            f" by arrival; gyroscope {turned.steady:.2f}, {turned_came.steady:.2f} ms",
+            shown=came.steady > made.steady and turned_came.steady > turned.steady,
         ),
     )
 

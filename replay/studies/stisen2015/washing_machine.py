@@ -19,7 +19,7 @@ from stillcal.replay.studies.drawing import BLUE, RED, panels, save
 from stillcal.replay.studies.grammenos2018.people import slowed
 from stillcal.replay.studies.har.data import without_recordings
 from stillcal.replay.studies.har.devices import Device, read_devices
-from stillcal.replay.studies.har.recordings import DATA, Still, read_still
+from stillcal.replay.studies.har.recordings import DATA, Still, by_device, read_still
 from stillcal.replay.studies.stisen2015.families import few_devices
 
 NAME, TITLE, WORK = "washing-machine", "On a washing machine (Figure 4)", "Stisen 2015"
@@ -65,7 +65,7 @@ PAPER = {
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """How a model's samples come. bulks, outages: in 2 s, by arrival; even: share of even creation intervals.
+    """How a phone's samples come. bulks, outages: in 2 s, by arrival; even: share of even creation intervals.
 
     interval: the median one, ms. together: correlation of the intervals by creation with those by arrival.
     late: rms of arrival less creation about its line, ms.
@@ -80,7 +80,7 @@ class Delivery:
 
 
 def delivery(rests: list[Still]) -> Delivery:
-    """Describe the deliveries of recordings of one model, of the median interval by creation."""
+    """Describe the deliveries of a phone's recordings, of the median interval by creation."""
     made = np.concatenate([np.diff(r.creation) for r in rests])
     came = np.concatenate([np.diff(r.arrival) for r in rests])
     middle, seconds = float(np.median(made)), sum(float(r.arrival[-1]) for r in rests)
@@ -167,11 +167,8 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     """Describe real deliveries; put the simulated machine's forces at real stamps."""
     if data is None:
         return without_recordings(NAME, TITLE, [(WORK, *row) for row in PAPER.values()], seed)
-    models: dict[str, list[Still]] = {}
-    for rest in read_still(data):
-        if not (rest.reference or rest.frozen or "iphone" in rest.model):
-            models.setdefault(rest.model, []).append(rest)
-    deliveries = {model: delivery(rests) for model, rests in models.items()}
+    rests = [r for r in read_still(data) if not (r.reference or r.frozen or "iphone" in r.model)]
+    deliveries = {name: delivery(own) for name, own in by_device(rests).items()}
     progress(0.2)
     shaken, devices = machine(seed), few_devices(read_devices(data))
     spins = Shaken([piece for piece in shaken.pieces if piece[2] > SPIN_HZ])
@@ -187,51 +184,52 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     return Study(NAME, TITLE, claims, _text(deliveries, left, file), (file,), seed)
 
 
+def bulky(found: dict[str, Delivery]) -> dict[str, Delivery]:
+    """Return the phones with one bulk and one outage or more in two seconds."""
+    return {name: d for name, d in found.items() if d.bulks >= 1.0 and d.outages >= 1.0}
+
+
 def _claims(found: dict[str, Delivery]) -> tuple[Claim, ...]:
-    bulky = {m: d for m, d in found.items() if d.bulks >= 1.0 and d.outages >= 1.0}
-    even = [m for m, d in bulky.items() if d.even >= EVEN]
-    others = sum(d.even >= EVEN for d in found.values())
-    far = {m: d for m, d in bulky.items() if d.late >= d.interval}
-    pairs = "; ".join(
-        f"{_short(m)} {A_MINUTE * d.bulks:.0f} bulks, {A_MINUTE * d.outages:.0f} outages a minute"
-        for m, d in bulky.items()
-    )
-    about = ", ".join(f"{_short(m)} {d.even:.0%}" for m, d in bulky.items())
-    follow = ", ".join(f"{_short(m)} {d.together:.2f}" for m, d in bulky.items() if m not in even)
-    late = ", ".join(f"{_short(m)} {d.late:.1f}" for m, d in bulky.items())
+    """Judge by phone, as the figure shows two phones and names neither."""
+    own = bulky(found)
+    even = [name for name, d in own.items() if d.even >= EVEN]
+    models = sorted({_model(name) for name in own})
+    far = [name for name, d in own.items() if d.late >= d.interval]
+    follow = ", ".join(f"{_short(n)} {d.together:.2f}" for n, d in own.items() if n not in even)
+    late = [d.late for d in own.values()]
     rows = (
         (
             "bulks",
-            f"{len(bulky)} of {len(found)} models: {pairs or '-'}",
-            len(bulky) >= PHONES,
-            f"holds where {PHONES} models or more, as many as the figure shows, have one bulk and one outage"
+            f"{len(own)} of {len(found)} phones ({', '.join(map(_short, models)) or '-'})",
+            len(own) >= PHONES,
+            f"holds where {PHONES} phones or more, as many as the figure shows, have one bulk and one outage"
             f" or more in two seconds, {A_MINUTE:.0f} a minute. A bulk: samples within {EARLY:g} of the"
             f" median interval of one another; an outage: nothing for {LATE:g} of it. At rest: a machine has"
             " no part in it",
-            Cause(f"every model: {len(found) - len(bulky)} of {len(found)} deliver evenly", shown=False),
+            Cause(f"every phone: {len(found) - len(own)} of {len(found)} deliver evenly", shown=False),
         ),
         (
             "even",
-            f"{len(even)} of {len(bulky)} models that come in bulks: {about or '-'} of intervals near the"
-            " median",
+            f"{len(even)} of {len(own)} phones that come in bulks"
+            f" ({', '.join(sorted({_short(_model(name)) for name in even})) or '-'})",
             len(even) >= PHONES,
-            f"holds where {PHONES} of the models that come in bulks or more have {EVEN:.0%} of intervals"
-            f" within {NEAR:.0%} of the median; of all models {others} of {len(found)} have",
+            f"holds where {PHONES} of the phones that come in bulks or more have {EVEN:.0%} of intervals"
+            f" within {NEAR:.0%} of the median",
             Cause(
-                "how far intervals by creation follow those by arrival on the models that come in bulks and"
+                "how far intervals by creation follow those by arrival on the phones that come in bulks and"
                 f" are not even: correlation {follow or '-'}. Where it is near 1 the creation stamp is given"
                 " as the sample is delivered",
-                shown=all(d.together > FOLLOWS for m, d in bulky.items() if m not in even),
+                shown=all(d.together > FOLLOWS for name, d in own.items() if name not in even),
             ),
         ),
         (
             "harm",
-            f"arrival off by, ms rms: {late or '-'}; by an interval or more in {len(far)} of {len(bulky)}"
-            " models",
+            f"by {min(late, default=0.0):.1f} to {max(late, default=0.0):.1f} ms rms; by an interval or more"
+            f" on {len(far)} of {len(own)} phones",
             bool(far),
-            "arrival less creation, about a line, on the models that come in bulks; may: holds where a sample"
+            "arrival less creation, about a line, on the phones that come in bulks; may: holds where a sample"
             " is put wrong by its own interval or more on one of them",
-            Cause("every model, see the table", shown=False),
+            Cause("every phone, see the table", shown=False),
         ),
     )
     return tuple(
@@ -247,6 +245,11 @@ def _claims(found: dict[str, Delivery]) -> tuple[Claim, ...]:
         )
         for key, ours, good, why, cause in rows
     )
+
+
+def _model(name: str) -> str:
+    """Return the model of a phone by its name, which ends with its own."""
+    return name.rsplit(" ", 1)[0]
 
 
 def _short(name: str) -> str:
@@ -280,12 +283,12 @@ def _draw(shaken: Shaken, devices: list[Device], seed: int, folder: Path) -> str
 
 def _text(deliveries: dict[str, Delivery], left: dict[str, float], file: str) -> str:
     rows = [
-        (model, f"{d.interval:.1f}", f"{d.bulks:.1f}", f"{d.outages:.1f}", f"{d.even:.0%}",
+        (name, f"{d.interval:.1f}", f"{d.bulks:.1f}", f"{d.outages:.1f}", f"{d.even:.0%}",
          f"{d.together:.2f}", f"{d.late:.1f}")
-        for model, d in deliveries.items()
+        for name, d in bulky(deliveries).items()
     ]  # fmt: skip
     head = (
-        "model",
+        "phone",
         "median interval, ms",
         "bulks in 2 s",
         "outages in 2 s",
@@ -296,7 +299,8 @@ def _text(deliveries: dict[str, Delivery], left: dict[str, float], file: str) ->
     lines = ", ".join(f"{_short(name)} {share:.2f}" for name, share in left.items())
     return "\n\n".join(
         [
-            "Stamps of real devices at rest, all faces. Arrival was recorded to the millisecond; *off by*:"
+            "Stamps of real devices at rest, all faces; the table has those whose samples come in bulks."
+            " Arrival was recorded to the millisecond; *off by*:"
             " arrival less creation, about a straight line in time.",
             table(head, rows),
             "No recording was made on a washing machine. The figure puts the simulated machine of the"

@@ -16,7 +16,6 @@ from tests.support.judged import judged, kept, kept_at
 DOCS = Path(__file__).parents[3] / "docs"
 NOT_KEPT = {
     "motion-modes",
-    "mode-sequences",
     "pedestrian-calibration",
     "people",
     "quality-check",

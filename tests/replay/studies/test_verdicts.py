@@ -78,12 +78,6 @@ def overhead(engine: float) -> Claim:
     return power._overhead(power.Day(engine, 0.05, 200, 1000), power.Times(0.0, 0.0, 0.0, 0.0))
 
 
-def kalman_draws(current: float) -> Claim:
-    """Return the claim for a filter that costs so many mA, and a correction that costs none."""
-    spent = current / power.CORE_MA / (2.0 * power.POLL_HZ)
-    return power._current(power.Times(0.0, spent, 0.0, 0.0))
-
-
 def costs(fitted: float, judged: float) -> gravity.Costs:
     """Return what the default g leaves over what the local one does, of three phones."""
     return gravity.Costs(np.ones((3, 1)) * (fitted, 1.0), np.ones((3, 1)) * (judged, 1.0), np.ones((3, 2)))
@@ -151,8 +145,8 @@ def choices(worst: str) -> tuple[dict[str, Array], Array]:
     return {n: flat if n == worst else spread for n in names}, best_attitudes.information(spread)
 
 
-def windows(alone: tuple[float, ...], then: tuple[float, ...], *, sure: bool) -> mode_sequences.Judged:
-    """Return people with a hundred windows, so many wrong each alone and in sequence.
+def windows(alone: tuple[float, ...], then: tuple[float, ...], *, sure: bool) -> mode_sequences.Errors:
+    """Return the errors of people with a hundred windows, so many wrong each alone and in sequence.
 
     sure: whether the windows judged wrongly are judged with as much confidence as the others.
     """
@@ -164,7 +158,8 @@ def windows(alone: tuple[float, ...], then: tuple[float, ...], *, sure: bool) ->
     size = 100 * len(alone)
     person, true = np.repeat(np.arange(len(alone)), 100), np.zeros(size, dtype=int)
     motion = Motion(np.zeros((size, 1)), true, person, np.zeros(size))
-    return mode_sequences.Judged(motion, np.arange(2), posterior(alone), posterior(then))
+    judged = mode_sequences.Judged(motion, np.arange(2), posterior(alone), posterior(then))
+    return mode_sequences.errors(judged)
 
 
 def curves(consumer: float, tactical: float) -> dict[str, tuple[Array, Array, Array, Array]]:
@@ -192,12 +187,11 @@ def detected(right: float) -> tuple[dict[str, stationary_states.Found], dict[str
     return dict.fromkeys((*names, "detector, probing"), own), {n: [True] for n in stationary_states.STARTS}
 
 
-def sitting() -> homogeneity.Homogeneity:
-    return homogeneity.Homogeneity(*(np.ones((6, 4)),) * 4)
+def sitting(after: float) -> homogeneity.Homogeneity:
+    return homogeneity.Homogeneity(*(np.ones((6, 1)) * (1.0, 1.0, 1.0, after),) * 4)
 
 
-def rest(after: float) -> homogeneity.Rest:
-    return homogeneity.Rest(np.ones((6, 3)), np.full((6, 3), np.sqrt(after)), np.ones((6, 2)), 1)
+REST = homogeneity.Rest(np.ones((6, 3)), 0.1 * np.ones((6, 3)), np.ones((6, 2)), 1)
 
 
 TABLE_4, TABLE_3 = (1.8, 3.141), (330.0, 497.0, 432.0)
@@ -216,10 +210,11 @@ RULES = [
         [(10,), (8,)],
     ),
     Rule("overhead", overhead, (0.04 * 86400 * power.IMU_MA / power.CORE_MA,), [(0.06 * 86400 / 250.0,)]),
-    Rule("power", kalman_draws, (1.6 * power.IMU_MA,), [(1.4 * power.IMU_MA,)]),
     Rule("a fit's time", power._fit, (9.9,), [(10.0,)]),
     Rule("g fitted", lambda r: gravity._fitted(costs(r, 1.0)), (2.1,), [(1.9,)]),
-    Rule("g judged", lambda r: gravity._judged(costs(1.0, r)), (67.0,), [(30.0,), (110.0,)]),
+    Rule(
+        "g judged", lambda r: gravity._judged(costs(1.0, r), np.empty((0, 2))), (67.0,), [(30.0,), (110.0,)]
+    ),
     Rule("zeroing", lambda *r: _at(0, quality_check._zero, lived(*r)), (2.0, 1.0), [(2.0, 1.1)]),
     Rule("degradation", mended, (20,), [(30,)]),
     Rule("Eq. 10", lambda *a: gyroscope_bias._bias(*turns(*a)), (1.09, 1.0, 1.0), [(1.2, 1.0, 1.0)]),
@@ -316,7 +311,7 @@ RULES = [
         (0.91,),
         [(0.89,)],
     ),
-    Rule("sitting", lambda a: homogeneity._rest(rest(a), sitting(), RNG), (1.05,), [(0.85,), (1.15,)]),
+    Rule("sitting", lambda a: homogeneity._rest(REST, sitting(a), "d", RNG), (1.05,), [(0.85,), (1.15,)]),
 ]
 
 

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.fleet.clusters import clusters
-from stillcal.replay.studies.har.data import Windows
+from stillcal.replay.studies.har.data import ACTIVITIES, Windows
 from stillcal.replay.studies.har.devices import Device
 from stillcal.replay.studies.har.features import FAMILIES
 from stillcal.replay.studies.har.recordings import read_still
 from stillcal.replay.studies.har.scoring import LEARNERS, Labels, Learner, fitted, folds, weighted_f1
 from stillcal.replay.studies.stisen2015.clusters import described
+from stillcal.replay.studies.stisen2015.families import some
 from stillcal.replay.studies.stisen2015.recorded import Kinds, Recorded, record
 
 EACH, FOLDS = 12, 5
@@ -92,6 +93,22 @@ def record_all(windows: Windows, devices: list[Device], seed: int) -> list[Recor
     """Return the windows as each device would have recorded them, all its heterogeneities on."""
     draws = [np.random.default_rng(seed + k) for k in range(len(devices))]
     return [record(windows.accel, d, Kinds(), rng) for d, rng in zip(devices, draws, strict=True)]
+
+
+NINE, DENSE = 9, 16
+"""People of the paper; windows of each on every device where they are as few."""
+
+
+def of_nine(windows: Windows, devices: list[Device], labels: list[int], seed: int) -> Rows:
+    """Return nine people's windows through every device, drawn from all, but for those of lying.
+
+    The paper's nine people lie nowhere; they ride a bicycle, which nobody does here.
+    """
+    rng = np.random.default_rng(seed)
+    people = rng.permutation(windows.people)[:NINE]
+    upright = windows.only(np.isin(windows.person, people)).of(*(a for a in ACTIVITIES if a != "lie"))
+    few = some(upright, DENSE, rng)
+    return gathered(few, devices, labels, [r.samples for r in record_all(few, devices, seed)])
 
 
 def device_clusters(data: Path, devices: list[Device], seed: int) -> list[int]:

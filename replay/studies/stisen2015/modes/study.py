@@ -11,7 +11,7 @@ from stillcal.replay.studies.claim import Evidence, Progress, Study, picture, ta
 from stillcal.replay.studies.drawing import COLOURS, panels, save
 from stillcal.replay.studies.har.data import read_windows, without_recordings
 from stillcal.replay.studies.har.devices import CARRIED, Device, read_devices
-from stillcal.replay.studies.har.features import FAMILIES
+from stillcal.replay.studies.har.features import FAMILIES, frequency_by_axis
 from stillcal.replay.studies.har.scoring import INDEPENDENT, LEARNERS
 from stillcal.replay.studies.stisen2015.families import few_devices, some
 from stillcal.replay.studies.stisen2015.modes.claims import AVERAGES, WORK, averages
@@ -21,13 +21,16 @@ from stillcal.replay.studies.stisen2015.modes.rows import (
     FOLDS,
     device_clusters,
     gathered,
+    of_nine,
     other_windows,
     record_all,
 )
 from stillcal.replay.studies.stisen2015.modes.scores import (
+    DRAWS,
     FIGURE_5,
     FIGURE_12,
     INTRA,
+    Altered,
     Found,
     measure,
     paired,
@@ -48,7 +51,11 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     recorded = record_all(windows, devices, seed)
     labels = device_clusters(data, devices, seed)
     rows = gathered(windows, devices, labels, [r.samples for r in recorded])
-    found = measure(rows, [d.rate_hz for d in devices], seed, progress)
+    everybody = read_windows(data)
+    nine = [of_nine(everybody, devices, labels, seed + k) for k in range(DRAWS)]
+    by_axis = np.concatenate([frequency_by_axis(r.samples) for r in recorded])
+    altered = Altered(nine, replace(rows, features={"frequency": by_axis}), [d.rate_hz for d in devices])
+    found = measure(rows, altered, seed, progress)
     carried = f"{CARRIED.format(len(devices))}, their rates and stamps; {len(windows)} windows on each"
     claims = tuple(
         c if c.evidence is Evidence.NONE else replace(c, data=carried)

@@ -8,6 +8,7 @@ from stillcal.replay.studies.collin2019.mode_sequences import (
     Judged,
     _six,
     among_resting,
+    errors,
     forward,
     judge,
     transitions,
@@ -56,7 +57,7 @@ def test_confusion_at_rest_is_of_windows_judged_wrongly() -> None:
 def test_six_activities_must_be_misjudged_below_a_tenth(
     wrong: float, tilted: float, verdict: Verdict, shown: bool
 ) -> None:
-    claim = _six(judged_wrongly(wrong), judged_wrongly(tilted))
+    claim = _six(errors(judged_wrongly(wrong)), errors(judged_wrongly(tilted)))
     assert claim.verdict is verdict
     assert claim.cause is not None
     assert claim.cause.shown is shown

@@ -78,5 +78,18 @@ def test_real_walkers_are_judged_by_the_template_of_others(data_dir: Path) -> No
 def test_warping_is_an_improvement_where_it_is_off_by_less() -> None:
     cells = [("pocket", "ideal"), ("hand", "ideal"), ("bag", "ideal")]
     less, more = np.array([0.01, -0.01, 0.02]), np.array([0.03, 0.02, -0.02])
-    assert _better(cells, more, less, 14).verdict is Verdict.REPRODUCED
-    assert _better(cells, less, more, 14).verdict is Verdict.DIFFERS
+    strict = np.ones((2, 3)) * [[-0.2], [-0.01]]
+    assert _better(cells, more, less, strict, 14).verdict is Verdict.REPRODUCED
+    assert _better(cells, less, more, strict, 14).verdict is Verdict.DIFFERS
+
+
+@pytest.mark.parametrize(
+    "found, strict, shown", [(0.01, 0.09, True), (0.01, 0.11, False), (-0.02, 0.09, False)]
+)
+def test_nothing_is_to_be_mended_where_no_step_is_lacking(found: float, strict: float, shown: bool) -> None:
+    """By a stricter likeness correlation is off by a fifth; warping has to halve that."""
+    cells = [("pocket", "ideal"), ("hand", "ideal"), ("bag", "ideal")]
+    off = np.ones(3) * [[-0.2], [-strict]]
+    claim = _better(cells, np.full(3, found), np.full(3, 0.03), off, 14)
+    assert claim.verdict is Verdict.DIFFERS
+    assert claim.explained is shown

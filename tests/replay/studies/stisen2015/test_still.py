@@ -101,7 +101,18 @@ def two_sensors(*scatters: tuple[float, float]) -> list[timing_study.BothStamps]
 )
 def test_both_sensors_scatter_more_by_arrival(gyroscope: tuple[float, float], verdict: Verdict) -> None:
     for sensors in (two_sensors((0.9, 1.0), gyroscope), two_sensors(gyroscope, (0.9, 1.0))):
-        assert timing_study._gyro("Gear", *sensors).verdict is verdict
+        assert timing_study._gyro("Gear", *sensors, 16.0).verdict is verdict
+
+
+@pytest.mark.parametrize("arrival, shown", [(1.0, True), (0.8, False)])
+def test_gaps_are_a_cause_where_without_them_arrival_scatters_more(arrival: float, shown: bool) -> None:
+    """Two gaps, which widen creation more than arrival."""
+    wave = np.tile([-1.0, 1.0], 50)
+    made, came = (np.r_[10.0 + a * wave, gap, gap] for a, gap in ((0.9, 200.0), (arrival, 150.0)))
+    sensor = timing_study.both_stamps(timing_study.Intervals(made, came))
+    claim = timing_study._gyro("Gear", sensor, sensor, 16.0)
+    assert claim.verdict is Verdict.DIFFERS
+    assert claim.explained is shown
 
 
 def test_clusters_of_well_separated_groups() -> None:
