@@ -170,7 +170,10 @@ def _numbers(column: Any) -> Array:
 
 
 def _hdf5(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
-    """Return the arrays of an HDF5 file by group, also of MATLAB 7.3, which stores them transposed."""
+    """Return the arrays of an HDF5 file by group, also of MATLAB 7.3, which stores them transposed.
+
+    A table of structured rows is a group of its columns.
+    """
     h5py = library("h5py", "hdf5", stored.path, magic.HDF5)
     file = h5py.File(str(stored.local), "r")
     by_group: dict[str, dict[str, Any]] = {}
@@ -183,6 +186,8 @@ def _hdf5(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
         seen += 1
         if seen > MOST_ARRAYS:
             return True  # ends the visit
+        if isinstance(item, h5py.Dataset) and item.dtype.names is not None and item.nbytes <= MOST_BYTES:
+            by_group.setdefault(name, {}).update(_of_numbers(name, item[()]))
         if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf":
             return None
         group, _, last = name.rpartition("/")
@@ -230,15 +235,27 @@ def _numpy(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
     if sum(info.file_size for info in archive.zip.infolist()) > MOST_BYTES:
         raise TraceError(stored.path, "holds more than 2 GiB of arrays", "save the sensors' arrays alone")
     for name in names:
-        value = archive[name]
-        if value.dtype.kind in "iuf":
-            items[name] = value
-        elif value.dtype.kind == "U" and value.ndim == 0:
+        try:
+            value = archive[name]
+        except ValueError:  # an array of Python objects
+            continue
+        if value.dtype.kind == "U" and value.ndim == 0:
             texts[name] = str(value)
+        items |= _of_numbers(name, value)
     scalars = {k: float(v) for k, v in items.items() if v.size == 1}
     arrays = {k: v for k, v in items.items() if v.size > 1}
     notes = [line for text in texts.values() for line in _firmware(text)]
     return {"": _gathered(arrays, scalars)}, notes
+
+
+def _of_numbers(name: str, value: Any) -> dict[str, Any]:
+    """Return an array of numbers by its name, dates in s; of a structured array its fields, by theirs."""
+    if value.dtype.names is not None:
+        fields = (_of_numbers(field, value[field]) for field in value.dtype.names)
+        return {key: item for found in fields for key, item in found.items()}
+    if value.dtype.kind in "mM":
+        return {name: value.astype(f"{value.dtype.kind}8[ns]").astype(np.int64) / 1e9}
+    return {name: value} if value.dtype.kind in "iuf" else {}
 
 
 def _firmware(text: str) -> Iterator[str]:

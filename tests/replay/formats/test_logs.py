@@ -9,6 +9,7 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -151,9 +152,28 @@ def test_damage_in_a_dataflash_log_is_skipped_and_said(tmp_path: Path) -> None:
 
 
 MAKERS: list[Callable[[Path], Path]] = [npz, mat, hdf5, parquet_file]
+ROWS = np.rec.fromarrays(DATA.T, names="time,ax,ay,az,gx,gy,gz")
 
 
-@pytest.mark.parametrize("make", MAKERS)
+def structured_npz(folder: Path) -> Path:
+    """A table as numpy keeps one, beside an array of Python objects that nobody needs."""
+    np.savez(folder / "walk.npz", imu=ROWS, about=np.array([{"by": "me"}], dtype=object))
+    return folder / "walk.npz"
+
+
+def dated_npz(folder: Path) -> Path:
+    stamps = np.round(DATA[:, 0] * 1e6).astype("datetime64[us]")
+    np.savez(folder / "walk.npz", time=stamps, acc=DATA[:, 1:4], gyr=DATA[:, 4:])
+    return folder / "walk.npz"
+
+
+def structured_hdf5(folder: Path) -> Path:
+    with h5py.File(folder / "walk.h5", "w") as file:
+        file["imu"] = ROWS
+    return folder / "walk.h5"
+
+
+@pytest.mark.parametrize("make", [*MAKERS, structured_npz, dated_npz, structured_hdf5])
 def test_files_of_arrays(tmp_path: Path, make: Callable[[Path], Path]) -> None:
     assert_same(read_all(make(tmp_path)))
 
