@@ -10,7 +10,7 @@ import pytest
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.studies.claim import Cause, Verdict
 from stillcal.replay.studies.collin2019 import bias_prediction, pedestrian_tables
-from stillcal.replay.studies.grammenos2018 import classes, gyroscope_bias, homogeneity
+from stillcal.replay.studies.grammenos2018 import classes, gravity, gyroscope_bias, homogeneity
 from stillcal.replay.studies.grammenos2018.slices import WAYS, Accuracy, Roc
 from stillcal.replay.studies.stisen2015 import biases, washing_machine
 from stillcal.replay.studies.stisen2015.remedies import claims as remedies
@@ -176,3 +176,78 @@ def test_curves_cannot_rise_above_those_of_a_faultless_device(best: float, shown
     cause = classes._roc(rocs, "data").cause
     assert cause is not None
     assert cause.shown is shown
+
+
+@pytest.mark.parametrize("as_printed, shown", [(0.06, True), (0.04, False), (0.94, True), (0.96, False)])
+def test_an_order_is_chance_where_samples_of_people_have_it_both_ways(as_printed: float, shown: bool) -> None:
+    """Of traces that are brought to 0 and 1."""
+    up, walk = {("stairs up", "stairs down"): 0.1}, {("stairs up", "stairs down"): 0.3}
+    other = {("walk", "stairs up"): 0.2, ("walk", "stairs down"): 0.05, ("sit", "stand"): 0.0}
+    drawn = [(up if k < 100 * as_printed else walk) | other for k in range(100)]
+    found = homogeneity.Similar(walk | other, [walk | other], walk | other, drawn)
+    order = homogeneity._similar(found)[1]
+    assert order.verdict is Verdict.DIFFERS
+    assert order.explained is shown
+
+
+@pytest.mark.parametrize("real, shown", [((99.0, 17.0), True), ((99.0, 68.0), False), ((66.0, 17.0), False)])
+def test_real_rests_are_a_cause_where_the_paper_s_ratio_lies_among_theirs(
+    real: tuple[float, float], shown: bool
+) -> None:
+    costs = gravity.Costs(np.ones((3, 2)), np.ones((3, 1)) * (265.0, 1.0), np.ones((3, 2)))
+    claim = gravity._judged(costs, np.array([[ratio, 1.0] for ratio in real]))
+    assert claim.verdict is Verdict.DIFFERS
+    assert claim.explained is shown
+    assert not gravity._judged(costs, np.empty((0, 2))).explained
+
+
+def deviations(values: Array) -> biases.Deviations:
+    """Return deviations of devices with six faces each, as shares of g."""
+    faces, devices = np.array(biases._FACES), [f"d{k}" for k in range(len(values) // 6)]
+    name = np.repeat(devices, 6)
+    return biases.Deviations(biases.G * values, np.tile(faces, len(devices)), name, name)
+
+
+@pytest.mark.parametrize("rare, shown", [(1, True), (39, False)])
+def test_the_range_hangs_on_a_device_that_not_every_choice_has(rare: int, shown: bool) -> None:
+    """Devices from -8 to +7 % of g, and one, or all but one, from -10.3 to +8 %."""
+    values = np.tile([-0.08, 0.07, 0.0, 0.0, 0.0, 0.0], (40, 1))
+    values[:rare, 2:4] = -0.103, 0.08
+    claim = biases._range(deviations(values.ravel()))
+    assert claim.verdict is Verdict.DIFFERS
+    assert claim.explained is shown
+
+
+@pytest.mark.parametrize("flat, shown", [(0.04, True), (0.02, False)])
+def test_two_spreads_are_a_cause_of_what_no_normal_distribution_fits(flat: float, shown: bool) -> None:
+    """Normal on flat faces and on edges, twice as wide on the former; alike, with tails that neither has."""
+    rng = np.random.default_rng(3)
+    faces = rng.normal(size=(60, 6)) * np.array([flat, flat, 0.012, 0.012, 0.012, 0.012])
+    if not shown:
+        faces = 0.02 * rng.standard_t(2, size=(60, 6))
+    claim = biases._gaussian(deviations(faces.ravel()))
+    assert claim.verdict is Verdict.DIFFERS
+    assert claim.explained is shown
+
+
+def test_a_classifier_that_is_not_standardised_is_a_cause_where_it_gains_more_than_each_network() -> None:
+    for gain, shown in ((3.0, True), (1.0, False)):
+        mixed = {(pair, name): accuracy(calibrated_and_filtered=1.0) for pair in classes.PAIRS
+                 for name in classes.LEARNERS}  # fmt: skip
+        plain = Accuracy(
+            np.stack([0.8 + 0.0 * STEADY, 0.8 + 0.01 * gain + 0.001 * STEADY], axis=1), np.ones(2)
+        )
+        claim = classes._svm(mixed | {(pair, "plain"): plain for pair in classes.PAIRS}, "data")
+        assert claim.verdict is Verdict.DIFFERS
+        assert claim.explained is shown
+
+
+@pytest.mark.parametrize("less, verdict", [(0.5, Verdict.REPRODUCED), (-0.5, Verdict.DIFFERS)])
+def test_more_units_do_worse_where_a_pair_gains_less(less: float, verdict: Verdict) -> None:
+    own = {"25": accuracy(calibrated_and_filtered=1.0), "50": accuracy(calibrated_and_filtered=1.0 - less)}
+    own |= {"100": own["25"]}
+    mixed = {(pair, name): found for pair in classes.PAIRS for name, found in own.items()}
+    for units in (25, 100):
+        for how in ("long", "few"):
+            mixed[classes.PAIRS[2], f"{units}, {how}"] = accuracy()
+    assert classes._overfit(mixed, "data").verdict is verdict
