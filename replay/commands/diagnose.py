@@ -320,17 +320,18 @@ def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
 
 def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -> Recording:
     """Read a recording, of a long one only what is needed unless it is wanted `whole`."""
-    stage = f"reading {path.name}"
+    name = path.name if reading.sensor is None else f"{path.name}, sensor {reading.sensor}"
+    stage = f"reading {name}"
     show_stage(stage, 0.0)
+    trace = reading.open(path)
     if whole:
-        return reading.read(path)
-    return read_condensed(reading.open(path), path, lambda done: show_stage(stage, done))
+        return trace.recording(trace.name_of(path), lambda done: show_stage(stage, done))
+    return read_condensed(trace, path, lambda done: show_stage(stage, done))
 
 
 def _witness(path: Path, sensor: str | None, show_stage: ShowStage) -> Recording:
-    name = path.name if sensor is None else f"{path.name}, sensor {sensor}"
-    show_stage(f"reading {name}", 0.0)
-    return replace(Reading(sensor=sensor).read(path), name=name)
+    recording = _read(Reading(sensor=sensor), path, show_stage, whole=True)
+    return recording if sensor is None else replace(recording, name=f"{path.name}, sensor {sensor}")
 
 
 def _loaded(name: str) -> Phone:

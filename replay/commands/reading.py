@@ -14,7 +14,7 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.replay.formats.daemon_state import is_daemon_state, kept_rests
 from stillcal.replay.formats.recognition.opened import is_rest_table
 from stillcal.replay.formats.rest_table import read_rest_table
-from stillcal.replay.formats.trace import Recording, Trace, open_trace, read_all
+from stillcal.replay.formats.trace import Trace, open_trace
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -32,10 +32,6 @@ class Reading:
     def open(self, trace: Path) -> Trace:
         """Open a recording of samples. Raises TraceError."""
         return open_trace(trace, self.format, self.gyro, sensor=self.sensor, start=self.start, stop=self.stop)
-
-    def read(self, trace: Path) -> Recording:
-        """Read a recording of samples whole. Raises TraceError."""
-        return read_all(trace, self.format, self.gyro, sensor=self.sensor, start=self.start, stop=self.stop)
 
     def is_rest_table(self, trace: Path) -> bool:
         """Whether the file is a rest table, or holds rests as a daemon's state does. Raises TraceError."""

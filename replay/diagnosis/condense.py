@@ -13,7 +13,6 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.kept_samples import chosen, of_samples
 from stillcal.calib_core.diagnosis.segments.overview import Overview, OverviewBuilder
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.formats.sources import STANDARD_INPUT
 from stillcal.replay.formats.trace import Event, Recording, Trace, whole
 
 Flags = NDArray[np.bool_]
@@ -125,7 +124,6 @@ def read_condensed(trace: Trace, path: Path, progress: Callable[[float], None] |
 
     path: as it was asked for; the recording is called so. progress: is called with the share that is read.
     """
-    name = trace.path.name if str(path) == STANDARD_INPUT else path.name
     condenser = Condenser()
     events: list[Event] = []
     for chunk in trace.chunks(BLOCK):
@@ -135,7 +133,9 @@ def read_condensed(trace: Trace, path: Path, progress: Callable[[float], None] |
             progress(trace.bytes_read / max(trace.size_bytes, 1))
     none = Samples.empty(Sensor.ACCELEROMETER)
     gyroscope = Samples.empty(Sensor.GYROSCOPE) if trace.has_gyroscope else None
-    return condenser.recording(Recording(none, gyroscope, events, trace.claims, trace.notes, name))
+    return condenser.recording(
+        Recording(none, gyroscope, events, trace.claims, trace.notes, trace.name_of(path))
+    )
 
 
 def condensed(recording: Recording) -> Recording:

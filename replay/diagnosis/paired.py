@@ -82,14 +82,16 @@ def _judged(
     witnessed: bool = False,
     show_stage: ShowStage,
 ) -> Judged:
-    show_stage("comparing the readings of one motion", 0.0)
+    stage = "comparing the readings of one motion"
+    show_stage(stage, 0.0)
     true = mean_readings(recording, others)
     mismatch = MISMATCH if witnessed else 0.0
     bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), mismatch)
-    exam = examined_in_pair(recorded, bins, scenes, direct)
+    exam = examined_in_pair(recorded, bins, scenes, direct, lambda done: show_stage(stage, done))
     before = compare_in_pair(exam, constants=not witnessed)
     fit = Fit.of(before, before)
     if before.discrepancies:
+        show_stage("comparing again, without what was found", 0.0)
         after, left_out = without_found(exam, before, constants=not witnessed)
         fit = Fit.of(before, after, left_out)
     answer = answer_of(before, names, fit, {}, bins.temperature)

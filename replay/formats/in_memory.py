@@ -126,10 +126,7 @@ def _by_names(columns: Mapping[str, Any], name: str, sensor: str | None) -> Reco
         listed = ", ".join(list(columns)[:12]) or "it has none"
         what = f"no accelerometer found in its columns ({listed})"
         raise TraceError(name, what, "name them t, ax, ay, az (s, m/s^2) and gx, gy, gz (rad/s)")
-    trace = Trace(Log(Path(name), "table", sensors), sensor)
-    chunks = list(trace.chunks())
-    gyroscope = whole([c.gyroscope for c in chunks]) if trace.has_gyroscope else None
-    return Recording(whole([c.accelerometer for c in chunks]), gyroscope, [], Claims(), trace.notes, name)
+    return Trace(Log(Path(name), "table", sensors), sensor).recording(name)
 
 
 def part_of(recording: Recording, start: float | None, stop: float | None) -> Recording:

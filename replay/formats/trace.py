@@ -6,7 +6,7 @@ together: two files into one run of time, events beside samples, first checks of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -211,6 +211,21 @@ class Trace:
         late = () if self._cut.stop is not None else tuple(events)
         yield Chunk(last.accelerometer, last.gyroscope, last.events + late)
 
+    def recording(self, name: str, progress: Callable[[float], None] = lambda _share: None) -> Recording:
+        """Read all of it into memory. progress: is called with the share that is read. Raises TraceError."""
+        chunks = []
+        for chunk in self.chunks():
+            chunks.append(chunk)
+            progress(self.bytes_read / max(self.size_bytes, 1))
+        gyroscope = whole([c.gyroscope for c in chunks]) if self.has_gyroscope else None
+        accelerometer = whole([c.accelerometer for c in chunks])
+        events = [event for chunk in chunks for event in chunk.events]
+        return Recording(accelerometer, gyroscope, events, self.claims, self.notes, name)
+
+    def name_of(self, asked: Path | str) -> str:
+        """Return what the recording is called in results: as its file, or as the sample asked for."""
+        return self.path.name if str(asked) == STANDARD_INPUT else Path(asked).name
+
 
 def open_trace(
     path: Path | str,
@@ -247,12 +262,7 @@ def read_all(
     It is called as its file, or as the sample that was asked for.
     """
     trace = open_trace(path, format, gyro, sensor=sensor, start=start, stop=stop)
-    chunks = list(trace.chunks())
-    gyroscope = whole([c.gyroscope for c in chunks]) if trace.has_gyroscope else None
-    accelerometer = whole([c.accelerometer for c in chunks])
-    events = [event for chunk in chunks for event in chunk.events]
-    name = trace.path.name if str(path) == STANDARD_INPUT else Path(path).name
-    return Recording(accelerometer, gyroscope, events, trace.claims, trace.notes, name)
+    return trace.recording(trace.name_of(path))
 
 
 def whole(runs: Sequence[Samples]) -> Samples:

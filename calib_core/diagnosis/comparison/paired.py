@@ -8,7 +8,7 @@ with what it found.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -116,10 +116,20 @@ def _views(bins: Bins, left: Array, variance: Array, true: Array) -> tuple[View,
 
 
 def examined_in_pair(
-    exam: Examination, bins: Bins, scenes: Sequence[Scene], direct: Sequence[Stated]
+    exam: Examination,
+    bins: Bins,
+    scenes: Sequence[Scene],
+    direct: Sequence[Stated],
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> Examination:
-    """Return an examination whose slow effects are those of the pair. direct: what single samples show."""
-    slow = [s for scene in scenes for s in slow_statements(scene)]
+    """Return an examination whose slow effects are those of the pair. direct: what single samples show.
+
+    progress: is called with the share of the scenes that is searched.
+    """
+    slow: list[Stated] = []
+    for done, scene in enumerate(scenes, start=1):
+        slow += slow_statements(scene)
+        progress(done / len(scenes))
     return replace(exam, bins=bins, scenes=list(scenes), turns=None, statements=[*direct, *slow])
 
 

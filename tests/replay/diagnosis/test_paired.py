@@ -63,7 +63,15 @@ def recording(
 
 def test_what_a_paired_simulation_lacks_is_found_though_nothing_is_at_rest() -> None:
     bias = np.array([0.05, 0.0, 0.0])
-    said = judge_paired(recording(1, slope=SLOPE, bias=bias), recording(2, name="sim.csv", noise=0.0)).answer
+    shown: list[tuple[str, float]] = []
+    said = judge_paired(
+        recording(1, slope=SLOPE, bias=bias),
+        recording(2, name="sim.csv", noise=0.0),
+        lambda stage, done: shown.append((stage, done)),
+    ).answer
+    pair = "comparing the readings of one motion"
+    assert [done for stage, done in shown if stage == pair] == [0.0, 0.5, 1.0]
+    assert shown[-1][0] == "comparing again, without what was found"
     found = {f["effect"]: f for f in said["findings"]}
     assert set(found) == {"accel_bias", "gyro_bias_temperature"}
     assert {f["relation"] for f in found.values()} == {"lacking"}
