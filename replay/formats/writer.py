@@ -21,7 +21,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.daemon.store.atomic import led_to
+from stillcal.daemon.store.atomic import led_to, write_atomically
 from stillcal.replay.formats.claims import Claims, Event, beside, event_line
 from stillcal.replay.formats.errors import TraceError
 
@@ -61,7 +61,7 @@ class TraceWriter:
         self._side_files = side_files
         self._events: list[Event] = []
         self._target = led_to(self.path)
-        self._temporary = _hidden(self._target)
+        self._temporary = self._target.with_name(f".{self._target.name}.{os.getpid()}.part")
         self._file: BinaryIO | None = None
         self._stream: BinaryIO | io.BufferedIOBase | None = None
 
@@ -168,11 +168,11 @@ class TraceWriter:
     def _write_side_files(self) -> None:
         events = beside(self.path, ".events.jsonl")
         if self._events:
-            _write_beside(events, b"".join(map(event_line, self._events)))
+            write_atomically(events, b"".join(map(event_line, self._events)))
         else:
             events.unlink(missing_ok=True)
         if self._claims is not None:
-            _write_beside(beside(self.path, ".json"), msgspec.json.encode(self._claims.without_counts()))
+            write_atomically(beside(self.path, ".json"), msgspec.json.encode(self._claims.without_counts()))
 
     def _discard(self) -> None:
         with contextlib.suppress(OSError):
@@ -198,17 +198,3 @@ class StandardOutputWriter(TraceWriter):
 
     def _discard(self) -> None:
         self._stream = None
-
-
-def _hidden(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.part")
-
-
-def _write_beside(path: Path, data: bytes) -> None:
-    target = led_to(path)
-    temporary = _hidden(target)
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
