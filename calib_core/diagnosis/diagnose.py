@@ -178,7 +178,7 @@ def _refuse_too_little(accelerometer: Samples) -> None:
         )
     span = float(accelerometer.t[-1] - accelerometer.t[0])
     if span < LEAST_SECONDS:
-        raise NotSupported(f"{span:.1f} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))
+        raise NotSupported(f"{span:.4g} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))
 
 
 def _without_delay(stated: list[Stated], gravity: float) -> list[Stated]:

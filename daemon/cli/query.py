@@ -168,7 +168,7 @@ def _exit_with_error(error: str, parameters: dict[str, Any], where: Path, method
         method = parameters.get("method", "")
         raise click.UsageError(printable(f"no method {method}: `stillcal query --help` lists the methods"))
     if name == "InvalidParameter" and (shape := _shape(where, method)):
-        what = f"{parameters.get('parameter', 'a parameter')} is not as {method} takes it: {shape}"
+        what = f"{parameters.get('parameter', 'a parameter')} does not fit: {shape}"
         raise click.UsageError(printable(f"{what}; what has a ? may be left out"))
     missing = ", ".join(parameters.get("missing") or [])
     facts = [str(parameters.get("reason") or ""), f"needed: {missing}" if missing else ""]

@@ -23,9 +23,8 @@ static int show(const char *reply) {
         exit(1);
     }
     const char *rows = strstr(reply, "\"samples\":[[");
-    const char *name = "uncalibrated";
-    if (strstr(reply, "\"calibrated\":true"))
-        name = strstr(reply, "\"sensor\":\"gyroscope\"") ? "gyroscope" : "accelerometer";
+    const char *raw = strstr(reply, "\"calibrated\":true") ? "" : "raw_";
+    const char *name = strstr(reply, "\"sensor\":\"gyroscope\"") ? "gyroscope" : "accelerometer";
     if (rows) {
         const char *at = rows + strlen("\"samples\":[");
         while (*at == '[') {
@@ -35,7 +34,7 @@ static int show(const char *reply) {
                 v[i] = strtod(at + 1, &end);
                 at = end; /* at the comma, or at the row's bracket */
             }
-            printf("%s %.17g %.17g %.17g %.17g\n", name, v[0], v[1], v[2], v[3]);
+            printf("%s%s %.17g %.17g %.17g %.17g\n", raw, name, v[0], v[1], v[2], v[3]);
             at += at[1] == ',' ? 2 : 1; /* over "]," or "]" */
         }
     } else {

@@ -20,6 +20,7 @@ line.on("data", (data) => {
     unread = unread.subarray(end + 1);
   }
 });
+process.stdout.on("error", () => process.exit(0)); // what is printed is no longer read
 line.on("error", (error) => {
   console.error(error.message);
   process.exitCode = 1;
@@ -41,7 +42,7 @@ function show(reply) {
   }
   const block = reply.parameters.block;
   if (block.notice) console.error(block.notice);
-  const name = block.calibrated ? block.sensor : "uncalibrated";
+  const name = block.calibrated ? block.sensor : "raw_" + block.sensor;
   for (const row of block.samples || []) console.log(name, ...row.map(String));
   complete = !reply.continues;
 }

@@ -6,6 +6,7 @@ Python's own library is enough. Varlink is JSON with a zero byte after each mess
 """
 
 import json
+import signal
 import socket
 import sys
 
@@ -22,9 +23,12 @@ def show(block):
     if "notice" in block:
         print(block["notice"], file=sys.stderr)
     for row in block.get("samples", []):
-        print(block["sensor"] if block["calibrated"] else "uncalibrated", *map(repr, row), flush=True)
+        print(
+            block["sensor"] if block["calibrated"] else f"raw_{block['sensor']}", *map(repr, row), flush=True
+        )
 
 
+signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # end quietly where what is printed is no longer read
 address = sys.argv[1] if len(sys.argv) > 1 else "/run/stillcal/io.stillcal.Calibration"
 with socket.socket(socket.AF_UNIX) as line:
     line.connect(address)

@@ -40,7 +40,7 @@ def test_arguments_are_names_with_values_json_or_standard_input(folder: Path, ma
                 assert (said.returncode, len(said.stderr.splitlines())) == (2, 1), said.stderr
             for wrong in ("limit=many", "limt=1", "limit=-1"):
                 said = await query("GetHistory", wrong)
-                expected = f"{wrong.split('=')[0]} is not as GetHistory takes it: GetHistory(limit: ?int)"
+                expected = f"{wrong.split('=')[0]} does not fit: GetHistory(limit: ?int)"
                 assert (said.returncode, expected in said.stderr) == (2, True), said.stderr
 
     within_reason(test())
