@@ -1,8 +1,8 @@
 """Checks whether a recording can be in m/s^2 and rad/s, and names the unit it seems to have if not.
 
 Acceleration is judged by its norm: for the first samples together it must not be what g, mg or raw
-counts would give. Rates are judged by gravity: as the phone turns, gravity's direction turns against it,
-so the factor between the rates and the turning shows the unit.
+counts would give, and at rest it must hold gravity. Rates are judged by gravity: as the phone turns,
+gravity's direction turns against it, so the factor between the rates and the turning shows the unit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,19 @@ FEWEST = 10
 """With fewer samples, nothing is checked."""
 
 _NO_GRAVITY = 2.0
-"""m/s^2: where nearly all of the first samples are smaller, there is no gravity in them."""
+"""m/s^2, rms over a second: a smaller force holds no gravity."""
+
+_CALM = 0.5
+"""m/s^2, rms about the mean of a second: what shakes less is at rest, on a table or in a vehicle."""
+
+_TURNING = 0.2
+"""rad/s, mean of a second: what turns faster may be falling. A gyroscope's bias is less."""
+
+_LONGEST_FALL = 3.0
+"""s: nobody drops a phone by 44 m."""
+
+_MOSTLY = 9.0
+"""Times longer without gravity at rest than with it: a flight in parabolas is not."""
 
 DEGREE = float(np.pi / 180)
 """rad."""
@@ -59,6 +71,10 @@ class UnitCheck:
     _samples: int = 0
     _votes: Counter[str] = field(default_factory=Counter)
     _settled: bool = False
+    _without: list[float] = field(default_factory=list)
+    """Rms force, m/s^2, of every second at rest that holds no gravity."""
+    _with_gravity: int = 0
+    """Seconds at rest that hold it."""
 
     def see(self, accelerometer: Samples, gyroscope: Samples) -> None:
         """Take in the next stretch of the recording. Raises TraceError."""
@@ -70,24 +86,43 @@ class UnitCheck:
         if before < OPENING <= self._samples:
             self._judge_size(np.concatenate(self._norms)[:OPENING])
         if before < ENOUGH <= self._samples:
-            self.finish()
+            self._judge_opening()
+        self._see_gravity(accelerometer, gyroscope)
         if not self._settled:
             self._votes.update(map(shown_unit, turnings(accelerometer, gyroscope)))
             self._judge_rates()
 
     def finish(self) -> None:
-        """Check the acceleration by the samples so far; a second call does nothing. Raises TraceError."""
+        """Check the acceleration by all samples; a second call does nothing. Raises TraceError."""
+        self._judge_opening()
+        seconds = len(self._without)
+        if seconds > max(_LONGEST_FALL, _MOSTLY * self._with_gravity):
+            size = float(np.median(self._without))
+            what = f"the acceleration is about {size:.4g} in size at rest: gravity was taken out of it"
+            raise TraceError(self.path, what, "give the accelerometer with gravity")
+
+    def _judge_opening(self) -> None:
+        """Check the first samples so far, once."""
         if self._norms and self._samples >= FEWEST:
             norms = np.concatenate(self._norms)[:ENOUGH]
             if not norms.any():
                 what = f"the accelerometer reads zero in all of the first {norms.size} samples"
                 raise TraceError(self.path, what, "check that it was on and that the columns are its own")
             self._judge_size(norms)
-            middle, high = np.quantile(norms, (0.5, 0.95))
-            if high < _NO_GRAVITY:
-                what = f"the acceleration is about {middle:.4g} in size: gravity was taken out of it"
-                raise TraceError(self.path, what, "give the accelerometer with gravity")
         self._norms = []
+
+    def _see_gravity(self, accelerometer: Samples, gyroscope: Samples) -> None:
+        """Count the seconds at rest with and without gravity; those that a chunk begins or ends in too."""
+        second, mean, power = _seconds(accelerometer)
+        turning = np.zeros(second.size, dtype=np.bool_)
+        if len(gyroscope):
+            at, rate, _ = _seconds(gyroscope)
+            turning = np.isin(second, at[np.linalg.norm(rate, axis=1) > _TURNING])
+        size = np.sqrt(power)
+        calm = power - (mean**2).sum(axis=1) < _CALM**2
+        held = size >= _NO_GRAVITY
+        self._without += size[~held & ~turning].tolist()
+        self._with_gravity += int(np.count_nonzero(held & calm))
 
     def _judge_time(self, t: Array) -> None:
         """Refuse stamps that cannot be seconds: of a sensor that gives less than a sample a second."""
@@ -132,3 +167,14 @@ def shown_unit(turning: Turning) -> str:
     if degrees > max(_CLEARLY * as_stated, least):
         return "as stated"
     return "silent" if max(as_stated, degrees) < least else "unclear"
+
+
+def _seconds(samples: Samples) -> tuple[Array, Array, Array]:
+    """Return the seconds (n,) that samples lie in, their means (n, 3) and their norms' mean squares (n,)."""
+    whole = np.floor(samples.t)
+    starts = np.flatnonzero(np.diff(whole, prepend=np.nan) != 0.0)
+    count = np.diff(starts, append=len(samples))
+    mean = np.add.reduceat(samples.xyz, starts) / count[:, None] if len(samples) else np.empty((0, 3))
+    square = (samples.xyz**2).sum(axis=1)
+    power = np.add.reduceat(square, starts) / count if len(samples) else np.empty(0)
+    return whole[starts], mean, power

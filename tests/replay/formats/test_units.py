@@ -135,3 +135,25 @@ def test_a_turntable_about_the_vertical_raises_no_alarm(tmp_path: Path) -> None:
     rows = phone("still", 3000)
     rows[500:, 6] += 3.5
     assert taken_as_given(tmp_path / "r.csv", rows)
+
+
+@pytest.mark.parametrize("scene", ["still", "walking"])
+def test_an_accelerometer_without_gravity_is_refused_wherever_it_rests(tmp_path: Path, scene: str) -> None:
+    """It rests in one attitude at (0, 0, 0), or is first shaken for longer than the opening."""
+    rows = phone("still")
+    rows[:, 1:4] -= [0.2, 0.2, 10.01]
+    if scene == "walking":
+        rows[:2500, 1:4] += 5.0 * np.sin(2 * np.pi * 1.8 * rows[:2500, :1])
+    with pytest.raises(TraceError, match="at rest: gravity was taken out"):
+        read(tmp_path / "r.csv", rows)
+
+
+def test_free_fall_and_shaking_without_rests_are_read(tmp_path: Path) -> None:
+    falling, shaken = phone("turning"), phone("still")
+    falling[:, 1:4] = 0.01
+    assert taken_as_given(tmp_path / "falling.csv", falling)
+    shaken[:, 1:4] += 20.0 * np.sin(2 * np.pi * 1.3 * shaken[:, :1]) - [0.2, 0.2, 10.01]
+    assert taken_as_given(tmp_path / "shaken.csv", shaken)
+    dropped = phone("still", 1000)
+    dropped[200:499, 1:4] -= [0.2, 0.2, 10.01]
+    assert taken_as_given(tmp_path / "dropped.csv", dropped)
