@@ -214,6 +214,32 @@ def with_updated_bias(record: CalibrationRecord, recent: Pool, t: float) -> Cali
     return replace(record, gyroscope=part, acceptance=Acceptance(how="zeroing", reason=reason))
 
 
+def inherit_scale(old: CalibrationRecord | None, new: CalibrationRecord) -> CalibrationRecord:
+    """Return a new calibration with the gyroscope's scale of the old one, where that knows more of it.
+
+    Rotation segments come seldom and are forgotten in time. Where those at hand do not show a scale any more,
+    the one measured earlier is better than none.
+    """
+    known = None if old is None else old.gyroscope
+    part = new.gyroscope
+    if known is None or part is None or known.parameters <= part.parameters:
+        return new
+    covariance = known.covariance
+    if covariance is not None and part.covariance is not None and covariance.shape == (12, 12):
+        kept = np.array(covariance)
+        kept[9:, 9:] = part.covariance[9:, 9:]
+        covariance = frozen(kept)
+    scaled = replace(
+        known,
+        bias=part.bias,
+        covariance=covariance,
+        n_rests=part.n_rests,
+        rotation_admitted=part.rotation_admitted,
+        zeroed_at=part.zeroed_at,
+    )
+    return replace(new, gyroscope=scaled)
+
+
 def fit_gyroscope(
     pool: Pool, accel: SensorModel, gravity: float, settings: GyroscopeSettings
 ) -> GyroscopeFit | None:

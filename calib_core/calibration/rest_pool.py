@@ -33,8 +33,9 @@ class PoolSettings:
 
     attitude_angle: rad, two rests whose directions of gravity are within this angle share an attitude.
     rests_per_attitude, attitudes, turns: how many rests, attitudes and rotation segments are kept.
-    max_age_s: s after which a rest is too old. place_reach_s: s before the first known place within which
-    rests are taken to come from there.
+    max_age_s: s after which a rest is too old. turns_max_age_s: s after which a rotation segment is: a
+    gyroscope's scale keeps longer than a bias, and turns that show it come seldom. place_reach_s: s before
+    the first known place within which rests are taken to come from there.
     """
 
     attitude_angle: float = ATTITUDE_ANGLE
@@ -42,6 +43,7 @@ class PoolSettings:
     attitudes: int = 96
     turns: int = 64
     max_age_s: float = 14 * 86400.0
+    turns_max_age_s: float = 91 * 86400.0
     place_reach_s: float = 86400.0
 
     def __post_init__(self) -> None:
@@ -50,7 +52,7 @@ class PoolSettings:
         for name in ("rests_per_attitude", "attitudes", "turns"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be 1 or more")
-        for name in ("max_age_s", "place_reach_s"):
+        for name in ("max_age_s", "turns_max_age_s", "place_reach_s"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be positive")
 
@@ -130,9 +132,9 @@ class AttitudeIndex:
     def with_rest(self, pool: Pool, held: HeldRest) -> Pool:
         """Return the pool with one rest more, thinned back to its bounds.
 
-        Rests that are too old are dropped first, then the least certain rests of an attitude that has too
-        many, then the oldest attitudes. The newest rest of an attitude always stays, because the next check
-        is made with it.
+        Rests and rotation segments that are too old are dropped first, then the least certain rests of an
+        attitude that has too many, then the oldest attitudes. The newest rest of an attitude always stays,
+        because the next check is made with it.
         """
         if pool.held is not self._held:
             self._rebuild(pool.held)
@@ -140,7 +142,9 @@ class AttitudeIndex:
         self._keep_only(self._ends[-1] - self._ends <= self._settings.max_age_s)
         if len(self._held) > self._settings.rests_per_attitude:
             self._keep_only(self._within_bounds())
-        return replace(pool, held=self._held)
+        oldest = self._ends[-1] - self._settings.turns_max_age_s
+        turns = tuple(segment for segment in pool.turns if segment.t_end >= oldest)
+        return replace(pool, held=self._held, turns=turns)
 
     def attitudes(self, pool: Pool) -> int:
         """Return the number of distinct attitudes in the pool."""

@@ -20,6 +20,7 @@ from stillcal.calib_core.calibration.candidate import (
     CalibrateSettings,
     Candidate,
     fit_candidate,
+    inherit_scale,
     with_updated_bias,
 )
 from stillcal.calib_core.calibration.constancy import LateChange, Shape, find_late_change
@@ -114,7 +115,7 @@ def fit_and_decide(task: FitTask) -> FitOutcome:
     if other_phone:
         record = _remarked(record, "bias and scale are as another phone's: no term of the old one is kept")
     else:
-        record = inherit_rotation(task.current, record)
+        record = inherit_scale(task.current, inherit_rotation(task.current, record))
     if since is not None and not task.degraded:
         record = _remarked(record, f"the sensor changed: only its rests from {since:.0f} s on are used")
     if (unseen := _unseen(task)) is not None:

@@ -1,10 +1,10 @@
-"""What a record says of the gyroscope's bias after zeroing."""
+"""What a record says of the gyroscope: its bias after zeroing, and a scale that it inherits."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from stillcal.calib_core.calibration.candidate import with_updated_bias
+from stillcal.calib_core.calibration.candidate import inherit_scale, with_updated_bias
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.gravity import Gravity
@@ -62,3 +62,27 @@ def test_a_rest_without_rates_zeroes_nothing() -> None:
     )
     known = GyroscopeRecord(scale=np.eye(3), bias=np.zeros(3), parameters=3)
     assert with_updated_bias(CalibrationRecord(gyroscope=known), Pool((bare,)), 1.0) is None
+
+
+def test_a_scale_that_no_turn_shows_any_more_is_inherited_with_the_new_bias() -> None:
+    def record(scale: np.ndarray, bias: float, parameters: int) -> CalibrationRecord:
+        covariance = np.diag(np.r_[np.full(9, float(parameters)), np.full(3, bias)])
+        return CalibrationRecord(
+            gyroscope=GyroscopeRecord(
+                scale=scale,
+                bias=np.full(3, bias),
+                parameters=parameters,
+                covariance=covariance,
+                zeroed_at=bias,
+            )
+        )
+
+    old, new = record(np.diag([1.01, 1.02, 1.03]), 0.1, 12), record(np.eye(3), 0.2, 3)
+    kept = inherit_scale(old, new).gyroscope
+    assert kept is not None and kept.covariance is not None
+    assert np.diag(kept.scale).tolist() == [1.01, 1.02, 1.03] and kept.parameters == 12
+    assert kept.bias.tolist() == [0.2] * 3 and kept.zeroed_at == 0.2
+    assert np.diag(kept.covariance).tolist() == [12.0] * 9 + [0.2] * 3
+    for knows_no_more in (None, new, record(np.eye(3), 0.3, 6)):
+        again = record(2.0 * np.eye(3), 0.4, 6)
+        assert inherit_scale(knows_no_more, again) is again

@@ -9,6 +9,7 @@ import pytest
 
 from stillcal.calib_core.calibration.rest_pool import AttitudeIndex, HeldRest, Pool, PoolSettings
 from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.static.rest import RestState
 
 
@@ -48,6 +49,21 @@ def test_old_rests_and_the_oldest_attitudes_go() -> None:
     assert len(pool.attitudes(settings)) <= 20
     assert pool.held[-1].rest.t_end - pool.held[0].rest.t_end <= 5000
     assert pool.held[-1].rest.t_start == 29900.0
+
+
+def test_rotation_segments_outlive_rests_and_end_too() -> None:
+    """A year of turns, one a week: those of the last 91 days stay, whether new ones come or not."""
+    settings, week = PoolSettings(), 7 * 86400.0
+    pool, index = Pool(), AttitudeIndex(settings)
+    for number in range(52):
+        before, after = (rest(np.eye(3)[axis], number * week + 20.0 * axis) for axis in (0, 2))
+        t = number * week + np.linspace(9.0, 41.0, 5)
+        pool = pool.with_segment(RotationSegment(before.rest, after.rest, t, np.zeros((5, 3))), settings)
+        pool = index.with_rest(index.with_rest(pool, before), after)
+    assert [round(s.t_start // week) for s in pool.turns] == list(range(51 - 12, 52))
+    assert len(pool.held) < 7  # of the last 14 days
+    late = rest(np.eye(3)[2], 51 * week + 100 * 86400.0)
+    assert index.with_rest(pool, late).turns == ()
 
 
 def test_an_index_kept_up_to_date_groups_as_a_new_one() -> None:

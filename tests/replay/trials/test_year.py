@@ -10,23 +10,37 @@ import pytest
 from stillcal.replay.trials.year.__main__ import JUDGED, MIDNIGHT, SELDOM, growth, live
 from stillcal.replay.trials.year.phone import YearPhone
 
+RNG = np.random.default_rng(4)
+UNEVEN = RNG.integers(50, 60, 364)
+"""A figure that goes up and down by a fifth for a year."""
 
-def midnights(memory: list[int]) -> np.ndarray:
+
+def midnights(memory: np.ndarray) -> np.ndarray:
     return np.array([(day, size, 14, 3, 1000, 2000, 500, 8) for day, size in enumerate(memory)], MIDNIGHT)
+
+
+def with_peaks(days: np.ndarray) -> np.ndarray:
+    return np.where(np.isin(np.arange(364), days), 2 * UNEVEN, UNEVEN)
 
 
 @pytest.mark.parametrize(
     ("memory", "flat"),
-    [([50, 60, 55, 60, 55, 60, 55, 60], True), ([50, 60, 60, 60, 60, 60, 64, 64], False)],
+    [
+        (UNEVEN, True),
+        (with_peaks(RNG.choice(np.arange(273, 364), 10, replace=False)), True),
+        (UNEVEN + np.arange(364) // 40, False),  # a little every day
+        (UNEVEN + np.clip(np.arange(364) - 334, 0, None), False),  # a leak in the last 30 days
+        (np.minimum(2 * UNEVEN, 60 + np.arange(364)), True),  # full after two months
+    ],
 )
-def test_growth_is_the_last_quarter_against_the_second(memory: list[int], flat: bool) -> None:
+def test_what_grows_is_told_from_what_goes_up_and_down(memory: np.ndarray, flat: bool) -> None:
     found = {g.name: g.flat for g in growth(midnights(memory))}
     assert found == {name: flat if name == "memory" else True for name in JUDGED}
 
 
 def test_three_days_have_no_quarters() -> None:
     with pytest.raises(ValueError, match="four are needed"):
-        growth(midnights([1, 2, 3]))
+        growth(midnights(np.array([1, 2, 3])))
 
 
 @pytest.mark.slow
