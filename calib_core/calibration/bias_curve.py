@@ -143,7 +143,7 @@ def learn_accelerometer(
     towards = -up @ model.scale
     by_scale = [up[:, a] * shifted[:, b] + (up[:, b] * shifted[:, a] if a != b else 0.0) for a, b in _PAIRS]
     level = np.column_stack((towards, *by_scale))
-    level_sd = np.array([_FORCE_SPREAD] * 3 + [_SCALE_SPREAD] * 6)
+    level_sd = _level_spread(record)
     sd = np.linalg.norm(towards * memory.force_sd, axis=1)
     value = (memory.gravity - norm)[:, None]
     seen = Observations(memory.t, memory.celsius, value, sd, level, level_sd, towards)
@@ -156,6 +156,18 @@ def learn_accelerometer(
 _RATE_SPREAD, _FORCE_SPREAD, _SCALE_SPREAD = 0.05, 0.1, 0.01
 """Standard deviations before any rest: of the bias about the rests' median, rad/s, and of a fit that knows
 nothing of temperature from the true bias, m/s^2, and scale."""
+
+
+def _level_spread(record: CalibrationRecord | None) -> Array:
+    """Return how far the parameters of a calibration in use may be off, (9,), bias first.
+
+    One that a prior entered is known badly along some directions, and says so.
+    """
+    usual = np.array([_FORCE_SPREAD] * 3 + [_SCALE_SPREAD] * 6)
+    part = None if record is None else record.accelerometer
+    if part is None or not part.with_prior or part.covariance is None:
+        return usual
+    return np.asarray(np.maximum(usual, np.sqrt(np.diag(part.covariance))))
 
 
 def _learn(
@@ -261,7 +273,7 @@ def _with_lag(seen: Observations, lagged: Array, lag_s: float, slope: float) -> 
     late = lagged[:, LAGS_S.index(lag_s)]
     behind = (late - seen.celsius)[np.isfinite(late)]
     more = slope * float(np.sqrt(np.mean(behind**2))) if behind.size else 0.0
-    return replace(seen, celsius=own, sd=np.where(np.isfinite(late), seen.sd, np.hypot(seen.sd, more)))
+    return replace(seen, celsius=own).wider(np.where(np.isfinite(late), 0.0, more))
 
 
 def _wider(seen: Observations, term: Term | None) -> Observations:
@@ -270,7 +282,7 @@ def _wider(seen: Observations, term: Term | None) -> Observations:
     if term is None or not missing.any():
         return seen
     rise = float(np.ptp(polynomial(term, seen.celsius[~missing]), axis=0).max())
-    return replace(seen, sd=np.where(missing, np.hypot(seen.sd, 0.5 * rise), seen.sd))
+    return seen.wider(np.where(missing, 0.5 * rise, 0.0))
 
 
 def _without_temperature(
@@ -321,7 +333,7 @@ def _change(
     is gained at the uncertainty stated without the curve. Whether one is dropped is judged by squared errors,
     because a curve that often fails badly may be the better one in all other hours.
     """
-    own = seen.sd[1:, None] ** 2 + curved.wander.white**2
+    own = seen.variances(curved.wander)[1:, None]
     errors = [fit.errors[1:] ** 2 for fit in (without, curved)]
     gains = np.log((errors[0] + own) / (errors[1] + own)).sum(axis=1)
     _, block = np.unique(np.floor(seen.t[1:] / BLOCK_S), return_inverse=True)

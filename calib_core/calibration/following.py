@@ -126,7 +126,8 @@ def _accepted(
     _, block = np.unique(np.floor(learnt.t[held_out] / BLOCK_S), return_inverse=True)
     by_hour: Array = np.bincount(block, gains).astype(np.float64) if gains.size else np.zeros(0)
     doubtless = beyond_doubt(by_hour)
-    if by_hour.size < settings.held_out_rests and not doubtless:
+    enough = by_hour.size >= settings.held_out_rests or part.with_prior
+    if not enough and not doubtless:
         return "", {}
     rms_old, rms_new = (float(np.sqrt(np.mean(values**2))) for values in (old, new))
     chance = flipped_share(by_hour)

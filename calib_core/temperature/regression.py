@@ -50,11 +50,16 @@ GYROSCOPE = Priors((0.3 * DEG, 0.05 * DEG, 0.02 * DEG), 5e-4 * DEG, 1.5e-3 * DEG
 
 @dataclass(frozen=True, slots=True)
 class Wander:
-    """How a bias wanders. white: of single rests; flicker: of each process of the bank; walk: per sqrt(s)."""
+    """How a bias wanders. white: of single rests; flicker: of each process of the bank; walk: per sqrt(s).
+
+    declared: the share of a rest's own stated uncertainty that it has. Rests state theirs on the safe side,
+    and what they overstate would be taken off the flicker.
+    """
 
     white: float
     flicker: float
     walk: float
+    declared: float = 1.0
 
     def covariance(self, t: Array, other: Array) -> Array:
         """Return the covariance of the wander at times (n,) and (m,), s: (n, m); it begins at t = 0."""
@@ -78,8 +83,9 @@ class Observations:
     """Rests as a regression sees them, oldest first.
 
     t: (n,) s. celsius: (n,) degC, NaN where unknown. value: (n, k), k biases that share one model, or k = 1
-    where each rest shows only the component along `towards` (n, 3). sd: (n,). level: (n, p) what is unknown
-    besides, the bias first, with prior standard deviations level_sd (p,).
+    where each rest shows only the component along `towards` (n, 3). sd: (n,), as the rests state it. level:
+    (n, p) what is unknown besides, the bias first, with prior standard deviations level_sd (p,). more: (n,)
+    uncertainty beyond that of the rest itself.
     """
 
     t: Array
@@ -89,12 +95,19 @@ class Observations:
     level: Array
     level_sd: Array
     towards: Array | None = None
+    more: Array | float = 0.0
+
+    def wider(self, more: Array) -> Observations:
+        """Return the observations with rests uncertain by `more` (n,) beyond what they state."""
+        return replace(self, more=np.hypot(self.more, more))
 
     def doubting(self, row: int, sd: float) -> Observations:
         """Return the observations with one rest uncertain by `sd` more."""
-        wider = self.sd.copy()
-        wider[row] = np.hypot(wider[row], sd)
-        return replace(self, sd=wider)
+        return self.wider(np.where(np.arange(len(self.sd)) == row, sd, 0.0))
+
+    def variances(self, wander: Wander) -> Array:
+        """Return the variance of each rest about the wandering bias, (n,)."""
+        return np.asarray((wander.declared * self.sd) ** 2 + np.square(self.more) + wander.white**2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +165,9 @@ def curve_basis(celsius: Array, reference: float) -> Array:
     u = np.nan_to_num((celsius - reference) / UNIT_K)
     return np.column_stack([u**power for power in range(1, POWERS + 1)])
 
+
+_USUALLY_DECLARED, _DECLARED_SPREAD = 0.75, 0.4
+"""Median of Wander.declared, and its standard deviation in natural logarithms."""
 
 _BORDER = 1e30
 """Any number above the sum of squares of whitened values."""
@@ -215,7 +231,7 @@ class Regression:
         for step in steps:
             after = (self._seen.t >= step).astype(float)
             total = total + self._priors.step**2 * np.outer(after, after) * self._shared
-        return total + np.diag(self._seen.sd**2 + wander.white**2)
+        return total + np.diag(self._seen.variances(wander))
 
     def _factor(self, wander: Wander, steps: tuple[float, ...]) -> tuple[Array, Array]:
         """Return the Cholesky factor L of the covariance and L^-1 value, both from one decomposition."""
@@ -242,20 +258,22 @@ class Regression:
         p = self._priors
         day = p.walk / np.sqrt(86400.0)
         ratios = np.array([wander.white / p.white, wander.flicker / p.flicker, wander.walk / day])
-        places: Array = np.log(ratios) / p.spread
-        return places
+        declared = np.log(wander.declared / _USUALLY_DECLARED) / _DECLARED_SPREAD
+        return np.append(np.log(ratios) / p.spread, declared)
 
     def _likeliest(self, steps: tuple[float, ...], start: Wander | None) -> tuple[Wander, float]:
-        """Return the wander of greatest posterior, by a search along its three logarithms, and its score."""
+        """Return the wander of greatest posterior, by a search along its logarithms, and its score."""
         p = self._priors
         best = start or Wander(p.white, p.flicker, p.walk / np.sqrt(86400.0))
         score = self._score(best, steps)
         for factor in (2.0, 1.4) if start else (4.0, 2.0, 1.4):
             for _ in range(3):
                 before = score
-                for name in ("white", "flicker", "walk"):
+                for name in ("white", "flicker", "walk", "declared"):
                     for by in (factor, 1 / factor):
                         tried = replace(best, **{name: getattr(best, name) * by})
+                        if tried.declared > 1.0:
+                            continue
                         if (other := self._score(tried, steps)) > score:
                             best, score = tried, other
                             break
