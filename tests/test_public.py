@@ -221,7 +221,11 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no t": ({"ax": [0.0], "ay": [0.0], "az": [9.8]}, "no column of time stamps found"),
     "half a gyroscope": ({"t": [0.0], "ax": [0.0], "ay": [0.0], "az": [9.8], "gx": [0.0]}, "no column 'gy'"),
     "text": ({"t": ["now", "then"], "ax": [0.0] * 2, "ay": [0.0] * 2, "az": [9.8] * 2}, "is not a number"),
-    "one sample": ({"t": [0.0], "ax": [0.0], "ay": [0.0], "az": [9.8]}, "holds 1 samples"),
+    "one sample": ({"t": [0.0], "ax": [0.0], "ay": [0.0], "az": [9.8]}, "holds one accelerometer sample"),
+    "unequal columns": (
+        {"t": [0.0, 0.1], "ax": [0.0], "ay": [0.0], "az": [9.8]},
+        "column 'ax' has 1 rows and 't' 2",
+    ),
     "backwards": ({"t": [1.0, 0.0], "ax": [0.0] * 2, "ay": [0.0] * 2, "az": [9.8] * 2}, "runs backwards"),
     "in g": (
         {

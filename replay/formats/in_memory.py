@@ -6,9 +6,10 @@ in a file is refused here too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +23,18 @@ from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event
 from stillcal.replay.formats.columns import load_map
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.logs.arrays import OWN
 from stillcal.replay.formats.merge import Cut
-from stillcal.replay.formats.recognition.log import Log
+from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.stream import filled_forward
 from stillcal.replay.formats.tables.cells import dates_in_seconds, is_date
 from stillcal.replay.formats.tables.numbers import in_arrays
 from stillcal.replay.formats.tables.table import EMPTY
-from stillcal.replay.formats.trace import Chunk, Recording, Trace, whole
-
-OWN = ("t", "ax", "ay", "az")
-"""Columns by which a table is in stillcal's own units."""
+from stillcal.replay.formats.trace import Recording, Trace, whole
 
 AXES = {Sensor.ACCELEROMETER: ("ax", "ay", "az"), Sensor.GYROSCOPE: ("gx", "gy", "gz")}
+_OWN_COLUMNS = {"t", "temperature", "t_arrival", *AXES[Sensor.ACCELEROMETER], *AXES[Sensor.GYROSCOPE]}
 
 
 def is_table(table: Any) -> bool:
@@ -57,31 +57,39 @@ def _keys(table: Any) -> list[Any] | None:
 def of_table(
     table: Any, name: str, events: Iterable[Any], claims: Any, sensor: str | None = None
 ) -> Recording:
-    """Return the recording that a table of columns holds. Raises TraceError where it cannot be used.
+    """Return the recording that a table of columns holds, by the rules for one in a file.
 
-    sensor: which one of several is read, as of a file.
+    sensor: which one of several is read, as of a file. Raises TraceError where it cannot be used.
     """
+    numbers: dict[str, Array] = {}
     columns = dict(_columns(table))
-    if not all(column in columns for column in OWN):
-        found = _by_names(columns, name, sensor)
-        return checked(found.accelerometer, found.gyroscope, name, events, claims, notes=found.notes)
-    wanted = list(OWN)
-    if any(axis in columns for axis in AXES[Sensor.GYROSCOPE]):
-        wanted += AXES[Sensor.GYROSCOPE]
-    for column in wanted:
-        if column not in columns:
-            raise TraceError(name, f"no column {column!r}", f"name its columns {', '.join(wanted)}")
-    columns = {
-        c: _numbers(columns[c], c, name) for c in [*wanted, "temperature", "t_arrival"] if c in columns
-    }
-    also = (_filled(columns.get("temperature")), _filled(columns.get("t_arrival")))
-    parts: dict[Sensor, Samples | None] = {}
-    for one, axes in AXES.items():
-        xyz = np.column_stack([columns[a] for a in axes]) if axes[0] in columns else None
-        parts[one] = None if xyz is None else _samples(name, one, columns["t"], xyz, also)
-    accelerometer = parts[Sensor.ACCELEROMETER]
-    assert accelerometer is not None, "its columns are among those that must be there"
-    return checked(accelerometer, parts[Sensor.GYROSCOPE], name, events, claims)
+    for column, values in columns.items():
+        with suppress(TypeError, ValueError):  # texts
+            numbers[column] = np.asarray(values, dtype=np.float64)
+    for column in _OWN_COLUMNS & columns.keys() - numbers.keys():
+        raise TraceError(name, f"{column} holds what is not a number", "give numbers, NaN for none")
+    lengths = {column: values.size for column, values in numbers.items() if values.ndim == 1}
+    if len(set(lengths.values())) > 1:
+        (first, n), (other, m) = (
+            min(lengths.items(), key=itemgetter(1)),
+            max(lengths.items(), key=itemgetter(1)),
+        )
+        what = f"column {first!r} has {n} rows and {other!r} {m}"
+        raise TraceError(name, what, "give columns of one length, or the arrays by keyword")
+    cells = in_arrays(Path(name), {column: numbers[column] for column in lengths}, 0)
+    own = load_map("csv")
+    if numbers.keys() >= OWN:
+        held = [s for s, axes in AXES.items() if any(axis in numbers for axis in axes)]
+        sensors = [LoggedSensor.of("imu", [Part(cells, own, held)])]
+    else:
+        sensors = settled(cells, own)
+    if not sensors:
+        listed = ", ".join(list(columns)[:12]) or "it has none"
+        what = f"no accelerometer found in its columns ({listed})"
+        raise TraceError(name, what, "name them t, ax, ay, az (s, m/s^2) and gx, gy, gz (rad/s)")
+    found = Trace(Log(Path(name), "table", sensors), sensor).recording(name)
+    ordered, maker = _told(events, claims, name)
+    return replace(found, events=ordered, claims=maker)
 
 
 def _columns(table: Any) -> Iterator[tuple[str, Any]]:
@@ -112,21 +120,6 @@ def _in_seconds(values: Any) -> Any:
     if texts and np.ndim(values) == 1 and all(isinstance(v, str) and is_date(v.encode()) for v in values):
         return dates_in_seconds([v.encode() for v in values])
     return values
-
-
-def _by_names(columns: Mapping[str, Any], name: str, sensor: str | None) -> Recording:
-    """Return what a table of other columns holds by their names. Raises TraceError."""
-    numbers = {}
-    for column, values in columns.items():
-        with suppress(TypeError, ValueError):  # texts
-            numbers[column] = np.asarray(values, dtype=np.float64)
-    table = in_arrays(Path(name), {k: v for k, v in numbers.items() if v.ndim == 1}, 0)
-    sensors = settled(table, load_map("csv"))
-    if not sensors:
-        listed = ", ".join(list(columns)[:12]) or "it has none"
-        what = f"no accelerometer found in its columns ({listed})"
-        raise TraceError(name, what, "name them t, ax, ay, az (s, m/s^2) and gx, gy, gz (rad/s)")
-    return Trace(Log(Path(name), "table", sensors), sensor).recording(name)
 
 
 def part_of(recording: Recording, start: float | None, stop: float | None) -> Recording:
@@ -175,36 +168,35 @@ def of_arrays(
 
 
 def checked(
-    accelerometer: Samples,
-    gyroscope: Samples | None,
-    name: str,
-    events: Iterable[Any],
-    claims: Any,
-    *,
-    notes: Sequence[str] = (),
+    accelerometer: Samples, gyroscope: Samples | None, name: str, events: Iterable[Any], claims: Any
 ) -> Recording:
     """Return a recording whose units have been looked at as those of a file are.
 
-    events: events, or mappings as lines of NAME.events.jsonl hold them. claims: Claims, a mapping as
-    NAME.json holds it, or None. Raises TraceError where the units, an event or a claim cannot be right.
+    events, claims: as for `_told`. Raises TraceError where the units, an event or a claim cannot be right.
     """
     if len(accelerometer) < 2:
         what = f"the recording holds {len(accelerometer)} samples of the accelerometer"
         raise TraceError(name, what, "give a recording of some minutes")
-    try:
-        ordered_events = sorted(
-            (msgspec.convert(e, Event, from_attributes=True) for e in events), key=lambda e: e.t
-        )
-        maker = Claims() if claims is None else msgspec.convert(claims, Claims, from_attributes=True)
-    except msgspec.ValidationError as error:
-        raise TraceError(name, f"not an event, or not a claim: {error}", "see docs/formats.md") from None
-    recording = Recording(accelerometer, gyroscope, ordered_events, maker, list(notes), name)
+    recording = Recording(accelerometer, gyroscope, *_told(events, claims, name), [], name)
     units = UnitCheck(Path(name))
-    chunk: Chunk
     for chunk in recording.chunks():
         units.see(chunk.accelerometer, chunk.gyroscope)
     units.finish()
     return recording
+
+
+def _told(events: Iterable[Any], claims: Any, name: str) -> tuple[list[Event], Claims]:
+    """Return events in time order, and claims.
+
+    events: events, or mappings as lines of NAME.events.jsonl hold them. claims: Claims, a mapping as
+    NAME.json holds it, or None. Raises TraceError.
+    """
+    try:
+        told = [msgspec.convert(e, Event, from_attributes=True) for e in events]
+        maker = Claims() if claims is None else msgspec.convert(claims, Claims, from_attributes=True)
+    except msgspec.ValidationError as error:
+        raise TraceError(name, f"not an event, or not a claim: {error}", "see docs/formats.md") from None
+    return sorted(told, key=lambda event: event.t), maker
 
 
 def _samples(
