@@ -21,6 +21,9 @@ from stillcal.calib_core.diagnosis.segments.windows import WINDOW
 
 MOST_BORDERS = 250
 CYCLES = 40.0
+CYCLE_STEP, CYCLE_PARTS = 0.35, 7
+"""Cycles in the recording from one period that is tried to the next, and how finely it is divided later."""
+
 SAW_CYCLES = np.arange(1.5, 20.0, 0.15)
 SAW_PHASES = 10
 REST_TAUS = (15.0, 40.0, 100.0, 250.0, 600.0)
@@ -59,13 +62,25 @@ def _shortest(moments: Moments) -> tuple[Array, float, float]:
     return moments.age, end - start, 3.0 * float(np.median(moments.duration))
 
 
+def cycle(moments: Moments, period: float) -> Array:
+    """Return sine and cosine (2, n) of a period, s, as means over each moment."""
+    phase = 2.0 * np.pi * moments.age / period
+    return np.asarray(np.stack([np.sin(phase), np.cos(phase)]) * np.sinc(moments.duration / period))
+
+
 def periods(moments: Moments) -> Dictionary | None:
     """Sine and cosine of a period, from 1.5 to `CYCLES` cycles in the recording, as bins can show."""
-    t, span, shortest = _shortest(moments)
-    cycles = np.arange(1.5, max(min(CYCLES, span / shortest), 1.6), 0.35)
-    phase = 2.0 * np.pi * cycles[:, None] * t / span
-    curves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+    _, span, shortest = _shortest(moments)
+    cycles = np.arange(1.5, max(min(CYCLES, span / shortest), 1.6), CYCLE_STEP)
+    curves = np.array([cycle(moments, span / c) for c in cycles])
     return Dictionary([{"period_s": float(span / c)} for c in cycles], curves, max(1, cycles.size // 2))
+
+
+def periods_near(moments: Moments, period: float) -> list[float]:
+    """Return periods within a step of one, s, by twentieths of a cycle in the recording."""
+    start, end = moments.history.span
+    away = np.arange(-CYCLE_PARTS, CYCLE_PARTS + 1) * CYCLE_STEP / CYCLE_PARTS
+    return [float((end - start) / c) for c in (end - start) / period + away if c > 1.0]
 
 
 def sawteeth(moments: Moments) -> Dictionary | None:
@@ -144,7 +159,7 @@ def plugged(moments: Moments, lag: float) -> Array | None:
     """Return what a first-order system of this lag makes of being on the charger."""
     if not moments.history.charger_moved:
         return None
-    curve = moments.history.heat(moments.t, lag, 1.0, 0.0, 0.0)
+    curve = moments.history.heat(moments.t, moments.duration, lag, 1.0, 0.0, 0.0)
     return curve if moves(curve, 1e-3) else None
 
 

@@ -79,6 +79,22 @@ class UnknownCurve(Unknown):
         return self.many(moments)
 
 
+class Cycle(UnknownCurve):
+    """A bias that comes and goes with a period."""
+
+    def __init__(self, sensor: str) -> None:
+        super().__init__(sensor, "a period in time", curves.periods, 2)
+
+    def finer(self, moments: Moments, grid: Grid) -> Sequence[Grid]:
+        """Return periods within a step of the dictionary's."""
+        return [{"period_s": period} for period in curves.periods_near(moments, grid["period_s"])]
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the sine on each axis, then the cosine, (n, 3, 6)."""
+        sine, cosine = curves.cycle(moments, grid["period_s"])
+        return np.concatenate([on_axes(sine), on_axes(cosine)], axis=2)
+
+
 class SmoothCurve(Unknown):
     """A bias that is a smooth function of a driver, and nobody knows which: its discrepancy.
 
@@ -254,9 +270,12 @@ def unknown_effects(sensor: str) -> list[Effect]:
         ("a stretch of time", curves.pulses, 1),
         ("two levels in time", curves.switches, 1),
         ("time from a moment on", curves.onsets, 1),
-        ("a period in time", curves.periods, 2),
         ("a sawtooth in time", curves.sawteeth, 1),
         ("time since the phone was moved", curves.since_moves, 1),
         ("time since the last change of attitude", curves.strains, 3),
     )
-    return [*own, *(UnknownCurve(sensor, follows, make, width) for follows, make, width in many)]
+    return [
+        *own,
+        Cycle(sensor),
+        *(UnknownCurve(sensor, follows, make, width) for follows, make, width in many),
+    ]

@@ -29,8 +29,9 @@ def _nearby(grid: Grid) -> list[Grid]:
 
 
 def relaxation(moments: Moments, tau: float) -> Array:
-    """1 - exp(-age / tau), (n,)."""
-    return np.asarray(-np.expm1(-moments.age / tau))
+    """Return the mean of 1 - exp(-age / tau) over each moment, (n,)."""
+    half = np.maximum(moments.duration / (2.0 * tau), 1e-9)
+    return np.asarray(1.0 - np.exp(-moments.age / tau) * np.sinh(half) / half)
 
 
 class Warmup(BiasEffect):
@@ -110,13 +111,14 @@ class LatentHeat(BiasEffect):
 
     def companions(self, moments: Moments) -> Sequence[Array]:
         """Return the slow and fast parts that heat of the same sources, and a start off balance, may have."""
-        heat, t = moments.history.heat, moments.t
         lags = (100.0, 600.0, 2400.0)
-        curves = [heat(t, tau, 1.0, 0.0, 0.0) for tau in lags if moments.history.charger_moved]
-        curves += [heat(t, tau, 0.0, 1.0, 0.0) for tau in lags]
+        sources = [(1.0, 0.0)] * moments.history.charger_moved + [(0.0, 1.0)]
+        heat, t, length = moments.history.heat, moments.t, moments.duration
+        curves = [heat(t, length, tau, plug, use, 0.0) for plug, use in sources for tau in lags]
         curves += [relaxation(moments, tau) for tau in (150.0, 900.0, 2400.0)]
         return [on_axes(c / np.ptp(c)) for c in curves if moves(c, 1e-3)]
 
 
 def _heat(moments: Moments, grid: Grid) -> Array:
-    return moments.history.heat(moments.t, grid["tau_s"], grid["plug"], grid["use"], grid["start"])
+    plug, use, start = grid["plug"], grid["use"], grid["start"]
+    return moments.history.heat(moments.t, moments.duration, grid["tau_s"], plug, use, start)

@@ -31,15 +31,20 @@ class History:
         """Whether the phone was plugged in or out during the recording."""
         return self.switches is not None and moves(self.switches[:, 1])
 
-    def heat(self, t: Array, tau: float, plug: float, use: float, start: float) -> Array:
-        """Solution (n,) of tau z' = plug on(t) + use active(t) - z, z(0) = start, at times t (n,) s."""
+    def heat(  # noqa: PLR0917 - a moment and four shares
+        self, t: Array, duration: Array, tau: float, plug: float, use: float, start: float
+    ) -> Array:
+        """Solution (n,) of tau z' = plug on(t) + use active(t) - z, z(0) = start.
+
+        t, duration: (n,) s, the middles of what it is averaged over, and how long that is.
+        """
         times, active = self.activity[:, 0], self.activity[:, 1]
         on = np.zeros_like(times)
         if self.switches is not None:
             changed, states = self.switches.T
             on = states[np.maximum(np.searchsorted(changed, times, side="right") - 1, 0)]
         z = filtered(plug * on + use * active, np.exp(-WINDOW / tau))
-        return np.asarray(np.interp(t, times, z + start * np.exp(-(times - times[0]) / tau)))
+        return Course(times, z + start * np.exp(-(times - times[0]) / tau)).mean(t, duration)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +103,7 @@ def moments_of(bins: Bins, force: Array | None, covariates: Mapping[str, Course]
         bins.charging,
         bins.vibration,
         bins.rest,
-        {name: course.at(bins.t) for name, course in covariates.items()},
+        {name: course.mean(bins.t, bins.duration) for name, course in covariates.items()},
     )
 
 

@@ -189,7 +189,7 @@ def _log_bayes_factor(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hyp
     candidates = scene.finer(hypothesis)
     reduced = reduce_scene(scene, candidates, others, parts=True)
     grid = max(hypothesis.multiplicity, len(scene.hypotheses(hypothesis.effect)), 1)
-    return log_bayes_factor(reduced, len(candidates), grid if len(candidates) == 1 else 1)
+    return log_bayes_factor(reduced, len(candidates), max(grid / len(candidates), 1.0))
 
 
 def _first_in(own: tuple[Scored, HeldOut], rivals: Sequence[tuple[Scored, HeldOut]]) -> int:
