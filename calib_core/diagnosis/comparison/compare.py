@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison import noise
+from stillcal.calib_core.diagnosis.comparison import noise, not_logged
 from stillcal.calib_core.diagnosis.comparison.direct import (
     MEASURED_ELSEWHERE,
     direct_statements,
@@ -25,7 +25,13 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     proposed,
     wanted_of,
 )
-from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of, obstacle, uninformed
+from stillcal.calib_core.diagnosis.comparison.looked_for import (
+    checks_of,
+    obstacle,
+    uninformed,
+    why_not_logged,
+)
+from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
     Difference,
@@ -137,8 +143,9 @@ class Comparison:
 
 def compare(recorded: Examination, simulated: Examination, names: tuple[str, str]) -> Comparison:
     """Compare a recording with a simulation. names: of both, for the reasons given."""
-    wanted = _union(wanted_of(recorded), wanted_of(simulated))
-    exams = (recorded, simulated)
+    had = (wanted_of(recorded), wanted_of(simulated))
+    wanted, exams = _union(*had), (recorded, simulated)
+    unlogged = not_logged.not_logged(exams, had, names)
     reference = _mean_temperature(recorded.bins, simulated.bins)
     sides = [_quantities(exam, wanted, reference) for exam in exams]
     crossing = _crossing_temperatures(sides, reference)
@@ -147,26 +154,30 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
             side | linear_quantities(e, wanted, reference | crossing)
             for e, side in zip(exams, sides, strict=True)
         ]
+    sides = not_logged.with_unknown_temperature(sides, unlogged)
     keys = list(dict.fromkeys([*_expected(recorded, simulated, wanted), *sides[0], *sides[1]]))
     pairs: list[Difference] = []
     missing: list[NotCompared] = []
     for key in keys:
         one, other = (side.get(key) for side in sides)
-        reason = _why_not(key, (one, other), exams, names)
+        reason = _why_not(key, (one, other), exams, names, wanted)
         if reason is None and one is not None and other is not None:
             pairs.append(subtract(one, other))
         else:
             missing.append(NotCompared(*key, reason or "neither of the two shows it"))
     looked = [_looked_for(exam) for exam in exams]
-    direct, more, unseen = _direct(exams, looked, names)
+    direct, more, unseen = _direct(exams, looked, names, unlogged)
     pairs += direct
+    pairs = weighed(pairs, max(len(pairs) + len(more), 1))
+    hidden = {id(d): why for d in pairs if _differs(d) and (why := not_logged.of_difference(unlogged, d))}
+    missing += [NotCompared(*_key(d), hidden[id(d)]) for d in pairs if id(d) in hidden]
+    pairs = [d for d in pairs if id(d) not in hidden]
     count = len(pairs) + len(more)
-    pairs = weighed(pairs, max(count, 1))
-    found = [_discrepancy(d) for d in pairs if d.probability >= CERTAIN]
+    found = [_discrepancy(d) for d in pairs if _differs(d)]
     sole = [_sole(finding, gain, of_recording, count) for finding, gain, of_recording in more]
     found += [d for d in sole if d.probability >= CERTAIN]
-    had = {(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted}
-    agreed = [d for d in pairs if d.probability <= 1.0 - CERTAIN and _worth_telling(d, had)]
+    asked = {(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted}
+    agreed = [d for d in pairs if d.probability <= 1.0 - CERTAIN and _worth_telling(d, asked)]
     missing += unseen
     undecided = [_undecided(d, names) for d in pairs if 1.0 - CERTAIN < d.probability < CERTAIN]
     evidence = [(d.recorded.effect, d.log_bayes_factor) for d in pairs]
@@ -317,11 +328,12 @@ def _why_not(
     pair: tuple[Quantity | None, Quantity | None],
     exams: tuple[Examination, Examination],
     names: tuple[str, str],
+    wanted: Sequence[Wanted],
 ) -> str | None:
     """Say why a quantity cannot be compared; None where it can."""
     for quantity, exam, name in zip(pair, exams, names, strict=True):
         if quantity is None:
-            return f"{name}: {_why_absent(key, exam)}"
+            return f"{name}: {_why_absent(key, exam, wanted)}"
         if not quantity.logarithmic and not quantity.informed.any():
             return f"{name}: {uninformed(key[0])}"
     one, other = pair
@@ -337,20 +349,26 @@ def _why_not(
     return None
 
 
-def _why_absent(key: Key, exam: Examination) -> str:
+def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
     """Say why a recording has no such quantity: the first reason that applies."""
     effect, sensor = key
+    drivers = [w.hypothesis.effect for w in wanted]
+    unlogged = [why_not_logged(exam, e) for e in drivers if (e.name, e.sensor) == key]
     if effect == "noise_level":
         return _why_no_density(exam, sensor)
     first = obstacle(exam, effect, sensor)
     if first is None and effect.endswith("slow_noise"):
         return f"too few rests of {noise.LAG:.0f} s"
-    return first or uninformed(effect)
+    return first or next((why for why in unlogged if why), None) or uninformed(effect)
 
 
 def _why_no_density(exam: Examination, sensor: str) -> str:
     streams = [s for s in exam.streams if s.sensor == sensor]
     return noise.why_no_density(streams[0]) if streams else "no such sensor"
+
+
+def _differs(difference: Difference) -> bool:
+    return difference.probability >= CERTAIN
 
 
 def _key(difference: Difference) -> Key:
@@ -398,12 +416,15 @@ Sole = tuple[Finding, float, bool]
 
 
 def _direct(
-    exams: tuple[Examination, Examination], looked: Sequence[_LookedFor], names: tuple[str, str]
+    exams: tuple[Examination, Examination],
+    looked: Sequence[_LookedFor],
+    names: tuple[str, str],
+    unlogged: Sequence[Sequence[NotLogged]],
 ) -> tuple[list[Difference], list[Sole], list[NotCompared]]:
     """Compare the effects that samples show directly.
 
     Returned are differences of what both have; what one alone has, with its evidence (nats) and whether
-    it is the recording; what the other could not show.
+    it is the recording; what the other could not show, or was found by its driver.
     """
     sides = (direct_statements(exams[0]), direct_statements(exams[1]))
     both: list[Difference] = []
@@ -420,8 +441,10 @@ def _direct(
                 continue
             unlooked = looked[other].reasons.get((finding.effect, finding.sensor))
             reason = why_not_shown(finding, exams[other]) or unlooked
-            if reason is not None:
-                unseen.append(NotCompared(finding.effect, finding.sensor, f"{name}: {reason}"))
+            hidden = not_logged.of_finding(unlogged[1 - other], exams[1 - other], finding)
+            if reason is not None or hidden is not None:
+                why = hidden or f"{name}: {reason}"
+                unseen.append(NotCompared(finding.effect, finding.sensor, why))
             elif (evidence := _evidence(finding)) > 0.0:
                 sole.append((finding, evidence, of_recording))
     return both, sole, unseen

@@ -20,9 +20,11 @@ from stillcal.calib_core.diagnosis.direct.spectral_line import BRIEF
 from stillcal.calib_core.diagnosis.direct.steady_segments import stretches
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
 from stillcal.calib_core.diagnosis.effects.warmup import TAUS
 from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.moments import moves
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
 from stillcal.calib_core.diagnosis.motion.time_offset import LEAST_WINDOWS, WINDOW, turning_windows
@@ -111,7 +113,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
     if "temperature" in effect:
         yield from _of_temperature(exam)
     if effect.endswith("charging_bias"):
-        yield bins.charging is None, "no charging events"
+        yield bins.charging is None, NO_CHARGING
         still = bins.charging is None or not moves(bins.charging, 0.5)
         yield still, "the charger is never switched between two rests"
     if effect.endswith("warmup"):
@@ -139,6 +141,19 @@ def _of_rest(exam: Examination, sensor: str) -> Iterator[Condition]:
     still = float(bins.duration.sum())
     needed = max(still * least / max(len(bins), 1), SHORTEST_BIN)
     yield len(bins) < least, f"only {still:.0f} s at rest, {needed:.0f} s are needed"
+
+
+def why_not_logged(exam: Examination, effect: Effect) -> str | None:
+    """Say why a recording does not tell what drives an effect; None where it does."""
+    if isinstance(effect, CovariateBias):
+        logged = any(effect.column in scene.covariates for scene in exam.scenes)
+        return None if logged else f"no column {effect.column}"
+    if "temperature" in effect.follows and exam.bins.temperature is None:
+        return next(why for stands, why in _of_temperature(exam) if stands)
+    return NO_CHARGING if "charging" in effect.follows and exam.bins.charging is None else None
+
+
+NO_CHARGING = "no charging events"
 
 
 def _of_temperature(exam: Examination) -> Iterator[Condition]:
