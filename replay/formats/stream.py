@@ -153,7 +153,10 @@ class SampleFile:
             cell = values[row, column]
             holds = "is empty" if cell == EMPTY else f"holds {cell}, which is not a finite number"
             what = f"{self._table.column_name(self._layout.wanted[column])} {holds}"
-            raise TraceError(self.path, what, "correct or delete that row", int(lines[row]))
+            remedy = "correct or delete that row"
+            if np.isnan(cell):
+                remedy = f"{remedy}, or leave all cells of the sensor empty"
+            raise TraceError(self.path, what, remedy, int(lines[row]))
 
     def _only_whole_samples_empty(self, values: Array) -> bool:
         """Whether of the cells that must have a number only all three of a sensor are empty, in any row."""

@@ -26,6 +26,7 @@ _STARTS = {
     b"PK\x05\x06": ZIP,
 }
 
+_BLACKBOX, _UTF16 = "a Betaflight blackbox log", "text in UTF-16"
 _FOREIGN = {
     b"%PDF": "a PDF document",
     b"\x89PNG": "a picture",
@@ -39,7 +40,9 @@ _FOREIGN = {
     b"\xd0\xcf\x11\xe0": "an old Excel or Word document",
     b"\x7fELF": "a program",
     b"#ROSBAG": "a ROS bag older than version 2.0",
-    b"H Product:Blackbox": "a Betaflight blackbox log",
+    b"H Product:Blackbox": _BLACKBOX,
+    b"\xff\xfe": _UTF16,
+    b"\xfe\xff": _UTF16,
     b"{": "JSON",
     b"[": "JSON",
     b"<": "HTML or XML",
@@ -47,6 +50,10 @@ _FOREIGN = {
 """What people give by mistake, or what is not read yet, with the name to call it by."""
 
 _PACKED = ("archive", "bzip2", "xz file", "zstd", "compressed")
+_REMEDIES = {
+    _BLACKBOX: "decode it with blackbox_decode --save-headers and give the CSV",
+    _UTF16: "save it as UTF-8",
+}
 
 
 def kind_of(source: Source) -> str:
@@ -57,11 +64,9 @@ def kind_of(source: Source) -> str:
             return kind
     for start, name in _FOREIGN.items():
         if head.startswith(start):
-            remedy = (
-                "unpack it and give what is in it"
-                if any(word in name for word in _PACKED)
-                else "export the recording as CSV"
-            )
+            packed = any(word in name for word in _PACKED)
+            usual = "unpack it and give what is in it" if packed else "export the recording as CSV"
+            remedy = _REMEDIES.get(name, usual)
             raise TraceError(source.path, f"is {name}, not a recording that can be read", remedy)
     if b"\0" in head:
         what = "is not a text file, and no binary format that is known"

@@ -41,6 +41,9 @@ _LONGEST_LINE = 1 << 24
 """Bytes in which no line ends, beyond which a file is not text."""
 
 _MARK_OF_COMMENT = re.compile(r"^\s*(?:#+|%+|//)\s*")
+_NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x1f\x7f-\x9f\xfe\xff]")
+"""Bytes that text in Latin-1, in which older Windows programs write units, does not have, or hardly ever."""
+
 _BLANKS = "space"
 _TEXT_REMEDY = "give the recording as plain text in UTF-8 (or gzip of it)"
 _ROW_REMEDY = "correct or delete that row"
@@ -266,6 +269,8 @@ def _decoded(path: Path, head: bytes) -> str:
     try:
         return whole.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if not _NO_TEXT.search(whole):
+            return whole.decode("latin-1")
         row = head.count(b"\n", 0, error.start) + 1
         raise TraceError(path, f"byte 0x{head[error.start]:02x} is not UTF-8", _TEXT_REMEDY, row) from None
 

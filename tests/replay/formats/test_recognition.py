@@ -135,7 +135,7 @@ PREAMBLE = "// General information:\n// Rate,100\nSample,Time (s),Comment\n\n"
 )
 def test_separators_comments_and_what_stands_before_a_header(tmp_path: Path, table: str) -> None:
     path = tmp_path / "r.csv"
-    path.write_text(table)
+    path.write_text(table, encoding="latin-1")
     recording = read_all(path)
     np.testing.assert_array_equal(recording.accelerometer.xyz, LONG[:, 1:4])
     assert recording.gyroscope is not None
@@ -329,6 +329,8 @@ def test_a_zip_that_unpacks_to_very_much_is_refused_in_little_memory(tmp_path: P
     [
         (b"%PDF-1.7\n", "a PDF document"),
         (b"\x28\xb5\x2f\xfd\0\0", "a zstd file.*unpack it"),
+        (b"H Product:Blackbox flight data recorder", "Betaflight blackbox.*blackbox_decode --save-headers"),
+        ("t,ax,ay,az\n".encode("utf-16"), "text in UTF-16.*save it as UTF-8"),
         (b"\0\1\2\3" * 100, "no binary format that is known.*docs/formats.md"),
     ],
 )
