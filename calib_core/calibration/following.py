@@ -40,6 +40,9 @@ STEP_S = 12 * BLOCK_S
 LARGEST_KNOCK = 3 * ACCELEROMETER.step
 """m/s^2, by axis: three standard deviations of the step that is expected."""
 
+_FEW_HOURS = 2
+"""Hours with later rests that suffice against a calibration that a prior entered: it assumes more."""
+
 _ALL = 12
 """Parameters of a calibration that holds a rotation common to all axes."""
 
@@ -126,7 +129,7 @@ def _accepted(
     _, block = np.unique(np.floor(learnt.t[held_out] / BLOCK_S), return_inverse=True)
     by_hour: Array = np.bincount(block, gains).astype(np.float64) if gains.size else np.zeros(0)
     doubtless = beyond_doubt(by_hour)
-    enough = by_hour.size >= settings.held_out_rests or part.with_prior
+    enough = by_hour.size >= (_FEW_HOURS if part.with_prior else settings.held_out_rests)
     if not enough and not doubtless:
         return "", {}
     rms_old, rms_new = (float(np.sqrt(np.mean(values**2))) for values in (old, new))

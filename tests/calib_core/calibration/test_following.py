@@ -106,6 +106,22 @@ def accelerometer_record(model: SensorModel = TRUE, sd: float = 3 * MG) -> Calib
     return CalibrationRecord(accelerometer=part, fitted_at=0.0)
 
 
+@pytest.mark.parametrize("with_prior", [True, False])
+def test_a_first_calibration_that_a_prior_entered_is_replaced_after_two_hours(with_prior: bool) -> None:
+    """It is off by 20 mg where it says 25 mg; one that stands on its rests waits for six hours."""
+    off = SensorModel.of(TRUE.scale, TRUE.bias + 20 * MG * np.array([0.0, 1.0, 0.0]))
+    record = accelerometer_record(off, 25 * MG)
+    assert record.accelerometer is not None
+    first = replace(record, accelerometer=replace(record.accelerometer, with_prior=with_prior))
+    memory = remembered(lived(1.9, slopes=0.0, every_s=500.0))
+    followed = follow_accelerometer(first, memory, 1.9 * HOUR, SETTINGS)
+    assert followed is not None and followed.accepted is with_prior
+    if with_prior:
+        part = followed.record.accelerometer
+        assert part is not None and part.bias == pytest.approx(TRUE.bias, abs=1 * MG)
+        assert "less uncertain" in followed.record.acceptance.reason
+
+
 def followed_gyroscope(rests: list[RestState]) -> tuple[CalibrationRecord, list[str]]:
     """Learn at every third rest, as at hourly checks; return the record and the decisions on the curve."""
     record, memory, changes = gyroscope_record(), Memory(), []

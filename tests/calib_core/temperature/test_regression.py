@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,15 @@ def test_a_bias_is_predicted_and_its_interval_holds() -> None:
     assert 0.88 < held <= 1.0
     assert np.std(apart) < 3e-3 * DEG
     assert np.std(plain) > 5 * np.std(apart)
+
+
+def test_rests_that_overstate_their_uncertainty_do_not_hide_the_flicker() -> None:
+    """Taken at their word, rests that are five times too uncertain leave no room for what wanders."""
+    seen, _ = made(np.random.default_rng(0), 120)
+    model, now = Model(GYROSCOPE, 25.0, with_curve=True), float(seen.t[-1])
+    honest, modest = (learn(replace(seen, sd=by * seen.sd), model, now).wander for by in (1.0, 5.0))
+    assert modest.declared < 0.4 < honest.declared
+    assert modest.growth(HOUR) > 0.6 * honest.growth(HOUR)
 
 
 def test_uncertainty_grows_with_age_and_beyond_the_temperatures_met() -> None:
