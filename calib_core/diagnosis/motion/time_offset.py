@@ -8,6 +8,7 @@ frequency, each frequency as sure as what hands do there is small.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regress
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples
@@ -34,6 +36,10 @@ LEAST_RATE, LIVELY_RATE = 0.2, 0.5
 
 WANTED = 20
 LEAST_WINDOWS = 12
+DRAWN = 40
+SLOW = 0.05
+"""Windows and part of the sample rate that a figure is made of."""
+
 LONGEST = 0.2
 LINEARISED = 4
 """Times that the model is taken about the delay found before."""
@@ -63,31 +69,113 @@ def motion_findings(
     """
     if len(gyroscope) < 200:
         return []
-    baseline = None if affine is None else affine.baseline
-    cut = [
-        p
-        for p in turning_windows(gyroscope, affine)
-        if _covered(p[0], accelerometer.t) and all(_apart(p[0], s) for s in spoiled)
-    ]
-    parts = cut if affine is None else [(t, rate @ affine.mapping.T) for t, rate in cut]
-    if len(parts) < LEAST_WINDOWS:
+    motion = _Motion.of(accelerometer, gyroscope, affine, gravity, spoiled)
+    if len(motion.windows) < LEAST_WINDOWS:
         return []
     interval = sample_period(gyroscope.t)
-    total, sums = 0.0, []
-    for _ in range(LINEARISED):
-        made = [_equations(_force(accelerometer, baseline, t - total), t, w, gravity) for t, w in parts]
-        one, apart, arm_apart = _weighed([x for x, _ in made], [y for _, y in made])
-        sums.append(one)
-        total = float(np.clip(total + sums[-1].fitted()[3], -LONGEST, LONGEST))
-    where = Where(float(parts[0][0][0]), float(parts[-1][0][-1]), (0.1, 0.5 / interval), "rate of turn")
-    error = float(np.hypot(np.sqrt(sums[-1].jackknifed(PARTS)[1][3, 3]), apart))
+    fit = motion.fitted()
+    where = Where(*motion.span(), (0.1, 0.5 / interval), "rate of turn")
+    error = float(np.hypot(np.sqrt(fit.last.jackknifed(PARTS)[1][3, 3]), fit.delay_apart))
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
-    delay = Measured(total, max(error * (1.0 + 6.0 / len(parts)), LEAST_ERROR))
+    delay = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
     found = [
-        _delayed(delay, sums[0], usual, where, interval),
-        lever_arm(sums[-1].only(ARM), arm_apart, where),
+        _delayed(delay, fit.first, usual, where, interval),
+        lever_arm(fit.last.only(ARM), fit.arm_apart, where),
     ]
     return [f for f in found if f]
+
+
+def power_over_delays(
+    accelerometer: Samples,
+    gyroscope: Samples,
+    affine: Aligned | None,
+    delays: Array,
+    gravity: float = STANDARD,
+) -> Array | None:
+    """Return what motion leaves if the gyroscope is late by each of `delays` (n,) s, over the least, (n,).
+
+    It is the weighed power of the accelerometer less gravity as the gyroscope carries it, with the lever arm
+    fitted at each delay, from `DRAWN` windows at most and below `SLOW` of the accelerometer's rate: there the
+    power does not depend on where between two samples a delay falls. None where the phone turns too little.
+    """
+    motion = _Motion.of(accelerometer, gyroscope, affine, gravity, ())
+    if len(motion.windows) < LEAST_WINDOWS:
+        return None
+    motion = replace(motion, windows=motion.windows[:: -(-len(motion.windows) // DRAWN)])
+    weight = motion.fitted().weight
+    highest = SLOW / sample_period(accelerometer.t)
+    weight = np.where(np.arange(weight.size) / WINDOW <= highest, weight, 0.0)
+    left = []
+    for delay in delays:
+        arm = _summed(*motion.equations(float(delay)), weight).only(ARM)
+        left.append(float(arm.left(arm.fitted()).sum()))
+    return np.asarray(left) / min(left)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """A delay, s, and the normal equations about no delay (`first`) and about it (`last`).
+
+    delay_apart, arm_apart: errors that windows that disagree make; weight: of each frequency.
+    """
+
+    delay: float
+    first: Regression
+    last: Regression
+    delay_apart: float
+    arm_apart: float
+    weight: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Motion:
+    """The windows in which a phone turns: stamps (n,) s and calibrated rate (n, 3), with what it felt."""
+
+    accelerometer: Samples
+    baseline: Baseline | None
+    windows: Sequence[tuple[Array, Array]]
+    gravity: float
+
+    @classmethod
+    def of(
+        cls,
+        accelerometer: Samples,
+        gyroscope: Samples,
+        affine: Aligned | None,
+        gravity: float,
+        spoiled: Sequence[Where],
+    ) -> _Motion:
+        """Cut the windows in which both sensors were recorded; spoiled: when not to look."""
+        cut = [
+            p
+            for p in turning_windows(gyroscope, affine)
+            if _covered(p[0], accelerometer.t) and all(_apart(p[0], s) for s in spoiled)
+        ]
+        if affine is None:
+            return cls(accelerometer, None, cut, gravity)
+        parts = [(t, rate @ affine.mapping.T) for t, rate in cut]
+        return cls(accelerometer, affine.baseline, parts, gravity)
+
+    def span(self) -> tuple[float, float]:
+        """Return when the first window starts and the last one ends, s."""
+        return float(self.windows[0][0][0]), float(self.windows[-1][0][-1])
+
+    def equations(self, delay: float) -> tuple[list[Spectrum], list[Spectrum]]:
+        """Return `_equations` of all windows, the accelerometer read earlier by the delay, s."""
+        made = [
+            _equations(_force(self.accelerometer, self.baseline, t - delay), t, w, self.gravity)
+            for t, w in self.windows
+        ]
+        return [x for x, _ in made], [y for _, y in made]
+
+    def fitted(self) -> _Fit:
+        """Fit delay and arm, the model taken anew about each delay found."""
+        total, first = 0.0, None
+        for _ in range(LINEARISED):
+            sums, apart, arm_apart, weight = _weighed(*self.equations(total))
+            first = first or sums
+            total = float(np.clip(total + sums.fitted()[3], -LONGEST, LONGEST))
+        return _Fit(total, first or sums, sums, apart, arm_apart, weight)
 
 
 def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
@@ -145,23 +233,27 @@ def _equations(force: Array, t: Array, rate: Array, gravity: float) -> tuple[Spe
     return spectrum(effects), spectrum(still)
 
 
-def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> tuple[Regression, float, float]:
+def _summed(effects: list[Spectrum], still: list[Spectrum], weight: Array) -> Regression:
+    return Regression.of([_parts(e, weight) for e in effects], [_parts(y, weight) for y in still])
+
+
+def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> tuple[Regression, float, float, Array]:
     """Return normal equations with each frequency weighed by the power of what is left there.
 
     Maximum likelihood of a stationary noise of unknown spectrum (Whittle, 1953). With them go the errors that
-    parts that disagree make: of the delay, s, and of the arm, a part of it.
+    parts that disagree make: of the delay, s, and of the arm, a part of it; and the weights (f,).
     """
     x = np.zeros(effects[0].shape[2])
     for _ in range(REWEIGHTED):
         left = np.array([y - e @ x for e, y in zip(effects, still, strict=True)])
         weight = 1.0 / np.sqrt(_smooth((np.abs(left) ** 2).mean(axis=(0, 2))))
-        sums = Regression.of([_parts(e, weight) for e in effects], [_parts(y, weight) for y in still])
+        sums = _summed(effects, still, weight)
         x = sums.fitted()
     frequency = np.arange(weight.size) / WINDOW
     left = np.array([(y - e @ x) * weight[:, None] for e, y in zip(effects, still, strict=True)], complex)
     arm, late = np.append(x[:3], 0.0), np.array([0.0, 0.0, 0.0, 1.0])
     terms = [np.array([e @ term * weight[:, None] for e in effects], complex) for term in (late, arm)]
-    return sums, disagreement(terms[0], left, frequency), disagreement(terms[1], left, frequency)
+    return sums, disagreement(terms[0], left, frequency), disagreement(terms[1], left, frequency), weight
 
 
 def _smooth(power: Array) -> Array:
@@ -199,5 +291,5 @@ def _delayed(
         {"delay": delay.parameter("s")},
         statement=say,
         seen=seen,
-        alternatives=[Alternative("bandwidth", sums.held_out(ARM).gain, indistinguishable=hidden)],
+        alternatives=[Alternative("bandwidth", seen.held_out.gain, True)] if hidden and seen.held_out else [],
     )

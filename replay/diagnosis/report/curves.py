@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS
-from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding
+from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Finding
 from stillcal.calib_core.diagnosis.model.residuals import norm_view
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
@@ -37,7 +37,8 @@ class Curve:
     point: (n,) component plus residual. held_out: (n,) the component with its size fitted to the other fifths
     of the recording; None where no term is known. edges: s, the boundaries of the fifths. span: s, start and
     end of the finding. partial_point, partial_component: (n,) point and component with only the part that x
-    causes, so that the component is a curve over x; named `y_name`.
+    causes, so that the component is a curve over x; named `y_name`. period: s, by which x is folded; None
+    where the finding has no period.
     """
 
     axis: str
@@ -52,6 +53,7 @@ class Curve:
     y_name: str
     partial_point: Array
     partial_component: Array | None
+    period: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,25 +103,33 @@ def unexplained_residual(part: Residual, explained: Array) -> Array:
 
 
 def curves_of(
-    mapped: MappedFinding, bins: Bins, conditions: Conditions, affine: AffinePhone, gravity: float
+    mapped: MappedFinding,
+    bins: Bins,
+    conditions: Conditions,
+    affine: AffinePhone,
+    gravity: float,
+    *,
+    absent: bool = False,
 ) -> list[Curve]:
-    """Return the finding's curves, one a named axis. affine: the phone with all that is known."""
+    """Return the finding's curves, one a named axis.
+
+    affine: the phone with all that is known. absent: draw the same of a recording without the finding.
+    """
     finding = mapped.finding
     if not is_slow(finding) or (finding.sensor == "gyro" and bins.rate is None):
         return []
-    component = _component(mapped, bins, conditions, affine, gravity)
-    if component is None and finding.effect != "unknown":
+    component = None if absent else _component(mapped, bins, conditions, affine, gravity)
+    if component is None and finding.effect != "unknown" and not absent:
         return []
     explained = affine.accel if finding.sensor == "accel" else affine.gyro
     parts = residuals(finding.sensor, bins, affine, gravity)
-    return [
-        curve
-        for axis in finding.axes
-        if (
-            curve := _curve(finding, "xyz".index(axis), parts, component, explained, bins=bins, affine=affine)
+    drawn = [
+        _curve(
+            finding, "xyz".index(axis), parts, component, explained, bins=bins, affine=affine, absent=absent
         )
-        is not None
+        for axis in finding.axes
     ]
+    return [curve for curve in drawn if curve is not None]
 
 
 def _component(
@@ -141,6 +151,7 @@ def _curve(
     *,
     bins: Bins,
     affine: AffinePhone,
+    absent: bool,
 ) -> Curve | None:
     part = parts[0] if len(parts) == 1 else parts[axis]
     share = part.project[:, axis]
@@ -156,11 +167,13 @@ def _curve(
     held_out = (
         None if term is None else _held_out_component(part, explained, component, axis, t=t, edges=edges)
     )
+    period = period_of(finding)
     x_name, x = _driver(finding, bins, axis, affine)
     point = component[visible] + residual[visible] / share[visible]
     y_name, partial_point, partial_component = _partial(
         finding, axis, point, component[visible], up=affine.baseline.up[visible]
     )
+    wave = None if absent or term is not None or period is None else _wave(finding, axis, x[visible], period)
     return Curve(
         "xyz"[axis],
         UNIT[finding.sensor],
@@ -173,8 +186,25 @@ def _curve(
         (finding.where.t_start - bins.span[0], finding.where.t_end - bins.span[0]),
         y_name,
         partial_point,
-        None if term is None else partial_component,
+        wave if term is None else partial_component,
+        period,
     )
+
+
+def period_of(finding: Finding) -> float | None:
+    """Return the period of a finding without a name, s; None where it has none."""
+    period = finding.parameters.get("period_s")
+    return None if period is None else float(np.ravel(period.value)[0])
+
+
+def _wave(finding: Finding, axis: int, x: Array, period: float) -> Array | None:
+    """Return the wave that was fitted, at times x (n,) s within the period; None without one."""
+    size = finding.parameters.get("amplitude")
+    if size is None or np.size(size.value) != 2 * len(AXES):
+        return None
+    sine, cosine = np.reshape(size.value, (2, len(AXES)))[:, axis]
+    phase = 2.0 * np.pi * x / period
+    return np.asarray(sine * np.sin(phase) + cosine * np.cos(phase))
 
 
 def _partial(
@@ -184,7 +214,7 @@ def _partial(
     if finding.effect.endswith("scale_temperature"):
         return "error at 1 g,", point / up[:, axis], component / up[:, axis]
     matrix = finding.parameters.get("matrix")
-    if matrix is None:
+    if matrix is None or not component.any():
         return "bias", point, component
     other = _strongest_axis(finding, axis)
     line = np.asarray(matrix.value)[axis, other] * STANDARD * up[:, other]
@@ -222,6 +252,8 @@ def _driver(finding: Finding, bins: Bins, axis: int, affine: AffinePhone) -> tup
     if follows in ("own force", "attitude", "attitude, nonlinearly"):
         other = axis if finding.sensor == "accel" else _strongest_axis(finding, axis)
         return f"gravity along {'xyz'[other]}, m/s^2", np.asarray(STANDARD * affine.baseline.up[:, other])
+    if (period := period_of(finding)) is not None:
+        return f"time within the period of {period:.4g} s", np.asarray((bins.t - bins.span[0]) % period)
     if follows == "vibration power":
         return "vibration, (m/s^2)^2", bins.vibration
     return "time, min", np.asarray((bins.t - bins.span[0]) / 60.0)

@@ -10,12 +10,15 @@ import importlib.util
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.low_pass import LEAST_PIECES, quiet, spectra
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
+from stillcal.calib_core.diagnosis.motion.time_offset import power_over_delays
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples
@@ -30,6 +33,12 @@ if TYPE_CHECKING:
 
 WIDTH, HEIGHT = 5.0, 3.1
 """Size of a picture, inches: two stand side by side on a page at a desk, one on a phone."""
+
+GAP, GAP_OF_USUAL = 0.03, 4.0
+"""A line is broken where no point is for this part of the recording, and for so many usual spacings."""
+
+DELAYS, SHOWN_DELAYS, LEAST_SHOWN = 15, 2.5, 0.02
+"""How many delays are drawn, up to how many times the one found, and up to at least how much, s."""
 
 ROW_INCHES = 0.45
 """Height of one number's row."""
@@ -95,53 +104,120 @@ def drawing(height: float = HEIGHT) -> Iterator[tuple[Figure, Axes, list[str]]]:
     out.append(text.getvalue())
 
 
-def curve_figures(curve: Curve) -> list[str]:
+Drawn = Sequence[tuple[str, str, Curve]]
+"""Label, colour and curve of each side; the first is the one whose effect it is."""
+
+
+def curve_figures(sides: Drawn) -> list[str]:
     """Draw a finding on one axis: against its driver, and in time with the cross-validated prediction."""
-    scale, unit = shown_in(curve.point, curve.unit)
-    pictures = [_in_time(curve, scale, unit)]
-    if not curve.x_name.startswith("time"):
-        pictures.insert(0, _against(curve, scale, unit))
-    return pictures
+    curve = sides[0][2]
+    scale, unit = shown_in(np.concatenate([one.point for _, _, one in sides]), curve.unit)
+    alike = [side for side in sides if side[2].x_name == curve.x_name]
+    if curve.period is not None:
+        return [_against(alike, scale, unit)]
+    if curve.x_name.startswith("time"):
+        return [_in_time(alike, scale, unit)]
+    return [_against(alike, scale, unit), _in_time(sides[:1], scale, unit)]
 
 
-def _against(curve: Curve, scale: float, unit: str) -> str:
+def _against(sides: Drawn, scale: float, unit: str) -> str:
+    curve = sides[0][2]
     with drawing() as (_, axes, out):
-        y = curve.partial_point * scale
-        axes.plot(curve.x, y, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
-        if curve.partial_component is None:
-            x, middle = running_median(curve.x, y)
-            axes.plot(x, middle, color=BEFORE, lw=1.8, label="running median (cause unknown)")
-        else:
-            order = np.argsort(curve.x)
-            axes.plot(
-                curve.x[order], curve.partial_component[order] * scale, color=AFTER, lw=1.8, label="fitted"
-            )
+        for label, colour, one in sides:
+            y = one.partial_point * scale
+            axes.plot(one.x, y, ".", color=colour, ms=4, alpha=0.6, label=label)
+        for place, (_, colour, one) in enumerate(sides):
+            known = one.partial_component
+            if known is not None:
+                order = np.argsort(one.x)
+                x, y, label = one.x[order], known[order], "fitted"
+            elif place == 0:
+                x, y = running_median(one.x, one.partial_point)
+                label = "running median (cause unknown)"
+            else:
+                continue
+            said = label if place == 0 else None
+            dash = "-" if place == 0 else "--"
+            axes.plot(x, y * scale, dash, color=_line_colour(colour), lw=1.8, label=said)
         axes.set_xlabel(pretty(curve.x_name))
         axes.set_ylabel(f"{curve.y_name} {curve.axis}, {pretty(unit)}")
     return out[0]
 
 
-def _in_time(curve: Curve, scale: float, unit: str) -> str:
+def _line_colour(colour: str) -> str:
+    """Return the colour of the line through points of a colour."""
+    return AFTER if colour == RECORDED else colour
+
+
+def _in_time(sides: Drawn, scale: float, unit: str) -> str:
+    label, colour, curve = sides[0]
+    length = float(curve.edges[-1] - curve.edges[0])
     with drawing() as (_, axes, out):
-        minutes = curve.t / 60.0
-        if curve.span[1] - curve.span[0] < SHADED_BELOW * (curve.edges[-1] - curve.edges[0]):
+        if curve.span[1] - curve.span[0] < SHADED_BELOW * length:
             axes.axvspan(curve.span[0] / 60.0, curve.span[1] / 60.0, color="#f1e3d6", label="effect present")
-        axes.plot(minutes, curve.point * scale, ".", color=RECORDED, ms=4, alpha=0.6, label="recorded")
+        axes.plot(curve.t / 60.0, curve.point * scale, ".", color=colour, ms=4, alpha=0.6, label=label)
         if curve.held_out is None:
-            x, y = running_median(minutes, curve.point, 30)
-            axes.plot(x, y * scale, color=BEFORE, lw=1.8, label="running median (cause unknown)")
+            t, y = broken(*running_median(curve.t, curve.point, 30), length)
+            axes.plot(t / 60.0, y * scale, color=BEFORE, lw=1.8, label="running median (cause unknown)")
         else:
             remaining = (curve.point - curve.held_out) * scale
-            axes.plot(minutes, remaining, ".", color=AFTER, ms=3, alpha=0.5, label="residual")
+            axes.plot(curve.t / 60.0, remaining, ".", color=AFTER, ms=3, alpha=0.5, label="residual")
+            t, y = broken(curve.t, curve.held_out, length)
             axes.plot(
-                minutes, curve.held_out * scale, color=AFTER, lw=1.6, label="cross-validated prediction"
+                t / 60.0, y * scale, ".-", color=AFTER, ms=2.5, lw=1.6, label="cross-validated prediction"
             )
             for edge in curve.edges[1:-1] / 60.0:
                 axes.axvline(edge, color="#bbbbbb", lw=0.8, ls=":")
+        for other, other_colour, one in sides[1:]:
+            axes.plot(one.t / 60.0, one.point * scale, ".", color=other_colour, ms=4, alpha=0.6, label=other)
+            if one.partial_component is not None:
+                t, y = broken(one.t, one.partial_component, length)
+                axes.plot(t / 60.0, y * scale, "--", color=_line_colour(other_colour), lw=1.6)
         axes.set_xlabel(
             "time, min (dotted: parts left out in turn)" if curve.held_out is not None else "time, min"
         )
         axes.set_ylabel(f"bias {curve.axis}, {pretty(unit)}")
+    return out[0]
+
+
+def broken(t: Array, y: Array, length: float) -> tuple[Array, Array]:
+    """Return a line through points (n,) with a NaN in each gap, where it would show what nothing measured.
+
+    length: of the recording, s. Rests that are few and alike far apart are one line.
+    """
+    gaps = np.diff(t)
+    wide = np.flatnonzero(gaps > max(GAP * length, GAP_OF_USUAL * float(np.median(gaps)))) + 1
+    return np.insert(t, wide, np.nan), np.insert(y, wide, np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turned:
+    """Both sensors of one recording with their constants (None without rests), as a label and a colour."""
+
+    label: str
+    colour: str
+    accelerometer: Samples
+    gyroscope: Samples
+    aligned: Aligned | None
+
+
+def delay_figure(turned: Sequence[Turned], delay: float) -> str | None:
+    """Draw what motion leaves over the gyroscope's delay, s, that is tried; None with too little motion."""
+    tried = np.linspace(-1.0, 1.0, DELAYS) * max(SHOWN_DELAYS * abs(delay), LEAST_SHOWN)
+    lines = [
+        (one, power)
+        for one in turned
+        if (power := power_over_delays(one.accelerometer, one.gyroscope, one.aligned, tried)) is not None
+    ]
+    if not lines:
+        return None
+    with drawing() as (_, axes, out):
+        for one, power in lines:
+            dash = "--" if one.colour == AFTER else "-"
+            axes.plot(tried * 1e3, power, dash, marker=".", lw=1.5, color=one.colour, label=one.label)
+        axes.axvline(delay * 1e3, color="#999999", lw=1.0, ls=":")
+        axes.set_xlabel(f"gyroscope behind the accelerometer by, ms (dotted: {delay * 1e3:.3g} ms)")
+        axes.set_ylabel("power left, relative to the least")
     return out[0]
 
 

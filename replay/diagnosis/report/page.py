@@ -28,7 +28,7 @@ from stillcal.replay.diagnosis.words.names import (
     simulation_text,
 )
 from stillcal.replay.diagnosis.words.next_recording import to_record
-from stillcal.replay.diagnosis.words.relation_text import probability_text, with_interval
+from stillcal.replay.diagnosis.words.relation_text import AXES, labels_of, probability_text, with_interval
 from stillcal.replay.diagnosis.words.summary import headline, outcome, reasons
 from stillcal.replay.diagnosis.words.units import plain, pretty, shown_in
 from stillcal.replay.palette import BLUE, GREEN, RED
@@ -215,12 +215,37 @@ def _table(finding: Mapping[str, Any]) -> str:
 
 
 def _rows(finding: Mapping[str, Any], name: str) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of one parameter: one, or of a matrix one for every element."""
-    size = max(np.size(finding[side][name]["value"]) for side in SIDES if name in finding[side])
-    groups = [[i] for i in range(size)] if size > VECTOR else [list(range(size))]
-    for shown in groups:
-        cells = (_cell(finding, side, name, shown) for side in SIDES)
-        yield escape(parameter_noun(name)), *cells
+    """Yield the rows of one parameter: one, or of many numbers one for each, all in one unit."""
+    noun_of = escape(parameter_noun(name))
+    sides = [finding[side].get(name) for side in SIDES]
+    size = max(np.size(p["value"]) for p in sides if p is not None)
+    if size <= VECTOR:
+        yield noun_of, *(_cell(finding, side, name, range(size)) for side in SIDES)
+        return
+    labels = element_labels(finding, name, size)
+    largest = [np.max(np.abs(p["value"])) for p in sides if p is not None]
+    unit = next(p["unit"] for p in sides if p is not None)
+    scale = shown_in(largest, unit, name)
+    for i, label in enumerate(labels):
+        cells = ("" if p is None else escape(_number(p, i, scale)) for p in sides)
+        yield f"{noun_of}, {escape(label)}", *cells
+
+
+def element_labels(finding: Mapping[str, Any], name: str, size: int) -> list[str]:
+    """Return what each of the numbers of a parameter is."""
+    if finding["where"]["driver"] == "a period in time" and size == 2 * len(AXES):
+        return [f"{wave} of {axis}" for wave in ("sine", "cosine") for axis in AXES]
+    return labels_of(name, size)
+
+
+def _number(parameter: Mapping[str, Any], i: int, scale: tuple[float, str]) -> str:
+    """Return one number of a parameter with half of its interval, in a given unit."""
+    factor, unit = scale
+    value = float(np.ravel(parameter["value"])[i]) * factor
+    half = None
+    if "ci95" in parameter:
+        half = float(np.ptp(np.reshape(parameter["ci95"], (-1, 2))[i])) / 2.0 * factor
+    return f"{plain(value, half)} {unit}".strip()
 
 
 def _cell(finding: Mapping[str, Any], side: str, name: str, shown: Sequence[int]) -> str:

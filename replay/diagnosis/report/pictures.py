@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
-from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.replay.diagnosis.judged import Judged, bins_of
-from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.report import figures
-from stillcal.replay.diagnosis.report.curves import Curve, curves_of
+from stillcal.replay.diagnosis.report.curves import Curve
+from stillcal.replay.diagnosis.report.sides import Side
 from stillcal.replay.diagnosis.words.names import capital, noun, parameter_noun, simulation_text
 from stillcal.replay.diagnosis.words.relation_text import labels_of
 
@@ -37,21 +35,24 @@ Sources = figures.RecordedAndSimulated
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Album:
-    """What pictures are made of: the recording's case and, by sensor, the samples that are drawn together.
+    """What pictures are made of: both sides and, by sensor, the samples that are drawn together.
 
-    case: the recording's own effects, which the curves are of; None where nothing is at rest.
+    sides: the recording, and the simulation where that is a recording too. turned: what moved together.
     """
 
-    case: Case | None
+    sides: tuple[Side, ...]
     samples: Mapping[str, Sources]
+    turned: tuple[figures.Turned, ...]
 
     @classmethod
     def of(cls, judged: Judged) -> Album:
         """Gather the recording, the simulation as it is, and the corrected one."""
         recorded, simulated = judged.recorded, judged.simulated
         name = simulation_text(judged.answer["simulation"])
+        compared = [Side("recorded", figures.RECORDED, "parameters", recorded)]
         sides = [(recorded.accelerometer, recorded.gyroscope, recorded.bins, "recorded", figures.RECORDED)]
         if simulated is not None:
+            compared.append(Side(name, figures.BEFORE, "simulated", simulated))
             one = (simulated.accelerometer, simulated.gyroscope, simulated.bins)
             sides.append((*one, name, figures.BEFORE))
         if judged.corrected is not None:
@@ -59,30 +60,36 @@ class Album:
             sides.append((made.accelerometer, made.gyroscope, bins_of(made), "corrected", figures.AFTER))
         force = [(label, colour, accel, bins) for accel, _, bins, label, colour in sides]
         rate = [(label, colour, gyro, bins) for _, gyro, bins, label, colour in sides if gyro is not None]
-        case = judged.case or case_of(judged.recording, recorded, compare_with_ideal(recorded))
-        return cls(case if len(case.bins) else None, {"accel": force, "timing": force, "gyro": rate})
+        # A corrected simulation has the constants that it was made with: the simulation's or the recording's.
+        aligned = [side.exam.aligned for side in compared] + [compared[-1].exam.aligned]
+        turned = [
+            figures.Turned(label, colour, accel, gyro, own)
+            for (accel, gyro, _, label, colour), own in zip(sides, aligned, strict=False)
+            if gyro is not None
+        ]
+        return cls(tuple(compared), {"accel": force, "timing": force, "gyro": rate}, tuple(turned))
 
     def pictures(self, answered: Mapping[str, Any]) -> list[Picture]:
         """Return the pictures of one finding of the answer."""
-        key = (answered["effect"], answered["sensor"])
-        for finding, curves in self._curves(key):
-            if curves:
-                return [p for curve in curves for p in _of_curve(finding, curve)]
+        if answered["effect"] == "accel_gyro_time_offset":
+            return _of_delay(answered, self.turned)
+        # What only the simulation has is its curve, with the recording beside it.
+        first, *others = self.sides[::-1] if answered["relation"] == "superfluous" else self.sides
+        curves = first.curves(answered)
+        beside = [(side, c) for side in others for c in side.curves(answered)] if curves else []
+        pictures: list[Picture] = []
+        for curve in curves:
+            pictures += _of_curve(answered, [(first, curve), *(p for p in beside if p[1].axis == curve.axis)])
+        if pictures:
+            return pictures
         return _of_samples(answered, self.samples[answered["sensor"]]) or _of_numbers(answered)
 
-    def _curves(self, key: tuple[str, str]) -> list[tuple[Finding, list[Curve]]]:
-        if (case := self.case) is None:
-            return []
-        return [
-            (m.finding, curves_of(m, case.bins, case.conditions, case.affine, case.gravity))
-            for m in case.mapped
-            if (m.finding.effect, m.finding.sensor) == key
-        ]
 
-
-def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
-    svgs = figures.curve_figures(curve)
-    effect = noun(finding.effect, finding.sensor)
+def _of_curve(answered: Mapping[str, Any], drawn: Sequence[tuple[Side, Curve]]) -> list[Picture]:
+    """Return the pictures of one axis: of the side that is first, with the others beside it."""
+    curve = drawn[0][1]
+    svgs = figures.curve_figures([(side.label, side.colour, one) for side, one in drawn])
+    effect = noun(answered["effect"], answered["sensor"])
     against = Picture(
         svgs[0],
         f"Bias of axis {curve.axis} against {curve.x_name}, with the curve of the {effect}.",
@@ -91,12 +98,25 @@ def _of_curve(finding: Finding, curve: Curve) -> list[Picture]:
     in_time = Picture(
         svgs[-1],
         f"Bias of axis {curve.axis} in time, with the cross-validated prediction of the {effect}.",
-        f"Axis {curve.axis}: the line in each fifth was fitted to the other four fifths; the dots about zero"
-        " are the residual."
+        f"Axis {curve.axis}, {drawn[0][0].label}: the line in each fifth was fitted to the other four fifths;"
+        " the dots about zero are the residual."
         if curve.held_out is not None
         else f"Axis {curve.axis} in time: the part that no known effect explains.",
     )
+    if curve.period is not None:
+        return [against]
     return [in_time] if len(svgs) == 1 else [against, in_time]
+
+
+def _of_delay(answered: Mapping[str, Any], turned: Sequence[figures.Turned]) -> list[Picture]:
+    """Return what is left of motion over the delay that is tried."""
+    delay = _number(answered, "delay") or 0.0
+    what = (
+        "What the gyroscope's rotation leaves of the turn that gravity shows, over the delay that is tried"
+        " (1: its least). The least is at the delay between the sensors."
+    )
+    svg = figures.delay_figure(turned, delay)
+    return [] if svg is None else [Picture(svg, f"{what} {', '.join(t.label for t in turned)}.", what)]
 
 
 def _of_numbers(finding: Mapping[str, Any]) -> list[Picture]:

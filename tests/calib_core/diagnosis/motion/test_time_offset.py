@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
+from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings, power_over_delays
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import ups
@@ -18,13 +18,10 @@ from tests.support.diagnosis.turning import ups
 RATE, G = 50.0, 9.80665
 
 
-def diagnosed(
+def played(
     seed: int, delay: float = 0.0, arm: tuple[float, float, float] = (0.0, 0.0, 0.0), stop: float = np.inf
-) -> list[Finding]:
-    """Play ten minutes, a turn of four seconds in every twenty, and look at the motion alone.
-
-    The accelerometer's file ends at `stop`, s.
-    """
+) -> tuple[Samples, Samples]:
+    """Play ten minutes, a turn of 4 s in every 20; the accelerometer's file ends at `stop`, s."""
     rng = np.random.default_rng(seed)
     n = int(600 * RATE)
     t = np.arange(n) / RATE
@@ -44,7 +41,14 @@ def diagnosed(
     late = np.stack([np.interp(t - delay, t, rate[:, a]) for a in range(3)], axis=1)
     spin = late + rng.normal(0, 5e-4, (n, 3))
     accelerometer = Samples.checked(Sensor.ACCELEROMETER, t[t < stop], force[t < stop])
-    gyroscope = Samples.checked(Sensor.GYROSCOPE, t, spin)
+    return accelerometer, Samples.checked(Sensor.GYROSCOPE, t, spin)
+
+
+def diagnosed(
+    seed: int, delay: float = 0.0, arm: tuple[float, float, float] = (0.0, 0.0, 0.0), stop: float = np.inf
+) -> list[Finding]:
+    """Look at the motion alone."""
+    accelerometer, gyroscope = played(seed, delay, arm, stop)
     bins = cut(accelerometer, gyroscope)
     return motion_findings(
         accelerometer, gyroscope, aligned(gyroscope, bins, G), G, sound_phones()["time_offset"]
@@ -69,6 +73,18 @@ def test_a_late_gyroscope_is_timed(delay: float) -> None:
     low, high = found.parameters["delay"].ci95
     assert found.effect == "accel_gyro_time_offset" and low < delay < high and high - low < 0.02
     assert found.evidence.heldout_log_score_gain > 0.0
+    assert found.alternatives == []  # a filter that delays as much would show in the noise
+
+
+def test_least_power_is_left_at_the_delay() -> None:
+    accelerometer, gyroscope = played(11, delay=0.03)
+    tried = np.linspace(-0.06, 0.06, 7)
+    affine = aligned(gyroscope, cut(accelerometer, gyroscope), G)
+    power = power_over_delays(accelerometer, gyroscope, affine, tried)
+    assert power is not None and tried[np.argmin(power)] in tried[[4, 5]]
+    assert power.min() == 1.0 and power[0] > 1.5 and (np.diff(power[:4]) < 0.0).all()
+    still = gyroscope[:3000]
+    assert power_over_delays(accelerometer, still, affine, tried) is None
 
 
 def test_a_lever_arm_is_measured() -> None:

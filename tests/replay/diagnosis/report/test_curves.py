@@ -7,8 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.phone.case import Case
 from stillcal.replay.diagnosis.report.curves import affine_columns, curves_of
+from stillcal.replay.diagnosis.report.figures import broken
+from stillcal.replay.diagnosis.report.page import element_labels
+from stillcal.replay.diagnosis.report.sides import Side
 
 SENSITIVE: dict[str, object] = {
     "name": "gyro_g_sensitivity",
@@ -41,3 +46,48 @@ def test_a_matrix_is_drawn_as_a_line_over_the_one_force_that_it_is_drawn_against
         np.testing.assert_allclose(curve.partial_component, slope * curve.x + offset, atol=1e-9)
         row = np.asarray(SENSITIVE["matrix"])["xyz".index(curve.axis)]
         assert abs(slope - row[np.argmax(np.abs(row))]) < 5e-5
+
+
+def test_a_line_is_broken_where_no_point_is_and_not_between_rests_that_are_alike_far_apart() -> None:
+    t = np.array([0.0, 10.0, 20.0, 200.0, 210.0, 220.0])
+    x, y = broken(t, t + 1.0, 1000.0)
+    assert np.flatnonzero(np.isnan(x)).tolist() == [3] == np.flatnonzero(np.isnan(y)).tolist()
+    even = np.arange(0.0, 1000.0, 100.0)
+    assert np.isfinite(broken(even, even, 1000.0)[0]).all()
+
+
+def rocked(sensor: str, size: float, seed: int) -> Side:
+    """Rest for 50 minutes in ten attitudes; the gyroscope's z follows a sine of 90 s of this size, rad/s."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 3000.0, 0.1)
+    up = rng.normal(size=(10, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    force = 9.80665 * up[(t // 300.0).astype(int)] + rng.normal(0.0, 0.003, (t.size, 3))
+    rate = rng.normal(0.0, 3e-4, (t.size, 3))
+    rate[:, 2] += size * np.sin(2.0 * np.pi * t / 90.0)
+    samples = [Samples.checked(s, t, v) for s, v in ((Sensor.ACCELEROMETER, force), (Sensor.GYROSCOPE, rate))]
+    exam = examine(*samples, search=False)
+    return Side("recorded", "#000000", "parameters" if sensor == "recorded" else "simulated", exam)
+
+
+def test_a_period_is_folded_and_drawn_beside_a_simulation_that_has_none_of_it() -> None:
+    size = 4e-4
+    period = {"value": 90.0, "unit": "s"}
+    amplitude = {"value": [0.0, 0.0, size, 0.0, 0.0, 0.0], "unit": "rad/s"}
+    answered = {
+        "effect": "unknown",
+        "sensor": "gyro",
+        "axes": ["z"],
+        "where": {"t_start": 0.0, "t_end": 3000.0, "band_hz": [0.0, 0.05], "driver": "a period in time"},
+        "parameters": {"amplitude": amplitude, "period_s": period},
+        "simulated": {"amplitude": {"value": [0.0] * 6, "unit": "rad/s"}},
+    }
+    (recorded,) = rocked("recorded", size, 1).curves(answered)
+    (simulated,) = rocked("simulated", 0.0, 2).curves(answered)
+    assert recorded.x.max() <= 90.0 and recorded.x_name == simulated.x_name
+    wave = recorded.partial_component
+    assert wave is not None and np.abs(wave).max() == pytest.approx(size, rel=0.02)
+    assert (recorded.partial_point - wave).std() < 0.3 * recorded.partial_point.std()
+    assert simulated.partial_component is None and np.abs(simulated.point).max() < 0.3 * size
+    labels = element_labels(answered, "amplitude", 6)
+    assert labels[2] == "sine of z" and labels[3] == "cosine of x"
