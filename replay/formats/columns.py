@@ -108,10 +108,10 @@ class ColumnMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """How to read one kind of log.
 
     delimiter: one character, "space" for runs of blanks, or "auto" (the header's own: comma,
-    semicolon or tab). header: names stand in the first line after skip_lines. decimal: the decimal
-    mark, or "auto": a comma where the first row's cells hold one. reorder: rows by which a stamp may
-    stand too late and is put back. repeats: what to do with a stamp equal to the one before: "drop" the
-    sample, "keep" it, or "refuse" the file.
+    semicolon or tab). header: names stand in the first line after skip_lines; lines_after_header, of units or
+    the like, follow it. decimal: the decimal mark, or "auto": a comma where the first row's cells hold one.
+    reorder: rows by which a stamp may stand too late and is put back. repeats: what to do with a stamp equal
+    to the one before: "drop" the sample, "keep" it, or "refuse" the file.
     """
 
     time: TimeMap
@@ -123,6 +123,7 @@ class ColumnMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     delimiter: Annotated[str, msgspec.Meta(pattern=r"^([^\w\s.\"+-]|\t|space|auto)$")] = ","
     header: bool = True
     skip_lines: Annotated[int, msgspec.Meta(ge=0)] = 0
+    lines_after_header: Annotated[int, msgspec.Meta(ge=0)] = 0
     decimal: Literal[".", ",", "auto"] = "."
     reorder: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
     repeats: Literal["drop", "keep", "refuse"] = "drop"

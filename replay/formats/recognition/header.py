@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from stillcal.replay.formats.recognition.names import find_axes
 from stillcal.replay.formats.tables.cells import is_date, is_number
 from stillcal.replay.formats.tables.text import uncommented
 
@@ -26,19 +27,35 @@ def cells_of(row: str) -> list[str]:
     return row.split() if delimiter == " " else row.split(delimiter)
 
 
-def lines_before_header(lines: Sequence[str]) -> int:
-    """Return how many lines stand before the header: the last line before the numbers begin, if it fits them.
+def header_place(lines: Sequence[str]) -> tuple[int, int]:
+    """Return how many lines stand before the header, and how many between it and the numbers.
 
-    0 where the first line is the header, and where no line is one.
+    Of the lines before the numbers that have their count of cells, the header is the one that names axes,
+    else the last. (0, 0) where the first line is the header, and where no line is one.
     """
     first = next((i for i, line in enumerate(lines) if _is_row(line)), 0)
     before = [i for i in range(first) if lines[i].strip()]
     if len(before) < 2:
-        return 0
-    delimiter = delimiter_of(lines[first])
-    header = uncommented(lines[before[-1]])
-    width = len(header.split() if delimiter == " " else header.split(delimiter))
-    return before[-1] if width == len(cells_of(lines[first])) else 0
+        return 0, 0
+    width = len(cells_of(lines[first]))
+    names = {i: split_as(lines[first], uncommented(lines[i])) for i in before}
+    fitting = [i for i in before if len(names[i]) == width]
+    if not fitting:
+        return 0, 0
+    header = next((i for i in fitting if find_axes(names[i])), fitting[-1])
+    return header, first - header - 1
+
+
+def split_as(row: str, line: str) -> list[str]:
+    """Return a line's cells, split as those of a row of numbers are."""
+    delimiter = delimiter_of(row)
+    return line.split() if delimiter == " " else [cell.strip().strip('"') for cell in line.split(delimiter)]
+
+
+def with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    """Return names with the units that a line below the header gives them."""
+    plain = [unit.replace("(", "").replace(")", "") for unit in units]
+    return [f"{name} [{unit}]" if unit else name for name, unit in zip(names, plain, strict=True)]
 
 
 def _is_row(line: str) -> bool:

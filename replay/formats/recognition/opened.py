@@ -9,7 +9,7 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.logs.arrays import open_arrays
+from stillcal.replay.formats.logs.arrays import OWN, open_arrays
 from stillcal.replay.formats.logs.axivity import open_axivity
 from stillcal.replay.formats.logs.betaflight import open_betaflight
 from stillcal.replay.formats.logs.dataflash import open_dataflash
@@ -31,6 +31,7 @@ from stillcal.replay.formats.recognition.text_formats import (
 from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
 from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.tables.layout import missing
 from stillcal.replay.formats.tables.text import TextTable
 
 AUTO = "auto"
@@ -134,9 +135,12 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -
     notes = [f"{source.path.name}: read as {form.name}{said}"] if form.name not in (UNKNOWN, "csv") else []
     if form.name == UNKNOWN and gyro is None:
         table = TextTable(source, form.column_map)
+        table.names = form.names or table.names
         sensors = settled(table, form.column_map)
         if sensors:
             return Log(source.path, "text table", sensors, beside=source.path)
+        if table.names is not None and not OWN & set(table.names):
+            raise missing(table, [])
     return _mapped(source, form, gyro, notes)
 
 

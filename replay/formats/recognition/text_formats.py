@@ -19,7 +19,9 @@ from stillcal.replay.formats.recognition.header import (
     DELIMITERS,
     cells_of,
     delimiter_of,
-    lines_before_header,
+    header_place,
+    split_as,
+    with_units,
 )
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.text import text_head, uncommented
@@ -40,11 +42,15 @@ _G_UNTIL = 2.5
 
 @dataclass(frozen=True, slots=True)
 class TextFormat:
-    """A recognised text table. name: of its format, "" where it has none; said: what was assumed."""
+    """A recognised text table. name: of its format, "" where it has none; said: what was assumed.
+
+    names: of its columns, where they are more than the header alone says.
+    """
 
     name: str
     column_map: ColumnMap
     said: str = ""
+    names: list[str] | None = None
 
 
 def text_format(source: Source) -> TextFormat:
@@ -56,11 +62,17 @@ def text_format(source: Source) -> TextFormat:
         return TextFormat(GNSS_LOGGER, load_map("csv"))
     if _numbers_in(cells_of(filled[0])) or _hhar_row(filled[0]):
         return _headerless(filled)
-    before = lines_before_header(lines)
+    before, after = header_place(lines)
     filled = [line for line in lines[before:] if line.strip()]
     form = _with_header(filled, whole=len(head) < (1 << 15) and not source.zipped)
-    skipped = msgspec.structs.replace(form.column_map, skip_lines=form.column_map.skip_lines + before)
-    return replace(form, column_map=skipped)
+    skip = form.column_map.skip_lines + before
+    placed = msgspec.structs.replace(form.column_map, skip_lines=skip, lines_after_header=after)
+    if form.name not in (UNKNOWN, "csv") or not after:
+        return replace(form, column_map=placed)
+    below, row = lines[before + after], lines[before + after + 1]
+    names, units = (split_as(row, line) for line in (uncommented(lines[before]), below))
+    told = with_units(names, units) if len(units) == len(names) else None
+    return TextFormat(UNKNOWN, placed, names=told)
 
 
 def _with_header(lines: list[str], *, whole: bool) -> TextFormat:

@@ -77,9 +77,14 @@ def selection(
 
 
 def missing(table: Table, columns: Sequence[Column]) -> TraceError:
-    """Return the error that names the missing columns and the columns that the file has."""
+    """Return the error that names the missing columns and the columns that the file has.
+
+    columns: that were looked for; none where an accelerometer was looked for by its names.
+    """
     absent = [c for c in columns if find_columns([c], table.names, table.width) is None]
-    what = f"no column {', '.join(repr(c) for c in absent)}"
+    what = (
+        f"no column {', '.join(repr(c) for c in absent)}" if absent else "no accelerometer found by its names"
+    )
     if table.names is None:
         return TraceError(table.path, f"{what} in rows of {table.width} cells", MAP_REMEDY, table.header_line)
     if all(map(_is_float, table.names)):

@@ -67,7 +67,7 @@ class TextTable:
         self._map = column_map
         head = text_head(self._source)
         lines = head.split("\n")
-        self._skip = column_map.skip_lines + column_map.header
+        self._skip = column_map.skip_lines + column_map.header + column_map.lines_after_header
         header = uncommented(lines[min(column_map.skip_lines, len(lines) - 1)])
         self.delimiter = _delimiter(header, column_map.delimiter)
         self.names = self._header(lines) if column_map.header else None

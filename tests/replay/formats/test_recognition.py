@@ -113,6 +113,15 @@ def test_columns_of_any_usual_name_are_found_with_their_units(
 
 
 LONG = rows(2000)
+IN_OTHER_UNITS = [1e3, *[1 / 9.80665] * 3, *[DEGREES] * 3]
+SHIMMER = "\n".join(
+    "\t".join(line)
+    for line in (
+        ["Stamp", *(f"S1_{sensor}_{axis}" for sensor in ("Accel_LN", "Gyro") for axis in "XYZ")],
+        ["CAL"] * 7,
+        ["ms", *["g"] * 3, *["deg/s"] * 3],
+    )
+)
 OWN = "t,ax,ay,az,gx,gy,gz"
 PREAMBLE = "// General information:\n// Rate,100\nSample,Time (s),Comment\n\n"
 
@@ -127,6 +136,8 @@ PREAMBLE = "// General information:\n// Rate,100\nSample,Time (s),Comment\n\n"
         text(f"# {OWN.replace(',', ' ')}", LONG, " "),
         text(f"sep=,\nDevice:,left\n\n{OWN}", LONG),
         text(PREAMBLE + OWN.replace(",", "\t"), LONG, "\t"),
+        text("t,ax,ay,az,gx,gy,gz\nms,g,g,g,deg/s,deg/s,deg/s", LONG * IN_OTHER_UNITS),
+        text(SHIMMER, LONG * IN_OTHER_UNITS, "\t"),
         text(
             "Zeit (s),Kraft x (m/s^2),Kraft y (m/s^2),Kraft z (m/s^2),AsX(°/s),AsY(°/s),AsZ(°/s)",
             LONG * [*[1] * 4, *[DEGREES] * 3],
@@ -137,7 +148,8 @@ def test_separators_comments_and_what_stands_before_a_header(tmp_path: Path, tab
     path = tmp_path / "r.csv"
     path.write_text(table, encoding="latin-1")
     recording = read_all(path)
-    np.testing.assert_array_equal(recording.accelerometer.xyz, LONG[:, 1:4])
+    np.testing.assert_allclose(recording.accelerometer.t, LONG[:, 0], rtol=1e-14)
+    np.testing.assert_allclose(recording.accelerometer.xyz, LONG[:, 1:4], rtol=1e-14)
     assert recording.gyroscope is not None
     np.testing.assert_allclose(recording.gyroscope.xyz, LONG[:, 4:], rtol=1e-14)
 
