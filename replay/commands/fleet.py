@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from stillcal.calib_core.calibration.record import CalibrationRecord
-    from stillcal.replay.fleet.sections import Section
+    from stillcal.replay.fleet.summary.sections import Section
     from stillcal.replay.fleet.worker import Task
 
 _BAD, _NAMED = ("error", "lost"), 3
@@ -197,9 +197,9 @@ def report_command(results: Path, json_path: Path | None, page_path: Path | None
     no device was calibrated.
     """
     try:
-        from stillcal.replay.fleet.page import fleet_page  # noqa: PLC0415 - an extra
-        from stillcal.replay.fleet.report import report  # noqa: PLC0415 - an extra
-        from stillcal.replay.fleet.sections import sections  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet.summary.page import fleet_page  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet.summary.report import report  # noqa: PLC0415 - an extra
+        from stillcal.replay.fleet.summary.sections import sections  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise click.UsageError(_LACKING.format(error)) from error
     if page_path not in (None, STANDARD_OUTPUT) and page_path.suffix not in (".html", ".htm"):

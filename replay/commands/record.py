@@ -17,7 +17,7 @@ from stillcal.daemon.cli.options import quiet_option, socket_option
 from stillcal.daemon.cli.query import NoDaemonError, replies
 from stillcal.daemon.varlink.address import NAME, answering_path
 from stillcal.replay.commands.outputs import new_recording_files, refuse_collisions
-from stillcal.replay.formats.live_recording import LiveRecording, Parts
+from stillcal.replay.formats.conversion.live_recording import LiveRecording, Parts
 
 RESERVE_BYTES = 64 * 2**20
 """Free room that a recording leaves on the disk: the daemon's own files need some."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.fleet.clusters import clusters
+from stillcal.replay.fleet.summary.clusters import clusters
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, agreement, holds, picture, table
 from stillcal.replay.studies.drawing import COLOURS, panels, save
 from stillcal.replay.studies.har.data import without_recordings

@@ -19,7 +19,7 @@ from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.fleet.first_calibration import first_calibration
 from stillcal.replay.fleet.prior_file import few_devices, read_prior
-from stillcal.replay.fleet.report import prior_document
+from stillcal.replay.fleet.summary.report import prior_document
 from stillcal.replay.formats.trace import Samples, TraceError, open_trace
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.outcome import current_in_store

@@ -12,12 +12,12 @@ import pytest
 
 from stillcal.calib_core.accelerometer.parameters import names
 from stillcal.replay.fleet import discovery, results_folder
-from stillcal.replay.fleet.changes import QUANTITIES, Change, changes
 from stillcal.replay.fleet.first_calibration import document, first_calibration
-from stillcal.replay.fleet.outliers import distances
-from stillcal.replay.fleet.page import fleet_page
 from stillcal.replay.fleet.prior_file import read_prior
-from stillcal.replay.fleet.report import report
+from stillcal.replay.fleet.summary.changes import QUANTITIES, Change, changes
+from stillcal.replay.fleet.summary.outliers import distances
+from stillcal.replay.fleet.summary.page import fleet_page
+from stillcal.replay.fleet.summary.report import report
 from stillcal.replay.fleet.worker import Examined, Task
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import open_trace

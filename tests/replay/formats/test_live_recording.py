@@ -10,7 +10,7 @@ import pytest
 
 from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.formats.live_recording import LiveRecording, Parts
+from stillcal.replay.formats.conversion.live_recording import LiveRecording, Parts
 from stillcal.replay.formats.trace import read_all
 from tests.support.phone_pieces import whole
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.fleet.clusters import clusters
+from stillcal.replay.fleet.summary.clusters import clusters
 from stillcal.replay.studies.har.data import ACTIVITIES, Windows
 from stillcal.replay.studies.har.devices import Device
 from stillcal.replay.studies.har.features import FAMILIES

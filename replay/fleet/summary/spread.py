@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.fleet.devices import Devices
+from stillcal.replay.fleet.summary.devices import Devices
 
 ALL = "all"
 

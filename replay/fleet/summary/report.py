@@ -13,12 +13,12 @@ from stillcal.calib_core.accelerometer.prior import FleetPrior
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.fleet import results_folder
-from stillcal.replay.fleet.changes import Change, changes, first_and_last
-from stillcal.replay.fleet.clusters import clusters
-from stillcal.replay.fleet.devices import Devices, devices
-from stillcal.replay.fleet.outliers import Distances, distances
 from stillcal.replay.fleet.prior_file import FEW, few_devices
-from stillcal.replay.fleet.spread import Effect, Spread, effects, spreads
+from stillcal.replay.fleet.summary.changes import Change, changes, first_and_last
+from stillcal.replay.fleet.summary.clusters import clusters
+from stillcal.replay.fleet.summary.devices import Devices, devices
+from stillcal.replay.fleet.summary.outliers import Distances, distances
+from stillcal.replay.fleet.summary.spread import Effect, Spread, effects, spreads
 
 LEAST, MOST_CLUSTERED = 5, 2000
 """Fewer devices have no outliers and no clusters; affinity propagation grows with their square."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from stillcal.replay.diagnosis.words.units import pretty
-from stillcal.replay.fleet.report import Report
+from stillcal.replay.fleet.summary.report import Report
 
 Row = tuple[str, ...]
 

@@ -6,8 +6,8 @@ from html import escape
 
 from stillcal.replay.diagnosis.report import tables
 from stillcal.replay.diagnosis.report.page import document
-from stillcal.replay.fleet.report import Report
-from stillcal.replay.fleet.sections import Section, sections
+from stillcal.replay.fleet.summary.report import Report
+from stillcal.replay.fleet.summary.sections import Section, sections
 
 
 def fleet_page(report: Report, name: str) -> str:
