@@ -70,16 +70,16 @@ def _nats(found: Finding) -> float:
 
 def _of_any_length(samples: Samples, sensor: str) -> Finding | None:
     short = stretches(samples, sensor, SHORT)
-    found = _tone(samples, sensor, short)
+    found = _tone(sensor, short)
     if found is not None and _nats(found) > PLAIN:
         return found
-    found = _tone(samples, sensor, stretches(samples, sensor, LONG, SHORT)) or found
+    found = _tone(sensor, stretches(samples, sensor, LONG, SHORT)) or found
     if found is None and (short is None or float(short.share.sum()) < LEAST_STACK):
-        return _tone(samples, sensor, stretches(samples, sensor, BRIEF))
+        return _tone(sensor, stretches(samples, sensor, BRIEF))
     return found
 
 
-def _tone(samples: Samples, sensor: str, seen: Stretches | None) -> Finding | None:
+def _tone(sensor: str, seen: Stretches | None) -> Finding | None:
     if seen is None:
         return None
     rate = 2.0 * float(seen.f[-1])
@@ -96,7 +96,7 @@ def _tone(samples: Samples, sensor: str, seen: Stretches | None) -> Finding | No
     brief = float(seen.share[lasting].sum()) < LEAST_STRETCHES
     if brief or not _narrow(profile, 3 * lasting.size) or _of_a_body(seen, lasting, middle):
         return None
-    return _stated(samples, sensor, seen, lasting, middle)
+    return _stated(sensor, seen, lasting, middle)
 
 
 def _line(ratio: Array, share: Array) -> int | None:
@@ -215,7 +215,7 @@ def _peak(grid: Array, power: Array) -> float:
     )
 
 
-def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | None:
+def _stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | None:
     frequency, error = _frequency(seen, rows, middle)
     line = np.abs(_amplitudes(seen, rows, np.array([frequency]))[:, 0]) ** 2
     scale = seen.to_amplitude[rows] ** 2
@@ -228,15 +228,13 @@ def _stated(samples: Samples, sensor: str, seen: Stretches, rows: Index, middle:
     ]
     axes = axes or [int(np.argmax(amplitude))]
     evidence = _seen(line, noise, seen.f.size)
-    first, last = int(seen.first[rows[0]]), int(seen.first[rows[-1]] + seen.length[rows[-1]]) - 1
     half = 1.96 * error
     parameters = {
         "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),
         "amplitude": vector(amplitude, scatter, UNIT[sensor]),
     }
-    where = Where(
-        float(samples.t[first]), float(samples.t[last]), (frequency - half, frequency + half), "time"
-    )
+    start, end = float(seen.span[rows[0], 0]), float(seen.span[rows[-1], 1])
+    where = Where(start, end, (frequency - half, frequency + half), "time")
     rate = 2.0 * float(seen.f[-1])
     say = (
         f"Vibration at {frequency:.2f} Hz in the {NAME[sensor]}'s data, amplitude"

@@ -1,4 +1,8 @@
-"""Steady stretches of a recording, and their spectra above those of their neighbourhood."""
+"""Steady stretches of a recording, and their spectra above those of their neighbourhood.
+
+Samples stand in their places on the grid of the stamps; places that are empty weigh nothing. Closed up, they
+would shift the phase of every line, gap by gap.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,8 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
-from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
+from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
 from stillcal.calib_core.streams.samples import Samples
 
 STEADY = {"accel": 0.1, "gyro": 0.03}
@@ -28,15 +33,17 @@ class Stretches:
     """Steady stretches, overlapping by half; a rest too short for the longest is one as long as it holds.
 
     t: (S, n) s, from each one's middle; tapered: (S, n, 3), no means, under half a sine of its own length,
-    zeros after it; length: (S,) samples; first: (S,) rows; share: (S,), what of each the next does not hold;
-    f: (F,) Hz; power, ratio to its neighbours': (S, F, 3).
+    zeros after it; length: (S,) places; span: (S, 2) s, first and last; share: (S,), what of each the next
+    does not hold; to_amplitude: (S,), what makes amplitudes of sums of tapered values; f: (F,) Hz; power,
+    ratio to its neighbours': (S, F, 3).
     """
 
     t: Array
     tapered: Array
     length: Index
-    first: Index
+    span: Array
     share: Array
+    to_amplitude: Array
     f: Array
     power: Array
     ratio: Array
@@ -46,10 +53,25 @@ class Stretches:
         """How many of the frequencies `f` lie between two that a stretch of its length tells apart, (S,)."""
         return np.asarray(self.tapered.shape[1] / self.length, dtype=np.float64)
 
-    @property
-    def to_amplitude(self) -> Array:
-        """What makes amplitudes of sums of tapered values, (S,)."""
-        return np.array([2.0 / _taper(n).sum() for n in self.length])
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Places:
+    """Samples on the grid of their stamps. t: (N,) s; xyz: (N, 3), interpolated where not `there` (N,)."""
+
+    t: Array
+    xyz: Array
+    there: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, samples: Samples) -> _Places:
+        period = sample_period(samples.t)
+        lost = np.zeros(len(samples) - 1) if bunched(samples.t) else Grid.of(samples.t, period).lost()
+        place = np.concatenate([[0], np.cumsum(1 + lost.astype(np.int64))])
+        every = np.arange(place[-1] + 1)
+        there = np.zeros(every.size, dtype=np.bool_)
+        there[place] = True
+        xyz = np.stack([np.interp(every, place, axis) for axis in samples.xyz.T], axis=1)
+        return cls(np.interp(every, place, samples.t), xyz, there)
 
 
 def stretches(samples: Samples, sensor: str, seconds: float, least: float | None = None) -> Stretches | None:
@@ -61,16 +83,19 @@ def stretches(samples: Samples, sensor: str, seconds: float, least: float | None
     longest, shortest = int(seconds * rate), int((least or seconds) * rate)
     if shortest < LEAST_SAMPLES or len(samples) < 3 * shortest:
         return None
-    first, length = _steady(samples.xyz, max(round(rate), 1), longest, shortest, STEADY[sensor])
-    whole = samples.t[first + length - 1] - samples.t[first] < 1.2 * length / rate
-    first, length = first[whole], length[whole]
+    places = _Places.of(samples)
+    first, length = _steady(places.xyz, max(round(rate), 1), longest, shortest, STEADY[sensor])
+    span = np.stack([places.t[first], places.t[first + length - 1]], axis=1)
+    whole = span[:, 1] - span[:, 0] < 1.2 * length / rate
+    first, length, span = first[whole], length[whole], span[whole]
     if first.size < 3:
         return None
-    t, tapered = _tapered(samples, first, length, longest)
+    t, tapered, weight = _tapered(places, first, length, longest)
     power = np.asarray(np.abs(np.fft.rfft(tapered, axis=1)) ** 2)
     f = np.asarray(np.fft.rfftfreq(longest, 1.0 / rate), dtype=np.float64)
     share = np.minimum(np.append(np.diff(first), longest) / length, 1.0)
-    return Stretches(t, tapered, length, first, share, f, power, _ratios(power, longest / length))
+    ratio = _ratios(power, longest / length)
+    return Stretches(t, tapered, length, span, share, 2.0 / weight, f, power, ratio)
 
 
 def _steady(xyz: Array, second: int, longest: int, shortest: int, most: float) -> tuple[Index, Index]:
@@ -132,14 +157,19 @@ def _taper(n: int) -> Array:
     return np.asarray(np.sin(np.pi * (np.arange(n) + 0.5) / n))
 
 
-def _tapered(samples: Samples, first: Index, length: Index, longest: int) -> tuple[Array, Array]:
-    """Return times about each one's middle (S, n) and tapered values (S, n, 3), zeros after them."""
+def _tapered(places: _Places, first: Index, length: Index, longest: int) -> tuple[Array, Array, Array]:
+    """Return times about each one's middle (S, n), tapered values (S, n, 3) and the sum of each one's taper.
+
+    Values are zero after its end and where a sample is missing.
+    """
     t, values = np.zeros((first.size, longest)), np.zeros((first.size, longest, 3))
+    weight = np.zeros(first.size)
     for i, (a, n) in enumerate(zip(first, length, strict=True)):
-        own = samples.xyz[a : a + n]
-        t[i, :n] = samples.t[a : a + n] - samples.t[a : a + n].mean()
-        values[i, :n] = (own - own.mean(axis=0)) * _taper(n)[:, None]
-    return t, values
+        own, taper = places.xyz[a : a + n], _taper(n) * places.there[a : a + n]
+        t[i, :n] = places.t[a : a + n] - places.t[a : a + n].mean()
+        values[i, :n] = (own - own.mean(axis=0)) * taper[:, None]
+        weight[i] = taper.sum()
+    return t, values, weight
 
 
 def _ratios(power: Array, wider: Array) -> Array:
