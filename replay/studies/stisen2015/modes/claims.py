@@ -17,7 +17,7 @@ from stillcal.replay.studies.har.scoring import (
     with_interval,
 )
 from stillcal.replay.studies.stisen2015.both_ways import OTHER, both_ways
-from stillcal.replay.studies.stisen2015.modes.rows import DENSE, NINE, Judged, other_windows
+from stillcal.replay.studies.stisen2015.modes.rows import DENSE, NINE, Judged, Mask, other_windows
 from stillcal.replay.studies.stisen2015.modes.scores import (
     CLUSTER_DEVICE,
     FEW,
@@ -126,12 +126,12 @@ AS_FEW = f"with {NINE} people, as in the paper, {DENSE} windows of each and nobo
 """What `of_nine` is, in words."""
 
 
-def often(holding: Array) -> bool:
+def often(holding: Mask) -> bool:
     """Return whether a statement holds in so many draws that nine people may make it. holding: (DRAWS,)."""
     return int(np.sum(holding)) >= OFTEN
 
 
-def in_draws(holding: Array) -> str:
+def in_draws(holding: Mask) -> str:
     """Say in how many draws of people a statement holds. holding: (DRAWS,)."""
     return f"in {int(np.sum(holding))} of {len(holding)} draws"
 

@@ -99,15 +99,20 @@ NINE, DENSE = 9, 16
 """People of the paper; windows of each on every device where they are as few."""
 
 
-def of_nine(windows: Windows, devices: list[Device], labels: list[int], seed: int) -> Rows:
-    """Return nine people's windows through every device, drawn from all, but for those of lying.
+def nine_people(windows: Windows, seed: int) -> Windows:
+    """Return nine people's windows, DENSE of each, drawn from all, but for those of lying.
 
     The paper's nine people lie nowhere; they ride a bicycle, which nobody does here.
     """
     rng = np.random.default_rng(seed)
     people = rng.permutation(windows.people)[:NINE]
     upright = windows.only(np.isin(windows.person, people)).of(*(a for a in ACTIVITIES if a != "lie"))
-    few = some(upright, DENSE, rng)
+    return some(upright, DENSE, rng)
+
+
+def of_nine(windows: Windows, devices: list[Device], labels: list[int], seed: int) -> Rows:
+    """Return `nine_people` through every device."""
+    few = nine_people(windows, seed)
     return gathered(few, devices, labels, [r.samples for r in record_all(few, devices, seed)])
 
 

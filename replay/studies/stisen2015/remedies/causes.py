@@ -1,7 +1,7 @@
 """Why remedies give back other than the paper says: each supposed cause, tried by itself.
 
-What the activity allows at all, what the lower rate does by itself, features that count by the sample,
-activities in motion and at rest, and clusters of devices of one rate.
+What the activity allows at all, what the lower rate does by itself, features that count by the sample, a
+spectrum's magnitudes instead of shares, and clusters of devices of one rate.
 """
 
 from __future__ import annotations
@@ -11,15 +11,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.studies.har.data import ACTIVITIES, RATE_HZ, Windows
+from stillcal.replay.studies.har.data import RATE_HZ, Windows
 from stillcal.replay.studies.har.features import FAMILIES, frequency_features, without_counts
-from stillcal.replay.studies.har.scoring import LEARNERS
+from stillcal.replay.studies.har.scoring import LEARNERS, signed_mcnemar
 from stillcal.replay.studies.stisen2015.families import COMMON_HZ
-from stillcal.replay.studies.stisen2015.modes.rows import Judged, Part, Rows, judge, other_windows, splits
+from stillcal.replay.studies.stisen2015.modes.rows import (
+    Judged,
+    Part,
+    Rows,
+    judge,
+    nine_people,
+    other_windows,
+    record_all,
+    splits,
+)
+from stillcal.replay.studies.stisen2015.modes.scores import DRAWS
 from stillcal.replay.studies.stisen2015.recorded import METHODS, by_rate, reference, resample
-
-MOVING = ("walk", "stairs up", "stairs down")
-
+from stillcal.replay.studies.stisen2015.remedies.treated import Carried
 
 MOST, HALVES = 400, 2
 """Rows that a recogniser is trained on at most; groups of windows of which one is not trained on."""
@@ -30,40 +38,47 @@ ByWay = dict[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Magnitudes:
+    """What interpolation gains on frequency features as magnitudes, a model out, by way.
+
+    gain: points of F1 by method, learner and model left out, (4, 4, models). p: McNemar's, by method and
+    learner, (4, 4), negative where it judges fewer rightly.
+    """
+
+    gain: dict[str, Array]
+    p: dict[str, Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Causes:
     """What was tried, in points of F1 but for `ceiling`, percent.
 
     ceiling: the SVM on frequency features of a faultless device at 25 Hz, people in both parts, all windows.
     slower: gained by going from 50 to 25 Hz on a faultless device, frequency features, mean of learners.
-    moving, still: gained by smoothed splines, a model out, forest on frequency features, among activities in
-    motion and among the others. uncounted: gained by each of METHODS, a model out, on time features
-    `without_counts`. same_rate: (3, devices), gained by training on the other devices of one rate instead of
-    on all. within: gained by linear interpolation among devices of one rate, frequency features. mixed: Hz,
+    magnitudes: what interpolation gains on frequency features that are magnitudes.
+    nine: the SVM on frequency features, nine people and nobody lying, F1 in percent as shares and as
+    magnitudes, raw and linear, by draw of people, (DRAWS, 2, 2).
+    uncounted: gained by each of METHODS, a model out, on time features `without_counts`.
+    same_rate: (3, devices), gained by training on the other devices of one rate instead of on all.
+    within: gained by linear interpolation among devices of one rate, frequency features. mixed: Hz,
     lowest and highest rate within the cluster that mixes them most.
     """
 
     ceiling: float
     slower: float
-    moving: ByWay
-    still: ByWay
+    magnitudes: Magnitudes
+    nine: Array
     uncounted: dict[str, ByWay]
     same_rate: dict[str, Array]
     within: ByWay
     mixed: tuple[float, float]
 
 
-def tried(rows: dict[str, Rows], rates: list[float], windows: Windows, few: Windows, seed: int) -> Causes:
-    """Try every cause. rows: by way, of devices with these rates, Hz. few: the windows behind them."""
+def tried(carried: Carried, rows: dict[str, Rows], windows: Windows) -> Causes:
+    """Try every cause. rows: by way. windows: all that there are."""
+    seed, few = carried.seed, carried.windows
+    rates = [device.rate_hz for device in carried.devices]
     out = halves(rows["raw"], OUT, seed)
-    forest = {"forest": LEARNERS["forest"]}
-    frequency = {way: of_family(rows[way], "frequency") for way in ("raw", "smoothed")}
-    moves = np.isin(rows["raw"].label, [ACTIVITIES.index(a) for a in MOVING])
-    gains = []
-    for mask in (moves, ~moves):
-        before, after = (frequency[way].only(mask) for way in ("raw", "smoothed"))
-        again = halves(before, OUT, seed)
-        smoothed, raw = (judge(own, again, seed, forest, most=MOST) for own in (after, before))
-        gains.append(gained(smoothed, raw))
     plain = judge(_uncounted(rows["raw"]), out, seed, most=MOST)
     alike = {way: replace(rows[way], cluster=by_rate(rows[way].device, rates)) for way in ("raw", "linear")}
     anywhere = judge(alike["raw"], halves(alike["raw"], DEVICE, seed), seed, most=MOST)
@@ -71,8 +86,8 @@ def tried(rows: dict[str, Rows], rates: list[float], windows: Windows, few: Wind
     return Causes(
         ceiling=_faultless(windows, COMMON_HZ, seed, learners=("SVM",)),
         slower=_faultless(few, COMMON_HZ, seed) - _faultless(few, RATE_HZ, seed),
-        moving=gains[0],
-        still=gains[1],
+        magnitudes=_magnitudes(carried),
+        nine=np.array([_nine(carried, windows, seed + k) for k in range(DRAWS)]),
         uncounted={m: gained(judge(_uncounted(rows[m]), out, seed, most=MOST), plain) for m in METHODS},
         same_rate={
             WITHIN: (by_device(inside["raw"][WITHIN]) - by_device(anywhere[DEVICE])).mean(axis=1),
@@ -83,6 +98,32 @@ def tried(rows: dict[str, Rows], rates: list[float], windows: Windows, few: Wind
         mixed=_most_mixed(rows["raw"], np.array(rates)),
         within=gained(inside["linear"], inside["raw"], _FREQUENCY),
     )
+
+
+def _magnitudes(carried: Carried) -> Magnitudes:
+    seed = carried.seed
+    found = {}
+    for way in ("raw", *METHODS):
+        rows = carried.magnitudes(way)
+        found[way] = judge(rows, halves(rows, OUT, seed), seed, most=MOST)
+    raw = found["raw"]
+    return Magnitudes(
+        {t: np.stack([(by_device(found[m][t]) - by_device(raw[t]))[0] for m in METHODS]) for t in raw},
+        {t: np.stack([signed_mcnemar(found[m][t].right, raw[t].right)[0] for m in METHODS]) for t in raw},
+    )
+
+
+def _nine(carried: Carried, windows: Windows, seed: int) -> list[list[float]]:
+    few, svm = nine_people(windows, seed), {"SVM": LEARNERS["SVM"]}
+    recorded = record_all(few, carried.devices, seed)
+    own = Carried(few, carried.devices, carried.clusters, recorded, seed)
+    return [
+        [
+            float(judge(rows, halves(rows, OUT, seed), seed, svm, most=MOST)[OUT].mean[0, 0])
+            for rows in (make(way) for way in ("raw", "linear"))
+        ]
+        for make in (lambda way: of_family(own.rows(way), "frequency"), own.magnitudes)
+    ]
 
 
 def halves(rows: Rows, mode: str, seed: int) -> list[Part]:

@@ -33,7 +33,7 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     carried = Carried(windows, devices, device_clusters(data, devices, seed), recorded, seed)
     rows = {way: carried.rows(way) for way in WAYS}
     progress(0.1)
-    causes = tried(rows, [d.rate_hz for d in devices], read_windows(data), windows, seed)
+    causes = tried(carried, rows, read_windows(data))
     progress(0.3)
     found = score_all(carried, rows, causes, progress)
     words = f"{CARRIED.format(len(devices))}, their rates and stamps; {len(windows)} windows on each"

@@ -14,7 +14,7 @@ from stillcal.replay.studies.har.features import FAMILIES
 from stillcal.replay.studies.har.scoring import LEARNERS
 from stillcal.replay.studies.stisen2015.recorded import METHODS, RATES_HZ
 from stillcal.replay.studies.stisen2015.remedies import study as remedies_study
-from stillcal.replay.studies.stisen2015.remedies.causes import Causes
+from stillcal.replay.studies.stisen2015.remedies.causes import Causes, Magnitudes
 from stillcal.replay.studies.stisen2015.remedies.claims import PAPER, judged
 from stillcal.replay.studies.stisen2015.remedies.scores import (
     ANYWHERE,
@@ -35,6 +35,13 @@ N = 400
 def share(gain: float) -> np.ndarray:
     """Half of the windows judged rightly, and a share of the others."""
     return np.arange(N) < N * (0.5 + gain / 2.0)
+
+
+def magnitudes(points: float = 20.0, p: float = 1e-4) -> Magnitudes:
+    """Return gains that are all of so many points and as certain."""
+    gain, sure = np.full((4, 4, 5), 20.0), np.full((4, 4), 1e-4)
+    gain[1, 2], sure[1, 2] = points, p
+    return Magnitudes(dict.fromkeys(UNKNOWN, gain), dict.fromkeys(UNKNOWN, sure))
 
 
 def as_the_paper_has_it() -> Found:
@@ -63,7 +70,7 @@ def as_the_paper_has_it() -> Found:
         sweep[test, "nearest", 25.0], sweep[test, "linear", 25.0] = 85.0, 86.0
     none = dict.fromkeys(METHODS, BOTH)
     causes = Causes(
-        80.0, 1.0, BOTH, {"same": -1.0, "other": -1.0}, none,
+        80.0, 1.0, magnitudes(), np.zeros((5, 2, 2)), none,
         dict(zip(INSIDE, (np.ones((3, 3)), np.ones((3, 3))), strict=True)), BOTH, (39.0, 197.0),
     )  # fmt: skip
     return Found(scores, right, sweep, causes)
@@ -173,17 +180,38 @@ def test_causes_must_hold_both_ways() -> None:
     assert verdicts(replace(found, causes=replace(found.causes, uncounted=less)))["time"].explained
     one = less | {"cubic": {"same": -0.1, "other": 0.1}}
     assert not verdicts(replace(found, causes=replace(found.causes, uncounted=one)))["time"].explained
-    still = replace(found.causes, still={"same": -1.0, "other": 1.0})
-    assert not verdicts(replace(found, causes=still))["frequency"].explained
+    for less_certain in (magnitudes(points=-0.1), magnitudes(p=0.002), magnitudes(p=-1e-4)):
+        causes = replace(found.causes, magnitudes=less_certain)
+        assert not verdicts(replace(found, causes=causes))["frequency"].explained
 
 
-@pytest.mark.parametrize("ceiling, shown", [(79.9, False), (79.7, True), (87.0, False)])
-def test_a_faultless_device_explains_a_gain_that_reaches_it(ceiling: float, shown: bool) -> None:
-    """From 65 to 79.8 %, less than half of the paper's gain."""
+@pytest.mark.parametrize("ahead, shown", [((3.0, -3.0), True), ((0.0, 0.0), True), ((-3.0, -2.0), False)])
+def test_an_order_is_chance_where_some_is_certain_and_none_the_other_way(
+    ahead: tuple[float, float], shown: bool
+) -> None:
+    """Linear interpolation against cubic splines, by model left out: both ends of its scatter."""
+    found = as_the_paper_has_it()
+    test = UNKNOWN[0]
+    cell(test, "cubic", 25.0, 86.5)(found)
+    low = found.scores[test, "linear"] - 5.0
+    for spline in ("cubic", "smoothed"):
+        found.scores[test, spline] = low.copy()
+    found.scores[test, "cubic"][FREQUENCY, SVM] = found.scores[test, "linear"][FREQUENCY, SVM] - np.linspace(
+        *ahead, 5
+    )
+    claim = verdicts(found)["simple"]
+    assert (claim.verdict, claim.explained) == (Verdict.DIFFERS, shown)
+
+
+@pytest.mark.parametrize("second, shown", [(15.5, True), (15.4, False)])
+def test_nine_people_explain_a_gain_that_two_draws_have(second: float, shown: bool) -> None:
+    """From 65 to 79.8 % with everybody, less than half of the paper's gain."""
     found = as_the_paper_has_it()
     cell(UNKNOWN[0], "raw", 0.0, 65.0)(found)
     cell(UNKNOWN[0], "linear", 25.0, 79.8)(found)
-    now = verdicts(replace(found, causes=replace(found.causes, ceiling=ceiling)))["interpolation"]
+    nine = np.full((5, 2, 2), 70.0)
+    nine[:, 1, 1] += [16.0, second, 0.0, 0.0, 0.0]
+    now = verdicts(replace(found, causes=replace(found.causes, nine=nine)))["interpolation"]
     assert (now.verdict, now.explained) == (Verdict.DIFFERS, shown)
 
 
