@@ -119,7 +119,8 @@ def _smallest(one: Smallest) -> dict[str, Any]:
         "smallest_seen_90": one.value,
         "unit": one.unit,
     }
-    return out | ({"reference": one.reference} if one.reference else {})
+    out |= {"reference": one.reference} if one.reference else {}
+    return out | ({"reason": one.reason} if one.reason else {})
 
 
 def _finding(

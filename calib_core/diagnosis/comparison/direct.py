@@ -116,7 +116,8 @@ def smallest_direct(exam: Examination) -> list[Smallest]:
             timing = one.effect in TIMING
             if not timing or stream.sensor == "accel":
                 sensor = "timing" if timing else stream.sensor
-                out.append(Smallest(one.effect, sensor, one.parameter, one.value, one.unit))
+                found = Smallest(one.effect, sensor, one.parameter, one.value, one.unit, reason=one.reason)
+                out.append(found)
     return out
 
 

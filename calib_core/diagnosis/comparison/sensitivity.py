@@ -33,6 +33,9 @@ from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_scen
 LARGEST, HALVINGS = 1e3, 12
 """Sizes are looked for up to so many times their prior's, to one part in 4000."""
 
+ONE_IN_TEN = 1.645
+"""Prior standard deviations that one effect in ten exceeds: what shows only beyond them is not shown."""
+
 ONE_AXIS = 6
 """What an effect on one axis alone pays for in trials, as the search counts them."""
 
@@ -41,7 +44,8 @@ ONE_AXIS = 6
 class Smallest:
     """The smallest value of a parameter, on one axis, that is found nine times in ten, in `unit`.
 
-    reference: the time constant or moment it is stated for, where the effect has one.
+    reference: the time constant or moment it is stated for, where the effect has one. reason: why the effect
+    is hardly shown at all; "" where it is.
     """
 
     effect: str
@@ -50,13 +54,15 @@ class Smallest:
     value: float
     unit: str
     reference: dict[str, float] = field(default_factory=dict)
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Sought:
     """A slow effect that was looked for. log_bayes_factor: nats for it, against none.
 
-    smallest: one for each of its parameters that the recording shows better than the prior does.
+    smallest: one for each of its parameters that the recording shows, at sizes that one in ten such effects
+    has.
     """
 
     effect: str
@@ -141,8 +147,10 @@ def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> S
         if informed[rows].any():
             worst = int(rows[informed[rows]][np.argmax(sigma[rows][informed[rows]])])
             half = _found_half_the_time(reduced, index, fit.every, worst, needed)
-            size = (half + NINE_IN_TEN * sigma[worst]) * hypothesis.sizes[worst]
-            smallest.append(_smallest(hypothesis, parameter, float(size)))
+            needed_size = half + NINE_IN_TEN * sigma[worst]
+            if needed_size <= ONE_IN_TEN:
+                size = float(needed_size * hypothesis.sizes[worst])
+                smallest.append(_smallest(hypothesis, parameter, size))
     return Sought(effect.name, effect.sensor, evidence, tuple(smallest))
 
 

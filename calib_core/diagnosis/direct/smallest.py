@@ -33,18 +33,25 @@ SHARES = {
 }
 """Shares of samples by population, with what is added to them before the logarithm is taken."""
 
+FEW_FAULTS = 0.1
+"""An effect is hardly shown where no more than this part of its faults is large enough."""
+
 Unlucky = Callable[[float, int], Measured]
 """What one recording in ten measures of a number, or less; faults are above (1) or below (-1)."""
 
 
 @dataclass(frozen=True, slots=True)
 class SmallestSize:
-    """The smallest size of an effect's parameter that is found nine times in ten, in `unit`."""
+    """The smallest size of an effect's parameter that is found nine times in ten, in `unit`.
+
+    reason: why the effect is hardly shown at all; "" where it is.
+    """
 
     effect: str
     parameter: str
     value: float
     unit: str
+    reason: str = ""
 
 
 def smallest_number(common: Usual, unlucky: Unlucky) -> float | None:
@@ -59,6 +66,20 @@ def smallest_number(common: Usual, unlucky: Unlucky) -> float | None:
         if side * (seen.value - common.middle) > 0.0 and of_measured(seen, common).stated:
             return float(number)
     return None
+
+
+def _why_hardly(common: Usual, number: float, share_floor: float) -> str:
+    """Say why a share of samples is hardly shown; "" where more than `FEW_FAULTS` of its faults are larger.
+
+    number: the least that is stated; on the population's scale, log10 of the share plus a floor.
+    """
+    edge = common.faulty[1]
+    if edge - number > FEW_FAULTS * (edge - common.middle):
+        return ""
+    if not common.devices.size:
+        return "there are too few samples"
+    highest = 10.0**common.highest - share_floor
+    return f"{common.devices.size} real devices show up to {highest:.0%} (nominal_rate_hz would tell more)"
 
 
 def _constant(error: float) -> Unlucky:
@@ -84,13 +105,14 @@ def of_stamps_and_values(samples: Samples, sound: SoundPhones, nominal: float | 
         if name in SHARES:
             least = smallest_number(common, _of_share(SHARES[name], len(samples), _together(name, samples)))
             size = None if least is None else 10.0**least - SHARES[name]
+            reason = "" if least is None else _why_hardly(common, least, SHARES[name])
             parameter, unit = "fraction", "1"
         else:
             least = smallest_number(common, _constant(number.error))
             size = None if least is None else (10.0**least - stamps.LEAST_JITTER) * period
-            parameter, unit = "sigma", "s"
+            parameter, unit, reason = "sigma", "s", ""
         if size is not None:
-            out.append(SmallestSize(name, parameter, float(size), unit))
+            out.append(SmallestSize(name, parameter, float(size), unit, reason))
     return out
 
 

@@ -63,3 +63,14 @@ def test_an_effect_of_the_stated_size_is_found_nine_times_in_ten(share: float, l
         scene = examined(replace(bins, rate=bins.rate + added)).scenes[0]
         found += bool(forward(scene, [BiasTemperature("gyro")]))
     assert least <= found <= most
+
+
+def test_a_size_that_no_device_has_is_not_stated() -> None:
+    """With twenty times the noise a slope shows over 8 K; over 2.4 K none that one in ten phones has."""
+    bins = rests(1)
+    assert bins.temperature is not None and bins.rate is not None and bins.rate_variance is not None
+    loud = replace(bins, rate=20.0 * bins.rate, rate_variance=400.0 * bins.rate_variance)
+    steady = replace(loud, temperature=25.0 + 0.3 * (bins.temperature - 25.0))
+    stated = [{r.effect for one in sought(examined(b)) for r in one.smallest} for b in (loud, steady)]
+    assert "gyro_bias_temperature" in stated[0] and "gyro_bias_temperature" not in stated[1]
+    assert "gyro_bias_step" in stated[1]

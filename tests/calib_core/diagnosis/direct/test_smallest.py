@@ -56,5 +56,15 @@ def test_more_samples_show_smaller_losses() -> None:
     assert long["dropped_samples"] < 0.3 * short["dropped_samples"]
 
 
+def test_a_loss_that_hardly_any_fault_is_as_large_as_says_why_it_is_not_shown() -> None:
+    """Sound phones whose rate is not declared lose up to a quarter of their samples."""
+    even = stream(np.arange(N) / RATE)
+    undeclared, declared = (
+        {s.effect: s.reason for s in of_stamps_and_values(even, SOUND, nominal)} for nominal in (None, RATE)
+    )
+    assert "real devices show up to 26%" in undeclared["dropped_samples"]
+    assert declared["dropped_samples"] == ""
+
+
 def test_what_no_size_shows_has_none() -> None:
     assert smallest_number(SOUND["excess_kurtosis"], lambda number, side: Measured(number, 50.0)) is None
