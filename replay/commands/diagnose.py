@@ -161,8 +161,9 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
     """Find where a recording differs from a simulation, by what physics, and by how much.
 
     The simulation is an ideal sensor moved as TRACE was, a phone file (--phone), or a recording that any
-    simulator made (--simulated): other motion, another rate and another length do not matter then. What
-    could not be checked is said. Exit code 3 where there is too little data.
+    simulator made (--simulated), which may have other motion and another length. Another rate is a finding;
+    all else is compared in spite of it. What could not be checked is said. Exit code 3 where there is too
+    little data.
     """
     asked = _Asked(
         trace,
@@ -252,7 +253,11 @@ def _check(asked: _Asked) -> None:
             " --covariate and --residuals need them"
         )
     if asked.simulated is not None and (asked.phone is not None or phone_out is not None):
-        raise click.UsageError("give --simulated, or --phone and --phone-out: each is another simulation")
+        other = "--phone" if asked.phone is not None else "--phone-out"
+        raise click.UsageError(
+            f"--simulated and {other} exclude each other: SIM is the simulation that is judged;"
+            " to correct its configuration, give --fix-for"
+        )
     if asked.fix_for is not None and asked.simulated is None and asked.phone is None:
         raise click.UsageError(
             "--fix-for corrects the simulation that is judged: give it as --simulated SIM or --phone PHONE"

@@ -6,7 +6,7 @@ docs/comparison.md describes it. A field without a meaning for a finding is abse
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,16 @@ class Fit:
         if after is None:
             return cls(before.p(known), None, not_put_in)
         left = [(d.effect, d.sensor) for d in after.discrepancies if d.effect not in known]
-        return cls(before.p(known), after.p(known), not_put_in, left)
+        return cls(before.p(known), after.p(known), not_put_in, list(dict.fromkeys(left)))
+
+    def without_own_constants(self) -> Fit:
+        """Return it for a simulation that has the recording's own constants, which cannot differ.
+
+        Where something unknown is left, what of it looks like a constant went into them.
+        """
+        sensors = {sensor for effect, sensor in self.still_different if effect == "unknown"}
+        own = {(f"{sensor}_{what}", sensor) for sensor in sensors for what in ("bias", "scale")}
+        return replace(self, still_different=[one for one in self.still_different if one not in own])
 
     def plain(self) -> dict[str, Any]:
         """Return the fields that have a value."""
@@ -237,7 +246,9 @@ def _values(quantity: Quantity) -> dict[str, Any]:
     low, high = quantity.value - NORMAL_95 * quantity.sigma, quantity.value + NORMAL_95 * quantity.sigma
     value = quantity.value
     if quantity.logarithmic:
-        value, low, high = np.exp(value), np.exp(low), np.exp(high)
+        value, low, high = _number(quantity), np.exp(low), np.exp(high)
+    if quantity.none:
+        low = np.zeros_like(low)
     return _by_part(quantity, value, low, high)
 
 
@@ -247,13 +258,18 @@ def _difference(difference: Difference) -> dict[str, Any]:
     if not recorded.logarithmic:
         half = NORMAL_95 * difference.sigma
         return _by_part(recorded, difference.value, difference.value - half, difference.value + half)
-    one, other = np.exp(recorded.value), np.exp(simulated.value)
+    one, other = _number(recorded), _number(simulated)
     half = NORMAL_95 * np.hypot(one * recorded.sigma, other * simulated.sigma)
     out = _by_part(recorded, one - other, one - other - half, one - other + half)
     spread = np.exp(NORMAL_95 * difference.sigma)
     ratio = np.exp(difference.value)
     ci = np.stack([ratio / spread, ratio * spread], axis=-1)
     return out | {"ratio": {"value": ratio.tolist(), "ci95": ci.tolist(), "unit": "1"}}
+
+
+def _number(quantity: Quantity) -> Array:
+    """Return the numbers whose logarithms were compared; what is as good as nothing is 0."""
+    return np.asarray(np.zeros_like(quantity.value) if quantity.none else np.exp(quantity.value))
 
 
 def _by_part(quantity: Quantity, value: Array, low: Array, high: Array) -> dict[str, Any]:

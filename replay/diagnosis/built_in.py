@@ -66,4 +66,4 @@ def _played(
     # What another recording can have as well is measured in both; the rest must be found again.
     search = any(s.hypothesis and not transferable(s.hypothesis) for s in recorded.statements)
     after = compare(recorded, examined(corrected, show_stage, search=search), names)
-    return Fit.of(before, after, left_out), after, corrected
+    return Fit.of(before, after, left_out).without_own_constants(), after, corrected

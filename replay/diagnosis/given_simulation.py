@@ -1,6 +1,6 @@
 """`stillcal diagnose REC --simulated SIM`: where SIM differs from REC, by what physics, by how much.
 
-Other motion, another rate and another length do not matter: both are fitted by the same model.
+Other motion and another length do not matter, and another rate is one finding: both are fitted by one model.
 """
 
 from __future__ import annotations

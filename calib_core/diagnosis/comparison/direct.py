@@ -94,12 +94,19 @@ def _linear(measured: Measured, floor: float, unit: float) -> Measured:
 
 
 def _logarithm(key: Key, part: Part, measured: Measured, floor: float, samples: Samples) -> Quantity:
-    """Return a number of 0 or more as a logarithmic quantity, below `floor` as the floor."""
+    """Return a number of 0 or more as a logarithmic quantity, below `floor` as the floor.
+
+    Where nothing lies within two standard deviations, the logarithm's reaches down to the floor.
+    """
     value = max(measured.value, floor)
+    error = measured.error / value
+    if measured.value < 2.0 * measured.error:
+        error = max(error, float(np.log(value / floor)))
     return Quantity(
-        *key, (part,), np.array([np.log(value)]), np.array([[(measured.error / value) ** 2]]),
+        *key, (part,), np.array([np.log(value)]), np.array([[error**2]]),
         np.array([TIMES]), np.array([ALIKE_STAMPS]), np.array([-1]), logarithmic=True,
         where=Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "time stamps"),
+        none=measured.value <= floor,
     )  # fmt: skip
 
 

@@ -204,7 +204,8 @@ def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
         f"{_counted(pieces, 'static interval')}, {LEAST_PIECES} are needed" if pieces < LEAST_PIECES else None
     )
     yield Check(f"{sensor}_quantisation", sensor, few or restless)
-    coarse = "its values come in steps that hide the noise" if stream.steps.hides_noise() else None
+    hidden = "its values come in steps that hide the noise" if pieces else restless
+    coarse = hidden if stream.steps.hides_noise() else None
     tone = None if "vibration_tone" in stated else few or coarse or _no_stretch(stream)
     yield Check("vibration_tone", sensor, tone)
     noise = few or coarse or restless or (None if stream.levels is not None else why_no_density(stream))

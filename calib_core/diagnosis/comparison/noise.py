@@ -87,7 +87,7 @@ def why_no_density(stream: Stream) -> str:
         return (
             "its noise differs between rests by more than chance: heavy tails, or something shakes the phone"
         )
-    if stream.steps.hides_noise():
+    if stream.still.pieces and stream.steps.hides_noise():
         return "its values come in steps that hide the noise"
     return "too little of it is at rest"
 

@@ -49,7 +49,8 @@ class Quantity:
     value: (k,), the parts one after another, in their units, or the logarithms of positive numbers where
     `logarithmic`. covariance: (k, k). size: (k,) standard deviation of how far a simulation may be off.
     tolerance: (k,) standard deviation of a difference that two recordings of one phone have anyway. axis_of:
-    (k,) the axis each number belongs to, -1 for none. reference: what the values are stated at.
+    (k,) the axis each number belongs to, -1 for none. reference: what the values are stated at. none: whether
+    what was measured is as good as nothing, of which the values are the logarithms of the limit.
     """
 
     effect: str
@@ -63,6 +64,7 @@ class Quantity:
     logarithmic: bool = False
     reference: Mapping[str, float] = field(default_factory=dict)
     where: Where | None = None
+    none: bool = False
 
     @property
     def sigma(self) -> Array:
@@ -102,6 +104,8 @@ class Difference:
 
     def relation(self) -> Relation:
         """Return how the simulation stands to the recording: in size, whatever the signs."""
+        if self.recorded.none != self.simulated.none:
+            return "superfluous" if self.recorded.none else "lacking"
         if self.recorded.logarithmic:
             return _of_logarithms(self.value)
         if not self.simulated.shows():

@@ -104,11 +104,18 @@ class Grid:
 
     @property
     def rounding(self) -> float:
-        """Variance that the stamps' own step makes, s^2."""
-        return self.step**2 / 12.0
+        """Variance, s^2, that the stamps' own step seems to make: step^2 / 12 where each is off by itself.
+
+        It is that of `apart`, step^2 / 2 for independent errors of rounding, over `factor`.
+        """
+        return self.step**2 / (2.0 * self.factor)
 
     def jitter(self) -> Measured | None:
-        """Return the scatter of single stamps, s, what rounding does taken off; None with too few."""
+        """Return the scatter of single stamps, s, what rounding does taken off; None with too few.
+
+        Rounded even stamps repeat a pattern: the mean square of `apart` is anything between 0 and step^2, so
+        what is taken off may be off by itself either way, which is taken for two standard deviations.
+        """
         if self.apart.size < 100:
             return None
         parts = np.array_split(self.apart, PIECES)
@@ -117,7 +124,9 @@ class Grid:
         sigma = mean_of(pieces, 1e-3 * self.period / np.sqrt(self.apart.size))
         # Stamps that scatter by a fifth of the period and more are put in order, or held apart, by somebody.
         sorted_by = 0.15 * max(sigma.value / self.period - 0.2, 0.0) * sigma.value
-        return Measured(sigma.value, float(np.hypot(sigma.error, sorted_by)))
+        most, square = min(self.rounding, float(own.mean())), sigma.value**2
+        rounded_by = (np.sqrt(square + most) - np.sqrt(max(square - most, 0.0))) / 2.0
+        return Measured(sigma.value, float(np.linalg.norm([sigma.error, sorted_by, rounded_by])))
 
     def lost(self) -> Array:
         """Return how many samples (n - 1,) are missing between stamps."""

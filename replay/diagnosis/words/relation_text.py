@@ -142,7 +142,10 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     relation = finding["relation"]
     if finding["effect"] == "unknown":
         owner, other = (recording, simulation) if relation == "lacking" else (simulation, recording)
-        return f"{owner} shows {what}; it follows {finding['where']['driver']}. {other} does not show it."
+        side = "parameters" if relation == "lacking" else "simulated"
+        seen = "".join(f", {text}" for text in (_where(finding), _sizes(finding, side)) if text)
+        driver = finding["where"]["driver"]
+        return f"{owner} shows {what}{seen}; it follows {driver}. {other} does not show it."
     if relation == "lacking":
         return (
             f"{simulation} lacks the {what} that {recording} shows: {_every(finding, 'parameters')}. Add it."
@@ -153,6 +156,25 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     recorded, simulated = (_side(finding, side, name) for side in ("parameters", "simulated"))
     word = _word(finding, name)
     return f"The {what} {word} in {simulation}: {simulated}, recorded {recorded}."
+
+
+def _where(finding: Mapping[str, Any]) -> str:
+    """Return on which axes and when something is seen."""
+    where, axes = finding["where"], " and ".join(finding["axes"])
+    return f"{f'on {axes} ' if axes else ''}from {where['t_start']:.0f} to {where['t_end']:.0f} s"
+
+
+def _sizes(finding: Mapping[str, Any], side: str) -> str:
+    """Return the parameters of what has no name; of a parameter with many numbers the largest."""
+    texts = []
+    for name in list(finding[side])[:MOST_PARAMETERS]:
+        text = _side(finding, side, name)
+        values = np.abs(np.asarray(finding[side][name]["value"], dtype=np.float64))
+        if values.size > len(AXES):
+            factor, unit = shown_in(values.max(), finding[side][name]["unit"], name)
+            text = f"up to {plain(float(values.max()) * factor)} {unit}".strip()
+        texts.append(text if text.startswith(parameter_noun(name)) else f"{parameter_noun(name)} {text}")
+    return "; ".join(texts)
 
 
 def _clearest(finding: Mapping[str, Any]) -> str | None:

@@ -41,14 +41,30 @@ def outcome(answer: Mapping[str, Any]) -> str:
     simulation, fit = simulation_text(answer["simulation"]), answer["fit"]
     if "p_after" not in fit:
         return f"{capital(simulation)} could not be played with what was found: the phone is never at rest."
-    passes = "passes" if fit["p_after"] >= LEVEL else "still fails"
-    numbers = f"bound of p: {fit['p_after']:.2g}; before {fit['p_before']:.2g}"
+    nameless = "unknown" in fit["not_put_in"]
     # One effect on both sensors is named once.
     left = ", ".join(dict.fromkeys(noun(effect, "") for effect in fit["not_put_in"] if effect != "unknown"))
+    without = f" These could not be put in and are left out of both: {left}." if left else ""
+    if {f["effect"] for f in answer["findings"]} <= set(fit["not_put_in"]):
+        return _nothing_put_in(simulation, fit, nameless) + without
+    passes = "passes" if fit["p_after"] >= LEVEL else "still fails"
+    numbers = f"bound of p: {fit['p_after']:.2g}; before {fit['p_before']:.2g}"
     still = ", ".join(noun(one["effect"], one["sensor"]) for one in fit["still_different"])
     where = f" What differs then: {still}." if still else ""
-    but = f" These could not be put in and are left out of both: {left}." if left else ""
-    return f"With what was found put in, {simulation} {passes} the same comparison ({numbers}).{where}{but}"
+    both = " What has no name could not be put in and counts in both." if nameless else ""
+    put = "what has a name" if nameless else "what was found"
+    return f"With {put} put in, {simulation} {passes} the same comparison ({numbers}).{where}{both}{without}"
+
+
+def _nothing_put_in(simulation: str, fit: Mapping[str, Any], nameless: bool) -> str:
+    """Return how a simulation fits into which nothing of what was found could be put."""
+    passes = "passes" if fit["p_before"] >= LEVEL else "fails"
+    what, rest = (
+        ("What has no name", "as before") if nameless else ("Nothing of what was found", "in all else")
+    )
+    cannot = "cannot" if nameless else "can"
+    text = f"{what} {cannot} be put into {simulation}: it {passes} the comparison {rest}"
+    return f"{text} (bound of p: {fit['p_before']:.2g})."
 
 
 def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:

@@ -76,4 +76,4 @@ class Log:
         for sensor in self.sensors:
             if sensor.name == name:
                 return sensor, []
-        raise TraceError(self.path, f"no sensor {name!r}", f"choose with --sensor one of: {there}")
+        raise TraceError(self.path, f"no sensor {name!r}", f"choose one of: {there}")

@@ -276,7 +276,11 @@ def test_only_a_part_of_the_simulation_is_judged_where_it_is_asked_for(written: 
         (["--witness", "x.csv", "--phone", "typical"], "leave out --simulated and --phone"),
         (["--witness", "x.csv", "--phone-out", "p.toml"], "--witness does not go with --phone-out"),
         (["--witness", "x", "--witness", "y", "--witness-sensor", "1"], "give one sensor for each witness"),
-        (["--simulated", "sim.csv", "--phone", "typical"], "each is another simulation"),
+        (["--simulated", "sim.csv", "--phone", "typical"], "--simulated and --phone exclude each other"),
+        (
+            ["--simulated", "sim.csv", "--phone-out", "p.toml"],
+            "--simulated and --phone-out exclude each other",
+        ),
         (["--fail-on", "bad"], "bad"),
     ],
 )

@@ -127,3 +127,21 @@ def test_a_time_constant_is_called_one() -> None:
     text = told("gyro_warmup", "lacking", ["x"], amplitude=([2.0] * 3, [0.0] * 3, "rad/s"),
                 tau_s=([300.0], [0.0], "s"))  # fmt: skip
     assert "time constant 300 " in text and "tau" not in text
+
+
+def test_what_has_no_name_is_told_with_axes_time_and_size() -> None:
+    finding = {
+        "effect": "unknown",
+        "sensor": "accel",
+        "axes": ["y"],
+        "relation": "lacking",
+        "alternatives": [],
+        "where": {"t_start": 0.0, "t_end": 830.8, "driver": "own force in a stretch of time"},
+        "parameters": {"gain": {"value": [0.0, -0.003, 0.0], "ci95": [[-0.0033, -0.0027]] * 3, "unit": "1"}},
+        "simulated": {},
+        "difference": {},
+    }  # fmt: skip
+    said = statement(finding, ("real.csv", BUILT_IN))
+    assert ", on y from 0 to 831 s, gain y -0.300 ± 0.030 %; it follows own force" in said
+    many = {"amplitude": {"value": (0.01 * np.eye(3)).tolist(), "unit": "rad/s"}}
+    assert "amplitude up to 0.573 deg/s;" in statement(finding | {"parameters": many}, ("real.csv", BUILT_IN))

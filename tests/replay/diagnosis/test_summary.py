@@ -36,6 +36,21 @@ def test_what_is_named_and_not_explained_is_told_from_what_has_no_name(
     assert says in headline(answer(effect, "partly_identified", **fit))
 
 
+@pytest.mark.parametrize(
+    ("fit", "says"),
+    [
+        ({"not_put_in": ["unknown", "unknown"]}, "What has no name cannot be put into"),
+        ({"not_put_in": ["unknown", "sample_rate"]}, "left out of both: sample rate"),
+    ],
+)
+def test_nothing_is_said_to_be_put_in_where_nothing_was(fit: dict[str, Any], says: str) -> None:
+    text = outcome(answer("unknown", "unidentified", p_after=1e-9, **fit))
+    assert says in text and "found put in" not in text and text.count("as before") == 1
+    whole = answer("unknown", "partly_identified", p_after=1e-9, **fit)
+    text = outcome(whole | {"findings": [{"effect": "unknown"}, {"effect": "gyro_warmup"}]})
+    assert "With what has a name put in" in text and "counts in both" in text
+
+
 def test_a_correction_that_fails_names_what_differs_in_spite_of_it() -> None:
     left = [{"effect": "noise_heavy_tailed", "sensor": "accel"}]
     text = outcome(answer("noise_heavy_tailed", "partly_identified", p_after=1e-9, still_different=left))

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.direct import quantities_of
-from stillcal.calib_core.diagnosis.comparison.quantity import subtract
+from stillcal.calib_core.diagnosis.comparison.direct import quantities_of, stamp_quantities
+from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
+from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -42,3 +45,39 @@ def test_a_line_twice_as_strong_is_a_difference_whether_or_not_an_axis_shows_not
     assert evidence((0.03, 0.06), (0, 1)) > 10.0
     assert evidence((0.06, 0.03), (1, 0)) > 10.0
     assert evidence((0.03, 0.06), (0, 0)) > 10.0
+
+
+EVEN = np.arange(6000.0) / 99.97
+
+
+def jitter_apart(recorded: np.ndarray, simulated: np.ndarray) -> Difference:
+    """Compare the jitter of two recordings' stamps, s."""
+    xyz = np.array([0.0, 0.0, 9.81]) + np.random.default_rng(0).normal(0.0, 0.01, (recorded.size, 3))
+    both = [examine(Samples(Sensor.ACCELEROMETER, t, xyz), None, search=False) for t in (recorded, simulated)]
+    return subtract(*(stamp_quantities(exam)["timestamp_jitter", "timing"] for exam in both))
+
+
+@pytest.mark.parametrize(("rate_hz", "digits"), [(48.7, 3), (119.9, 4), (99.97, 5)])
+def test_what_the_printed_step_makes_of_even_stamps_is_no_jitter_that_a_simulation_lacks(
+    rate_hz: float, digits: int
+) -> None:
+    found = jitter_apart((np.arange(6000) / rate_hz).round(digits), np.arange(6000) / 100.0)
+    assert posterior(found.log_bayes_factor, 30) < 0.1
+
+
+def test_jitter_is_lacking_where_the_simulation_has_none_and_not_too_small() -> None:
+    scattered = EVEN + np.random.default_rng(1).normal(0.0, 1e-4, EVEN.size)
+    found = jitter_apart(scattered.round(6), np.arange(6000) / 100.0)
+    assert found.simulated.none and not found.recorded.none
+    assert found.relation() == "lacking" and posterior(found.log_bayes_factor, 30) > 0.95
+    assert jitter_apart(np.arange(6000) / 100.0, scattered).relation() == "superfluous"
+
+
+def test_a_phone_that_is_never_at_rest_is_not_said_to_have_steps_that_hide_its_noise() -> None:
+    t = np.arange(0.0, 60.0, 0.01)
+    rng = np.random.default_rng(2)
+    xyz = np.array([0.0, 0.0, 9.81]) + np.outer(np.sin(2.0 * np.pi * 0.7 * t), [3.0, 1.0, 2.0])
+    xyz = np.round((xyz + rng.normal(0.0, 0.01, xyz.shape)) / 0.0012) * 0.0012
+    exam = examine(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), None, search=False)
+    reasons = {c.effect: c.reason for c in checks_of(exam, []) if c.sensor == "accel"}
+    assert reasons["vibration_tone"] == reasons["noise_heavy_tailed"] == "0 static intervals, 3 are needed"
