@@ -46,6 +46,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
 
     Raises UserError where stamps differ, NotSupported on too little data.
     """
+    _refuse_itself(recording, [simulation])
     _refuse_other_stamps(recording, simulation)
     recorded = examined(recording, show_stage, search=False)
     simulated = examined(simulation, show_stage, search=False)
@@ -65,6 +66,7 @@ def judge_with_witnesses(
     How a witness is mounted, and its own bias and scale, do not matter. Of several the mean is taken. Raises
     UserError where they were not there at the same time, NotSupported on too little data.
     """
+    _refuse_itself(recording, witnesses)
     recording = _while_there(recording, witnesses)
     recorded = examined(recording, show_stage, search=False)
     names = (recording.name, BUILT_IN)
@@ -96,6 +98,17 @@ def _judged(
         fit = Fit.of(before, after, left_out)
     answer = answer_of(before, names, fit, {}, bins.temperature)
     return Judged(recording, exam, None, before, None, None, answer)
+
+
+def _refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:
+    """Raise UserError where another recording holds the same samples: nothing is left between them."""
+    own = recording.accelerometer.xyz
+    for other in others:
+        if np.array_equal(other.accelerometer.xyz, own):
+            raise UserError(
+                f"{other.name}: holds the very samples of {recording.name}; give what another sensor, or a"
+                " simulation, reads of the same motion"
+            )
 
 
 def _refuse_other_stamps(recording: Recording, simulation: Recording) -> None:

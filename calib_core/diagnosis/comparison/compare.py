@@ -228,7 +228,9 @@ def _in_neither(
 
 def _why_not_sought(effect: str) -> str:
     """Say why an effect is not in a recording's list at all."""
-    return "its temperature was recorded" if effect == "thermal_latent" else "no such sensor"
+    if effect == "thermal_latent":
+        return "its temperature was recorded"
+    return "it has no such column" if "_bias_" in effect else "no such sensor"
 
 
 def _of_both(looked: Sequence[_LookedFor], key: Key) -> list[Smallest]:

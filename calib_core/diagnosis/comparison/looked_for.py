@@ -28,7 +28,7 @@ from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.moments import moves
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
 from stillcal.calib_core.diagnosis.motion.time_offset import LEAST_WINDOWS, WINDOW, turning_windows
-from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN, Bins
+from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN
 
 OF_TIME = ("warmup", "bias_drift", "bias_step", "bias_random_walk", "charging_bias", "thermal_latent")
 """Slow effects, by the end of their names, for which it must be known when the phone was at rest."""
@@ -63,16 +63,26 @@ def slow_checks(exam: Examination, found: Sequence[Sought]) -> list[Check]:
     stated = {(s.finding.effect, s.finding.sensor) for s in exam.statements}
     return [
         Check(effect, sensor, None if (effect, sensor) in stated else _why_slow(exam, effect, sensor, seen))
-        for effect, sensor in _slow_effects(exam.bins)
+        for effect, sensor in _slow_effects(exam)
     ]
 
 
-def _slow_effects(bins: Bins) -> Iterator[tuple[str, str]]:
-    """Yield every slow effect with its sensor: those of the catalogue, and a bias that walks."""
+def _slow_effects(exam: Examination) -> Iterator[tuple[str, str]]:
+    """Yield every slow effect with its sensor: the catalogue's, those of columns, a bias that walks."""
     named = dict.fromkeys((e.name, e.sensor) for e in named_effects())
     # Where temperature is known, nothing has to stand for it.
-    yield from (key for key in named if bins.temperature is None or key[0] != "thermal_latent")
+    yield from (key for key in named if exam.bins.temperature is None or key[0] != "thermal_latent")
+    yield from _of_columns(exam)
     yield from ((f"{sensor}_bias_random_walk", sensor) for sensor in ("accel", "gyro"))
+
+
+def _of_columns(exam: Examination) -> dict[tuple[str, str], tuple[str, bool]]:
+    """Return by effect and sensor the further columns that were logged, and whether each moves at rest."""
+    return {
+        (CovariateBias(scene.sensor, column, 1.0).name, scene.sensor): (column, moves(values))
+        for scene in exam.scenes
+        for column, values in scene.moments.covariates.items()
+    }
 
 
 def _why_slow(
@@ -107,6 +117,8 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
     bins = exam.bins
     if sensor == "gyro":
         yield exam.gyroscope is None, "no rates" if exam.is_table else "no gyroscope"
+    column, moving = _of_columns(exam).get((effect, sensor), ("", True))
+    yield not moving, f"the column {column} does not change at rest, so nothing can follow it"
     yield sensor == exam.exchanged, "its axes were exchanged for a while"
     yield from _of_rest(exam, sensor)
     yield not exam.timed and effect.endswith(OF_TIME), "the table's rows have no time"

@@ -75,6 +75,15 @@ def test_without_the_column_the_bias_has_no_such_name(log: Path, tmp_path: Path)
     assert "gyro_bias_battery_v" not in answer.read_text()
 
 
+def test_a_column_that_does_not_change_is_said_to_drive_nothing(log: Path, tmp_path: Path) -> None:
+    path = tmp_path / "short.csv"
+    header, *lines = log.read_text().splitlines()[:900]
+    path.write_text("\n".join([header, *(line.rpartition(",")[0] + ",3.8" for line in lines)]) + "\n")
+    code, text = run(path, "--covariate", "battery_v")
+    why = "the column battery_v does not change at rest, so nothing can follow it"
+    assert code == 0 and f"the gyroscope's bias with battery_v - {why}" in text
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -173,3 +173,11 @@ def _slope(one: Recording, others: list[Recording]) -> tuple[Array, Array]:
     wanted = scenes[1].hypothesis(BiasTemperature("gyro"), {})
     fit = fit_hypothesis(reduce_scene(scenes[1], [wanted]), 0)
     return fit.beta * wanted.sizes, np.sqrt(fit.covariance.diagonal()) * wanted.sizes
+
+
+def test_the_recording_itself_is_no_witness_and_no_simulation() -> None:
+    own = recording(1)
+    again = replace(own, name="again.csv")
+    for judge in (lambda: judge_paired(own, again), lambda: judge_with_witnesses(own, [recording(2), again])):
+        with pytest.raises(UserError, match=r"again\.csv: holds the very samples of real\.csv"):
+            judge()
