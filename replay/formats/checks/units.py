@@ -114,13 +114,13 @@ class UnitCheck:
     def _see_gravity(self, accelerometer: Samples, gyroscope: Samples) -> None:
         """Count the seconds at rest with and without gravity; those that a chunk begins or ends in too."""
         second, mean, power = _seconds(accelerometer)
-        turning = np.zeros(second.size, dtype=np.bool_)
-        if len(gyroscope):
-            at, rate, _ = _seconds(gyroscope)
-            turning = np.isin(second, at[np.linalg.norm(rate, axis=1) > _TURNING])
         size = np.sqrt(power)
         calm = power - (mean**2).sum(axis=1) < _CALM**2
         held = size >= _NO_GRAVITY
+        turning = np.zeros(second.size, dtype=np.bool_)
+        if len(gyroscope) and not held.all():
+            at, rate, _ = _seconds(gyroscope)
+            turning = np.isin(second, at[np.linalg.norm(rate, axis=1) > _TURNING])
         self._without += size[~held & ~turning].tolist()
         self._with_gravity += int(np.count_nonzero(held & calm))
 
@@ -175,6 +175,6 @@ def _seconds(samples: Samples) -> tuple[Array, Array, Array]:
     starts = np.flatnonzero(np.diff(whole, prepend=np.nan) != 0.0)
     count = np.diff(starts, append=len(samples))
     mean = np.add.reduceat(samples.xyz, starts) / count[:, None] if len(samples) else np.empty((0, 3))
-    square = (samples.xyz**2).sum(axis=1)
+    square = np.einsum("ij,ij->i", samples.xyz, samples.xyz)
     power = np.add.reduceat(square, starts) / count if len(samples) else np.empty(0)
     return whole[starts], mean, power
