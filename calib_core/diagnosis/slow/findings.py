@@ -176,7 +176,7 @@ def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]
             heldout_rmse_after=after.rmse,
             heldout_log_score_gain=after.log_score - before.log_score,
             folds=FOLDS,
-            named_in_folds=_first_in((step.winner, after), rivals),
+            named_in_folds=_first_in(scene, (step.winner, after), rivals),
             log_bayes_factor=_log_bayes_factor(scene, own, others),
         ),
         alternatives=alternatives,
@@ -188,19 +188,22 @@ def _log_bayes_factor(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hyp
     """Return the log Bayes factor of an effect over its fine grid, with `others` beside it."""
     candidates = scene.finer(hypothesis)
     reduced = reduce_scene(scene, candidates, others, parts=True)
-    grid = max(hypothesis.multiplicity, len(scene.hypotheses(hypothesis.effect)), 1)
-    return log_bayes_factor(reduced, len(candidates), max(grid / len(candidates), 1.0))
+    return log_bayes_factor(reduced, len(candidates), max(_tried(scene, hypothesis) / len(candidates), 1.0))
 
 
-def _first_in(own: tuple[Scored, HeldOut], rivals: Sequence[tuple[Scored, HeldOut]]) -> int:
+def _tried(scene: Scene, hypothesis: Hypothesis) -> float:
+    """Return of how many curves or grid points a hypothesis is the best."""
+    return max(hypothesis.multiplicity, len(scene.hypotheses(hypothesis.effect)), 1)
+
+
+def _first_in(scene: Scene, own: tuple[Scored, HeldOut], rivals: Sequence[tuple[Scored, HeldOut]]) -> int:
     """Return in how many folds an effect would be chosen before its rivals, without what is left out.
 
-    An effect that was picked from many curves gives away the logarithm of their number, and one without a
-    name what names are preferred by.
+    An effect that was picked from many curves or grid points gives away the logarithm of their number, and
+    one without a name what names are preferred by.
     """
     mine, *others = (
-        np.array(h.training) - np.log(max(s.hypothesis.multiplicity, 1.0)) - _given_away(s)
-        for s, h in (own, *rivals)
+        np.array(h.training) - np.log(_tried(scene, s.hypothesis)) - _given_away(s) for s, h in (own, *rivals)
     )
     return int(np.sum(np.all([mine >= other for other in others], axis=0))) if others else len(mine)
 
