@@ -7,6 +7,7 @@ learnt from his own windows.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,11 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
     }
     progress(0.8)
     name = f"{len(people.mode)} windows of 5 s, {PEOPLE} simulated people"
-    claims = [*_fig9_claims(data), _error_claim("three modes, simulated people", people, ways, name)]
+    real = spreads(data) if data is not None else None
+    claims = [
+        *_fig9_claims(real),
+        _error_claim("three modes, simulated people", _errors(people, ways), name),
+    ]
     rows: list[tuple[str, ...]] = [(*way, "simulated", _share(people, found)) for way, found in ways.items()]
     claims, rows = _real(data, seed, claims, rows)
     text = _TEXT.format(
@@ -144,30 +149,48 @@ def _real(
         ("Bayes", "all"): judge_by_bayes(real, every),
         ("boosted trees", "all"): judge_by_trees(real, every, seed),
     }
-    claim = _error_claim("two modes, real people", real, ways, name + ", walking against stationary")
+    claim = _error_claim("two modes, real people", _errors(real, ways), name + ", walking against stationary")
     return [*claims, claim], [*rows, *((*way, "UCI HAR", _share(real, found)) for way, found in ways.items())]
 
 
-def _fig9_claims(data: Path | None) -> list[Claim]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Spreads:
+    """Standard deviations of the norm, g. walking: by window; resting: by recording; noises: by device."""
+
+    walking: Array
+    resting: Array
+    noises: Array
+
+
+def spreads(data: Path) -> Spreads:
+    """Return the spreads of real recordings for Fig. 9."""
+    real = ucihar(data)
+    rests = [r for r in read_still(data) if not r.frozen]
+    noises = {r.name: r.norms.std() for r in rests}
+    return Spreads(
+        real.sd[real.mode == MODES.index("walking")] / STANDARD,
+        np.array([r.norms.std() for r in rests]) / STANDARD,
+        np.array(list(noises.values())) / STANDARD,
+    )
+
+
+def _fig9_claims(real: Spreads | None) -> list[Claim]:
     """Compare Fig. 9 with real recordings; the simulator's own walk and drive are parameters, no evidence."""
     claim, why = "standard deviation of the norm, {}", "within a factor of two: theirs is one recording"
     missing = {"driving": "nobody drives in the recordings; the simulated drive's is a parameter of ours"}
     found: dict[str, tuple[float, str]] = {}
     spread = None
-    if data is None:
+    if real is None:
         missing |= dict.fromkeys(("walking", "stationary"), "the real recordings are not here (--data)")
     else:
-        real = ucihar(data)
-        walking = float(np.median(real.sd[real.mode == MODES.index("walking")]))
-        noises = {r.name: r.norms.std() / STANDARD for r in read_still(data) if not r.frozen}
-        near = sum(0.5 <= noise / FIG9_G[2] <= 2.0 for noise in noises.values())
+        near = int(np.sum((real.noises >= 0.5 * FIG9_G[2]) & (real.noises <= 2.0 * FIG9_G[2])))
         spread = Cause(
-            f"at rest it is the sensor's own noise, which on {len(noises)} devices goes from"
-            f" {min(noises.values()):.2g} to {max(noises.values()):.2g} g; {near} of them are within a factor"
+            f"at rest it is the sensor's own noise, which on {real.noises.size} devices goes from"
+            f" {real.noises.min():.2g} to {real.noises.max():.2g} g; {near} of them are within a factor"
             " of two of the paper's",
             shown=near > 0,
         )
-        lying = float(np.median([r.norms.std() for r in read_still(data) if not r.frozen]))
+        walking, lying = (float(np.median(own)) for own in (real.walking, real.resting))
         found["walking"] = walking, "ucihar: walking and stairs, 30 people, windows of 2.56 s"
         found["stationary"] = lying, "hhar_still: phones and watches that lie still"
     claims = []
@@ -187,7 +210,7 @@ def _fig9_claims(data: Path | None) -> list[Claim]:
                 )
             )
             continue
-        ours, source = found[name][0] / STANDARD, found[name][1]
+        ours, source = found[name]
         good = 0.5 <= ours / paper <= 2.0
         claims.append(
             Claim(
@@ -209,12 +232,19 @@ def _fig9_claims(data: Path | None) -> list[Claim]:
 _BELOW = "{}: misclassified almost always below 10 %"
 
 
-def _error_claim(who: str, motion: Motion, ways: dict[tuple[str, str], Rows], data: str) -> Claim:
-    """Judge all classifiers of one set of people as one claim: the paper speaks of the rates reported."""
-    errors = {way: error_by_person(motion, found) for way, found in ways.items()}
-    means = [100.0 * own.mean() for own in errors.values()]
-    above = max(int(np.count_nonzero(own >= 0.1)) for own in errors.values())
-    people = len(next(iter(errors.values())))
+def _errors(motion: Motion, ways: dict[tuple[str, str], Rows]) -> list[Array]:
+    """Return the share of windows misclassified by person, (people,), of each classifier."""
+    return [error_by_person(motion, found) for found in ways.values()]
+
+
+def _error_claim(who: str, errors: list[Array], data: str) -> Claim:
+    """Judge all classifiers of one set of people as one claim: the paper speaks of the rates reported.
+
+    errors: the share misclassified by person, (people,), of each classifier.
+    """
+    means = [100.0 * own.mean() for own in errors]
+    above = max(int(np.count_nonzero(own >= 0.1)) for own in errors)
+    people = len(errors[0])
     return Claim(
         WORK,
         "4.3",

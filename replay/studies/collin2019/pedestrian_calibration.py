@@ -163,7 +163,8 @@ def study(data: Path | None, figures: Path, seed: int, progress: Progress) -> St
         own = [one for one in lives if one.phone == name]
         errors = np.array([[one.error(w) for w in (one.raw, one.zeroed, one.calibrated)] for one in own]).T
         rows.append((name, *map(_percents, errors), *_lengths(own)))
-        claims.append(_claim(name, errors[0], errors[2], seed))
+        cause = None if compensated(errors[0], errors[2]) else _tried(name, seed)
+        claims.append(_claim(name, errors[0], errors[2], cause))
     head = (
         "phone",
         "raw, %",
@@ -189,10 +190,13 @@ of the error. Where rates also follow temperature or force, their bias in a pock
 what it was on a table: a bias that was right an hour ago is then wrong by that."""
 
 
-def _claim(name: str, raw: Array, calibrated: Array, seed: int) -> Claim:
+def compensated(raw: Array, calibrated: Array) -> bool:
+    """Return whether calibration takes out most of the position errors, shares (lives,)."""
+    return bool(np.median(calibrated) < min(GOOD, 0.5 * np.median(raw)))
+
+
+def _claim(name: str, raw: Array, calibrated: Array, cause: Cause | None) -> Claim:
     why = "the median is less than half of the raw one and below 3 %, by which step lengths err at best"
-    good = bool(np.median(calibrated) < min(GOOD, 0.5 * np.median(raw)))
-    cause = None if good else _tried(name, seed)
     return Claim(
         WORK,
         "2.2, 3.4",
@@ -200,7 +204,7 @@ def _claim(name: str, raw: Array, calibrated: Array, seed: int) -> Claim:
         "mostly compensated",
         f"{_percents(raw)} % raw, {_percents(calibrated)} % calibrated",
         f"{raw.size} simulated lives",
-        holds(good),
+        holds(compensated(raw, calibrated)),
         why,
         evidence=Evidence.SIMULATION,
         cause=cause,

@@ -15,8 +15,6 @@ from tests.support.judged import judged, kept, kept_at
 
 DOCS = Path(__file__).parents[3] / "docs"
 NOT_KEPT = {
-    "motion-modes",
-    "pedestrian-calibration",
     "people",
     "quality-check",
     "stationary-states",

@@ -6,7 +6,12 @@ import pytest
 from stillcal.replay.studies.claim import Verdict
 from stillcal.replay.studies.collin2019.coning import _bias_claim, at_20_hz, in_order
 from stillcal.replay.studies.collin2019.motion_features import MODES, Motion, simulated
-from stillcal.replay.studies.collin2019.motion_modes import _error_claim, error_by_person, judge_by_bayes
+from stillcal.replay.studies.collin2019.motion_modes import (
+    _error_claim,
+    _errors,
+    error_by_person,
+    judge_by_bayes,
+)
 from stillcal.replay.studies.collin2019.step_detection import _count_claims
 from stillcal.replay.studies.methods.motion_modes import NAMES, Bayes, features, peak_frequency
 
@@ -66,7 +71,7 @@ def test_every_classifier_must_misjudge_fewer_than_a_tenth() -> None:
     motion = Motion(np.zeros((10, 1)), mode, mode, np.zeros(10))
     for wrong, verdict in ((0, Verdict.REPRODUCED), (1, Verdict.DIFFERS)):
         ways = {("Bayes", "two"): mode, ("Bayes", "all"): (np.arange(10) < wrong).astype(int)}
-        assert _error_claim("two modes, real people", motion, ways, "data").verdict is verdict
+        assert _error_claim("two modes, real people", _errors(motion, ways), "data").verdict is verdict
 
 
 @pytest.mark.parametrize("most, verdict", [(0.049, Verdict.REPRODUCED), (0.051, Verdict.DIFFERS)])
