@@ -26,7 +26,8 @@ SCHEMA = 2
 NORMAL_95 = 1.96
 """Half the width of a 95 % interval of a normal distribution, in standard deviations."""
 
-WITHOUT_ZERO = frozenset({"limit", "cutoff", "frequency", "tau_s", "period_s", "ratio", "order", "longest"})
+_OF_TIME = {"tau_s", "period_s", "frequency", "cutoff", "highest_rate", "lowest_rate"}
+WITHOUT_ZERO = frozenset({"limit", "ratio", "order", "longest", *_OF_TIME})
 """Parameters of which an ideal sensor has no value that could be written as a number."""
 
 

@@ -128,7 +128,7 @@ def smallest_direct(exam: Examination) -> list[Smallest]:
     return out
 
 
-TIMING = ("timestamp_jitter", "dropped_samples", "arrival_bursts")
+TIMING = ("clock_skew", "timestamp_jitter", "dropped_samples", "arrival_bursts")
 
 
 def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:

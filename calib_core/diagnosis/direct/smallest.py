@@ -18,6 +18,7 @@ from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual,
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stamps import clock
 from stillcal.calib_core.diagnosis.stamps import timestamps as stamps
+from stillcal.calib_core.diagnosis.stamps.rate_changes import stretches
 from stillcal.calib_core.streams.samples import Samples
 
 NINE_IN_TEN = 1.2816
@@ -97,9 +98,12 @@ def _of_share(floor: float, samples: int, together: float) -> Unlucky:
 
 
 def of_stamps_and_values(samples: Samples, sound: SoundPhones, nominal: float | None) -> list[SmallestSize]:
-    """Return the smallest jitter and shares of samples that one stream shows. nominal: its declared rate."""
+    """Return the smallest clock error, jitter and shares of samples that one stream shows.
+
+    nominal: its declared rate.
+    """
     measured = quantities.of_stamps(samples) | quantities.of_values(samples)
-    period, out = sample_period(samples.t), []
+    period, out = sample_period(samples.t), _of_clock(samples, sound, nominal)
     for name, number in measured.items():
         common = usual(sound, name, nominal)
         if name in SHARES:
@@ -114,6 +118,17 @@ def of_stamps_and_values(samples: Samples, sound: SoundPhones, nominal: float | 
         if size is not None:
             out.append(SmallestSize(name, parameter, float(size), unit, reason))
     return out
+
+
+def _of_clock(samples: Samples, sound: SoundPhones, nominal: float | None) -> list[SmallestSize]:
+    """Return the smallest error of the clock's rate; none where neither arrivals nor a rate are known."""
+    if len(samples) < clock.LEAST_SAMPLES or sample_period(samples.t) <= 0.0:
+        return []
+    known = None if stretches(samples.t) else nominal
+    parts = clock.rate_errors(samples.t, clock.arrivals(samples), known, sound)
+    sizes = [smallest_number(common, _constant(rate.error)) for rate, _, common in parts]
+    shown = [size for size in sizes if size is not None]
+    return [SmallestSize("clock_skew", "relative", min(shown), "1")] if shown else []
 
 
 def _together(name: str, samples: Samples) -> float:

@@ -9,7 +9,6 @@ from stillcal.calib_core.diagnosis.inference.left_out import blocks, of_shares, 
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Measured,
-    Seen,
     direct_finding,
     mean_of,
     of_measured,
@@ -20,6 +19,8 @@ from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual,
 from stillcal.calib_core.diagnosis.segments.sample_period import HEELS as ON_HEELS
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.stamps import timestamps as stamps
+from stillcal.calib_core.diagnosis.stamps.clock_wander import wander
+from stillcal.calib_core.diagnosis.stamps.rate_changes import rate_change, stretches
 from stillcal.calib_core.streams.samples import Samples
 
 PIECES = 40
@@ -41,9 +42,12 @@ def timing_findings(samples: Samples, claims: Claims, sound: SoundPhones) -> lis
     if len(samples) < LEAST_SAMPLES or period <= 0.0:
         return []
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.5 / period), "time stamps")
-    arrived = arrivals(samples)
-    found = [_skew(samples.t, arrived, claims, sound, where)]
+    arrived, changes = arrivals(samples), stretches(samples.t)
     nominal = claims.nominal_rate_hz
+    found = [_skew(samples.t, arrived, None if changes else nominal, sound, where)]
+    found.append(rate_change(samples.t, changes, sound["rate_change"], 0.5 / period))
+    if arrived is not None:
+        found.append(wander(samples.t, arrived, sound["clock_wander"], where))
     if bunched(samples.t):
         found.append(_stamped_in_bursts(samples.t, period, sound["arrival_bursts"], where))
     else:
@@ -97,21 +101,33 @@ def nominal_rate_error(t: Array, nominal_rate_hz: float) -> tuple[Measured, Arra
     return mean_of(off, 1e-6), np.column_stack([x, np.cumsum(off) * (t[-1] - t[0]) / PIECES])
 
 
+def rate_errors(
+    t: Array, arrived: Array | None, nominal: float | None, sound: SoundPhones
+) -> list[tuple[Measured, Array, Usual]]:
+    """Return the clock's error against the host's and of the sample rate, where they are known.
+
+    With each go its pieces (PIECES, 2) s and what sound phones show.
+    """
+    parts = []
+    if arrived is not None:
+        parts.append((*clock_rate(t, arrived), sound["clock_skew"]))
+    if nominal and not bunched(t):
+        parts.append((*nominal_rate_error(t, nominal), sound["nominal_rate"]))
+    return parts
+
+
 def _skew(
-    t: Array, arrived: Array | None, claims: Claims, sound: SoundPhones, where: Where
+    t: Array, arrived: Array | None, nominal: float | None, sound: SoundPhones, where: Where
 ) -> Finding | None:
     """Find a clock that is fast or slow against the host's, or a sample rate that is not the nominal one.
 
     A sensor stamped by its own clock shows the first, one stamped by the host's the second; both are the true
     rate over the nominal one, less 1.
     """
-    parts: list[tuple[Measured, Seen]] = []
-    if arrived is not None:
-        rate, leads = clock_rate(t, arrived)
-        parts.append((rate, of_measured(rate, sound["clock_skew"], _of_line(leads))))
-    if claims.nominal_rate_hz and not bunched(t):
-        rate, leads = nominal_rate_error(t, claims.nominal_rate_hz)
-        parts.append((rate, of_measured(rate, sound["nominal_rate"], _of_line(leads))))
+    parts = [
+        (rate, of_measured(rate, common, _of_line(leads)))
+        for rate, leads, common in rate_errors(t, arrived, nominal, sound)
+    ]
     sure = [(rate, seen) for rate, seen in parts if seen.stated]
     if not sure:
         return None

@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.stamps.rate_changes import stretches
 
 PIECES = 40
 """Parts of a recording that errors are taken from: enough for a standard error known to a tenth."""
@@ -129,13 +130,22 @@ class Grid:
         return Measured(sigma.value, float(np.linalg.norm([sigma.error, sorted_by, rounded_by])))
 
     def lost(self) -> Array:
-        """Return how many samples (n - 1,) are missing between stamps."""
+        """Return how many places (n - 1,) of the grid are empty between stamps."""
         inside = (self.multiples >= 2.0) & (self.multiples <= LONGEST_GAP)
         return np.where(inside, self.multiples - 1.0, 0.0)
 
+    def dropped(self) -> Array:
+        """Return how many samples (n - 1,) were lost: none because a stretch has a lower rate."""
+        lost = self.lost()
+        for one in stretches(self.t):
+            rows = slice(one.first, one.last)
+            own = np.rint(np.diff(self.t)[rows] / one.period)
+            lost[rows] = np.where(own <= LONGEST_GAP, np.maximum(own - 1.0, 0.0), 0.0)
+        return lost
+
     def missing(self) -> Measured:
         """Return the part of the samples that is missing; losses of several at once count as one event."""
-        lost = self.lost()
+        lost = self.dropped()
         total = float(lost.sum())
         together = float((lost**2).sum()) / total if total else 1.0
         return share_of(total, self.t.size + total, together)
@@ -197,7 +207,7 @@ def jitter(grid: Grid, usual: Usual, where: Where) -> Finding | None:
 
 def drops(grid: Grid, usual: Usual, where: Where) -> Finding | None:
     """Find places of the grid that are empty. usual: of log10 of the part missing plus `LEAST_SHARE`."""
-    lost, fraction = grid.lost(), grid.missing()
+    lost, fraction = grid.dropped(), grid.missing()
     parts = np.array_split(lost, PIECES)
     hits = np.array([float(p.sum()) for p in parts])
     of = np.array([float(p.size) for p in parts]) + hits

@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.direct.low_pass import LEAST_PIECES, quiet, s
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.motion.time_offset import power_over_delays
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.stamps.clock import arrivals
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.curves import Curve, running_median
@@ -39,6 +40,9 @@ GAP, GAP_OF_USUAL = 0.03, 4.0
 
 DELAYS, SHOWN_DELAYS, LEAST_SHOWN = 15, 2.5, 0.02
 """How many delays are drawn, up to how many times the one found, and up to at least how much, s."""
+
+COURSE = 200
+"""Points of a course of stamps over time."""
 
 ROW_INCHES = 0.45
 """Height of one number's row."""
@@ -283,6 +287,26 @@ def intervals_figure(sources: RecordedAndSimulated, *, arrival: bool) -> str:
         axes.set_yscale("log")
         axes.set_xlabel(f"interval between {'arrivals' if arrival else 'stamps'}, ms")
         axes.set_ylabel("share of intervals")
+    return out[0]
+
+
+def course_figure(sources: RecordedAndSimulated, *, arrival: bool) -> str:
+    """Draw over time the least of arrival less stamp without its line, or the median interval of stamps."""
+    with drawing() as (_, axes, out):
+        for label, colour, samples, _bins in sources:
+            t, late = samples.t, arrivals(samples) if arrival else None
+            if arrival and late is None:
+                continue
+            parts = np.array_split(np.arange(t.size - 1), COURSE)
+            at = np.array([t[p].mean() for p in parts])
+            if late is None:
+                y = np.array([np.median(np.diff(t)[p]) for p in parts])
+            else:
+                y = np.array([(late - t)[p].min() for p in parts])
+                y -= np.polyval(np.polyfit(at, y, 1), at)
+            axes.plot((at - t[0]) / 60.0, y * 1e3, color=colour, lw=1.5, label=label)
+        axes.set_xlabel("time, min")
+        axes.set_ylabel("arrival less stamp, line off, ms" if arrival else "interval between stamps, ms")
     return out[0]
 
 

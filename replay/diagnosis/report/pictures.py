@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.diagnosis.stamps.clock_wander import DRIVER as WANDERING
 from stillcal.replay.diagnosis.judged import Judged, bins_of
 from stillcal.replay.diagnosis.report import figures
 from stillcal.replay.diagnosis.report.curves import Curve
@@ -171,6 +172,16 @@ def _kind(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
             lambda three, unit: figures.extremes_figure(three, unit, axis, limit),
             "Histogram of values",
             f"How often axis {'xyz'[axis]} reads how much, whatever the sign (log scale).",
+        )
+    if effect == "unknown" and finding["sensor"] == "timing":
+        by_host = finding["where"]["driver"] == WANDERING
+        caption = (
+            "Quickest deliveries: arrival less stamp, without a line." if by_host else "Median intervals."
+        )
+        return (
+            lambda three, _: figures.course_figure(three, arrival=by_host),
+            "Course of the stamps in time",
+            caption,
         )
     if finding["sensor"] == "timing":
         late = effect == "arrival_bursts"
