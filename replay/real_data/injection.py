@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples
@@ -111,7 +112,7 @@ def _slow(recording: Recording, what: Injection, strength: float) -> tuple[Recor
         parameters["at_s"] = parameters["at_s"] * span
     switches = _switches(span) if what.effect.endswith("charging_bias") else []
     world = _world(recording, samples, switches)
-    changed = _with(recording, sensor, samples.xyz + played(world, what.effect, parameters))
+    changed = _added(recording, sensor, played(world, what.effect, parameters))
     return replace(changed, events=control(recording, what).events), value
 
 
@@ -162,6 +163,17 @@ def _with(recording: Recording, sensor: str, xyz: Array) -> Recording:
     )
 
 
+def _added(recording: Recording, sensor: str, change: Array) -> Recording:
+    """Return a recording whose sensor read more by `change` (n, 3), its values on the grid they were on."""
+    xyz = _of(recording, sensor).xyz
+    changed = xyz + change
+    for axis in range(3):
+        step = comb_step(xyz[:, axis])
+        if step is not None:
+            changed[:, axis] = xyz[0, axis] + np.rint((changed[:, axis] - xyz[0, axis]) / step) * step
+    return _with(recording, sensor, changed)
+
+
 def _level(samples: Samples) -> Array:
     """Return the standard deviation (3,) of white noise, by medians that do not see motion."""
     bent = np.diff(samples.xyz, n=2, axis=0)
@@ -173,23 +185,22 @@ Direct = Callable[[Recording, float, float, np.random.Generator], tuple[Recordin
 
 def _unequal(r: Recording, size: float, strength: float, rng: np.random.Generator) -> tuple[Recording, Any]:
     ratio = 1.0 + (size - 1.0) * strength
-    xyz = r.accelerometer.xyz.copy()
-    extra = _level(r.accelerometer)[1] * np.sqrt(ratio**2 - 1.0)
-    xyz[:, 1] += extra * rng.standard_normal(len(xyz))
-    return _with(r, "accel", xyz), ratio
+    extra = np.zeros_like(r.accelerometer.xyz)
+    extra[:, 1] = rng.standard_normal(len(extra)) * _level(r.accelerometer)[1] * np.sqrt(ratio**2 - 1.0)
+    return _added(r, "accel", extra), ratio
 
 
 def _tails(r: Recording, size: float, strength: float, rng: np.random.Generator) -> tuple[Recording, Any]:
     fraction = 0.03 * strength
     far = rng.random((len(r.accelerometer), 3)) < fraction
     extra = _level(r.accelerometer) * size * rng.standard_normal((len(r.accelerometer), 3))
-    return _with(r, "accel", r.accelerometer.xyz + np.where(far, extra, 0.0)), fraction
+    return _added(r, "accel", np.where(far, extra, 0.0)), fraction
 
 
 def _tone(r: Recording, size: float, strength: float, rng: np.random.Generator) -> tuple[Recording, Any]:
     rate = (len(r.accelerometer) - 1) / float(r.accelerometer.t[-1] - r.accelerometer.t[0])
     wave = size * strength * np.sin(2.0 * np.pi * 0.31 * rate * r.accelerometer.t + rng.uniform(0.0, 6.28))
-    return _with(r, "accel", r.accelerometer.xyz + wave[:, None] * np.array([0.0, 0.0, 1.0])), 0.31 * rate
+    return _added(r, "accel", wave[:, None] * np.array([0.0, 0.0, 1.0])), 0.31 * rate
 
 
 def _coarse(sensor: str) -> Direct:

@@ -86,3 +86,14 @@ def test_what_a_recording_lacks_is_not_injected(recording: Recording) -> None:
     assert injection.supports(recording, of("gyro_g_sensitivity"))
     assert not injection.supports(alone, of("gyro_g_sensitivity"))
     assert injection.supports(alone, of("accel_bias_step"))
+
+
+def test_what_is_added_to_values_in_steps_stays_in_steps() -> None:
+    """A sensor rounds what it adds; without that, two grids would look like codes that are missing."""
+    t = np.arange(2000) / 50.0
+    noise = np.random.default_rng(3).normal(0.0, 0.03, (t.size, 3))
+    xyz = np.rint((noise + np.array([0.0, 0.0, 9.81])) / 0.0125) * 0.0125
+    recording = Recording(Samples.checked(Sensor.ACCELEROMETER, t, xyz), None, [], Claims(), [])
+    changed = injection.injected(recording, of("accel_bias_step"), 1.0, seed=1)[0].accelerometer.xyz
+    assert not np.array_equal(changed, xyz)
+    np.testing.assert_allclose(np.rint(changed / 0.0125) * 0.0125, changed, atol=1e-9)
