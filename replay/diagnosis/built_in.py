@@ -38,8 +38,9 @@ def judge_built_in(
     show_stage("comparing", 0.0)
     before = compare_with_ideal(recorded)
     case = case_of(recording, recorded, before)
-    fit, after, corrected = Fit.of(before, before), None, None
-    if before.discrepancies:
+    fit, after, corrected = Fit.of(before, before, case.not_in_phone()), None, None
+    found = {id(s.finding) for s in recorded.statements}
+    if any(id(d.recorded) in found for d in before.discrepancies):
         fit, after, corrected = _played(case, recorded, before, names, show_stage)
     answer = answer_of(before, names, fit, {}, recorded.bins.temperature)
     return Judged(recording, recorded, None, before, after, corrected, answer, case)

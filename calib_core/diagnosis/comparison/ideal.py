@@ -7,8 +7,10 @@ the recording shows is lacking in it: the simulation's part of every difference 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from stillcal.calib_core.diagnosis.comparison.compare import (
+    LEVEL,
     Common,
     Comparison,
     Discrepancy,
@@ -21,7 +23,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Relation,
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.direct.noise_level import TWO_SIDED, claimed, convention
-from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
 
 
@@ -33,7 +35,7 @@ def compare_with_ideal(exam: Examination) -> Comparison:
     judged = [(f, e, posterior(e, max(len(checks), 1))) for f, e in stated]
     sure = [j for j in judged if j[2] >= CERTAIN and not j[0].evidence.contradicted]
     missing = [NotCompared(c.effect, c.sensor, c.reason) for c in checks if c.reason is not None]
-    return Comparison(
+    apart = Comparison(
         discrepancies=[_discrepancy(*one) for one in sorted(sure, key=lambda j: -j[1])],
         not_compared=missing,
         undecided=[_undecided(*one) for one in judged if one not in sure],
@@ -42,6 +44,35 @@ def compare_with_ideal(exam: Examination) -> Comparison:
         common=_common(exam, {f.effect for f, *_ in sure}),
         smallest=list(each_once([*(row for one in found for row in one.smallest), *smallest_direct(exam)])),
     )
+    rejected = not apart.discrepancies and apart.p() < LEVEL
+    return _with_what_differs(apart, exam, found) if rejected else apart
+
+
+def _with_what_differs(apart: Comparison, exam: Examination, found: Sequence[Sought]) -> Comparison:
+    """Return a comparison that rejects the simulation without any effect that is stated by itself.
+
+    What the fit speaks for most did not predict the parts left out of the fit, as nothing does that comes
+    once: it is said that something differs and what it follows, and not that it is this effect.
+    """
+    checks = max(apart.comparisons + len(apart.not_compared), 1)
+    slow = [_sought(s, exam) for s in found if s.smallest]
+    every = [*slow, *(s.finding for s in exam.statements)]
+    nearest = max(every, key=lambda f: f.evidence.log_bayes_factor)
+    nats = nearest.evidence.log_bayes_factor
+    odds = posterior(nats, checks)
+    say = f"Unknown effect ({nearest.sensor}); it follows {nearest.where.driver}."
+    unnamed = replace(nearest, effect="unknown", alternatives=[], statement=say)
+    told = {(n.effect, n.sensor) for n in apart.undecided}
+    unsure = [] if (nearest.effect, nearest.sensor) in told else [_undecided(nearest, nats, odds)]
+    return replace(
+        apart, discrepancies=[_discrepancy(unnamed, nats, odds)], undecided=[*apart.undecided, *unsure]
+    )
+
+
+def _sought(one: Sought, exam: Examination) -> Finding:
+    """Return what was looked for and not stated, as a finding without a size."""
+    where = Where(*exam.bins.span, SLOW_BAND, one.follows)
+    return Finding(one.effect, one.sensor, [], where, {}, Evidence(one.log_bayes_factor), [], "")
 
 
 def _common(exam: Examination, found: set[str]) -> list[Common]:
@@ -76,8 +107,9 @@ def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]
 
 
 def _undecided(finding: Finding, _evidence: float, probability: float) -> NotCompared:
-    seen = f"the fit suggests it (probability {probability:.2f})"
-    if finding.evidence.contradicted:
+    odds = "above 0.99" if probability >= 0.995 else f"{probability:.2f}"
+    seen = f"the fit suggests it (probability {odds})"
+    if finding.evidence.contradicted or probability >= CERTAIN:
         seen += ", but it does not predict the parts of the recording that were left out of the fit"
     return NotCompared(finding.effect, finding.sensor, seen)
 

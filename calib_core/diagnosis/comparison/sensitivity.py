@@ -59,7 +59,7 @@ class Smallest:
 
 @dataclass(frozen=True, slots=True)
 class Sought:
-    """A slow effect that was looked for. log_bayes_factor: nats for it, against none.
+    """A slow effect that was looked for. log_bayes_factor: nats for it, against none; follows: its driver.
 
     smallest: one for each of its parameters that the recording shows, at sizes that one in ten such effects
     has.
@@ -69,6 +69,7 @@ class Sought:
     sensor: str
     log_bayes_factor: float
     smallest: tuple[Smallest, ...]
+    follows: str
 
 
 def sought(exam: Examination) -> list[Sought]:
@@ -151,7 +152,7 @@ def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> S
             if needed_size <= ONE_IN_TEN:
                 size = float(needed_size * hypothesis.sizes[worst])
                 smallest.append(_smallest(hypothesis, parameter, size))
-    return Sought(effect.name, effect.sensor, evidence, tuple(smallest))
+    return Sought(effect.name, effect.sensor, evidence, tuple(smallest), effect.follows)
 
 
 def _found_half_the_time(

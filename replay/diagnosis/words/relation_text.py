@@ -161,7 +161,8 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
 def _where(finding: Mapping[str, Any]) -> str:
     """Return on which axes and when something is seen."""
     where, axes = finding["where"], " and ".join(finding["axes"])
-    return f"{f'on {axes} ' if axes else ''}from {where['t_start']:.0f} to {where['t_end']:.0f} s"
+    start, end = (round(where[at]) for at in ("t_start", "t_end"))
+    return f"{f'on {axes} ' if axes else ''}from {start} to {end} s"
 
 
 def _sizes(finding: Mapping[str, Any], side: str) -> str:
