@@ -14,7 +14,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 
 @pytest.mark.parametrize(("settling", "verdict"), [(0.01, "unidentified"), (0.0, "match")])
 def test_the_verdict_agrees_with_its_p_where_no_effect_is_stated(settling: float, verdict: str) -> None:
-    """A bias that settles over 50 s; without a search nothing is stated, as where left-out parts refute it."""
+    """A bias settles over 50 s; without a search nothing is stated, as where left-out parts refute it."""
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 300.0, 0.05)
     force = np.array([0.0, 0.0, 9.81]) + rng.normal(0.0, 0.01, (t.size, 3))
