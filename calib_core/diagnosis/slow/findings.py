@@ -123,12 +123,23 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         least = [LEAST_GAIN * (f.effect == "unknown" or len(made) > 1) for f in made]
         gains = [_supported(f) - x for f, x in zip(made, least, strict=True)]
         if min(gains) > 0.0:
-            return [Stated(f, h, scene) for f, h in zip(made, found, strict=True)]
+            return each_driver_once([Stated(f, h, scene) for f, h in zip(made, found, strict=True)])
         steps = _without(steps, kept[int(np.argmin(gains))])
     passed_over = first.others[0] if first and first.others else None
     if first is None or passed_over is None or passed_over.score <= first.winner.score:
         return []
     return statements_of(scene, [Step(passed_over, ())])
+
+
+def each_driver_once(stated: Sequence[Stated]) -> list[Stated]:
+    """Return the statements without a second one of no name that follows the same as a likelier one.
+
+    A curve without a name is a model too; what it leaves of one cause is no second cause.
+    """
+    nameless = [s for s in stated if s.finding.effect == "unknown"]
+    likely = sorted(nameless, key=lambda s: s.finding.evidence.log_bayes_factor)
+    drivers = {s.finding.where.driver: s for s in likely}
+    return [s for s in stated if s.finding.effect != "unknown" or drivers[s.finding.where.driver] is s]
 
 
 def _supported(finding: Finding) -> float:

@@ -15,10 +15,10 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.inference.likelihood import null_log_likelihood, posterior_weights
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
-from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings
+from stillcal.calib_core.diagnosis.slow.findings import Stated, each_driver_once, slow_findings
 from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_scene, score
 from tests.support.diagnosis import nulls
 
@@ -148,3 +148,13 @@ def test_a_drift_beside_a_walk_is_as_uncertain_as_the_walk_makes_it() -> None:
         found = estimate(scene, scene.hypotheses(drift)[0], [])
         inside += int((np.abs(found.value - true) < 1.96 * found.sigma).sum())
     assert inside >= 30
+
+
+def test_what_has_no_name_is_said_once_for_each_driver() -> None:
+    def stated(effect: str, driver: str, evidence: float) -> Stated:
+        where = Where(0.0, 1.0, (0.0, 0.1), driver)
+        return Stated(Finding(effect, "gyro", ["x"], where, {}, Evidence(evidence), [], ""))
+
+    weak, strong = stated("unknown", "charging", 8.0), stated("unknown", "charging", 20.0)
+    others = [stated("unknown", "temperature", 5.0), stated("gyro_bias_step", "charging", 4.0)]
+    assert each_driver_once([weak, *others, strong]) == [*others, strong]
