@@ -35,7 +35,7 @@ def tilt_rate(bins: Bins, up: Array) -> Array:
 
     up: (n, 3) unit gravity, bin by bin. The rate across gravity is d(up)/dt x up; the turn about gravity is
     not seen. The slope is that of a parabola through as many neighbouring bins of a rest as keep its noise
-    below `ADDED` of the gyroscope's; rests with fewer bins give none.
+    below `ADDED` of the gyroscope's, or of a line through two; rests with fewer bins give none, 0.
     """
     rate = np.zeros_like(up)
     assert bins.rate_variance is not None, "asked for with a gyroscope only"
@@ -44,20 +44,21 @@ def tilt_rate(bins: Bins, up: Array) -> Array:
     spacing = float(np.median(bins.duration))
     # A slope through m values of variance v, d apart, has the variance 12 v / (m^3 d^2).
     width = int(np.ceil(np.cbrt(12.0 * noise / (max(allowed, 1e-300) * spacing**2))))
-    width = max(3, width + 1 - width % 2)
-    for r in np.flatnonzero(np.bincount(bins.rest) >= width):
+    least = max(2, width)
+    for r in np.flatnonzero(np.bincount(bins.rest) >= least):
         rows = np.flatnonzero(bins.rest == r)
-        rate[rows] = np.cross(_slope(bins.t[rows], up[rows], width), up[rows])
+        through = min(max(3, width + 1 - width % 2), rows.size)
+        rate[rows] = np.cross(_slope(bins.t[rows], up[rows], through), up[rows])
     return rate
 
 
 def _slope(t: Array, values: Array, width: int) -> Array:
-    """Return the slope (n, k) of values (n, k) at t (n,): of a parabola through the `width` nearest."""
+    """Return the slope (n, k) of values (n, k) at t (n,): of a parabola, or line, through `width` bins."""
     out = np.empty_like(values)
     for i in range(t.size):
         first = int(np.clip(i - width // 2, 0, t.size - width))
         near = slice(first, first + width)
-        powers = np.vander(t[near] - t[i], 3, increasing=True)
+        powers = np.vander(t[near] - t[i], min(width, 3), increasing=True)
         out[i] = np.linalg.lstsq(powers, values[near], rcond=None)[0][1]
     return out
 
@@ -65,7 +66,8 @@ def _slope(t: Array, values: Array, width: int) -> Array:
 def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]:
     """Rate at rest, one view an axis; the baseline is a constant. up: (n, 3) unit gravity in the bins.
 
-    motion: (n, 3) rad/s, at which the phone was seen to tilt: as much of it as the rate shows is absorbed.
+    motion: (n, 3) rad/s, at which the phone was seen to tilt: as much of it as the rate shows is absorbed. A
+    rest too short to see it tilts as the others do.
 
     The Earth's rate is shared by the axes (`earth_rate`), as far as headings are known (`over`). What is not,
     all bins of a rest share, and half of it all rests in one attitude, for a phone often lies again as it lay
@@ -78,6 +80,8 @@ def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]
     lost = 1.0 - over.trust**2
     heading, place = 0.25 * RATE**2 * (1.0 - up**2) * lost[:, None], attitudes(up)
     tilting = np.linalg.norm(motion, axis=1)
+    seen = tilting > 0.0
+    unseen = np.where(seen, 0.0, np.sqrt(np.mean(tilting[seen] ** 2)) if seen.any() else 0.0)
     linear = OF_ATTITUDE * RATE * up * np.sqrt(lost)[:, None]
     return [
         View(
@@ -95,6 +99,7 @@ def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]
                 (bins.rest, np.sqrt(rounding[a] ** 2 + heading[:, a])),
                 (place, np.sqrt(heading[:, a])),
                 (bins.rest, TWIST * tilting * np.abs(up[:, a])),
+                (bins.rest, unseen),
             ),
             absorbed=np.column_stack([np.delete(linear, a, axis=1), motion[:, a]]),
         )

@@ -16,12 +16,14 @@ G = 9.80665
 RATE_HZ = 50.0
 
 
-def rates_on_foam(rng: np.random.Generator, rests: int) -> Array:
+def rates_on_foam(
+    rng: np.random.Generator, rests: int, length: tuple[float, float], angle_rad: tuple[float, float]
+) -> Array:
     """Return a body rate (n, 3) rad/s: rests in which the phone sinks in, with turns between them."""
     parts = []
     for _ in range(rests):
-        t = np.arange(int(rng.uniform(60.0, 150.0) * RATE_HZ)) / RATE_HZ
-        angle, tau = rng.uniform(20e-3, 50e-3), rng.uniform(30.0, 100.0)
+        t = np.arange(int(rng.uniform(*length) * RATE_HZ)) / RATE_HZ
+        angle, tau = rng.uniform(*angle_rad), rng.uniform(30.0, 100.0)
         parts.append(_axis(rng) * (angle / tau * np.exp(-t / tau))[:, None])
         s = np.arange(int(3.0 * RATE_HZ)) / (3.0 * RATE_HZ)
         parts.append(_axis(rng) * (rng.uniform(0.7, 2.6) / 3.0 * (1.0 - np.cos(2.0 * np.pi * s)))[:, None])
@@ -33,9 +35,14 @@ def _axis(rng: np.random.Generator) -> Array:
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def on_foam(seed: int, rests: int = 12) -> tuple[Samples, Samples]:
+def on_foam(
+    seed: int,
+    rests: int = 12,
+    length: tuple[float, float] = (60.0, 150.0),
+    angle_rad: tuple[float, float] = (20e-3, 50e-3),
+) -> tuple[Samples, Samples]:
     rng = np.random.default_rng(seed)
-    turned = rates_on_foam(rng, rests)
+    turned = rates_on_foam(rng, rests, length, angle_rad)
     n = len(turned)
     steps = Rotation.from_rotvec(turned / RATE_HZ).as_matrix()
     up, ups = np.array([0.1, 0.2, 0.97]) / np.linalg.norm([0.1, 0.2, 0.97]), np.empty((n, 3))
@@ -66,3 +73,9 @@ def test_the_rate_of_tilt_is_read_from_gravity() -> None:
 def test_a_phone_that_sinks_into_foam_has_no_faulty_sensor() -> None:
     for seed in (2, 3):
         assert [f.effect for f in diagnose(*on_foam(seed)).findings] == []
+
+
+def test_rests_of_two_bins_and_fewer_sink_in_as_well() -> None:
+    """Their tilt is a line through two bins, or no better known than that of the others."""
+    found = diagnose(*on_foam(4, rests=30, length=(14.0, 40.0), angle_rad=(5e-3, 25e-3))).findings
+    assert [f.effect for f in found] == []
