@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from stillcal.calib_core.arrays import Array
 
@@ -84,6 +83,8 @@ class _Process:
 
     def advance(self, n: int) -> Array:
         shocks = self._rng.standard_normal((n, 3)) * self._drive
+        from scipy.signal import lfilter  # noqa: PLC0415 - a second of a command that simulates nothing
+
         values, _ = lfilter([1.0], [1.0, -self._keep], shocks, axis=0, zi=(self._keep * self._last)[None])
         self._last = values[-1]
         return np.asarray(values)

@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import butter, lfilter, lfilter_zi
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
@@ -34,6 +33,8 @@ class LowPass:
     """Second-order Butterworth low-pass at a steady rate, settled on the first sample it sees."""
 
     def __init__(self, cutoff_hz: float, rate_hz: float) -> None:
+        from scipy.signal import butter, lfilter_zi  # noqa: PLC0415 - a second of a command that simulates nothing
+
         self._b, self._a = butter(2, cutoff_hz, fs=rate_hz)
         self._settled = lfilter_zi(self._b, self._a)
         self._state: Array | None = None
@@ -41,6 +42,8 @@ class LowPass:
     def __call__(self, values: Array) -> Array:
         """Filter the next (n, 3) values."""
         state = np.outer(self._settled, values[0]) if self._state is None else self._state
+        from scipy.signal import lfilter  # noqa: PLC0415 - a second of a command that simulates nothing
+
         smooth, self._state = lfilter(self._b, self._a, values, axis=0, zi=state)
         return np.asarray(smooth)
 

@@ -30,8 +30,8 @@ from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_scene
 
-LARGEST, HALVINGS = 1e3, 12
-"""Sizes are looked for up to so many times their prior's, to one part in 4000."""
+SMALLEST, LARGEST, HALVINGS = 1e-9, 4.0, 12
+"""Sizes are looked for from and up to so many times their prior's, to one part in 4000."""
 
 ONE_IN_TEN = 1.645
 """Prior standard deviations that one effect in ten exceeds: what shows only beyond them is not shown."""
@@ -147,7 +147,7 @@ def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> S
         first += parameter.count
         if informed[rows].any():
             worst = int(rows[informed[rows]][np.argmax(sigma[rows][informed[rows]])])
-            half = _found_half_the_time(reduced, index, fit.every, worst, needed)
+            half = _found_half_the_time(reduced, index, fit.every, worst, needed, start=sigma[worst])
             needed_size = half + NINE_IN_TEN * sigma[worst]
             if needed_size <= ONE_IN_TEN:
                 size = float(needed_size * hypothesis.sizes[worst])
@@ -156,12 +156,13 @@ def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> S
 
 
 def _found_half_the_time(
-    reduced: Sequence[Reduced], index: int, beta: Array, row: int, needed: float
+    reduced: Sequence[Reduced], index: int, beta: Array, row: int, needed: float, *, start: float
 ) -> float:
     """Return the size of one parameter at which the gain is as large as needed, in units of its prior.
 
     The recording's own residuals without any effect (at the fit, `beta`) get an effect of that size. The
-    noise is refitted with it, as the search does: a part of every slow effect can pass for noise.
+    noise is refitted with it, as the search does: a part of every slow effect can pass for noise. start:
+    about the right size, to look at first.
     """
     unit = np.eye(beta.size)[row]
     without = joint(reduced, [log_terms(v, residuals(v, index, beta)) for v in reduced])[0]
@@ -173,7 +174,9 @@ def _found_half_the_time(
         ]
         return without - 0.5 * size**2 - float(np.mean(with_it))
 
-    high = 1e-9
+    high = min(start, LARGEST)
+    while high > SMALLEST and gain(0.5 * high) >= needed:
+        high *= 0.5
     while gain(high) < needed and high < LARGEST:
         high *= 2.0
     low = high / 2.0

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from scipy.signal import lfilter
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
@@ -141,6 +140,8 @@ class Smoother:
         """Smooth the next (n, k) values; before the first of all, the output was `initial` (k,)."""
         last = initial if self._last is None else self._last
         zi = (self._keep * last)[None]
+        from scipy.signal import lfilter  # noqa: PLC0415 - a second of a command that simulates nothing
+
         smooth, _ = lfilter([1.0 - self._keep], [1.0, -self._keep], values, axis=0, zi=zi)
         self._last = smooth[-1]
         return np.asarray(smooth)
