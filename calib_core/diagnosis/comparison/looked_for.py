@@ -59,7 +59,8 @@ def checks_of(exam: Examination, found: Sequence[Sought]) -> list[Check]:
 
 def slow_checks(exam: Examination, found: Sequence[Sought]) -> list[Check]:
     """Return the effects that rests and the turns between them can show. found: what was fitted there."""
-    seen = {(s.effect, s.sensor): bool(s.smallest) for s in found}
+    seen: dict[tuple[str, str], str | None] = {(s.effect, s.sensor): HARDLY for s in found if s.hardly}
+    seen |= {(s.effect, s.sensor): None for s in found if s.smallest}
     stated = {(s.finding.effect, s.finding.sensor) for s in exam.statements}
     return [
         Check(effect, sensor, None if (effect, sensor) in stated else _why_slow(exam, effect, sensor, seen))
@@ -86,17 +87,20 @@ def _of_columns(exam: Examination) -> dict[tuple[str, str], tuple[str, bool]]:
 
 
 def _why_slow(
-    exam: Examination, effect: str, sensor: str, seen: Mapping[tuple[str, str], bool]
+    exam: Examination, effect: str, sensor: str, seen: Mapping[tuple[str, str], str | None]
 ) -> str | None:
-    """Say why a slow effect was not looked for; None where it was."""
-    if seen.get((effect, sensor)):
+    """Say why a slow effect was not looked for; None where it was. seen: the reason of what was fitted."""
+    if (effect, sensor) in seen and seen[effect, sensor] is None:
         return None
     first = obstacle(exam, effect, sensor)
     if first is not None:
         return first
     if effect.endswith("bias_random_walk"):
         return None
-    return uninformed(effect)
+    return seen.get((effect, sensor)) or uninformed(effect)
+
+
+HARDLY = "it would show only at a size that one phone in ten has at most"
 
 
 def uninformed(effect: str) -> str:

@@ -62,7 +62,7 @@ class Sought:
     """A slow effect that was looked for. log_bayes_factor: nats for it, against none; follows: its driver.
 
     smallest: one for each of its parameters that the recording shows, at sizes that one in ten such effects
-    has.
+    has. hardly: whether it shows others only beyond these sizes.
     """
 
     effect: str
@@ -70,6 +70,7 @@ class Sought:
     log_bayes_factor: float
     smallest: tuple[Smallest, ...]
     follows: str
+    hardly: bool
 
 
 def sought(exam: Examination) -> list[Sought]:
@@ -141,7 +142,7 @@ def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> S
         hypothesis.multiplicity * ONE_AXIS,
         effect.prior_penalty,
     )
-    smallest, first = [], 0
+    smallest, first, hardly = [], 0, False
     for parameter in effect.parameters:
         rows = np.arange(first, first + parameter.count)
         first += parameter.count
@@ -152,7 +153,9 @@ def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> S
             if needed_size <= ONE_IN_TEN:
                 size = float(needed_size * hypothesis.sizes[worst])
                 smallest.append(_smallest(hypothesis, parameter, size))
-    return Sought(effect.name, effect.sensor, evidence, tuple(smallest), effect.follows)
+            else:
+                hardly = True
+    return Sought(effect.name, effect.sensor, evidence, tuple(smallest), effect.follows, hardly)
 
 
 def _found_half_the_time(

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
+from stillcal.calib_core.diagnosis.comparison.looked_for import HARDLY, checks_of
 from stillcal.calib_core.diagnosis.comparison.sensitivity import sought
 from stillcal.calib_core.diagnosis.diagnose import MEASURED, SEARCHED, diagnose, examine
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis
@@ -82,7 +82,8 @@ def test_too_little_is_refused_and_no_gyroscope_is_said() -> None:
     assert done == [MEASURED, SEARCHED]
     reasons = {(c.effect, c.sensor): c.reason for c in checks_of(exam, sought(exam))}
     assert reasons["gyro_bias_drift", "gyro"] == "no gyroscope"
-    assert reasons["accel_bias_drift", "accel"] is None
+    assert reasons["accel_bias_drift", "accel"] == HARDLY
+    assert reasons["accel_bias_step", "accel"] is None
     assert reasons["accel_warmup", "accel"] == "it lasts 119 s, 120 s are needed"
 
 
