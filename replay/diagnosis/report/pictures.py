@@ -16,6 +16,7 @@ from stillcal.replay.diagnosis.report.curves import Curve
 from stillcal.replay.diagnosis.report.sides import Side
 from stillcal.replay.diagnosis.words.names import capital, noun, parameter_noun, simulation_text
 from stillcal.replay.diagnosis.words.relation_text import labels_of
+from stillcal.replay.diagnosis.words.units import pretty
 
 SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
 VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed", "unknown")
@@ -94,7 +95,7 @@ def _of_curve(answered: Mapping[str, Any], drawn: Sequence[tuple[Side, Curve]]) 
     against = Picture(
         svgs[0],
         f"Bias of axis {curve.axis} against {curve.x_name}, with the curve of the {effect}.",
-        f"Axis {curve.axis}: bias in each static interval, against {curve.x_name}.",
+        f"Axis {curve.axis}: bias in each static interval, against {pretty(curve.x_name)}.",
     )
     in_time = Picture(
         svgs[-1],
