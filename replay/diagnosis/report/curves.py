@@ -6,6 +6,7 @@ A point is the finding's own term plus the residual, divided by the share of tha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Finding
-from stillcal.calib_core.diagnosis.model.residuals import norm_view
+from stillcal.calib_core.diagnosis.model.residuals import View, norm_view
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.gravity import STANDARD
@@ -74,8 +75,18 @@ def is_slow(finding: Finding) -> bool:
     )
 
 
-def residuals(sensor: str, bins: Bins, affine: AffinePhone, gravity: float) -> list[Residual]:
-    """Return the residuals of gravity's norm, or of the three rates at rest."""
+def residuals(
+    sensor: str, bins: Bins, affine: AffinePhone, gravity: float, pair: Sequence[View] = ()
+) -> list[Residual]:
+    """Return the residuals of gravity's norm, or of the three rates at rest.
+
+    pair: the residuals of the three axes against another sensor of the same motion, where there is one.
+    """
+    if pair:
+        baselines = [
+            v.baseline[0] if v.absorbed is None else np.hstack([v.baseline[0], v.absorbed]) for v in pair
+        ]
+        return [Residual(v.y[0], v.project[0], b) for v, b in zip(pair, baselines, strict=True)]
     if sensor == "accel":
         view = norm_view(bins, affine.baseline, gravity)
         # The baseline was fitted with what is known taken off; the residual is wanted with it in.
@@ -110,10 +121,12 @@ def curves_of(
     gravity: float,
     *,
     absent: bool = False,
+    pair: Sequence[View] = (),
 ) -> list[Curve]:
     """Return the finding's curves, one a named axis.
 
-    affine: the phone with all that is known. absent: draw the same of a recording without the finding.
+    affine: the phone with all that is known. absent: draw the same of a recording without the finding. pair:
+    as in `residuals`.
     """
     finding = mapped.finding
     if not is_slow(finding) or (finding.sensor == "gyro" and bins.rate is None):
@@ -122,7 +135,7 @@ def curves_of(
     if component is None and finding.effect != "unknown" and not absent:
         return []
     explained = affine.accel if finding.sensor == "accel" else affine.gyro
-    parts = residuals(finding.sensor, bins, affine, gravity)
+    parts = residuals(finding.sensor, bins, affine, gravity, pair)
     drawn = [
         _curve(
             finding, "xyz".index(axis), parts, component, explained, bins=bins, affine=affine, absent=absent

@@ -54,7 +54,9 @@ class Album:
         compared = [Side("recorded", figures.RECORDED, "parameters", recorded)]
         sides = [(recorded.accelerometer, recorded.gyroscope, recorded.bins, "recorded", figures.RECORDED)]
         if simulated is not None:
-            compared.append(Side(name, figures.BEFORE, "simulated", simulated))
+            # Of one motion the difference of both is drawn, and the simulation has no curve of its own.
+            if not compared[0].paired:
+                compared.append(Side(name, figures.BEFORE, "simulated", simulated))
             one = (simulated.accelerometer, simulated.gyroscope, simulated.bins)
             sides.append((*one, name, figures.BEFORE))
         if judged.corrected is not None:

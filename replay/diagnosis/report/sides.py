@@ -10,9 +10,13 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding, map_findings
 from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.diagnosis.report.curves import Curve, curves_of
+
+PAIR = "pair_"
+"""How the names of residuals against another sensor begin (`comparison.paired`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +32,11 @@ class Side:
     def other(self) -> str:
         """The key of the other side's parameters."""
         return "simulated" if self.key == "parameters" else "parameters"
+
+    @property
+    def paired(self) -> bool:
+        """Whether its residuals are those against another sensor of the same motion."""
+        return any(self._pair(scene.sensor) for scene in self.exam.scenes)
 
     def curves(self, answered: Mapping[str, Any]) -> list[Curve]:
         """Return what this side shows of a finding of the answer, one curve a named axis.
@@ -45,7 +54,13 @@ class Side:
         (own,) = [MappedFinding(finding, None)] if absent else map_findings([finding], bins, conditions)
         effects = [m.effect for m in (*map_findings(others, bins, conditions), own) if m.effect is not None]
         affine = fit_affine(bins, effects, conditions, gravity)
-        return curves_of(own, bins, conditions, affine, gravity, absent=absent)
+        pair = self._pair(finding.sensor)
+        return curves_of(own, bins, conditions, affine, gravity, absent=absent, pair=pair)
+
+    def _pair(self, sensor: str) -> tuple[View, ...]:
+        """Return a sensor's residuals against another one of the same motion; none where there is none."""
+        own = [s.views for s in self.exam.scenes if s.sensor == sensor]
+        return next((views for views in own if all(v.name.startswith(PAIR) for v in views)), ())
 
 
 def _alike(one: Finding, other: Finding) -> bool:

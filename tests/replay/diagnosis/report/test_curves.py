@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.paired import Readings, pair_scenes
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.phone.case import Case
@@ -57,10 +59,10 @@ def test_a_line_is_broken_where_no_point_is_and_not_between_rests_that_are_alike
 
 
 def rocked(sensor: str, size: float, seed: int) -> Side:
-    """Rest for 50 minutes in ten attitudes; the gyroscope's z follows a sine of 90 s of this size, rad/s."""
+    """Rest for 25 minutes in five attitudes; the gyroscope's z follows a sine of 90 s of this size, rad/s."""
     rng = np.random.default_rng(seed)
-    t = np.arange(0.0, 3000.0, 0.1)
-    up = rng.normal(size=(10, 3))
+    t = np.arange(0.0, 1500.0, 0.2)
+    up = rng.normal(size=(5, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     force = 9.80665 * up[(t // 300.0).astype(int)] + rng.normal(0.0, 0.003, (t.size, 3))
     rate = rng.normal(0.0, 3e-4, (t.size, 3))
@@ -78,7 +80,7 @@ def test_a_period_is_folded_and_drawn_beside_a_simulation_that_has_none_of_it() 
         "effect": "unknown",
         "sensor": "gyro",
         "axes": ["z"],
-        "where": {"t_start": 0.0, "t_end": 3000.0, "band_hz": [0.0, 0.05], "driver": "a period in time"},
+        "where": {"t_start": 0.0, "t_end": 1500.0, "band_hz": [0.0, 0.05], "driver": "a period in time"},
         "parameters": {"amplitude": amplitude, "period_s": period},
         "simulated": {"amplitude": {"value": [0.0] * 6, "unit": "rad/s"}},
     }
@@ -91,3 +93,27 @@ def test_a_period_is_folded_and_drawn_beside_a_simulation_that_has_none_of_it() 
     assert simulated.partial_component is None and np.abs(simulated.point).max() < 0.3 * size
     labels = element_labels(answered, "amplitude", 6)
     assert labels[2] == "sine of z" and labels[3] == "cosine of x"
+
+
+def test_a_pair_draws_the_difference_of_two_sensors_however_they_were_moved() -> None:
+    slope, rng = 4e-3, np.random.default_rng(5)
+    t = np.arange(0.0, 900.0, 0.1)
+    moved = 9.8 + rng.normal(0.0, 2.0, (t.size, 3))
+    warm = 25.0 + 5.0 * np.sin(t / 150.0)
+    left = rng.normal(0.0, 0.003, (t.size, 3)) + np.outer(slope * (warm - 25.0), [1.0, 0.0, 0.0])
+    force = Samples.checked(Sensor.ACCELEROMETER, t, moved)
+    apart = Samples.checked(Sensor.ACCELEROMETER, t, left, warm)
+    bins, scenes = pair_scenes(Readings(apart, None), Readings(force, None), [], 0.0)
+    exam = replace(examine(force, None, search=False), bins=bins, scenes=scenes, statements=[])
+    answered = {
+        "effect": "accel_bias_temperature",
+        "sensor": "accel",
+        "axes": ["x"],
+        "where": {"t_start": 0.0, "t_end": 900.0, "band_hz": [0.0, 0.05], "driver": "temperature"},
+        "parameters": {"slope": {"value": [slope, 0.0, 0.0], "unit": "m/s^2/K"}},
+        "simulated": {},
+    }
+    side = Side("recorded", "#000000", "parameters", exam)
+    (curve,) = side.curves(answered)
+    assert side.paired and curve.partial_component is not None
+    assert (curve.point - curve.partial_component).std() < 0.1 * curve.point.std()
