@@ -39,6 +39,9 @@ ONE_IN_TEN = 1.645
 ONE_AXIS = 6
 """What an effect on one axis alone pays for in trials, as the search counts them."""
 
+FOLDS = float(np.log(1e3))
+"""Logarithm of the largest ratio of two recordings' numbers that is worth telling of."""
+
 
 @dataclass(frozen=True, slots=True)
 class Smallest:
@@ -223,8 +226,9 @@ def of_difference(difference: Difference, comparisons: int) -> list[Smallest]:
     shown = recorded.informed & difference.simulated.informed
     least = difference.visible_from(comparisons)
     if recorded.logarithmic:
-        least = np.exp(np.minimum(recorded.value, difference.simulated.value)) * np.expm1(least)
-        shown = np.ones(least.size, dtype=np.bool_)
+        shown = least < FOLDS
+        smaller = np.exp(np.minimum(recorded.value, difference.simulated.value))
+        least = smaller * np.expm1(np.minimum(least, FOLDS))
     out, first = [], 0
     for part in recorded.parts:
         rows = np.arange(first, first + part.count)

@@ -83,7 +83,7 @@ def _best_flip(
     """Return the interval between two borders whose flip gains most with its price paid, if any gains."""
     n = len(target)
     products = np.zeros((n + 1, n + 1))
-    products[:n, :n] = np.einsum("a,iajb,b->ij", size, gram, size)
+    products[:n, :n] = size @ (gram @ size)
     pull = np.append(target @ size, 0.0) - products @ changes
     own = np.diag(products)
     level = np.cumsum(changes)[:n]

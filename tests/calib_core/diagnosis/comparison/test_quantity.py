@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     subtract,
     weighed,
 )
+from stillcal.calib_core.diagnosis.comparison.sensitivity import of_difference
 
 Floats = NDArray[np.float64]
 
@@ -161,3 +162,14 @@ def test_less_than_a_third_of_the_checks_is_no_verdict() -> None:
     assert Comparison(comparisons=4, not_compared=missing(8)).verdict(1.0) == "match"
     assert Comparison(comparisons=4, not_compared=missing(9)).verdict(1.0) == "not_judged"
     assert pytest.approx(1.0 / 3.0) == LEAST_JUDGED
+
+
+def test_a_ratio_beyond_a_thousand_is_not_told_as_the_smallest_that_shows() -> None:
+    """Levels that hardly show: with errors of a factor e^900 no ratio is a number."""
+    known, unknown = (subtract(q, q) for q in (_level(0.1), _level(900.0)))
+    assert [s.effect for s in of_difference(known, 10)] == ["effect"]
+    assert of_difference(unknown, 10) == []
+
+
+def _level(sd: float) -> Quantity:
+    return quantity([0.0], sd, 1.0, logarithmic=True)
