@@ -87,7 +87,10 @@ class Scene:
         # Where a gyroscope told that the phone was not nudged, a bias shows across gravity too.
         blind = effect.blind if self.bins.pose is None else ()
         found = [
-            Hypothesis(effect, g, self.columns_of(effect.response(self.moments, g), blind)) for g in grids
+            Hypothesis(
+                effect, g, self.columns_of(effect.response(self.moments, g), blind), hypothesis.multiplicity
+            )
+            for g in grids
         ]
         return found or [hypothesis]
 
