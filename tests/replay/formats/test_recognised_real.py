@@ -33,7 +33,7 @@ REFUSED = {
     "hhar/Phones_gyroscope.csv.gz": "gyroscope's file of a pair",
     "hhar/Watch_gyroscope.csv.gz": "gyroscope's file of a pair",
     "imu_tk/xsens_gyro.mat.gz": "gyroscope's file of a pair",
-    "hhar_still/index.csv": "no column 't'",
+    "hhar_still/index.csv": "no accelerometer found by its names",
     "hhar_still/still_accel.npz": "no column of time stamps",  # 200 recordings, one after another
     "ucihar/ucihar_subset.npz": "windows",
 }

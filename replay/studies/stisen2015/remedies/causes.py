@@ -7,6 +7,7 @@ spectrum's magnitudes instead of shares, and clusters of devices of one rate.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -77,17 +78,36 @@ class Causes:
 def tried(carried: Carried, rows: dict[str, Rows], windows: Windows) -> Causes:
     """Try every cause. rows: by way. windows: all that there are."""
     seed, few = carried.seed, carried.windows
-    rates = [device.rate_hz for device in carried.devices]
+    own = of_rows(rows, [device.rate_hz for device in carried.devices], seed)
+    return Causes(
+        ceiling=faultless(windows, COMMON_HZ, seed, learners=("SVM",)),
+        slower=faultless(few, COMMON_HZ, seed) - faultless(few, RATE_HZ, seed),
+        magnitudes=_magnitudes(carried),
+        nine=np.array([_nine(carried, windows, seed + k) for k in range(DRAWS)]),
+        uncounted=own.uncounted,
+        same_rate=own.same_rate,
+        mixed=own.mixed,
+        within=own.within,
+    )
+
+
+class OfRows(NamedTuple):
+    """What the rows themselves tell of causes: the fields of `Causes` of the same names."""
+
+    uncounted: dict[str, ByWay]
+    same_rate: dict[str, Array]
+    mixed: tuple[float, float]
+    within: ByWay
+
+
+def of_rows(rows: dict[str, Rows], rates: list[float], seed: int) -> OfRows:
+    """Return what rows tell, by way. rates: Hz, of the devices."""
     out = halves(rows["raw"], OUT, seed)
     plain = judge(_uncounted(rows["raw"]), out, seed, most=MOST)
     alike = {way: replace(rows[way], cluster=by_rate(rows[way].device, rates)) for way in ("raw", "linear")}
     anywhere = judge(alike["raw"], halves(alike["raw"], DEVICE, seed), seed, most=MOST)
     inside = {way: judge(own, halves(own, WITHIN, seed), seed, most=MOST) for way, own in alike.items()}
-    return Causes(
-        ceiling=_faultless(windows, COMMON_HZ, seed, learners=("SVM",)),
-        slower=_faultless(few, COMMON_HZ, seed) - _faultless(few, RATE_HZ, seed),
-        magnitudes=_magnitudes(carried),
-        nine=np.array([_nine(carried, windows, seed + k) for k in range(DRAWS)]),
+    return OfRows(
         uncounted={m: gained(judge(_uncounted(rows[m]), out, seed, most=MOST), plain) for m in METHODS},
         same_rate={
             WITHIN: (by_device(inside["raw"][WITHIN]) - by_device(anywhere[DEVICE])).mean(axis=1),
@@ -159,9 +179,7 @@ def _most_mixed(rows: Rows, rates: Array) -> tuple[float, float]:
     return float(widest.min()), float(widest.max())
 
 
-def _faultless(
-    windows: Windows, rate: float, seed: int, learners: tuple[str, ...] = tuple(LEARNERS)
-) -> float:
+def faultless(windows: Windows, rate: float, seed: int, learners: tuple[str, ...] = tuple(LEARNERS)) -> float:
     """Return the mean F1, percent, of frequency features of a device without errors, people in both parts."""
     clean = reference(windows.accel)
     samples = clean.samples if rate == RATE_HZ else resample(clean, rate, "linear")
