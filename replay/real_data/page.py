@@ -15,6 +15,7 @@ from stillcal.replay.real_data.sound_phones import Judged
 from stillcal.replay.real_data.sources import Source
 from stillcal.replay.real_data.tables import Finding, Injected, Row, agreement, tally
 from stillcal.replay.real_data.withheld_thermometer import Withheld
+from stillcal.replay.studies.claim import table
 
 _PAGE = """# The diagnosis on other people's recordings
 
@@ -87,7 +88,7 @@ def page(shown: Shown) -> str:
         found=_findings_table(rows, device),
         optical=_optical(shown.recordings, rows),
         still=_still(shown.still),
-        rests=_table(
+        rests=table(
             ("table", "verdict", "found"),
             [(name, verdict, "; ".join(map(described, f)) or "-") for name, verdict, f in shown.rests],
         ),
@@ -96,11 +97,6 @@ def page(shown: Shown) -> str:
         injected=_injected(shown.results),
         misnamed=_misnamed(shown.results),
     )
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def described(finding: Finding) -> str:
@@ -152,7 +148,7 @@ def _findings_table(rows: Sequence[Row], device: dict[str, str]) -> str:
         "probability",
         "gain, nats",
     )
-    return _table((*head, "found again"), lines)
+    return table((*head, "found again"), lines)
 
 
 _OPTICAL = """\
@@ -176,7 +172,7 @@ def _optical(recordings: Sequence[Source], rows: Sequence[Row]) -> str:
     if not lines:
         return "(no recording with cameras is there)"
     head = ("recording", "s seen", "as it is", "bias, scale, misalignment off", "squares off too")
-    return _OPTICAL + _table((*head, "squares' share", "`gyro_nonlinearity` found"), lines)
+    return _OPTICAL + table((*head, "squares' share", "`gyro_nonlinearity` found"), lines)
 
 
 def _still(answers: Sequence[Judged]) -> str:
@@ -197,7 +193,7 @@ def _still(answers: Sequence[Judged]) -> str:
         " watches (Stisen et al. 2015;\naccelerometer only, mostly 70 s each). Each device is judged by what"
         " others commonly show. This alone:\n"
         "`python -m stillcal.replay.real_data.sound_phones $STILLCAL_DATA/hhar_still --verbose`.\n\n"
-        + _table(("found", "findings", "in both halves too", "recordings by model"), lines)
+        + table(("found", "findings", "in both halves too", "recordings by model"), lines)
     )
 
 
@@ -218,7 +214,7 @@ def _withheld(hidden: Sequence[tuple[Source, Withheld | None]]) -> str:
              f"{100 * w.chance:.0f} %; others {others}", verdict)
         )  # fmt: skip
     head = ("recording", "still bins", "span, K", "curve's share", "correlation", "by chance", "verdict")
-    return _table(head, lines)
+    return table(head, lines)
 
 
 def _injected(results: Sequence[Injected]) -> str:
@@ -232,7 +228,7 @@ def _injected(results: Sequence[Injected]) -> str:
 
     head = ("effect", "hosts", *(f"strength {s:.2g}" for s in STRENGTHS))
     hosts = {e: len({r.recording for r in results if r.effect == e}) for e in effects}
-    return _table(head, [(f"`{e}`", str(hosts[e]), *(cell(e, s) for s in STRENGTHS)) for e in effects])
+    return table(head, [(f"`{e}`", str(hosts[e]), *(cell(e, s) for s in STRENGTHS)) for e in effects])
 
 
 def _misnamed(results: Sequence[Injected]) -> str:

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.diagnose import LEAST_SAMPLES, Examination, S
 from stillcal.calib_core.diagnosis.direct import noise_level
 from stillcal.calib_core.diagnosis.direct.low_pass import LEAST_PIECES
 from stillcal.calib_core.diagnosis.direct.spectral_line import BRIEF
-from stillcal.calib_core.diagnosis.direct.steady_segments import stretches
+from stillcal.calib_core.diagnosis.direct.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
@@ -240,7 +240,7 @@ def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
 
 def _no_stretch(stream: Stream) -> str | None:
     """Say why no line can be looked for; None where steady segments are long enough."""
-    if stretches(stream.samples, stream.sensor, BRIEF) is not None:
+    if stretches(Places.of(stream.samples), stream.sensor, BRIEF) is not None:
         return None
     return f"there are no three steady segments of {BRIEF:.0f} s"
 

@@ -9,7 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct.steady_segments import INDEPENDENT, NEIGHBOURS, Stretches, stretches
+from stillcal.calib_core.diagnosis.direct.steady_segments import (
+    INDEPENDENT,
+    NEIGHBOURS,
+    Places,
+    Stretches,
+    stretches,
+)
 from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
@@ -69,13 +75,14 @@ def _nats(found: Finding) -> float:
 
 
 def _of_any_length(samples: Samples, sensor: str) -> Finding | None:
-    short = stretches(samples, sensor, SHORT)
+    places = Places.of(samples)
+    short = stretches(places, sensor, SHORT)
     found = _tone(sensor, short)
     if found is not None and _nats(found) > PLAIN:
         return found
-    found = _tone(sensor, stretches(samples, sensor, LONG, SHORT)) or found
+    found = _tone(sensor, stretches(places, sensor, LONG, SHORT)) or found
     if found is None and (short is None or float(short.share.sum()) < LEAST_STACK):
-        return _tone(sensor, stretches(samples, sensor, BRIEF))
+        return _tone(sensor, stretches(places, sensor, BRIEF))
     return found
 
 

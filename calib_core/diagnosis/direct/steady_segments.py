@@ -55,15 +55,22 @@ class Stretches:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Places:
-    """Samples on the grid of their stamps. t: (N,) s; xyz: (N, 3), interpolated where not `there` (N,)."""
+class Places:
+    """Samples on the grid of their stamps, `period` s apart.
 
+    t: (N,) s; xyz: (N, 3), interpolated where not `there` (N,).
+    """
+
+    period: float
     t: Array
     xyz: Array
     there: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, samples: Samples) -> _Places:
+    def of(cls, samples: Samples) -> Places | None:
+        """Put samples in their places; None where they are too few for any stretches."""
+        if len(samples) < 3 * LEAST_SAMPLES:
+            return None
         period = sample_period(samples.t)
         lost = np.zeros(len(samples) - 1) if bunched(samples.t) else Grid.of(samples.t, period).lost()
         place = np.concatenate([[0], np.cumsum(1 + lost.astype(np.int64))])
@@ -71,19 +78,22 @@ class _Places:
         there = np.zeros(every.size, dtype=np.bool_)
         there[place] = True
         xyz = np.stack([np.interp(every, place, axis) for axis in samples.xyz.T], axis=1)
-        return cls(np.interp(every, place, samples.t), xyz, there)
+        return cls(period, np.interp(every, place, samples.t), xyz, there)
 
 
-def stretches(samples: Samples, sensor: str, seconds: float, least: float | None = None) -> Stretches | None:
+def stretches(
+    places: Places | None, sensor: str, seconds: float, least: float | None = None
+) -> Stretches | None:
     """Return the steady stretches of one sensor, or None where there are fewer than three.
 
     They are `seconds` long, and down to `least` (s) where there is no room for longer ones.
     """
-    rate = 1.0 / sample_period(samples.t)
-    longest, shortest = int(seconds * rate), int((least or seconds) * rate)
-    if shortest < LEAST_SAMPLES or len(samples) < 3 * shortest:
+    if places is None:
         return None
-    places = _Places.of(samples)
+    rate = 1.0 / places.period
+    longest, shortest = int(seconds * rate), int((least or seconds) * rate)
+    if shortest < LEAST_SAMPLES or places.there.sum() < 3 * shortest:
+        return None
     first, length = _steady(places.xyz, max(round(rate), 1), longest, shortest, STEADY[sensor])
     span = np.stack([places.t[first], places.t[first + length - 1]], axis=1)
     whole = span[:, 1] - span[:, 0] < 1.2 * length / rate
@@ -157,7 +167,7 @@ def _taper(n: int) -> Array:
     return np.asarray(np.sin(np.pi * (np.arange(n) + 0.5) / n))
 
 
-def _tapered(places: _Places, first: Index, length: Index, longest: int) -> tuple[Array, Array, Array]:
+def _tapered(places: Places, first: Index, length: Index, longest: int) -> tuple[Array, Array, Array]:
     """Return times about each one's middle (S, n), tapered values (S, n, 3) and the sum of each one's taper.
 
     Values are zero after its end and where a sample is missing.

@@ -115,17 +115,18 @@ def _judged(
     """
     best, whole = -np.inf, 4 * index
     freedom = degrees(reduced, whole)
-    if (
-        not freedom
-        or score(gain_bound(reduced, whole) - null, 1, freedom, trials * 2) < thresholds.WORTH_FITTING
-    ):
+    if not freedom:
+        return None
+    most = gain_bound(reduced, whole) - null
+    if score(most, 1, freedom, trials * 2) < thresholds.WORTH_FITTING:
         return None
     for part, cost in ((whole, 2), (whole + 1, 6), (whole + 2, 6), (whole + 3, 6)):
         rank, dof = visible(reduced, part), degrees(reduced, part)
         if rank == 0:
             continue
         least = max(best, thresholds.WORTH_FITTING)
-        if score(gain_bound(reduced, part) - null, rank, dof, trials * cost) < least:
+        bound = most if part == whole else gain_bound(reduced, part) - null
+        if score(bound, rank, dof, trials * cost) < least:
             continue
         gain = highest(reduced, part) - null
         best = max(best, score(gain, rank, dof, trials * cost))

@@ -145,7 +145,10 @@ class Grid:
 
     def missing(self) -> Measured:
         """Return the part of the samples that is missing; losses of several at once count as one event."""
-        lost = self.dropped()
+        return self.share(self.dropped())
+
+    def share(self, lost: Array) -> Measured:
+        """Return the same of samples (n - 1,) that were lost."""
         total = float(lost.sum())
         together = float((lost**2).sum()) / total if total else 1.0
         return share_of(total, self.t.size + total, together)
@@ -207,7 +210,8 @@ def jitter(grid: Grid, usual: Usual, where: Where) -> Finding | None:
 
 def drops(grid: Grid, usual: Usual, where: Where) -> Finding | None:
     """Find places of the grid that are empty. usual: of log10 of the part missing plus `LEAST_SHARE`."""
-    lost, fraction = grid.dropped(), grid.missing()
+    lost = grid.dropped()
+    fraction = grid.share(lost)
     parts = np.array_split(lost, PIECES)
     hits = np.array([float(p.sum()) for p in parts])
     of = np.array([float(p.size) for p in parts]) + hits

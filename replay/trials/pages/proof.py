@@ -12,6 +12,8 @@ from typing import Any
 
 import click
 
+from stillcal.replay.studies.claim import table as markdown
+
 SOLVERS = {
     "diagnosis": "diagnosis",
     "affine_coloured_bic": "coloured, BIC",
@@ -32,14 +34,15 @@ def table(scores: list[Mapping[str, Any]]) -> Iterator[str]:
     """Yield the table's lines, and how often the whole answer is right."""
     lines = {s["solver"]: {line["what"]: line for line in s["lines"]} for s in scores}
     there = [solver for solver in SOLVERS if solver in lines]
-    head = ["score", *(SOLVERS[s] for s in there), "n", "bar", "holds"]
-    yield from (_row(head), _row(["---"] * len(head)))
+    head = ("score", *(SOLVERS[s] for s in there), "n", "bar", "holds")
+    rows = []
     for what, own in lines["diagnosis"].items():
         if own["n"]:
             cells = [_cell(lines[s].get(what)) for s in there]
             holds = {True: "yes", False: "**no**", None: ""}[own["holds"]]
             name = f"- {what.strip()}" if what.startswith(" ") else what
-            yield _row([name, *cells, str(own["n"]), own["bar"], holds])
+            rows.append((name, *cells, str(own["n"]), own["bar"], holds))
+    yield from markdown(head, rows).splitlines()
     right = {s["solver"]: s["right"] for s in scores}
     shares = [f"{SOLVERS[s]} {100 * right[s]['value']:.1f} %" for s in there if right[s]["n"]]
     if shares:
@@ -55,10 +58,6 @@ def _cell(line: Line | None) -> str:
     low, high = (None if x is None else f"{factor * x:.{int(plain)}f}" for x in (line["low"], line["high"]))
     bounds = "" if low is None else f" ({low} to {high})" if high is not None else f" ({low} and more)"
     return f"{factor * line['value']:.1f}{unit}{bounds}"
-
-
-def _row(cells: list[str]) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

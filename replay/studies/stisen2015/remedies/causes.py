@@ -84,10 +84,7 @@ def tried(carried: Carried, rows: dict[str, Rows], windows: Windows) -> Causes:
         slower=faultless(few, COMMON_HZ, seed) - faultless(few, RATE_HZ, seed),
         magnitudes=_magnitudes(carried),
         nine=np.array([_nine(carried, windows, seed + k) for k in range(DRAWS)]),
-        uncounted=own.uncounted,
-        same_rate=own.same_rate,
-        mixed=own.mixed,
-        within=own.within,
+        **own._asdict(),
     )
 
 
