@@ -23,7 +23,7 @@ import click
 import numpy as np
 from timing import Row
 from truth_phones import MG, RATE_HZ, live
-from truth_rivals import OffsetTable, Vqf
+from truth_rivals import DailyFit, OffsetTable, Vqf
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord
@@ -43,7 +43,7 @@ ENGINES = {
     "stillcal": EngineSettings(),
     "stillcal without learning": EngineSettings(schedule=ScheduleSettings(learn_temperature=False)),
 }
-RIVALS = ("raw", "offset table", "vqf")
+RIVALS = ("raw", "offset table", "vqf", "daily fit")
 ACCEL, GYRO = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
 GOALS = {ACCEL: (0.15, 0.6, "mg"), GYRO: (0.004, 0.02, "deg/s")}
 
@@ -118,7 +118,8 @@ class Contest:
         self.engines = {name: Engine(settings) for name, settings in ENGINES.items()}
         self.met: list[float] = []
         self.cost = Cost()
-        self._table, self._vqf, self._last_rest = OffsetTable(), Vqf(RATE_HZ), -np.inf
+        self._table, self._vqf, self._daily = OffsetTable(), Vqf(RATE_HZ), DailyFit()
+        self._last_rest = -np.inf
 
     def feed(self, chunk: Chunk) -> None:
         """Give everybody the same samples; the table takes the rests that stillcal finds."""
@@ -135,6 +136,7 @@ class Contest:
             self._last_rest = max(self._last_rest, held.rest.t_start)
             self.met += [] if held.rest.temperature is None else [held.rest.temperature]
         self._vqf.take(chunk.gyroscope.xyz, chunk.accelerometer.xyz)
+        self._daily.take(chunk.accelerometer)
 
     @property
     def calibrated(self) -> bool:
@@ -154,6 +156,8 @@ class Contest:
         for name, bias in (("offset table", self._table.bias(celsius)), ("vqf", self._vqf.bias())):
             if bias is not None:
                 yield Answer(name, GYRO, bias)
+        if (daily := self._daily.model(celsius)) is not None:
+            yield Answer("daily fit", ACCEL, bias=daily[1], scale=daily[0])
 
 
 def told_by(

@@ -1,14 +1,23 @@
-"""What item 7 compares stillcal with: raw readings, a table of offsets by temperature, vqf's bias at rest."""
+"""What item 7 compares stillcal with.
+
+A table of gyroscope offsets by temperature, vqf's gyroscope bias at rest, and scikit-digital-health's fit of
+every day's accelerometer.
+"""
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 from peers import peer
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.samples import Samples
+
+DAY_S = 86400.0
 
 
 class OffsetTable:
@@ -63,3 +72,51 @@ class Vqf:
     def bias(self) -> Array | None:
         """Return the bias (3,), rad/s; None where vqf is not installed."""
         return None if self._filter is None else np.asarray(self._filter.getBiasEstimate()[0])
+
+
+class DailyFit:
+    """scikit-digital-health (MIT): its fit of a whole day (van Hees et al. 2014), in use until the next one.
+
+    Offset, scale by axis, and a slope with temperature. With the tolerance it is shipped with, the fit ends too
+    early: it is tightened here.
+    """
+
+    def __init__(self) -> None:
+        self._module: Any = peer("skdh.preprocessing")
+        self._day: list[Samples] = []
+        self._fitted: tuple[Array, Array, Array, float] | None = None
+
+    def take(self, accelerometer: Samples) -> None:
+        """Take a run of samples with temperatures; fit when they make a day."""
+        if self._module is None:
+            return
+        self._day.append(accelerometer)
+        if accelerometer.t[-1] - self._day[0].t[0] >= DAY_S:
+            self._fit(Samples.joined(self._day))
+            self._day = []
+
+    def model(self, celsius: float) -> tuple[Array, Array] | None:
+        """Return scale (3, 3) and bias (3,), m/s^2, of the newest day that it could fit; None before."""
+        if self._fitted is None:
+            return None
+        scale, offset, slope, mean = self._fitted
+        return np.diag(scale), -(offset + slope * (celsius - mean) / scale) * STANDARD
+
+    def _fit(self, day: Samples) -> None:
+        in_g = day.xyz / STANDARD
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = self._module.CalibrateAccelerometer(min_hours=23, tol=1e-14, max_iter=5000).predict(
+                time=day.t,
+                accel=in_g,
+                fs=(len(day) - 1) / (day.t[-1] - day.t[0]),
+                temperature=day.temperature,
+            )
+        scale, offset = (np.asarray(found[name]) for name in ("scale", "offset"))
+        slope = np.ravel(found["temperature scale"])
+        if offset.any():
+            # It does not tell the temperature that its slope counts from: read it off a corrected sample.
+            most = np.abs(slope).argmax()
+            by_slope = (found["accel"][0] - (in_g[0] + offset) * scale)[most]
+            assert day.temperature is not None
+            self._fitted = scale, offset, slope, float(day.temperature[0] - by_slope / slope[most])
