@@ -49,8 +49,9 @@ SECTIONS = {
         "Every ten minutes after the first calibration: the mean vector error of calibrated specific force "
         "at rest, the common rotation taken out, and the error of rate. Intervals are those of the bias, by "
         "axis. The offset table keeps a gyroscope offset for every 2 K, our own reading of the idea that "
-        "Android's stack publishes; vqf is fed with all samples, and so is the daily fit, scikit-digital-health's (van Hees et al. "
-        "2014, with a slope by temperature). The thermometer is read once a minute. "
+        "Android's stack publishes; vqf is fed with all samples, and so is the daily fit, "
+        "scikit-digital-health's (van Hees et al. 2014, with a slope by temperature). The thermometer is "
+        "read once a minute. "
         "*Without learning*: this program without learning temperature.",
     ),
 }

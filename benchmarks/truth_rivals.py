@@ -77,8 +77,8 @@ class Vqf:
 class DailyFit:
     """scikit-digital-health (MIT): its fit of a whole day (van Hees et al. 2014), in use until the next one.
 
-    Offset, scale by axis, and a slope with temperature. With the tolerance it is shipped with, the fit ends too
-    early: it is tightened here.
+    Offset, scale by axis, and a slope with temperature. With the tolerance it is shipped with, the fit ends
+    too early: it is tightened here.
     """
 
     def __init__(self) -> None:
