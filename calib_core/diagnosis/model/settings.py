@@ -1,4 +1,4 @@
-"""Every threshold of the diagnosis, with what set it: nothing else here decides what is alarming."""
+"""Thresholds of the diagnosis, with what set each; those of one file alone stand there."""
 
 from __future__ import annotations
 
