@@ -320,6 +320,34 @@ def run(quick: bool) -> Iterator[Row]:
                     margin=goal / value if ours else None,
                     more=_by_part(own) if ours and what == "median" else {},
                 )
+        yield from _beside_best_rival(rows, sensor)
+
+
+TIMES_BETTER = 5.0
+
+
+def _beside_best_rival(rows: np.ndarray, sensor: Sensor) -> Iterator[Row]:
+    """Yield by how many times our 95th percentile is smaller than that of the best rival."""
+    highs = {
+        who: float(np.quantile(own["error"], 0.95))
+        for who in (*RIVALS, "stillcal")
+        if (own := _of(rows, sensor, who)).size
+    }
+    ours = highs.pop("stillcal", None)
+    if ours is None:
+        return
+    best = min(highs, key=lambda who: highs[who])
+    times = highs[best] / ours
+    yield Row(
+        "7",
+        f"{sensor}: 95th percentile, times as small as the best rival's",
+        times,
+        "times",
+        best,
+        goal=f"{TIMES_BETTER:g} times",
+        met=times >= TIMES_BETTER,
+        margin=times / TIMES_BETTER,
+    )
 
 
 def _costs(costs: list[Cost]) -> Iterator[Row]:
