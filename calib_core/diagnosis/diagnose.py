@@ -33,6 +33,8 @@ from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
+from stillcal.calib_core.diagnosis.sequence.findings import sequence_findings, without_names
+from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
@@ -141,7 +143,10 @@ def examine(
     clear = _outside(bins, gone)
     streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
     doubled = repeats.doubled(accelerometer, twice)
-    direct = [*gone, *([doubled] if doubled else []), *direct_findings(streams, claims, sound)]
+    nameless = [f for s in streams for f in sequence_findings(s.samples, s.sensor, clear)]
+    named = without_names(direct_findings(streams, claims, sound), nameless)
+    named = judged(named, accelerometer, [x for _, x in sensors])
+    direct = [*gone, *([doubled] if doubled else []), *nameless, *named]
     slow = _roughened(_unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     residuals = scenes(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
     stated = [Stated(f) for f in direct]

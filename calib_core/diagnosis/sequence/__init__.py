@@ -1,0 +1,1 @@
+"""What samples and stamps say of their own order, place and code: effects without a name."""

@@ -1,0 +1,58 @@
+"""What single samples say of their order, place and code, and what an effect there does to other findings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.sequence.codes import by_code
+from stillcal.calib_core.diagnosis.sequence.order import wrong_order
+from stillcal.calib_core.diagnosis.sequence.places import by_count
+from stillcal.calib_core.diagnosis.sequence.recurrence import delivered_again, stale_axes
+from stillcal.calib_core.streams.samples import Samples
+
+SPOILED = (
+    "noise_heavy_tailed",
+    "noise_level",
+    "noise_unequal_axes",
+    "vibration_tone",
+    "held_samples",
+    "missing_codes",
+)
+"""Names that samples in a wrong place or with a wrong code may look like."""
+
+LEAST_SAMPLES = 200
+
+
+def sequence_findings(samples: Samples, sensor: str, bins: Bins) -> list[Finding]:
+    """Return what one sensor's samples show that has no name. bins: the still ones."""
+    if len(samples) < LEAST_SAMPLES:
+        return []
+    still = still_rows(samples.t, bins)
+    found = [
+        delivered_again(samples, sensor, still),
+        wrong_order(samples, sensor),
+        stale_axes(samples, sensor),
+        by_code(samples, sensor, still),
+        by_count(samples, sensor, still),
+    ]
+    return [f for f in found if f is not None]
+
+
+def still_rows(t: Array, bins: Bins) -> NDArray[np.bool_]:
+    """Return which samples, at t (n,) s, lie in still bins."""
+    edges = np.zeros(t.size + 1, dtype=np.int64)
+    np.add.at(edges, np.searchsorted(t, bins.t - bins.duration / 2), 1)
+    np.add.at(edges, np.searchsorted(t, bins.t + bins.duration / 2), -1)
+    return np.asarray(np.cumsum(edges)[:-1] > 0)
+
+
+def without_names(found: Sequence[Finding], nameless: Sequence[Finding]) -> list[Finding]:
+    """Return findings without the names that a nameless effect of the same sensor's samples looks like."""
+    sensors = {f.sensor for f in nameless}
+    return [f for f in found if f.sensor not in sensors or f.effect not in SPOILED]

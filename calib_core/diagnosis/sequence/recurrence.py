@@ -1,0 +1,182 @@
+"""Values that come again: a stretch delivered once more, or some axes of a sample read before they are new.
+
+A sample that all axes repeat at once is held (`direct.repeated_values`), and is not counted here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.repeated_values import at_limits
+from stillcal.calib_core.diagnosis.model.measurement import (
+    Index,
+    Seen,
+    direct_finding,
+    of_counts,
+    share_of,
+    sized,
+)
+from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
+from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
+from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, residual, spread
+from stillcal.calib_core.streams.samples import Samples
+
+Flags = NDArray[np.bool_]
+
+AGAIN, STALE = "values delivered before", "axes read before they are new"
+SHORTEST = 3
+"""Samples in a row, at least, that are delivered once more."""
+
+LAGS = range(2, 21)
+"""Samples later at which two at rest are compared to learn how often values are alike by chance."""
+
+CORRELATED = 3.0
+"""Times oftener than that that values may be alike where the one before was: noise is low-passed."""
+
+SURE = 8.0
+"""Spreads of residuals by which a sample must have left the value of the one before."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """`length` rows from `first` on that equal those from `origin` on, earlier."""
+
+    origin: int
+    first: int
+    length: int
+
+
+def delivered_again(samples: Samples, sensor: str, still: Flags) -> Finding | None:
+    """Find stretches of one sensor's samples that are an earlier stretch, value by value.
+
+    still: (n,) whether the phone lay still, which tells how often values are alike by chance.
+    """
+    xyz = samples.xyz
+    alike = by_chance(xyz, still)
+    if alike >= 1.0:
+        return None
+    tries = 0.5 * float(len(xyz)) ** 2
+    worth = [(s, -s.length * float(np.log(alike)) - float(np.log(tries))) for s in repeated(xyz)]
+    worth = [(s, nats) for s, nats in worth if nats > 0.0]
+    if not worth:
+        return None
+    t, rows = samples.t, sum(s.length for s, _ in worth)
+    where = Where(
+        float(t[worth[0][0].first]), float(t[worth[-1][0].first + worth[-1][0].length - 1]), (0.0, 0.0), AGAIN
+    )
+    longest = max(s.length for s, _ in worth)
+    say = (
+        f"{len(worth)} stretches of the {NAME[sensor]}'s samples, {rows} in all and up to {longest} in a row,"
+        " repeat earlier ones value by value: they were delivered again."
+    )
+    sizes = sized(
+        {
+            "stretches": (float(len(worth)), "1"),
+            "samples": (float(rows), "1"),
+            "longest": (float(longest), "1"),
+        }
+    )
+    seen = Seen(sum(nats for _, nats in worth))
+    return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=say, seen=seen)
+
+
+def by_chance(xyz: Array, still: Flags) -> float:
+    """Return `CORRELATED` times how often rows (n, 3) at rest equal a row some samples earlier; 1 at most."""
+    shares = [
+        float((xyz[k:] == xyz[:-k]).all(axis=1)[both].mean())
+        for k in LAGS
+        if (both := still[k:] & still[:-k]).any()
+    ]
+    if not shares:
+        shares = [float((xyz[k:] == xyz[:-k]).all(axis=1).mean()) for k in LAGS if k < len(xyz)]
+    least = 1.0 / max(len(xyz), 1)
+    return min(CORRELATED * max(float(np.median(shares)) if shares else 1.0, least), 1.0)
+
+
+def repeated(xyz: Array) -> list[Stretch]:
+    """Return the stretches of `SHORTEST` rows and more that occurred exactly once before, in order.
+
+    Rows that repeat the one before are held and count for nothing.
+    """
+    fresh = np.concatenate([[True], (np.diff(xyz, axis=0) != 0.0).any(axis=1)])
+    rows = np.flatnonzero(fresh)
+    if rows.size <= SHORTEST:
+        return []
+    code = _hashed(xyz[rows])
+    n = rows.size - SHORTEST + 1
+    mixed = np.zeros(n, dtype=np.uint64)
+    for i in range(SHORTEST):
+        mixed = mixed * np.uint64(6364136223846793005) + code[i : i + n]
+    order = np.argsort(mixed, kind="stable")
+    same = mixed[order][1:] == mixed[order][:-1]
+    twice = same & ~np.concatenate([[False], same[:-1]]) & ~np.concatenate([same[1:], [False]])
+    origin, again = order[:-1][twice], order[1:][twice]
+    by_place = np.argsort(again, kind="stable")
+    return _runs(rows, origin[by_place], again[by_place])
+
+
+def _hashed(xyz: Array) -> NDArray[np.uint64]:
+    """Return a number (n,) for each row (n, 3): equal rows have equal ones."""
+    bits = np.ascontiguousarray(xyz + 0.0).view(np.uint64)
+    mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
+    mixed ^= mixed >> np.uint64(29)
+    return np.asarray((mixed * np.uint64(0xBF58476D1CE4E5B9)).sum(axis=1, dtype=np.uint64))
+
+
+def _runs(rows: Index, origin: Index, again: Index) -> list[Stretch]:
+    """Join stretches (m,) of `SHORTEST` fresh rows that follow each other, by where they are and were."""
+    if not again.size:
+        return []
+    joined = (np.diff(again) == 1) & (np.diff(origin) == 1)
+    starts = np.flatnonzero(np.concatenate([[True], ~joined]))
+    counts = np.diff(np.append(starts, again.size))
+    return [
+        Stretch(int(rows[origin[k]]), int(rows[again[k]]), int(c) + SHORTEST - 1)
+        for k, c in zip(starts, counts, strict=True)
+        if again[k] >= origin[k] + SHORTEST
+    ]
+
+
+def stale_axes(samples: Samples, sensor: str) -> Finding | None:
+    """Find axes that keep their value in single samples of motion that must have changed it.
+
+    How many stay by chance is told by those that change by one or two steps: motion makes as many of each.
+    """
+    free = ~at_limits(samples.xyz)
+    found = {a: stays(samples.xyz, a, free[:, a]) for a in range(3)}
+    nats = {a: of_counts(hits, of, chance) for a, (hits, of, chance) in found.items() if of > 0.0}
+    axes = [a for a in nats if nats[a] > 0.0 and found[a][0] > found[a][1] * found[a][2]]
+    if not axes:
+        return None
+    hits, of = max(found[a][0] for a in axes), max(found[a][1] for a in axes)
+    named = ", ".join(AXES[a] for a in axes)
+    say = (
+        f"In {hits:.0f} of {of:.0f} samples of motion the {NAME[sensor]}'s {named} has the value of the"
+        " sample before, while other axes moved on: it was read before it was new."
+    )
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), STALE)
+    sizes = {"fraction": share_of(hits, of).parameter("1")}
+    # Any of the seven sets of axes may be late.
+    seen = Seen(sum(nats[a] for a in axes) - float(np.log(7.0)))
+    return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
+
+
+def stays(xyz: Array, axis: int, free: Flags) -> tuple[float, float, float]:
+    """Return in how many samples an axis alone keeps its value, of how many that must not, and by chance.
+
+    They must not where the four neighbours of a sample are sure to have it elsewhere than the sample before.
+    free: (n - 1,) whether the two are not at the end of the axis' range, where motion keeps them.
+    """
+    left, values = residual(xyz[:, [axis]])[:, 0], xyz[REACH:-REACH, axis]
+    step = comb_step(values) or 0.0
+    inner = slice(REACH - 1, -REACH)
+    change = np.diff(xyz, axis=0)[inner]
+    alone = (change != 0.0).any(axis=1) & free[inner]
+    unit = max(float(spread(left[:, None])[0]), step)
+    moved = np.abs(change[alone & (np.abs(change[:, axis] - left) > SURE * unit), axis])
+    near = float(((moved > 0.0) & (moved < 2.5 * step)).sum())
+    return float((moved == 0.0).sum()), float(moved.size), min((near + 1.0) / 4.0 / max(moved.size, 1), 0.5)
