@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Wh
 from stillcal.calib_core.diagnosis.model.residuals import Baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.motion.axis_delays import AxisDelays, axis_columns
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression, of_arm
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
@@ -78,8 +79,11 @@ def motion_findings(
     error = float(np.hypot(np.sqrt(fit.last.jackknifed(PARTS)[1][3, 3]), fit.delay_apart))
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
     delay = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
+    late, axes = _delayed(delay, fit.first, usual, where, interval), fit.axes(motion)
+    if late is None or axes.differ:
+        late = axes.finding(where, 0.0 if late is None else late.evidence.log_bayes_factor)
     found = [
-        _delayed(delay, fit.first, usual, where, interval),
+        late,
         lever_arm(fit.last.only(ARM), fit.arm_apart, where),
     ]
     return [f for f in found if f]
@@ -116,7 +120,8 @@ def power_over_delays(
 class _Fit:
     """A delay, s, and the normal equations about no delay (`first`) and about it (`last`).
 
-    delay_apart, arm_apart: errors that windows that disagree make; weight: of each frequency.
+    delay_apart, arm_apart: errors that windows that disagree make; weight: of each frequency; effects, still:
+    the equations about it.
     """
 
     delay: float
@@ -125,6 +130,18 @@ class _Fit:
     delay_apart: float
     arm_apart: float
     weight: Array
+    effects: list[Spectrum]
+    still: list[Spectrum]
+
+    def axes(self, motion: _Motion) -> AxisDelays:
+        """Return what sets the delays of single axes apart."""
+        every = [np.concatenate(pair, axis=2) for pair in zip(self.effects, motion.of_axes(), strict=True)]
+        sums = _summed(every, self.still, self.weight)
+        x, frequency = sums.fitted(), np.arange(self.weight.size) / WINDOW
+        scale = self.weight[:, None]
+        left = np.array([(y - e @ x) * scale for e, y in zip(every, self.still, strict=True)])
+        terms = [np.array([e[:, :, k] * scale for e in every]) for k in range(-4, 0)]
+        return AxisDelays(sums, [disagreement(term, left, frequency) for term in terms])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,14 +185,25 @@ class _Motion:
         ]
         return [x for x, _ in made], [y for _, y in made]
 
+    def of_axes(self) -> list[Spectrum]:
+        """Return what delays of single axes do, as spectra (f, 3, 4) a window."""
+        made = []
+        for t, rate in self.windows:
+            back = matrix(attitudes(t, rate))
+            turned = np.einsum("nij,nj->ni", back, _force(self.accelerometer, self.baseline, t))
+            up = turned.mean(axis=0) / np.linalg.norm(turned.mean(axis=0))
+            made.append(_spectrum(axis_columns(back, rate, np.einsum("nji,j->ni", back, up), self.gravity)))
+        return made
+
     def fitted(self) -> _Fit:
         """Fit delay and arm, the model taken anew about each delay found."""
         total, first = 0.0, None
         for _ in range(LINEARISED):
-            sums, apart, arm_apart, weight = _weighed(*self.equations(total))
+            effects, still = self.equations(total)
+            sums, apart, arm_apart, weight = _weighed(effects, still)
             first = first or sums
             total = float(np.clip(total + sums.fitted()[3], -LONGEST, LONGEST))
-        return _Fit(total, first or sums, sums, apart, arm_apart, weight)
+        return _Fit(total, first or sums, sums, apart, arm_apart, weight, effects, still)
 
 
 def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
@@ -222,15 +250,16 @@ def _equations(force: Array, t: Array, rate: Array, gravity: float) -> tuple[Spe
     up = still.mean(axis=0) / np.linalg.norm(still.mean(axis=0))
     late = -gravity * np.cross(rate, np.einsum("nji,j->ni", back, up))
     effects = back @ np.concatenate([of_arm(t, rate), late[:, :, None]], axis=2)
-    slow = np.linalg.qr(np.linspace(-1.0, 1.0, t.size)[:, None] ** np.arange(2.0))[0]
-    taper = np.hanning(t.size + 2)[1:-1]
+    return _spectrum(effects), _spectrum(still)
 
-    def spectrum(values: Array) -> Spectrum:
-        flat = values.reshape(t.size, -1)
-        free = (flat - slow @ (slow.T @ flat)) * taper[:, None]
-        return np.asarray(np.fft.rfft(free, axis=0).reshape(-1, *values.shape[1:]))
 
-    return spectrum(effects), spectrum(still)
+def _spectrum(values: Array) -> Spectrum:
+    """Return the spectrum (f, ...) of values (n, ...) under a Hann window, free of what grows steadily."""
+    n = len(values)
+    slow = np.linalg.qr(np.linspace(-1.0, 1.0, n)[:, None] ** np.arange(2.0))[0]
+    flat = values.reshape(n, -1)
+    free = (flat - slow @ (slow.T @ flat)) * np.hanning(n + 2)[1:-1, None]
+    return np.asarray(np.fft.rfft(free, axis=0).reshape(-1, *values.shape[1:]))
 
 
 def _summed(effects: list[Spectrum], still: list[Spectrum], weight: Array) -> Regression:

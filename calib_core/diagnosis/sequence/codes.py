@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import (
@@ -25,7 +24,6 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, residual, spread
-from stillcal.calib_core.diagnosis.sequence.places import noise_size
 from stillcal.calib_core.streams.samples import Samples
 
 DRIVER = "own code"
@@ -74,11 +72,13 @@ class Repeats:
     nats: float
 
 
-def by_code(samples: Samples, sensor: str, still: NDArray[np.bool_]) -> Finding | None:
-    """Find axes whose values, or whose noise at rest, depend on the code modulo a power of two."""
+def by_code(samples: Samples, sensor: str, size: Array | None) -> Finding | None:
+    """Find axes whose values, or whose noise at rest, depend on the code modulo a power of two.
+
+    size: of the noise, as `places.noise_size` has it; None where rests do not show it.
+    """
     if len(samples) < LEAST_SAMPLES:
         return None
-    size = noise_size(samples.xyz, still)
     found = {a: r for a in range(3) if (r := _of_axis(samples.xyz[:, a], size)) is not None}
     if not found:
         return None

@@ -12,7 +12,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.codes import by_code
 from stillcal.calib_core.diagnosis.sequence.order import wrong_order
-from stillcal.calib_core.diagnosis.sequence.places import by_count
+from stillcal.calib_core.diagnosis.sequence.places import by_count, noise_size
 from stillcal.calib_core.diagnosis.sequence.recurrence import delivered_again, stale_axes
 from stillcal.calib_core.streams.samples import Samples
 
@@ -34,12 +34,13 @@ def sequence_findings(samples: Samples, sensor: str, bins: Bins) -> list[Finding
     if len(samples) < LEAST_SAMPLES:
         return []
     still = still_rows(samples.t, bins)
+    size = noise_size(samples.xyz, still)
     found = [
         delivered_again(samples, sensor, still),
         wrong_order(samples, sensor),
         stale_axes(samples, sensor),
-        by_code(samples, sensor, still),
-        by_count(samples, sensor, still),
+        by_code(samples, sensor, size),
+        None if size is None else by_count(samples, sensor, size),
     ]
     return [f for f in found if f is not None]
 

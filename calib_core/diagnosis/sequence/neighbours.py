@@ -38,12 +38,13 @@ def spread(left: Array) -> Array:
 
 def without_lines(left: Array) -> Array:
     """Return residuals (n, k) with the lines of their spectrum cut: what vibrates is not noise."""
+    from scipy.fft import next_fast_len  # noqa: PLC0415 - the daemon stays light
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
 
-    spectrum = np.fft.rfft(left, axis=0)
+    length = next_fast_len(len(left), real=True)
+    spectrum = np.fft.rfft(left, length, axis=0)
     size = np.abs(spectrum)
     held = np.minimum(size, LINE * np.median(size, axis=0))
     usual = np.sqrt(uniform_filter1d(held**2, AROUND, axis=0))
-    return np.asarray(
-        np.fft.irfft(spectrum * np.minimum(1.0, LINE * usual / np.maximum(size, 1e-300)), len(left), axis=0)
-    )
+    kept = np.minimum(1.0, LINE * usual / np.maximum(size, 1e-300))
+    return np.asarray(np.fft.irfft(spectrum * kept, length, axis=0)[: len(left)])

@@ -44,14 +44,11 @@ MOST_HELD = 0.01
 residuals are as regular as these are."""
 
 
-def by_count(samples: Samples, sensor: str, still: NDArray[np.bool_]) -> Finding | None:
-    """Find noise at rest whose size follows the count of the samples. still: (n,) whether it lay still."""
-    size = noise_size(samples.xyz, still)
-    if size is None:
-        return None
+def by_count(samples: Samples, sensor: str, size: Array) -> Finding | None:
+    """Find noise at rest whose size follows the count of the samples. size: as `noise_size` has it."""
     line = lines(size)
-    period, batched = batch(line, size.size)
-    beat, single = _beat(line, size.size)
+    period, batched = batch(line)
+    beat, single = _beat(line)
     nats, say = max(
         (batched, f"at one place of every {period:.0f} samples"), (single, f"every {1.0 / beat:.4g} samples")
     )
@@ -81,21 +78,23 @@ def noise_size(xyz: Array, still: NDArray[np.bool_]) -> Array | None:
 
 
 def lines(size: Array) -> Array:
-    """Return nats (m // 2 + 1,) of each line of a series (m,), which by chance are exponential."""
+    """Return nats (k,) of lines of a series (m,), up to half a period a sample: by chance exponential."""
+    from scipy.fft import next_fast_len  # noqa: PLC0415 - the daemon stays light
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
 
-    power = np.abs(np.fft.rfft(size * np.hanning(size.size))) ** 2
+    length = next_fast_len(size.size + 1, real=True) // 2 * 2
+    power = np.abs(np.fft.rfft(size * np.hanning(size.size), length)) ** 2
     own, every = 2 * OWN + 1, 2 * (ASIDE + OWN) + 1
     around = every * uniform_filter1d(power, every) - own * uniform_filter1d(power, own)
     usual = np.maximum(around / (every - own), 1e-300)
     return np.asarray(INDEPENDENT * np.log1p(power / usual / INDEPENDENT))
 
 
-def batch(line: Array, n: int) -> tuple[int, float]:
+def batch(line: Array) -> tuple[int, float]:
     """Return the likeliest size of a batch and nats for it, its overtones taken together (Fisher)."""
     from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
 
-    best = (2, 0.0)
+    best, n = (2, 0.0), 2 * (line.size - 1)
     for period in range(3, LARGEST + 1):
         at = np.rint(np.arange(1, (period - 1) // 2 + 1) * (n / period)).astype(np.int64)
         at = at[(at > SLOWEST * n) & (at < line.size - ASIDE)]
@@ -105,8 +104,9 @@ def batch(line: Array, n: int) -> tuple[int, float]:
     return best
 
 
-def _beat(line: Array, n: int) -> tuple[float, float]:
+def _beat(line: Array) -> tuple[float, float]:
     """Return the clearest line, a sample, and nats for it."""
+    n = 2 * (line.size - 1)
     first, last = int(SLOWEST * n), line.size - ASIDE
     k = first + int(np.argmax(line[first:last]))
     return k / n, of_chance(-float(line[k]), float(last - first))

@@ -1,0 +1,78 @@
+"""Axes of one sensor that are late by different times: one is read after the others, or filtered otherwise.
+
+A delay between the sensors is one number where all axes have it. Here each axis has its own beside it, and
+what sets them apart is held against how windows of motion, frequencies and directions disagree about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_chance, vector
+from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
+from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
+
+DRIVER = "rate of turn, axis by axis"
+SENSORS = ("accel", "gyro")
+ALIKE = 1e-3
+"""s, standard deviation by which axes of a sound sensor may be apart: they are read one after another."""
+
+UNLIKELY = 0.01
+"""Chance of axes being as far apart, below which they have no common delay."""
+
+
+def axis_columns(back: Array, rate: Array, up: Array, gravity: float) -> Array:
+    """Return what delays of single axes, less those of the sensor's other ones, do to the force: (n, 3, 4).
+
+    Of the accelerometer's x and y against its z, then of the gyroscope's. back: (n, 3, 3), turns the body to
+    where it was when the window began; rate: (n, 3); up: (n, 3), in the body.
+    """
+    changing = -gravity * np.cross(rate, up)
+    accel = -back * changing[:, None, :]
+    turned = gravity * np.cross(up[:, None, :], np.eye(3)[None] * rate[:, :, None])
+    gyro = np.einsum("nij,nkj->nik", back, turned)
+    return np.concatenate([accel[:, :, :2] - accel[:, :, 2:], gyro[:, :, :2] - gyro[:, :, 2:]], axis=2)
+
+
+class AxisDelays:
+    """Delays of each sensor's axes about their mean, with how surely they differ.
+
+    delays, errors: (2, 3) s; log_chance: of axes of one delay being as far apart.
+    """
+
+    def __init__(self, sums: Regression, apart: Sequence[float]) -> None:
+        """Estimate them by the last four columns of a regression; apart: s, how parts disagree about each."""
+        from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
+
+        fitted, covariance, _ = sums.jackknifed(PARTS)
+        k = len(apart)
+        x, within = fitted[-k:], covariance[-k:, -k:] + np.diag(np.square(apart) + ALIKE**2)
+        parts = min(PARTS, len(sums.power))
+        squared = float(x @ np.linalg.solve(within, x)) * (parts - k) / (k * (parts - 1.0))
+        self.log_chance = float(f.logsf(squared, k, parts - k))
+        split = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, -1.0]])
+        self.delays = x.reshape(2, 2) @ split.T
+        blocks = (within[:2, :2], within[2:, 2:])
+        self.errors = np.sqrt(np.array([np.einsum("ij,jk,ik->i", split, b, split) for b in blocks]))
+
+    @property
+    def differ(self) -> bool:
+        """Whether one delay of all axes does not fit."""
+        return self.log_chance < float(np.log(UNLIKELY))
+
+    def finding(self, where: Where, least: float = 0.0) -> Finding | None:
+        """State delays that differ; least: nats for what shows in any case, whatever it is called."""
+        which = int(np.argmax((np.abs(self.delays) / self.errors).max(axis=1)))
+        sensor, delays = SENSORS[which], self.delays[which]
+        axis = int(np.argmax(np.abs(delays) / self.errors[which]))
+        say = (
+            f"The {NAME[sensor]}'s axes are late by different times: {AXES[axis]} by"
+            f" {delays[axis] * 1e3:.1f} ms more than their mean."
+        )
+        there = Where(where.t_start, where.t_end, where.band_hz, DRIVER)
+        parameters = {"delay": vector(delays, self.errors[which], "s")}
+        seen = Seen(max(of_chance(self.log_chance), least))
+        return direct_finding("unknown", sensor, [axis], there, parameters, statement=say, seen=seen)
