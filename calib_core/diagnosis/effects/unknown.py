@@ -16,6 +16,7 @@ from stillcal.calib_core.diagnosis.effects.bias import SIZE, UNIT
 from stillcal.calib_core.diagnosis.effects.by_force import seen_in
 from stillcal.calib_core.diagnosis.effects.by_rate import TURN_PENALTY
 from stillcal.calib_core.diagnosis.effects.temperature import known
+from stillcal.calib_core.diagnosis.effects.warmup import TAUS, relaxation
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import (
     BLOCKS_ACROSS,
@@ -127,6 +128,30 @@ class SmoothCurve(Unknown):
         density = np.sqrt(2.0 * np.pi) * grid["length"] * np.exp(-0.5 * (grid["length"] * frequency) ** 2)
         waves = np.cos(place[:, None] * frequency) * np.sqrt(2.0 / MARGIN * density)
         return np.asarray((waves[:, None, :, None] * np.eye(3)[:, None, :]).reshape(len(moments), 3, -1))
+
+
+class Settling(Unknown):
+    """A bias that settles after the start in any way: a sum of first-order courses of many time constants.
+
+    A Gaussian process again, over the time since the start: the courses' sizes are independent, and together
+    as large as one of them alone may be. Their time constants are a factor of two or of four apart.
+    """
+
+    blind = BLOCKS_ACROSS
+
+    def __init__(self, sensor: str) -> None:
+        size = SIZE[sensor] / float(np.sqrt(len(TAUS)))
+        super().__init__(sensor, "time since start", Linear("amplitude", UNIT[sensor], 3 * len(TAUS), size))
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return both spacings, where more than one time constant can show."""
+        start, end = moments.history.span
+        return [{"every": 1}, {"every": 2}] if TAUS[1] <= (end - start) / 2.0 else []
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return each course on each axis in turn, (n, 3, 3 len(TAUS)); nothing for those left out."""
+        courses = [relaxation(moments, tau) for tau in TAUS]
+        return np.concatenate([on_axes(c * (i % grid["every"] == 0)) for i, c in enumerate(courses)], axis=2)
 
 
 class GainInStretch(Unknown):
@@ -260,6 +285,7 @@ def unknown_effects(sensor: str) -> list[Effect]:
         SmoothCurve(sensor, "rate of heating", curves.heating),
         SmoothCurve(sensor, "the past of charging", curves.plugged, curves.HEATS),
         SmoothCurve(sensor, "vibration power", curves.shaking),
+        Settling(sensor),
         AttitudeSquared(sensor),
     ]
     if sensor == "accel":

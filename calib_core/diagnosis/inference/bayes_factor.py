@@ -1,7 +1,7 @@
 """How much likelier a recording is with an effect than without: the Bayes factor, with the noise refitted.
 
 Nobody knows beforehand how large an effect is: its prior is a mixture of normal distributions, from the
-physically largest size down to a hundredth of it, all equally likely. It may be on all axes or on one.
+physically largest size down to a thousandth of it, all equally likely. It may be on all axes or on one.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
     maximum,
 )
 
-SIZES = 10.0 ** -np.arange(0.0, 2.1, 0.5)
-"""Prior standard deviations, as parts of the physically largest size."""
+SIZES = 10.0 ** -np.arange(0.0, 3.1, 0.5)
+"""Prior standard deviations, as parts of the physically largest size: the least that quiet rests show is
+about a thousandth (a gyroscope's step of 2e-5 rad/s)."""
 
 LEAST_PROBABILITY = 1e-15
 """What a sum of probabilities in double precision can tell from nothing."""

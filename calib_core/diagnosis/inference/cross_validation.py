@@ -6,8 +6,9 @@ baseline are integrated out over all views together, so that the log score of wh
 
     log p(left out | others) = log p(everything) - log p(others)
 
-The covariance of each view, its scale and the effect's grid point are chosen anew on those others: among
-the shapes that are likely on the whole recording, and among the grid points given.
+The covariance of each view and its scale are chosen anew on those others, among the shapes that are likely on
+the whole recording. Over an effect's grid points the density is averaged, all of them alike beforehand: where
+the moment of a step is left out itself, the others do not tell it, and to choose one would be a guess.
 """
 
 from __future__ import annotations
@@ -60,8 +61,8 @@ def held_out(
 ) -> HeldOut:
     """Predict each fold from the others.
 
-    shapes: for each view, the covariances (n, n) to choose from. candidates: sets of effects to choose from,
-    such as one effect at several grid points beside others.
+    shapes: for each view, the covariances (n, n) to choose from. candidates: sets of effects, one of which
+    is true, such as one effect at several grid points beside others.
     """
     score, misses, training = 0.0, [np.zeros(0)], []
     shared = [] if scene.shared is None else [scene.shared]
@@ -80,21 +81,22 @@ def held_out(
         rows = [f != k for f in fold]
         if all(r.all() for r in rows):
             continue
-        # Shapes are chosen under the first candidate; grid points then under these.
+        # Shapes are chosen under the first candidate; grid points are weighed under these.
         chosen = [
             _likeliest(p, r, choice, own[0]) for p, r, choice in zip(parts[0], rows, of_part, strict=True)
         ]
         factors = [_factor(shape, r) for shape, r in zip(chosen, rows, strict=True)]
         known = [_known(each, rows, factors, count) for each, count in zip(parts, own, strict=True)]
-        best = int(np.argmax([value for value, _, _ in known]))
-        value, size, sums = known[best]
-        training.append(value)
-        everything = [np.ones(r.size, dtype=bool) for r in rows]
+        values = np.array([value for value, _, _ in known])
+        best = int(values.argmax())
+        _, size, sums = known[best]
+        training.append(float(values[best]))
+        whole = [_factor(shape, np.ones_like(r)) for shape, r in zip(chosen, rows, strict=True)]
         every = [
-            p.sums(r, _factor(shape, r), s.scale)
-            for p, r, shape, s in zip(parts[best], everything, chosen, sums, strict=True)
+            _everything(each, whole, some, count)
+            for each, (_, _, some), count in zip(parts, known, own, strict=True)
         ]
-        score += _evidence(every, own[best])[0] - value
+        score += log_sum(np.array(every)) - log_sum(values)
         misses += [
             p.missed(r, s, size)
             for p, r, s in zip(parts[best], rows, sums, strict=True)
@@ -111,6 +113,15 @@ def _known(
     """Return the log evidence of the bins `rows`, the effects' likeliest sizes, and the bins' sums."""
     sums = [p.sums(r, factor) for p, r, factor in zip(parts, rows, factors, strict=True)]
     return (*_evidence(sums, own), sums)
+
+
+def _everything(parts: Sequence[_Part], factors: Sequence[Array], known: Sequence[_Sums], own: int) -> float:
+    """Return the log evidence of all bins, at the scales that `known` has."""
+    sums = [
+        p.sums(np.ones(p.y.size, dtype=bool), factor, k.scale)
+        for p, factor, k in zip(parts, factors, known, strict=True)
+    ]
+    return _evidence(sums, own)[0]
 
 
 def _likeliest(part: _Part, rows: NDArray[np.bool_], shapes: Sequence[Array], own: int) -> Array:

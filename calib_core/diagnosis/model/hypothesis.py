@@ -140,6 +140,12 @@ class Hypothesis:
         return np.concatenate([np.full(p.count, p.size) for p in self.effect.parameters])
 
 
+def difference(one: Hypothesis, other: Hypothesis) -> Hypothesis:
+    """Return what an effect does at one point of its grid and not at another."""
+    columns = tuple(a - b for a, b in zip(one.columns, other.columns, strict=True))
+    return Hypothesis(one.effect, one.grid, columns)
+
+
 class Parameters(Effect):
     """Linear parameters whose columns are made elsewhere: constants, or several effects at once."""
 

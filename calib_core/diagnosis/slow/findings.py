@@ -23,10 +23,6 @@ from stillcal.calib_core.diagnosis.slow.random_walk import random_walk
 from stillcal.calib_core.diagnosis.slow.search import LN10, Scored, Step, adequate, forward, reduce_scene
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 
-LEAST_GAIN = 3.0
-"""Gain in held-out log score, nats, of structure without a name and of what stands beside other findings
-(twenty to one); a name by itself must have any."""
-
 CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
 
@@ -120,8 +116,7 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
             steps = _without(steps, kept[int(np.argmax(chances))])
             continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
-        least = [LEAST_GAIN * (f.effect == "unknown" or len(made) > 1) for f in made]
-        gains = [_supported(f) - x for f, x in zip(made, least, strict=True)]
+        gains = [_supported(f) for f in made]
         if min(gains) > 0.0:
             return each_driver_once([Stated(f, h, scene) for f, h in zip(made, found, strict=True)])
         steps = _without(steps, kept[int(np.argmin(gains))])

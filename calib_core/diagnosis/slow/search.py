@@ -27,7 +27,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
 )
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, difference, nothing
 from stillcal.calib_core.diagnosis.slow.screen import screened
 
 LN10 = float(np.log(10.0))
@@ -50,8 +50,8 @@ class Scored:
 class Step:
     """One forward step: the winner and the best of every other effect, best first.
 
-    neighbours: the winner's neighbours on its fine grid, and its companions. They are projected out
-    with it later, so that what a time constant slightly off leaves is not taken for another effect.
+    neighbours: the winner's slope along its fine grid, and its companions. They are projected out with it
+    later, so that what a time constant slightly off leaves is not taken for another effect.
     """
 
     winner: Scored
@@ -191,8 +191,8 @@ def forward(scene: Scene, effects: Sequence[Effect], threshold: float = threshol
         ranked = ranking(scene, effects, before)
         if not ranked or ranked[0].score < threshold:
             break
-        step = prefer_pair(scene, prefer_named(Step(ranked[0], tuple(ranked[1:]))), before)
-        step = refined(scene, step, before)
+        step = prefer_named(scene, Step(ranked[0], tuple(ranked[1:])), before)
+        step = refined(scene, prefer_pair(scene, step, before), before)
         steps.append(step)
         effects = [e for e in effects if not _spent(e, step.winner.hypothesis.effect)]
     return steps
@@ -273,7 +273,8 @@ def _spent(effect: Effect, winner: Effect) -> bool:
 def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
     """Let a named effect win over a nameless one where, with a second name, it explains as much.
 
-    Two effects together may look like neither; each of the best few names is tried with the best second.
+    Two effects together may look like neither; each of the best few names is tried with the best second,
+    and pays for the number of these.
     """
     if step.winner.hypothesis.effect.name != "unknown":
         return step
@@ -283,25 +284,38 @@ def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
         others = [s.hypothesis.effect for s in named if s is not first]
         effects = [e for e in others if not _spent(e, first.hypothesis.effect)]
         ranked = ranking(scene, effects, [*before, first.hypothesis])
-        if ranked and first.score + ranked[0].score > best:
-            best = first.score + ranked[0].score
+        together = first.score + ranked[0].score - float(np.log10(len(effects))) if ranked else -np.inf
+        if together > best:
+            best = together
             chosen = Step(first, (step.winner, *(s for s in step.others if s is not first)))
     return chosen
 
 
-def prefer_named(step: Step) -> Step:
-    """Let a catalogue effect win over a generic one that is better by less than the margin."""
+def prefer_named(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
+    """Let a catalogue effect win over a generic one that is better by less than the margin.
+
+    The best few names are judged at the best points of their fine grids: a generic curve has no grid to miss.
+    """
     if step.winner.hypothesis.effect.name != "unknown":
         return step
-    near = [
-        s
-        for s in step.others
-        if s.hypothesis.effect.name != "unknown"
-        and step.winner.score - s.score - s.hypothesis.effect.prior_penalty < thresholds.UNKNOWN_MARGIN
-    ]
-    if not near:
-        return step
-    return Step(near[0], (step.winner, *(s for s in step.others if s is not near[0])))
+    named = [s for s in step.others if s.hypothesis.effect.name != "unknown"][: thresholds.PAIRS]
+    fine = sorted((sharpened(scene, s, before) for s in named), key=lambda s: -s.score)
+    others = [*fine, *(s for s in step.others if s not in named)]
+    for s in fine:
+        if step.winner.score - s.score - s.hypothesis.effect.prior_penalty < thresholds.UNKNOWN_MARGIN:
+            return Step(s, (step.winner, *(other for other in others if other is not s)))
+    return Step(step.winner, tuple(sorted(others, key=lambda s: -s.score)))
+
+
+def sharpened(scene: Scene, one: Scored, before: Sequence[Hypothesis]) -> Scored:
+    """Return a hypothesis at the best point of its fine grid, as one of so many as its coarse grid has."""
+    own = one.hypothesis
+    fine = refined(scene, Step(one, ()), before).winner.hypothesis
+    if fine is own:
+        return one
+    tried = own.multiplicity or len(scene.hypotheses(own.effect))
+    again = compete(scene, [replace(fine, multiplicity=tried)], before)[0]
+    return max([one, *again], key=lambda s: s.score)
 
 
 def refined(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
@@ -314,7 +328,8 @@ def refined(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
     reduced = reduce_scene(scene, candidates, before)
     gains = [highest(reduced, i) for i in range(len(candidates))]
     best = int(np.argmax(gains))
-    near = [candidates[i] for i in (best - 1, best + 1) if 0 <= i < len(candidates)]
+    before_it, after_it = candidates[max(best - 1, 0)], candidates[min(best + 1, len(candidates) - 1)]
+    slope = difference(after_it, before_it)
     return replace(
-        step, winner=replace(step.winner, hypothesis=candidates[best]), neighbours=(*near, *companions)
+        step, winner=replace(step.winner, hypothesis=candidates[best]), neighbours=(slope, *companions)
     )

@@ -12,8 +12,9 @@ from stillcal.replay.blind_test.power import detectability as power
 from stillcal.replay.blind_test.world.day import Bins
 from stillcal.replay.blind_test.world.forward_model import FORWARD, played, sensor_of
 
-TAUS, STEPS = 10, 40
-"""Number of time constants, and of times of a step, that a named effect is fitted with."""
+TAUS, PARTS = 40, 6
+"""Number of time constants that a named effect is fitted with, and of times of a step within each bin: at d'
+of 50 a step that is off by half a bin leaves d' of several."""
 
 CURVES = ("slope", "quadratic", "cubic", "rate")
 """Parameters of a temperature effect: the pure form is the first."""
@@ -57,7 +58,8 @@ def _shapes(bins: Bins, name: str) -> list[dict[str, float]]:
     if name == "thermal_latent":
         return [{"tau_s": tau} for tau in np.geomspace(60.0, 1200.0, TAUS)]
     if name.endswith("_bias_step"):
-        return [{"at_s": at} for at in np.quantile(bins.t, np.linspace(0.03, 0.97, STEPS))]
+        within = bins.width * (np.arange(PARTS) / PARTS - 0.5)
+        return [{"at_s": float(at)} for at in (bins.t[:, None] + within).ravel()]
     return [{}]
 
 

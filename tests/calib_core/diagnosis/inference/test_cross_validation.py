@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, held_out
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
@@ -85,3 +86,16 @@ def test_every_fold_chooses_its_own_shape_and_grid_point() -> None:
     alone = held_out(scene, good, [[ramp]])
     assert held_out(scene, wrong, [[away], [ramp]]).log_score == pytest.approx(alone.log_score, abs=1e-6)
     assert held_out(scene, good, [[away]]).log_score < alone.log_score - 3.0
+
+
+def test_where_the_moment_of_a_step_is_left_out_itself_no_moment_is_chosen() -> None:
+    """To choose one that the other bins do not tell would cost tens of nats, of a step that is sure."""
+    rng, at = np.random.default_rng(4), 1890.0
+    day = nulls.schedule(rng)
+    jump = np.outer(day.t > at, [0.05, -0.05, 0.05])
+    scene = scenes(nulls.bins_of(rng, day, "white", jump), nulls.G)[0]
+    step = Step("accel")
+    moments = [scene.hypothesis(step, {"t_start": at + away}) for away in (-120.0, -60.0, 0.0, 60.0, 120.0)]
+    alone, all_five = (held_out(scene, shapes(scene), c) for c in ([[moments[2]]], [[m] for m in moments]))
+    assert held_out(scene, shapes(scene), [[moments[0]]]).log_score < alone.log_score - 30.0
+    assert alone.log_score - 1.1 * np.log(5.0) < all_five.log_score < alone.log_score + 1e-6

@@ -7,6 +7,8 @@ import pytest
 
 from stillcal.calib_core.diagnosis.effects import curves
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.effects.unknown import Settling
+from stillcal.calib_core.diagnosis.effects.warmup import Warmup
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model import settings as thresholds
@@ -16,7 +18,15 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.slow.findings import findings_of, slow_findings
 from stillcal.calib_core.diagnosis.slow.screen import hypothesis, screened
-from stillcal.calib_core.diagnosis.slow.search import Scored, Step, proposals, ranking, reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import (
+    Scored,
+    Step,
+    compete,
+    prefer_named,
+    proposals,
+    ranking,
+    reduce_scene,
+)
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.support.diagnosis import effects, nulls
 
@@ -41,6 +51,20 @@ def test_a_bias_that_comes_and_goes_is_unknown_with_its_stretch() -> None:
     assert [f.effect for f in found] == ["unknown"]
     assert found[0].where.t_start == pytest.approx(1200, abs=60)
     assert found[0].where.t_end == pytest.approx(1900, abs=60)
+
+
+@pytest.mark.parametrize(("taus", "named"), [((85.0,), True), ((40.0, 700.0), False)])
+def test_what_settles_as_no_first_order_system_does_is_no_warmup(
+    taus: tuple[float, ...], named: bool
+) -> None:
+    """A single exponential keeps its name, half-way between two points of the coarse grid."""
+    _, day = day_of(6)
+    curve = sum(1.0 - np.exp(-day.t / tau) for tau in taus)
+    scene, _ = gyro_of(6, np.outer(curve, [1e-2, 0.0, -5e-3]))
+    first, *others = compete(scene, proposals(scene, [Warmup("gyro"), Settling("gyro")]))[0]
+    step = prefer_named(scene, Step(first, tuple(others)), [])
+    assert first.score > 3.0 * thresholds.SCORE
+    assert (step.winner.hypothesis.effect.name == "gyro_warmup") == named
 
 
 def test_a_cycle_is_unknown_with_its_period() -> None:
