@@ -86,12 +86,13 @@ def _drawn_seed() -> int:
 
 
 def _open(publisher: Publisher) -> None:
-    """Open a publisher. Raises SettingsError, and TryAgainError after a passing fault."""
+    """Open a publisher; one that a passing fault keeps closed opens later. Raises SettingsError."""
     try:
         publisher.open()
     except OSError as error:
-        kind = TryAgainError if passing(error) else SettingsError
-        raise kind(f"--publish {publisher.name}: {error.strerror}") from error
+        if not passing(error):
+            raise SettingsError(f"--publish {publisher.name}: {error.strerror}") from error
+        say("warning", "publish", f"{publisher.name}: {error.strerror}: opened when samples come")
 
 
 class Service:
@@ -140,12 +141,13 @@ class Service:
         say("info", "opened", store=self.storage.path, rests=rests, calibration=self.current_id)
 
     def _refuse_shared_paths(self) -> None:
-        """Raise SettingsError where the socket or the settings lie where the store's files do."""
+        """Raise SettingsError where something else is to lie where the store's files do."""
         taken = self.storage.paths()
-        named = {"[socket] path": socket_path(self.settings.socket.path)}
+        named = [("[socket] path", socket_path(self.settings.socket.path))]
         if self._options.config is not None:
-            named["the settings file"] = self._options.config
-        for name, path in named.items():
+            named.append(("the settings file", self._options.config))
+        named += [("[publish] to", Path(to)) for to in self.settings.publish.to if to.endswith(".mcap")]
+        for name, path in named:
             if Path(os.path.realpath(path)) in taken:
                 raise SettingsError(f"{name} and [store] path are the same: {path}: give another path")
 
@@ -262,9 +264,10 @@ class Service:
         return SAVE_EVERY_S if changed else SAVE_AT_LEAST_S
 
     async def _holding_the_store(self) -> None:
-        """See every now and then that the store is still ours alone."""
+        """See every now and then that the store is still there, and ours alone."""
         while True:
-            await self.storage.check_lock()
+            if not await self.storage.check():
+                self._unsaved.set()  # saving is tried again until it can be
             await asyncio.sleep(HEARTBEAT_S)
 
     async def _keeping_chip(self) -> None:
@@ -414,7 +417,7 @@ class Service:
         self._notifier.reloading()
         try:
             await self._apply(self._options.settings())
-        except SettingsError as error:
+        except (SettingsError, TryAgainError) as error:
             say("error", "reload", f"refused, the old settings stay in force: {error}")
             return str(error)
         finally:

@@ -6,12 +6,14 @@ each change. /calibration has the calibration as JSON whenever it changes. A mes
 time; it is logged at the time of day, by this computer's clock, when the sample was taken.
 
 The first file has the name that was given, the next ones a number (live.2.mcap, live.3.mcap, ...). A file
-ends at FILE_BYTES, and the newest FILES are kept. What was published is with the system after FLUSH_S. A
+begins with the first sample and ends at FILE_BYTES. The newest are kept, as much as FILES full ones hold, so
+that a daemon which restarts without end deletes none. What was published is with the system after FLUSH_S. A
 daemon that is killed leaves a file without its index, which `stillcal convert` and `mcap recover` read.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import importlib
 import os
@@ -34,6 +36,9 @@ from stillcal.daemon.system.clock import Clock, host_time
 
 FILE_BYTES = 64 * 2**20
 FILES = 8
+MOST_FILES = 1000
+"""Files that are kept however small they are."""
+
 FLUSH_S = 5.0
 RESERVE_BYTES = 64 * 2**20
 """Free room that is left on the disk: the daemon's own files need some."""
@@ -67,7 +72,7 @@ class McapFiles:
         self._seen = 0.0
 
     def open(self) -> None:
-        """Begin a file. Raises OSError, and SettingsError without the library `mcap` or the file's folder."""
+        """See that a file can be begun. Raises OSError; SettingsError without library or folder."""
         try:
             importlib.import_module("mcap.writer")
         except ImportError:
@@ -75,10 +80,14 @@ class McapFiles:
             raise SettingsError(what) from None
         if not self._path.parent.is_dir():
             raise SettingsError(f"{self._path}: there is no folder {self._path.parent}: make it first")
-        self._begin()
+        if not os.access(self._path.parent, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self._path.parent))
+        self._check_room()
 
     def take(self, items: Sequence[Live]) -> None:
         """Write samples. Raises OSError."""
+        if self._file is None:
+            self._begin()
         for item in items:
             if isinstance(item, Interruption):
                 self._offset = None
@@ -99,11 +108,11 @@ class McapFiles:
     def _begin(self) -> None:
         from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - only where it is asked for
 
+        self._check_room()
         numbered = _numbered(self._path)
         path = self._path.with_stem(f"{self._path.stem}.{max(numbered) + 1}") if numbered else self._path
         self._file = path.open("xb")
-        for number in sorted(numbered, reverse=True)[FILES - 1 :]:
-            numbered[number].unlink(missing_ok=True)
+        _delete_oldest([numbered[number] for number in sorted(numbered, reverse=True)])
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start("ros2", "stillcal")
         self._channels: dict[str, int] = {}
@@ -117,13 +126,17 @@ class McapFiles:
         """Hand what was written to the system, and begin another file where this one is full."""
         assert self._file is not None
         self._flushed = self._clock()
-        room = os.statvfs(self._path.parent)
-        if room.f_bavail * room.f_frsize < RESERVE_BYTES:
-            raise OSError(errno.ENOSPC, "less than 64 MiB are left on the disk")
+        self._check_room()
         self._writer.flush()
         if self._file.tell() >= FILE_BYTES:
             self.close()
             self._begin()
+
+    def _check_room(self) -> None:
+        """Raise OSError where the disk is nearly full; nothing is deleted then."""
+        room = os.statvfs(self._path.parent)
+        if room.f_bavail * room.f_frsize < RESERVE_BYTES:
+            raise OSError(errno.ENOSPC, "less than 64 MiB are left on the disk")
 
     # Messages
 
@@ -202,3 +215,13 @@ def _numbered(path: Path) -> dict[int, Path]:
     pattern = re.compile(rf"{re.escape(path.stem)}(?:\.(\d+))?{re.escape(path.suffix)}")
     found = ((pattern.fullmatch(there.name), there) for there in path.parent.iterdir())
     return {int(match[1] or 1): there for match, there in found if match is not None}
+
+
+def _delete_oldest(files: Sequence[Path]) -> None:
+    """Delete those of these files, newest first, that are too much beside one that begins."""
+    held = 0
+    for kept, path in enumerate(files):
+        with contextlib.suppress(OSError):  # it is gone, or a folder of this name
+            held += min(path.stat().st_size, FILE_BYTES)
+            if held > (FILES - 1) * FILE_BYTES or kept >= MOST_FILES:
+                path.unlink()

@@ -31,10 +31,10 @@ class Publisher(Protocol):
     patience_s: float
 
     def open(self) -> None:
-        """Open it. Raises OSError, and SettingsError where it can never be opened."""
+        """Open it, or see that it can be. Raises OSError, and SettingsError where it never can."""
 
     def take(self, items: Sequence[Live]) -> None:
-        """Publish samples. Raises OSError; it is then closed."""
+        """Publish samples, opened now where it is not. Where that raises, it is closed."""
 
     def close(self) -> None:
         """Close it; twice does no harm."""
@@ -45,24 +45,33 @@ Subscribe = Callable[[float], AbstractContextManager[Subscriber[Live]]]
 
 
 async def publishing(publisher: Publisher, subscribe: Subscribe) -> None:
-    """Publish until cancelled. The publisher is open."""
+    """Publish until cancelled. The publisher is open, or opens itself when samples come."""
     worker = Worker("publish")
     try:
         while True:
             try:
                 await _handed_on(publisher, subscribe, worker)
                 say("warning", "publish", f"{publisher.name} is too slow: samples are left out")
-            except OSError as error:
-                say("warning", "publish", f"{publisher.name}: {error.strerror or error}: opened again later")
-                await worker.run(publisher.close)
-                await asyncio.sleep(RETRY_S)
-                with contextlib.suppress(OSError):
-                    await worker.run(publisher.open)
+            except Exception as error:  # whatever it meets, the daemon goes on
+                reason = getattr(error, "strerror", None) or str(error) or repr(error)
+                say("warning", "publish", f"{publisher.name}: {reason}: opened again later")
+                await _opened_again(publisher, worker)
     finally:
-        with contextlib.suppress(TimeoutError, OSError):
+        with contextlib.suppress(Exception):
             async with asyncio.timeout(CLOSE_S):
                 await worker.run(publisher.close)
         worker.close()
+
+
+async def _opened_again(publisher: Publisher, worker: Worker) -> None:
+    """Close a publisher that failed, and open it as soon as that can be."""
+    with contextlib.suppress(Exception):
+        await worker.run(publisher.close)
+    while True:
+        await asyncio.sleep(RETRY_S)
+        with contextlib.suppress(Exception):
+            await worker.run(publisher.open)
+            return
 
 
 async def _handed_on(publisher: Publisher, subscribe: Subscribe, worker: Worker) -> None:

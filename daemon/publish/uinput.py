@@ -25,6 +25,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service.live_stream import Interruption, Live, LiveBlock
 from stillcal.daemon.settings import SettingsError
+from stillcal.daemon.system.files import passing
 
 DEVICE = "/dev/uinput"
 NAME = b"stillcal Motion Sensors"
@@ -79,21 +80,26 @@ class MotionSensors:
         self._alone = 0
 
     def open(self) -> None:
-        """Make the device. Raises SettingsError where the kernel has no uinput, or forbids it."""
+        """Make the device. Raises OSError; SettingsError where the kernel has no uinput, or forbids it."""
         try:
             self._fd = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             describe(self._fd, self._given or _ioctl())
         except OSError as error:
             self.close()
+            if passing(error):
+                raise
             remedy = "load the module uinput, and let the daemon's user write to it (docs/live.md)"
             raise SettingsError(f"--publish uinput: {self._path}: {error.strerror}: {remedy}") from error
 
     def take(self, items: Sequence[Live]) -> None:
-        """Send samples as events. Raises OSError."""
+        """Send samples as events. Raises OSError, and SettingsError as `open` does."""
+        if self._fd is None:
+            self.open()
         for item in items:
             if isinstance(item, Interruption):
                 self._force, self._alone = Samples.empty(Sensor.ACCELEROMETER), 0
-            elif (events := self._events(item)) is not None and self._fd is not None:
+            elif (events := self._events(item)) is not None:
+                assert self._fd is not None
                 os.write(self._fd, events.tobytes())
 
     def close(self) -> None:

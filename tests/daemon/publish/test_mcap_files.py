@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +22,10 @@ from rosbags.typesys import Stores, get_typestore
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.publish import mcap_files
+from stillcal.daemon.publish import publishing as publishing_module
 from stillcal.daemon.publish.mcap_files import McapFiles
-from stillcal.daemon.service.live_stream import Interruption, LiveBlock
+from stillcal.daemon.service.live_stream import Interruption, Live, LiveBlock
+from stillcal.daemon.service.subscribers import Subscriber, Subscribers
 from stillcal.daemon.settings import SettingsError
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
@@ -109,21 +114,97 @@ def test_files_are_bounded_in_size_and_number(tmp_path: Path, monkeypatch: pytes
     assert not (tmp_path / "live.mcap").exists() and kept.exists()
     sizes = [(tmp_path / f"live.{n}.mcap").stat().st_size for n in names]
     assert max(sizes) < 40_000
-    writer(tmp_path / "live.mcap").open()
+    later = writer(tmp_path / "live.mcap")
+    later.take([block(Sensor.ACCELEROMETER, np.arange(10.0))])
     assert (tmp_path / f"live.{names[-1] + 1}.mcap").exists(), "an earlier file is never written over"
+    later.close()
+
+
+def test_a_daemon_that_restarts_without_end_or_meets_a_full_disk_deletes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for _ in range(mcap_files.FILES + 4):
+        files = writer(tmp_path / "live.mcap")
+        files.open()
+        files.take([block(Sensor.ACCELEROMETER, np.arange(10.0))])
+        files.close()
+    kept = sorted(tmp_path.iterdir())
+    assert len(kept) == mcap_files.FILES + 4
+    idle = writer(tmp_path / "live.mcap")
+    idle.open()
+    idle.close()
+    monkeypatch.setattr(mcap_files, "RESERVE_BYTES", 2**60)
+    with pytest.raises(OSError, match="left on the disk"):
+        idle.open()
+    with pytest.raises(OSError, match="left on the disk"):
+        idle.take([block(Sensor.ACCELEROMETER, np.arange(10.0))])
+    assert sorted(tmp_path.iterdir()) == kept
+
+
+def test_files_beyond_their_number_are_deleted_however_small_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_files, "MOST_FILES", 2)
+    for name in ("live.mcap", "live.2.mcap", "live.3.mcap"):
+        (tmp_path / name).touch()
+    (tmp_path / "live.4.mcap").mkdir()
+    files = writer(tmp_path / "live.mcap")
+    files.take([block(Sensor.ACCELEROMETER, np.arange(10.0))])
+    files.close()
+    assert {path.name for path in tmp_path.iterdir()} == {"live.3.mcap", "live.4.mcap", "live.5.mcap"}
+
+
+def test_a_folder_that_goes_while_samples_are_published_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(publishing_module, "RETRY_S", 0.01)
+    monkeypatch.setattr(mcap_files, "FLUSH_S", 0.0)
+    folder = tmp_path / "stick"
+    folder.mkdir()
+    live = Subscribers[Live]()
+
+    @contextlib.contextmanager
+    def subscribed(patience_s: float) -> Iterator[Subscriber[Live]]:
+        subscriber, leave = live.subscribe()
+        try:
+            yield subscriber
+        finally:
+            leave()
+
+    async def published_until(holds: Callable[[], Any]) -> None:
+        while not holds():
+            live.notify(block(Sensor.ACCELEROMETER, np.arange(10.0)))
+            await asyncio.sleep(0.005)
+
+    async def test() -> None:
+        files = writer(folder / "live.mcap")
+        files.open()
+        job = asyncio.create_task(publishing_module.publishing(files, subscribed))
+        await published_until((folder / "live.mcap").exists)
+        shutil.rmtree(folder)
+        await published_until(lambda: not len(live))
+        folder.mkdir()
+        await published_until(lambda: (folder / "live.mcap").exists() or job.done())
+        assert not job.done()
+        job.cancel()
+        await asyncio.gather(job, return_exceptions=True)
+        assert messages(folder / "live.mcap")
+
+    within_reason(test())
 
 
 def test_a_full_disk_is_an_error_that_can_be_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mcap_files, "FLUSH_S", 0.0)
-    monkeypatch.setattr(mcap_files, "RESERVE_BYTES", 2**60)
     files = writer(tmp_path / "live.mcap")
     files.open()
+    files.take([block(Sensor.ACCELEROMETER, np.arange(10.0))])
+    monkeypatch.setattr(mcap_files, "RESERVE_BYTES", 2**60)
     with pytest.raises(OSError, match="left on the disk"):
         files.take([block(Sensor.ACCELEROMETER, np.arange(10.0))])
     files.close()
-    assert len(messages(tmp_path / "live.mcap")["/imu/uncalibrated/accelerometer"]) == 10
+    assert len(messages(tmp_path / "live.mcap")["/imu/uncalibrated/accelerometer"]) == 20
 
 
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
