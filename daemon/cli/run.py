@@ -56,7 +56,13 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
     from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has
 
     options = LaunchOptions(
-        config, port, str(store) if store else None, socket, tuple(passed_sockets()), publish
+        config=config,
+        port=port,
+        store=str(store) if store else None,
+        socket=socket,
+        passed=tuple(passed_sockets()),
+        publish=publish,
+        socket_group=socket_group,
     )
     settings = options.settings()
     log.set_up(settings.log.level)
