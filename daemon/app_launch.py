@@ -41,6 +41,7 @@ class LaunchOptions:
 
     def settings(self) -> Settings:
         """Read the settings file and apply the options. Raises SettingsError."""
+        self._refuse_odd_bytes()
         from_file = load_settings(self.config)
         try:
             publish = _with(from_file.publish, to=self.publish or None)
@@ -58,6 +59,14 @@ class LaunchOptions:
             what = "publishing to iio writes to this machine's own sensors"
             raise SettingsError(f'{what}: set kind = "iio" under [source], or leave it out')
         return settings
+
+    def _refuse_odd_bytes(self) -> None:
+        """Raise SettingsError where an option is no UTF-8: it could be neither answered nor stored."""
+        for option in (self.port, self.store, self.socket, self.socket_group, *self.publish):
+            try:
+                (option or "").encode()
+            except UnicodeEncodeError:
+                raise SettingsError(f"{option!a}: is no UTF-8 text: give another name") from None
 
 
 def serial_settings(settings: Settings) -> SerialSettings:

@@ -35,7 +35,15 @@ TEXTS = ("to", "sensor")
 
 
 class NoDaemonError(OSError):
-    """No daemon answers at the socket."""
+    """No daemon answers at the socket; the message says why, and what to do."""
+
+    def __init__(self, path: Path, error: Exception) -> None:
+        if isinstance(error, PermissionError):
+            what = f"you may not connect to {path}: log in as a member of its group (`ls -l {path}` names it)"
+        else:
+            why = getattr(error, "strerror", None) or str(error)
+            what = f"no daemon answers on {path} ({why}): start one with `stillcal run`"
+        super().__init__(what)
 
 
 @click.command(
@@ -70,9 +78,7 @@ def query_command(method: str, parameters: tuple[str, ...], path: str, as_json: 
                 _exit_with_error(str(reply["error"]), reply.get("parameters") or {}, where, method)
             _print(reply.get("parameters") or {}, as_json)
     except NoDaemonError as error:
-        click.echo(
-            f"stillcal: no daemon answers on {where} ({error}): start one with `stillcal run`", err=True
-        )
+        click.echo(f"stillcal: {error}", err=True)
         sys.exit(NO_DAEMON)
 
 
@@ -89,8 +95,8 @@ def replies(path: Path, question: dict[str, Any]) -> Iterator[dict[str, Any]]:
             line.sendall(msgspec.json.encode(question) + b"\0")
             line.settimeout(None if question.get("more") else TIMEOUT_S)
             yield from _messages(line)
-        except OSError as error:
-            raise NoDaemonError(error.strerror or str(error)) from error
+        except (OSError, msgspec.MsgspecError) as error:
+            raise NoDaemonError(path, error) from error
 
 
 def _messages(line: socket.socket) -> Iterator[dict[str, Any]]:
@@ -98,7 +104,7 @@ def _messages(line: socket.socket) -> Iterator[dict[str, Any]]:
     buffer = bytearray()
     while True:
         while (end := buffer.find(0)) >= 0:
-            reply: dict[str, Any] = msgspec.json.decode(bytes(buffer[:end]))
+            reply = msgspec.json.decode(bytes(buffer[:end]), type=dict[str, Any])
             del buffer[: end + 1]
             yield reply
             if not reply.get("continues"):

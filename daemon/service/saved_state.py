@@ -58,8 +58,12 @@ class Loaded:
 
 
 def state_path(store: Path) -> Path:
-    """Return the path of the state file that belongs to a store."""
-    return store.with_suffix(".state")
+    """Return the path of the state file that belongs to a store: no other store's, and not the store's own.
+
+    >>> str(state_path(Path("store.json"))), str(state_path(Path("phone.1")))
+    ('store.state', 'phone.1.state')
+    """
+    return store.with_name(f"{store.name.removesuffix('.json')}.state")
 
 
 def encode(state: SavedState) -> bytes:

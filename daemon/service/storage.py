@@ -6,6 +6,7 @@ write that fails is tried again later and delays nothing else.
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -82,7 +83,7 @@ class Storage:
         while self._queued:
             action = self._queued[0]
             try:
-                self._take_outcome(await self._run(self._write, action))
+                self._take_outcome(await self._run(self._write, action, self.document))
             except (StoreError, OSError, MemoryError) as error:
                 self._note_failure(str(error) or "out of memory")
                 self._drop_excess()
@@ -97,7 +98,7 @@ class Storage:
         if not await self.flush():
             return False
         try:
-            await self._run(self._save, data)
+            await self._run(self._save, data, self.document)
         except (StoreError, MemoryError) as error:
             self._note_failure(str(error) or "out of memory")
             return False
@@ -122,12 +123,14 @@ class Storage:
         own = {path, self._store.last_good_path, saved_state.state_path(path)}
         return {*own, *(p.with_name(p.name + suffix) for p in own for suffix in (".tmp", ".lock"))}
 
-    async def check_lock(self) -> None:
-        """See that no other process can become the writer, also where somebody has removed the lock."""
+    async def check(self) -> bool:
+        """Hold on to lock and store, also where somebody has removed them; say whether that could be done."""
         try:
-            await self._run(self._store.lock)
+            await self._run(self._hold, self.document)
         except StoreError as error:
             self._note_failure(str(error))
+            return False
+        return True
 
     async def idle(self, timeout_s: float) -> bool:
         """Wait for what is being written; say whether it was over within `timeout_s`."""
@@ -138,15 +141,23 @@ class Storage:
         self._thread.close()
         self._store.close()
 
-    def _write(self, action: Change) -> Outcome:
+    def _hold(self, document: StoreDocument) -> None:
+        """Take a removed lock anew, and write a removed store again. Raises StoreError."""
+        self._store.lock()
+        if (document.current or document.history) and not os.path.lexists(self._store.path):
+            self._store.save(document)
+            self._note(f"{self._store.path} was removed while it is in use: written again")
+
+    def _write(self, action: Change, document: StoreDocument) -> Outcome:
+        self._hold(document)
         if isinstance(action, Reject):
             return self._store.reject(action.record, action.reason, action.t)
         if isinstance(action, Forget):
             return self._store.retire(action.reason, action.t)
         return self._store.publish(action.record, action.reason, action.t)
 
-    def _save(self, data: bytes) -> None:
-        self._store.lock()
+    def _save(self, data: bytes, document: StoreDocument) -> None:
+        self._hold(document)
         saved_state.save(saved_state.state_path(self._store.path), data)
         memory.release_free_pages()
 

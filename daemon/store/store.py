@@ -97,6 +97,8 @@ class Store:
             self.path = Path(path).resolve()
         except RuntimeError as error:  # what Path raises for a loop of links
             raise StoreError(f"{path}: its links lead in a circle: give another path") from error
+        if not self.path.name:
+            raise StoreError(f"{path}: is a folder: give the path of a file")
         self.settings = settings or StoreSettings()
         self._lock: int | None = None
 
@@ -236,8 +238,9 @@ class Store:
     def rollback(self, target: int | str = 1) -> Outcome:
         """Make an earlier calibration current again: the target-th before, or the one of this id.
 
-        Raises ValueError where there is no such calibration.
+        Raises ValueError where there is no such calibration, and changes nothing then.
         """
+        (self.load() or StoreDocument()).after_rollback(target, self.settings.history)
         return self._change(lambda d: d.after_rollback(target, self.settings.history))
 
     def _change(self, change: Callable[[StoreDocument], StoreDocument]) -> Outcome:

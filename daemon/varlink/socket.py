@@ -15,6 +15,8 @@ from stillcal.daemon.settings import SettingsError, SocketSettings
 from stillcal.daemon.system.files import make_folder, passing
 from stillcal.daemon.varlink.address import socket_path
 
+_FOREIGN_GROUP = "[socket] group: the daemon's user is no member of it: make it one, or leave the group out"
+
 
 class SocketInUseError(SettingsError):
     """Another daemon listens there."""
@@ -36,7 +38,7 @@ def opened(settings: SocketSettings, passed: Sequence[socket.socket]) -> Iterato
         if passing(error):
             raise TryAgainError(f"cannot listen on {path}: {error.strerror}") from error
         raise SettingsError(
-            f"cannot listen on {path}: {error.strerror}: give another [socket] path"
+            f"cannot listen on {path}: {error.strerror or error}: give another [socket] path"
         ) from error
     made = _identity(path)
     try:
@@ -85,9 +87,11 @@ def _bound(path: Path, mode: int, group: int | None) -> socket.socket:
         try:
             os.chown(path, -1, group)
             path.chmod(mode)
-        except OSError:
+        except OSError as error:
             line.close()
             path.unlink()
+            if isinstance(error, PermissionError):
+                raise SettingsError(_FOREIGN_GROUP) from None
             raise
     return line
 

@@ -73,7 +73,7 @@ def record_command(  # noqa: PLR0917 - click hands every option over by name
     try:
         ended, code = _record(recording, out, stop.until_asked(replies(where, question)))
     except NoDaemonError as error:
-        ended, code = f"no daemon answers on {where} ({error}): start one with `stillcal run`", NO_DAEMON
+        ended, code = str(error), NO_DAEMON
     except BaseException:
         recording.discard()
         raise

@@ -154,7 +154,7 @@ def _parsed(data: bytes) -> Mapping[str, Any]:
     try:
         # OpenCV, with which OpenVINS reads, heads its files with a directive that YAML 1.1 does not know.
         document = yaml.safe_load(text.removeprefix("%YAML:1.0"))
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f", line {mark.line + 1}"
         raise UserError(f"not YAML{where}") from error

@@ -19,6 +19,7 @@ MODULES = {
     "stillcal.calib_core.gyroscope.fit": 1,
     "stillcal.daemon.sources.sysfs": 1,
     "stillcal.daemon.cli.watch.sentences": 1,
+    "stillcal.daemon.service.saved_state": 1,
 }
 """Modules, and how many of their functions have examples at least."""
 

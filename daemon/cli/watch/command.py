@@ -53,10 +53,7 @@ def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None
     first = snapshot(where)
     if once or svg is not None or not console.is_terminal:
         if first.absent:
-            click.echo(
-                f"stillcal: no daemon answers on {where} ({first.absent}): start one with `stillcal run`",
-                err=True,
-            )
+            click.echo(f"stillcal: {first.absent}", err=True)
             sys.exit(NO_DAEMON)
         if svg is not None:
             write_atomically(svg, picture(first).encode(), 0o644)

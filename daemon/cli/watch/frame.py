@@ -44,8 +44,7 @@ def frame(now: Snapshot, before: Snapshot | None, glyphs: Glyphs) -> RenderableT
 
 def absent(now: Snapshot) -> RenderableType:
     """Return the frame that is shown while no daemon answers."""
-    text = f"no daemon answers on {now.where} ({now.absent}); start one with `stillcal run`"
-    return Panel(Text(text, style="bold red"), title="stillcal", width=MAP_WIDTH)
+    return Panel(Text(now.absent, style="bold red"), title="stillcal", width=MAP_WIDTH)
 
 
 def _rows(rows: Iterable[tuple[str, RenderableType]]) -> Table:

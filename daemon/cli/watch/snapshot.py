@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from stillcal.daemon.cli.query import NoDaemonError, replies
 from stillcal.daemon.system.printable import printable
 from stillcal.daemon.varlink.address import NAME
@@ -52,7 +50,7 @@ def snapshot(where: Path) -> Snapshot:
             days=_asked(where, "GetEnergy", "days", limit=DAYS) or [],
             diagnosis=_asked(where, "GetFindings", "diagnosis") or {},
         )
-    except (NoDaemonError, msgspec.MsgspecError) as error:
+    except NoDaemonError as error:
         return Snapshot(where, absent=str(error))
 
 

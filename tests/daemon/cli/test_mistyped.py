@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import asyncio
+import errno
 import os
+import socket
 import subprocess
 import sys
+import threading
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
 
+from stillcal.calib_core.errors import UserError
+from stillcal.daemon.app import Service
 from stillcal.daemon.cli.install import files, install_command
+from stillcal.daemon.cli.query import NoDaemonError, replies
 from stillcal.daemon.cli.store import store_group
 from stillcal.daemon.store.document import StoreDocument, differences
 from stillcal.daemon.store.store import Store
+from stillcal.daemon.system.systemd import Notifier
+from tests.support.living import given_in
 
 MEMORY = 2**30
 """Bytes that a command may use before it counts as reading without end."""
@@ -38,6 +48,10 @@ def path(tmp_path: Path, make_record: Any) -> Path:
     for number in range(3):
         Store(path).publish(make_record(number))
     return path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
 def run(*arguments: object) -> Result:
@@ -84,6 +98,71 @@ def test_an_empty_id_goes_back_to_nothing(path: Path) -> None:
     assert result.exit_code == 2 and path.read_bytes() == before
     with pytest.raises(ValueError, match="id"):
         Store(path).rollback("")
+
+
+def test_a_rollback_that_cannot_be_moves_no_damaged_store_away(path: Path) -> None:
+    path.write_text(path.read_text().replace("number 2", "by hand"))
+    before = contents(path.parent)
+    assert run("rollback", path, "--steps", 9).exit_code == 2
+    path.with_name("store.json.last-good").unlink()
+    path.write_text("")
+    assert run("rollback", path).exit_code == 2 and path.exists()
+    assert contents(path.parent).keys() == before.keys() - {"store.json.last-good"}
+
+
+# Running
+
+
+@pytest.mark.parametrize(
+    ("odd", "message"),
+    [
+        ({"store": "/"}, "is a folder"),
+        ({"port": "\udcff"}, "is no UTF-8 text"),
+        ({"socket": "s" * 120}, "path too long"),
+        ({"publish": ("store.mcap",), "store": "store.mcap"}, "are the same"),
+    ],
+)
+def test_a_name_that_cannot_be_is_refused_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, odd: dict[str, Any], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    options = replace(given_in(tmp_path), **odd)
+
+    async def start() -> None:
+        service = Service(options.settings(), options, Notifier({}))
+        service.open()
+        await service.run()
+
+    with pytest.raises(UserError, match=message):
+        asyncio.run(start())
+
+
+def test_a_group_for_the_socket_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    more = ["--store", tmp_path / "store.json", "--socket", tmp_path / "socket", "--socket-group", "no-such"]
+    ran = limited("run", "--port", "none", *more)
+    assert ran.returncode == 2 and "no such group" in ran.stderr
+
+
+def test_what_answers_but_is_no_daemon_and_a_socket_that_is_forbidden_are_said(folder: Path) -> None:
+    path = folder / "socket"
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen()
+        for answer in (b"HTTP/1.1 400\0", b"[]\0", b""):
+            asking = threading.Thread(target=lambda text=answer: _answer(listener, text))
+            asking.start()
+            with pytest.raises(NoDaemonError, match="no daemon answers"):
+                list(replies(path, {"method": "x"}))
+            asking.join()
+    forbidden = NoDaemonError(path, PermissionError(errno.EACCES, "Permission denied"))
+    assert "you may not connect" in str(forbidden) and "start one" not in str(forbidden)
+
+
+def _answer(listener: socket.socket, text: bytes) -> None:
+    line, _ = listener.accept()
+    with line:
+        line.recv(100)
+        line.sendall(text)
 
 
 # Repairing

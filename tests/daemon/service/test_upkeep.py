@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import signal
 import socket
@@ -13,6 +14,7 @@ import pytest
 
 from stillcal.daemon.store.store import Store, StoreError
 from stillcal.replay.serial_phone.link import serve_phone
+from stillcal.replay.trials.faults.calls import failing_call
 from tests.support.living import given_in, running, until, within_reason
 
 
@@ -27,6 +29,8 @@ def test_another_device_is_taken_on_reload_and_bad_settings_are_refused(
             os.kill(os.getpid(), signal.SIGHUP)
             await until(lambda: "attitudes_wanted = 3: must be 6 or more" in caplog.text)
             assert service.settings.engine.schedule.attitudes_wanted == 30
+            with failing_call(1, errno.EMFILE):
+                assert "Too many open files" in await service.reload()
             given.config.write_text("[engine.schedule]\nattitudes_wanted = 12\n[source]\nbaud = 9600\n")
             os.kill(os.getpid(), signal.SIGHUP)
             await until(lambda: service.settings.source.baud == 9600)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import os
 import subprocess
@@ -128,6 +129,24 @@ def test_who_removes_the_lock_lets_nobody_write_beside_the_first(path: Path, mak
         with second, pytest.raises(StoreLockedError):
             first.publish(make_record(7))
     assert second.load().current.fitted_at == 5.0
+
+
+def test_a_store_removed_while_it_is_in_use_is_written_again(path: Path) -> None:
+    """Also where its folder was away for a while: what the daemon knows is not lost when it ends."""
+    before, notes = path.read_bytes(), list[str]()
+    storage = Storage(Store(path), notes.append)
+    storage.open()
+    for removed in (path, *path.parent.iterdir()):
+        removed.unlink(missing_ok=True)
+    assert asyncio.run(storage.check())
+    assert path.read_bytes() == before and "written again" in notes[-1]
+    away = path.parent.with_name("away")
+    path.parent.rename(away)
+    assert not asyncio.run(storage.check()) and "no such folder" in storage.trouble
+    path.parent.mkdir()
+    assert asyncio.run(storage.save(b"state"))
+    assert path.read_bytes() == before and storage.trouble == ""
+    storage.close()
 
 
 @contextmanager
