@@ -13,6 +13,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.direct import pair_of
 from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION
+from stillcal.calib_core.diagnosis.comparison.pair_delay import aligned, delay_between, late
 from stillcal.calib_core.diagnosis.comparison.paired import (
     Readings,
     compare_in_pair,
@@ -87,17 +88,36 @@ def _judged(
     stage = "comparing the readings of one motion"
     show_stage(stage, 0.0)
     true = mean_readings(recording, others)
+    timed = False
+    if not witnessed:
+        true, timed, found = _aligned(recording, true)
+        direct = [*direct, *found]
     mismatch = MISMATCH if witnessed else 0.0
     bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), mismatch)
     exam = examined_in_pair(recorded, bins, scenes, direct, lambda done: show_stage(stage, done))
-    before = compare_in_pair(exam, constants=not witnessed)
+    before = compare_in_pair(exam, constants=not witnessed, timed=timed)
     fit = Fit.of(before, before)
     if before.discrepancies:
         show_stage("comparing again, without what was found", 0.0)
-        after, left_out = without_found(exam, before, constants=not witnessed)
+        after, left_out = without_found(exam, before, constants=not witnessed, timed=timed)
         fit = Fit.of(before, after, left_out)
     answer = answer_of(before, names, fit, {}, bins.temperature)
     return Judged(recording, exam, None, before, None, None, answer)
+
+
+def _aligned(recording: Recording, true: Readings) -> tuple[Readings, bool, list[Stated]]:
+    """Return what the simulation reads, as late as the recording reads it; what is said of the delay.
+
+    The second is whether the delay between the sensors could be measured.
+    """
+    force, rate = late(recording.accelerometer, true.force), None
+    if recording.gyroscope is not None and true.rate is not None:
+        rate = late(recording.gyroscope, true.rate)
+    as_late = Readings(aligned(true.force, force), true.rate and aligned(true.rate, rate))
+    if force is None or rate is None:
+        return as_late, False, []
+    found = delay_between(force, rate, recording.accelerometer)
+    return as_late, True, [Stated(found)] if found else []
 
 
 def _refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:

@@ -43,6 +43,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 )
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -360,7 +361,7 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
         return _why_no_density(exam, sensor)
     first = obstacle(exam, effect, sensor)
     if first is None and effect.endswith("slow_noise"):
-        return f"too few rests of {noise.LAG:.0f} s"
+        return f"too few rests of {AVERAGED:.0f} s"
     return first or next((why for why in unlogged if why), None) or uninformed(effect)
 
 

@@ -132,10 +132,23 @@ TIMING = ("clock_skew", "timestamp_jitter", "dropped_samples", "arrival_bursts")
 
 
 def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:
-    """Return the finding of another recording that is of the same effect and sensor; None without one."""
+    """Return the finding of another recording that is of the same cause; None without one.
+
+    Effect and sensor are the same; so is the driver of what has no name, and a line's frequency or a period,
+    for two lines are two vibrations.
+    """
     same = [o for o in others if (o.effect, o.sensor) == (finding.effect, finding.sensor)]
     same = [o for o in same if o.effect != "unknown" or o.where.driver == finding.where.driver]
+    same = [o for o in same if all(_alike(finding, o, name) for name in ("frequency", "period_s"))]
     return same[0] if same else None
+
+
+def _alike(one: Finding, other: Finding, name: str) -> bool:
+    """Whether two findings have the same number of a name, or one of them none."""
+    if name not in one.parameters or name not in other.parameters:
+        return True
+    numbers = (np.asarray(f.parameters[name].value, dtype=np.float64) for f in (one, other))
+    return bool((np.abs(np.log(np.divide(*numbers))) <= ALIKE).all())
 
 
 def quantities_of(one: Finding, other: Finding) -> tuple[Quantity, Quantity] | None:
@@ -196,7 +209,6 @@ def why_not_shown(finding: Finding, other: Examination) -> str | None:
     between = finding.effect in ("accel_gyro_time_offset", "lever_arm")
     reasons = (
         ((finding.sensor == "gyro" or between) and other.gyroscope is None, "it has no gyroscope"),
-        (between and not (other.aligned and other.aligned.turns), "it is not turned between rests"),
         (
             finding.effect.endswith("saturation") and samples is not None and _below_limit(finding, samples),
             "its motion does not go beyond the limit",

@@ -83,7 +83,7 @@ def _common(exam: Examination, found: set[str]) -> list[Common]:
     for (effect, _), (measured, quantity) in measured_directly(exam).items():
         population = usual(sound, effect, nominal)
         more, of = population.at_least(measured.value), population.devices.size
-        if effect not in found and of and measured.value > population.middle:
+        if effect not in found and of and measured.value > population.middle and not quantity.none:
             what = "one of them shows" if more == 1 else f"{more} of them show"
             note = f"within what {of} real devices show; {what} as much"
             out.append(Common(quantity, note))
@@ -108,9 +108,12 @@ def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]
 
 def _undecided(finding: Finding, _evidence: float, probability: float) -> NotCompared:
     odds = "above 0.99" if probability >= 0.995 else f"{probability:.2f}"
-    seen = f"the fit suggests it (probability {odds})"
+    seen = f"the recording does not decide it: probability {odds}"
     if finding.evidence.contradicted or probability >= CERTAIN:
-        seen += ", but it does not predict the parts of the recording that were left out of the fit"
+        seen = (
+            f"the fit suggests it (probability {odds}), but it does not predict the parts of the recording"
+            " that were left out of the fit"
+        )
     return NotCompared(finding.effect, finding.sensor, seen)
 
 

@@ -109,6 +109,8 @@ def uninformed(effect: str) -> str:
         return "the attitudes are too few or too alike"
     if effect in OF_TURNS:
         return "the turns from rest to rest are too few or too alike"
+    if effect.endswith(OF_TIME):
+        return "the rests do not tell it from errors that go with attitude"
     return "what it depends on changes too little at rest"
 
 
@@ -177,7 +179,8 @@ def _of_temperature(exam: Examination) -> Iterator[Condition]:
     yield warm is None and exam.accelerometer.temperature is None, "no temperature"
     yield warm is None, "the temperature is not known at every rest"
     span = 0.0 if warm is None else float(np.ptp(warm))
-    yield span < LEAST_SPAN, f"the temperature varies by {span:.2g} K at rest, {LEAST_SPAN} K are needed"
+    shown = np.floor(100.0 * span) / 100.0
+    yield span < LEAST_SPAN, f"the temperature varies by {shown:.2g} K at rest, {LEAST_SPAN} K are needed"
 
 
 def _direct(exam: Examination) -> Iterator[Check]:

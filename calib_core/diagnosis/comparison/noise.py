@@ -11,7 +11,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination, Stream
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
-from stillcal.calib_core.diagnosis.inference.noise_models import families, kinds
+from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.residuals import View
@@ -30,11 +30,8 @@ ALIKE_DENSITY = float(np.log(1.05))
 ALIKE_WANDER = float(np.log(1.4))
 """Slow noise of one phone on two days: an Allan deviation of a process with such power at low frequency."""
 
-LAG = 100.0
-"""s: the averaging time at which slow noise is compared; rests of some minutes show it."""
-
 NEAR_LAG = (60.0, 160.0)
-"""s: lags that count as `LAG`."""
+"""s: lags that count as `AVERAGED`, the averaging time at which slow noise is compared."""
 
 FEWEST_PAIRS = 6
 """Pairs of bins below which their mean says little: a variance of six has a relative error of 0.6."""
@@ -93,7 +90,7 @@ def why_no_density(stream: Stream) -> str:
 
 
 def slow_noise(exam: Examination, scene: Scene, asked: Sequence[Hypothesis] = ()) -> Quantity | None:
-    """Return the Allan deviation of the bias at `LAG`, logarithms; None without rests that long.
+    """Return the Allan deviation of the bias at `AVERAGED`, logarithms; None without rests that long.
 
     It is averaged over the noise shapes by their posterior, the effects that were found and those `asked` for
     taken out first.
@@ -122,8 +119,8 @@ def slow_noise(exam: Examination, scene: Scene, asked: Sequence[Hypothesis] = ()
         np.full(value.size, ALIKE_WANDER),
         np.arange(3) if value.size == 3 else np.array([-1]),
         logarithmic=True,
-        reference={"averaging_s": LAG},
-        where=Where(*scene.bins.span, (0.0, 1.0 / LAG), "nothing"),
+        reference={"averaging_s": AVERAGED},
+        where=Where(*scene.bins.span, (0.0, 1.0 / AVERAGED), "nothing"),
     )
 
 
@@ -132,14 +129,9 @@ def _deviation(view: View, sums: Reduced, weight: Array) -> tuple[float, float] 
     pairs = _pairs(view)
     if pairs is None:
         return None
-    white = float(np.median(view.variance * view.duration)) / LAG
-    wander = kinds(view)
-    median = float(np.median(view.variance))
-    variances = []
-    for family in families(view):
-        unit = 0.0 if family.name == "white" else _half_difference(wander[family.name].covariance, pairs)
-        strengths = np.ones(1) * 0.0 if family.name == "white" else family.strengths
-        variances.append(white + strengths * median * unit)
+    white = float(np.median(view.variance * view.duration)) / AVERAGED
+    moved = float(np.mean(view.rest[pairs[0]] != view.rest[pairs[1]]))
+    variances = [white + family.allan + moved * family.jump for family in families(view)]
     scale = (sums.known + sums.left) / max(sums.dof - 2.0, 1.0)
     logs = 0.5 * np.log(np.concatenate(variances) * scale)
     middle = float(weight @ logs)
@@ -147,18 +139,12 @@ def _deviation(view: View, sums: Reduced, weight: Array) -> tuple[float, float] 
 
 
 def _pairs(view: View) -> Pairs | None:
-    """Return the pairs of bins that are `LAG` apart and see the same bias; None where they are few."""
+    """Return the pairs of bins that are `AVERAGED` apart and see the same bias; None where they are few."""
     lag = view.t[None, :] - view.t[:, None]
     alike = np.broadcast_to(view.coupling, lag.shape) > SAME_ATTITUDE
     rows = np.argwhere((lag > NEAR_LAG[0]) & (lag < NEAR_LAG[1]) & alike)
     first, second = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
     return (first, second) if first.size >= FEWEST_PAIRS else None
-
-
-def _half_difference(covariance: Array, pairs: Pairs) -> float:
-    first, second = pairs
-    own = covariance.diagonal()
-    return float(np.mean(0.5 * (own[first] + own[second]) - covariance[first, second]))
 
 
 def rate(samples: Samples) -> Quantity:

@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     rows_of,
     transferable,
 )
-from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION
+from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, OF_TURNS
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
     Difference,
@@ -56,6 +56,10 @@ from stillcal.calib_core.streams.samples import Samples
 BIAS = {"accel": Linear("bias", "m/s^2", 3, BIAS_SIZE), "gyro": Linear("bias", "rad/s", 3, RATE_BIAS_SIZE)}
 GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
 """Prior size of what one sensor reads of the other's input: scale on the diagonal, misalignment beside it."""
+
+
+NOT_SOUGHT = "it is not looked for in a pair"
+DELAY = ("accel_gyro_time_offset", "timing")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,14 +137,14 @@ def examined_in_pair(
     return replace(exam, bins=bins, scenes=list(scenes), turns=None, statements=[*direct, *slow])
 
 
-def compare_in_pair(exam: Examination, *, constants: bool) -> Comparison:
+def compare_in_pair(exam: Examination, *, constants: bool, timed: bool = False) -> Comparison:
     """Return what the recording has and the other sensor has not. exam: from `examined_in_pair`.
 
     constants: whether bias, scale and misalignment of one against the other are differences, or mounting.
+    timed: whether a delay of the one against the other could be measured.
     """
-    found = compare_with_ideal(exam)
-    if constants:
-        found = _without_motion(found)
+    gyroscope = exam.gyroscope is not None
+    found = _only_sought(compare_with_ideal(exam), gyroscope=gyroscope, constants=constants, timed=timed)
     measured = [q for scene in exam.scenes for q in _measured(exam, scene)]
     own = {(d.effect, d.sensor): d for d in found.discrepancies}
     differences = [subtract(q, _none_of(q)) for q in measured]
@@ -161,18 +165,28 @@ def compare_in_pair(exam: Examination, *, constants: bool) -> Comparison:
     )
 
 
-def _without_motion(found: Comparison) -> Comparison:
-    """Leave out what one recording's own motion shows: a constant bias looks like it where nothing rests."""
-    told = {(n.effect, n.sensor) for n in found.not_compared}
-    unseen = [NotCompared(*key, "it is not looked for in a pair") for key in MOTION if key not in told]
+def _only_sought(found: Comparison, *, gyroscope: bool, constants: bool, timed: bool) -> Comparison:
+    """Leave out what is not looked for in a pair: what turns between rests show, and how the one moves."""
+    unsought = {(effect, "gyro"): NOT_SOUGHT for effect in OF_TURNS if effect != "gyro_scale"}
+    if constants:
+        unsought |= dict.fromkeys(MOTION, NOT_SOUGHT) | {
+            DELAY: "it moves too little in most of the recording"
+        }
+    if timed:
+        del unsought[DELAY]
+    known = {**{(n.effect, n.sensor): n.reason for n in found.not_compared}, **unsought}
+    if timed:
+        known.pop(DELAY, None)
     return replace(
         found,
-        not_compared=[*found.not_compared, *unseen],
-        comparisons=found.comparisons - len(unseen),
+        not_compared=[NotCompared(*key, why) for key, why in known.items()],
+        comparisons=found.comparisons + len(found.not_compared) - len(known),
     )
 
 
-def without_found(exam: Examination, found: Comparison, *, constants: bool) -> tuple[Comparison, list[str]]:
+def without_found(
+    exam: Examination, found: Comparison, *, constants: bool, timed: bool = False
+) -> tuple[Comparison, list[str]]:
     """Take what was found out of the difference of readings and judge what is left.
 
     Returned are that comparison and the effects that no equation takes out.
@@ -182,7 +196,7 @@ def without_found(exam: Examination, found: Comparison, *, constants: bool) -> t
     scenes = [_taken_out(exam, scene, names) for scene in exam.scenes]
     direct = [s for s in exam.statements if s.hypothesis is None]
     after = examined_in_pair(exam, exam.bins, scenes, direct)
-    return compare_in_pair(after, constants=constants), left_out
+    return compare_in_pair(after, constants=constants, timed=timed), left_out
 
 
 def _constants(scene: Scene) -> Hypothesis:
@@ -213,7 +227,12 @@ def _measured(exam: Examination, scene: Scene) -> list[Quantity]:
     where = Where(*scene.bins.span, SLOW_BAND, "nothing")
     reference = scene.moments.history.reference_c
     at = {} if reference is None else {"temperature_c": reference}
-    out = [_bias(scene.sensor, value, covariance, where, at), _scale(scene.sensor, value, covariance, where)]
+    # What turns between rests show is not sought, so a gyroscope's scale is one for all temperatures.
+    warm = at if scene.sensor == "accel" else {}
+    out = [
+        _bias(scene.sensor, value, covariance, where, at),
+        _scale(scene.sensor, value, covariance, where, warm),
+    ]
     for hypothesis, rows in zip(every[1:], rows_of(every)[1:], strict=True):
         if transferable(hypothesis):
             one = effect_quantity(scene, hypothesis, value[rows], covariance[np.ix_(rows, rows)])
@@ -230,12 +249,13 @@ def _bias(sensor: str, value: Array, covariance: Array, where: Where, at: dict[s
                     alike, axes, reference=at, where=where)  # fmt: skip
 
 
-def _scale(sensor: str, value: Array, covariance: Array, where: Where) -> Quantity:
+def _scale(sensor: str, value: Array, covariance: Array, where: Where, at: dict[str, float]) -> Quantity:
     """Return the scale of the correction, nine numbers: what the sensor reads too much, negated."""
     rows = slice(3, 12)
     part = (Part("scale", "1", 9),)
-    return Quantity(f"{sensor}_scale", sensor, part, -value[rows], covariance[rows, rows], GAIN_SIZES.ravel(),
-                    np.full(9, ALIKE_SCALE), np.repeat(np.arange(3), 3), where=where)  # fmt: skip
+    sizes, alike, axes = GAIN_SIZES.ravel(), np.full(9, ALIKE_SCALE), np.repeat(np.arange(3), 3)
+    return Quantity(f"{sensor}_scale", sensor, part, -value[rows], covariance[rows, rows], sizes,
+                    alike, axes, reference=at, where=where)  # fmt: skip
 
 
 def _none_of(quantity: Quantity) -> Quantity:

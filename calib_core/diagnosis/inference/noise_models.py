@@ -7,7 +7,9 @@ diagonals.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -25,6 +27,13 @@ TAUS = (60.0, 240.0, 960.0)
 SLOW = TAUS[1:]
 """Correlation times of processes that are hardly to be told from a random walk, as which they begin, s."""
 
+WANDERS: dict[str, Callable[[Array, Array], Array]] = {
+    "flicker": flicker_covariance,
+    "walk": random_walk_covariance,
+    **{f"gauss_markov_{tau:.0f}": partial(gauss_markov_covariance, tau=tau) for tau in TAUS},
+}
+"""Covariance (n, n) of bin means at middles (n,) and durations (n,), s, by kind, in a unit of its own."""
+
 MIXTURES = (
     ("walk", "gauss_markov_60", 0.5),
     ("walk", "gauss_markov_240", 0.5),
@@ -36,6 +45,12 @@ MIXTURES = (
 )
 """Two kinds of wander, and the share of the first in their power."""
 
+AVERAGED = 100.0
+"""s: the averages by which strengths of wander are told to people; rests of some minutes show them."""
+
+NEIGHBOURS = np.array([0.5, 1.5]) * AVERAGED, np.full(2, AVERAGED)
+"""Middles and durations, s, of two averages whose half squared difference is the Allan variance."""
+
 FAINTEST = 1e-12
 """Part of the largest variance in a view that every bin has, lest rounding make the covariance singular."""
 
@@ -45,12 +60,14 @@ class Kind:
     """One kind of wander at unit strength: covariance (n, n), what of it walks (variance rate, 1/s) or jumps.
 
     The rate of a slow Gauss-Markov process is that with which it begins; what jumps is the variance that
-    all bins of a rest share and the next rest does not.
+    all bins of a rest share and the next rest does not. allan: Allan variance of averages over `AVERAGED`
+    within a rest.
     """
 
     covariance: Array
     walk: float = 0.0
     jump: float = 0.0
+    allan: float = 0.0
 
     def beside(self, other: Kind, share: float) -> Kind:
         """Return a mixture with another kind; share: this one's part of the power."""
@@ -59,6 +76,7 @@ class Kind:
             mine * self.covariance + its * other.covariance,
             mine * self.walk + its * other.walk,
             mine * self.jump + its * other.jump,
+            mine * self.allan + its * other.allan,
         )
 
 
@@ -68,7 +86,7 @@ class Family:
 
     strengths, weight: (G,), prior; power: (G,) variance by which it makes two bins differ, half of it, over
     all pairs, unit^2; walk: (G,) variance rate of the random walk in it, unit^2/s; jump: (G,) variance of
-    what is another in every rest, unit^2.
+    what is another in every rest, unit^2; allan: (G,) Allan variance of averages over `AVERAGED`, unit^2.
     rotation: (n, n), takes data into axes where the shapes are diagonal; diagonals: (G, n).
     """
 
@@ -78,6 +96,7 @@ class Family:
     power: Array
     walk: Array
     jump: Array
+    allan: Array
     rotation: Array
     diagonals: Array
 
@@ -100,7 +119,7 @@ def _diagonalised(view: View) -> list[Family]:
     made = kinds(view)
     n, weight = view.t.size, 1.0 / (len(made) + 1)
     none, alone = np.zeros(1), np.array([weight])
-    found = [Family("white", none, alone, none, none, none, whiten, np.ones((1, n)))]
+    found = [Family("white", none, alone, none, none, none, none, whiten, np.ones((1, n)))]
     prior = strength_prior() * weight
     median = float(np.median(view.variance))
     for name, kind in made.items():
@@ -108,9 +127,8 @@ def _diagonalised(view: View) -> list[Family]:
         diagonals = 1.0 + STRENGTHS[:, None] * np.maximum(values, 0.0)
         power = STRENGTHS * median
         rotation = vectors.T @ whiten
-        found.append(
-            Family(name, STRENGTHS, prior, power, power * kind.walk, power * kind.jump, rotation, diagonals)
-        )
+        walk, jump, allan = (power * part for part in (kind.walk, kind.jump, kind.allan))
+        found.append(Family(name, STRENGTHS, prior, power, walk, jump, allan, rotation, diagonals))
     return found
 
 
@@ -139,16 +157,15 @@ def kinds(view: View) -> dict[str, Kind]:
     """
     if view.name == "turn":
         return {"growing": Kind(np.diag((view.duration / np.median(view.duration)) ** 2))}
-    raw = {
-        "flicker": flicker_covariance(view.t, view.duration),
-        "walk": random_walk_covariance(view.t, view.duration),
-    }
-    raw |= {f"gauss_markov_{tau:.0f}": gauss_markov_covariance(view.t, view.duration, tau) for tau in TAUS}
     rates = {"walk": 1.0} | {f"gauss_markov_{tau:.0f}": 2.0 / tau for tau in SLOW}
     found = {}
-    for name, covariance in raw.items():
+    for name, covariance_of in WANDERS.items():
+        covariance = covariance_of(view.t, view.duration)
         spread = _spread(covariance)
-        found[name] = Kind(covariance * view.coupling / spread, rates.get(name, 0.0) / spread)
+        allan = _spread(covariance_of(*NEIGHBOURS))
+        found[name] = Kind(
+            covariance * view.coupling / spread, rates.get(name, 0.0) / spread, allan=allan / spread
+        )
     for one, other, share in MIXTURES:
         found[f"{share} {one}+{other}"] = found[one].beside(found[other], share)
     if len(np.unique(view.rest)) >= 3:

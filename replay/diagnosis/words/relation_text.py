@@ -94,6 +94,8 @@ def _clear(parameter: Mapping[str, Any]) -> list[int]:
     return np.flatnonzero(values > AXIS_SIGMA / NORMAL_95 * half).tolist()
 
 
+SCALES = ("accel_scale", "gyro_scale")
+CONSTANTS = ("accel_bias", "gyro_bias", *SCALES)
 OF_CORRECTION = (
     " The numbers are those of the correction: a sensor that reads 1 % too much has a scale of -1 %."
 )
@@ -105,7 +107,7 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     text = _statement(finding, names).replace(f". {THE_BUILT_IN}", f". {capital(THE_BUILT_IN)}")
     text = capital(text) if text.startswith(THE_BUILT_IN) else text
     text += _at_temperature(finding) + _two_sided(finding, names[1]) + _undistinguished(finding)
-    return text + OF_CORRECTION if finding["effect"] in ("accel_scale", "gyro_scale") else text
+    return text + OF_CORRECTION if finding["effect"] in SCALES else text
 
 
 def _at_temperature(finding: Mapping[str, Any]) -> str:
@@ -146,6 +148,9 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
         seen = "".join(f", {text}" for text in (_where(finding), _sizes(finding, side)) if text)
         driver = finding["where"]["driver"]
         return f"{owner} shows {what}{seen}; it follows {driver}. {other} does not show it."
+    if relation == "lacking" and finding["effect"] in CONSTANTS:
+        by = _every(finding, "difference")
+        return f"The {what} of {recording} differs from that of {simulation} by {by}. Add it."
     if relation == "lacking":
         return (
             f"{simulation} lacks the {what} that {recording} shows: {_every(finding, 'parameters')}. Add it."
@@ -155,7 +160,25 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
         return f"{simulation} has {article} {what} of {own} that {recording} does not show. Take it out."
     recorded, simulated = (_side(finding, side, name) for side in ("parameters", "simulated"))
     word = _word(finding, name)
-    return f"The {what} {word} in {simulation}: {simulated}, recorded {recorded}."
+    text = f"The {what} {word} in {simulation}: {simulated}, recorded {recorded}."
+    return (
+        f"{text} The difference is {_side(finding, 'difference', name)}." if _overlap(finding, name) else text
+    )
+
+
+def _overlap(finding: Mapping[str, Any], name: str | None) -> bool:
+    """Whether a number that is shown has intervals that overlap: both may share an error, as of gravity."""
+    if any(name not in finding[side] for side in ("parameters", "simulated", "difference")):
+        return False
+    if any("ci95" not in finding[side][name] for side in ("parameters", "simulated")):
+        return False
+    shown = shown_of(finding, str(name), finding["axes"])
+    recorded, simulated = (
+        np.asarray(finding[side][name]["ci95"], dtype=np.float64).reshape(-1, 2)[shown]
+        for side in ("parameters", "simulated")
+    )
+    low = np.maximum(recorded[:, 0], simulated[:, 0])
+    return bool((low < np.minimum(recorded[:, 1], simulated[:, 1])).any())
 
 
 def _where(finding: Mapping[str, Any]) -> str:

@@ -80,6 +80,9 @@ def test_what_a_paired_simulation_lacks_is_found_though_nothing_is_at_rest() -> 
         assert (np.abs(truth - (low + high) / 2.0) < 0.75 * (high - low)).all()
     assert said["verdict"] == "identified"
     assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
+    reasons = {n["effect"]: n["reason"] for n in said["not_compared"]}
+    assert reasons["gyro_nonlinearity"] == reasons["lever_arm"] == "it is not looked for in a pair"
+    assert "accel_gyro_time_offset" not in reasons
 
 
 @pytest.mark.slow

@@ -62,6 +62,22 @@ def test_of_a_matrix_the_elements_that_differ_are_shown_of_both() -> None:
     assert "y by y" not in text and "(2 of 9 elements)" in text
 
 
+def test_intervals_that_overlap_come_with_the_difference() -> None:
+    """Gravity is unknown to 0.2 % in both scales alike, so they overlap however sure the difference is."""
+    text = told("accel_scale", "too_small", ["x"], scale=([1.0, 0.0, 0.0], [0.99, 0.0, 0.0], "1"))
+    assert "The difference is scale x 1.000 ± 0.050 %." in text
+    text = told("accel_scale", "too_small", ["x"], scale=([1.0, 0.0, 0.0], [0.5, 0.0, 0.0], "1"))
+    assert "The difference" not in text
+
+
+def test_constants_of_a_pair_are_told_by_how_they_differ() -> None:
+    text = told("gyro_bias", "lacking", ["z"], bias=([0.0, 0.0, 0.5], [0.0, 0.0, 0.0], "deg/s"))
+    assert (
+        text
+        == "The gyroscope bias of real.csv differs from that of sim.csv by z 0.500 ± 0.025 deg/s. Add it."
+    )
+
+
 def test_a_matrix_without_a_clear_element_shows_its_largest() -> None:
     recorded = np.diag([0.0, 0.0, 0.06])
     text = told("gyro_scale", "too_small", ["z"], scale=(recorded.tolist(), np.zeros((3, 3)).tolist(), "1"))

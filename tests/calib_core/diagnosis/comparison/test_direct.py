@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.direct import quantities_of, stamp_quantities
+from stillcal.calib_core.diagnosis.comparison.direct import pair_of, quantities_of, stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
 from stillcal.calib_core.diagnosis.diagnose import examine
@@ -14,12 +14,12 @@ from stillcal.calib_core.diagnosis.direct.spectral_line import tone
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 
-def shaken(amplitude: float, seed: int) -> Samples:
-    """Return ten minutes on a table that vibrates along z, m/s^2, at 13.7 Hz."""
+def shaken(amplitude: float, seed: int, hertz: float = 13.7) -> Samples:
+    """Return ten minutes on a table that vibrates along z, m/s^2."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 600.0, 0.02)
     xyz = np.array([0.0, 0.0, 9.81]) + rng.normal(0.0, 0.01, (t.size, 3))
-    xyz[:, 2] += amplitude * np.sin(2.0 * np.pi * 13.7 * t)
+    xyz[:, 2] += amplitude * np.sin(2.0 * np.pi * hertz * t)
     return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
 
 
@@ -45,6 +45,14 @@ def test_a_line_twice_as_strong_is_a_difference_whether_or_not_an_axis_shows_not
     assert evidence((0.03, 0.06), (0, 1)) > 10.0
     assert evidence((0.06, 0.03), (1, 0)) > 10.0
     assert evidence((0.03, 0.06), (0, 0)) > 10.0
+
+
+@pytest.mark.parametrize(("hertz", "same"), [(13.9, True), (15.5, False)])
+def test_two_lines_are_two_vibrations_and_no_line_of_the_wrong_frequency(hertz: float, same: bool) -> None:
+    """Said was that the simulation's line is too large, by its frequency, and half as strong."""
+    one, other = tone(shaken(0.06, 0), "accel"), tone(shaken(0.03, 1, hertz), "accel")
+    assert one is not None and other is not None
+    assert (pair_of(one, [other]) is other) is same
 
 
 EVEN = np.arange(6000.0) / 99.97

@@ -1,4 +1,4 @@
-"""Why white noise is not compared: the reason is the one that holds."""
+"""Noise of one recording as it is told to people: the reason why not, and the size of slow noise."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from stillcal.calib_core.diagnosis.comparison.noise import density, why_no_density
+from stillcal.calib_core.diagnosis.comparison.noise import density, slow_noise, why_no_density
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -33,3 +33,17 @@ def test_the_reason_for_no_density_is_the_true_one(kind: str, reason: str | None
         assert density(stream) is not None
     else:
         assert density(stream) is None and reason in why_no_density(stream)
+
+
+def test_slow_noise_is_the_allan_deviation_of_averages_over_100_s() -> None:
+    """That of flicker noise is its floor; short bins 100 s apart differ by 1.7 times as much."""
+    rng, floor, n = np.random.default_rng(5), 1e-4, 6000
+    frequency = np.maximum(np.fft.rfftfreq(2 * n, 0.2), 1.0 / (0.4 * n))[:, None]
+    density_of = floor**2 / (2.0 * np.log(2.0)) / frequency
+    spectrum = np.sqrt(density_of * 2 * n * 5.0 / 2.0) * np.exp(2j * np.pi * rng.random((n + 1, 3)))
+    rates = np.fft.irfft(spectrum, axis=0)[:n] + 1e-4 * rng.normal(size=(n, 3))
+    t, still = np.arange(n) / 5.0, np.array([0.0, 0.0, 9.80665]) + 0.01 * rng.normal(size=(n, 3))
+    exam = examine(Samples(Sensor.ACCELEROMETER, t, still), Samples(Sensor.GYROSCOPE, t, rates), search=False)
+    slow = slow_noise(exam, next(s for s in exam.scenes if s.sensor == "gyro"))
+    assert slow is not None
+    assert np.exp(slow.value).mean() == pytest.approx(floor, rel=0.25)

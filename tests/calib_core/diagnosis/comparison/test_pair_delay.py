@@ -1,0 +1,58 @@
+"""The delay of one sensor against another of the same motion, and what it is not taken for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.pair_delay import aligned, delay_between, late
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+T = np.arange(0.0, 240.0, 0.02)
+
+
+def shaken(
+    delay: float = 0.0, seed: int = 1, gain: Array | None = None, sensor: Sensor = Sensor.GYROSCOPE
+) -> Samples:
+    """Return four minutes of a walk's rhythm, read late by a delay, s, with noise of 0.01."""
+    t = T - delay
+    true = np.stack([np.sin(11.0 * t) + 0.5 * np.sin(3.1 * t + a) for a in range(3)], axis=1)
+    read = true @ (np.eye(3) if gain is None else gain).T
+    return Samples(
+        sensor, frozen(T), frozen(read + 0.01 * np.random.default_rng(seed).normal(size=read.shape))
+    )
+
+
+@pytest.mark.parametrize("delay", [0.007, -0.024])
+def test_a_delay_is_measured_beside_a_wrong_scale_and_taken_out(delay: float) -> None:
+    own, true = shaken(delay, 2, np.eye(3) + 0.02), shaken()
+    found = late(own, true)
+    assert found is not None
+    assert found.delay.value == pytest.approx(delay, abs=3.0 * found.delay.error)
+    assert 1e-5 < found.delay.error < 3e-4
+    left = late(own, aligned(true, found))
+    assert left is not None and abs(left.delay.value) < 1e-4
+
+
+def test_without_a_delay_nothing_is_said_and_nothing_moved() -> None:
+    true = shaken()
+    found = late(shaken(0.0, 2), true)
+    assert found is not None and aligned(true, found) is true
+    assert delay_between(found, found, true) is None
+
+
+def test_what_both_sensors_are_late_by_is_none_between_them() -> None:
+    true, late_one = shaken(), late(shaken(0.01, 2), shaken())
+    assert late_one is not None and delay_between(late_one, late_one, true) is None
+    prompt = late(shaken(0.0, 3), true)
+    assert prompt is not None
+    said = delay_between(prompt, late_one, true)
+    assert said is not None and said.effect == "accel_gyro_time_offset"
+    low, high = np.asarray(said.parameters["delay"].ci95, dtype=np.float64)
+    assert low < 0.01 < high
+
+
+def test_a_sensor_that_is_not_moved_tells_no_delay() -> None:
+    still = Samples(Sensor.GYROSCOPE, frozen(T[:1500]), frozen(np.zeros((1500, 3))))
+    assert late(still, still) is None
