@@ -33,7 +33,7 @@ from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
-from stillcal.calib_core.diagnosis.sequence.findings import sequence_findings, without_names
+from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
@@ -144,9 +144,8 @@ def examine(
     streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
     doubled = repeats.doubled(accelerometer, twice)
     nameless = [f for s in streams for f in sequence_findings(s.samples, s.sensor, clear)]
-    named = without_names(direct_findings(streams, claims, sound), nameless)
-    named = judged(named, accelerometer, [x for _, x in sensors])
-    direct = [*gone, *([doubled] if doubled else []), *nameless, *named]
+    named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
+    direct = [*gone, *([doubled] if doubled else []), *beside_names(nameless, named)]
     slow = _roughened(_unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     residuals = scenes(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
     stated = [Stated(f) for f in direct]

@@ -24,16 +24,22 @@ UNLIKELY = 0.01
 """Chance of axes being as far apart, below which they have no common delay."""
 
 
-def axis_columns(back: Array, rate: Array, up: Array, gravity: float) -> Array:
+def axis_columns(t: Array, back: Array, rate: Array, up: Array, gravity: float) -> Array:
     """Return what delays of single axes, less those of the sensor's other ones, do to the force: (n, 3, 4).
 
     Of the accelerometer's x and y against its z, then of the gyroscope's. back: (n, 3, 3), turns the body to
-    where it was when the window began; rate: (n, 3); up: (n, 3), in the body.
+    where it was when the window began; rate: (n, 3); up: (3,), in the body then.
+
+    A late axis b of the gyroscope turns gravity by the integral of R e_b dw_b/dt: by parts R e_b w_b less that
+    of R (w x e_b) w_b. Of all axes together the second is nothing.
     """
-    changing = -gravity * np.cross(rate, up)
+    changing = -gravity * np.cross(rate, np.einsum("nji,j->ni", back, up))
     accel = -back * changing[:, None, :]
-    turned = gravity * np.cross(up[:, None, :], np.eye(3)[None] * rate[:, :, None])
-    gyro = np.einsum("nij,nkj->nik", back, turned)
+    along = back * rate[:, None, :]
+    swept = np.einsum("nij,nbj->nib", back, np.cross(rate[:, None, :], np.eye(3)[None])) * rate[:, None, :]
+    steps = 0.5 * (swept[1:] + swept[:-1]) * np.diff(t)[:, None, None]
+    turned = along - np.concatenate([np.zeros((1, 3, 3)), np.cumsum(steps, axis=0)])
+    gyro = gravity * np.cross(up[None, :, None], turned, axis=1)
     return np.concatenate([accel[:, :, :2] - accel[:, :, 2:], gyro[:, :, :2] - gyro[:, :, 2:]], axis=2)
 
 

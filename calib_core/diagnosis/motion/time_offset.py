@@ -192,7 +192,7 @@ class _Motion:
             back = matrix(attitudes(t, rate))
             turned = np.einsum("nij,nj->ni", back, _force(self.accelerometer, self.baseline, t))
             up = turned.mean(axis=0) / np.linalg.norm(turned.mean(axis=0))
-            made.append(_spectrum(axis_columns(back, rate, np.einsum("nji,j->ni", back, up), self.gravity)))
+            made.append(_spectrum(axis_columns(t, back, rate, up, self.gravity)))
         return made
 
     def fitted(self) -> _Fit:

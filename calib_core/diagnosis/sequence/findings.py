@@ -10,21 +10,18 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.sequence.codes import DRIVER as OWN_CODE
 from stillcal.calib_core.diagnosis.sequence.codes import by_code
 from stillcal.calib_core.diagnosis.sequence.order import wrong_order
 from stillcal.calib_core.diagnosis.sequence.places import by_count, noise_size
-from stillcal.calib_core.diagnosis.sequence.recurrence import delivered_again, stale_axes
+from stillcal.calib_core.diagnosis.sequence.recurrence import STALE, delivered_again, stale_axes
 from stillcal.calib_core.streams.samples import Samples
 
-SPOILED = (
-    "noise_heavy_tailed",
-    "noise_level",
-    "noise_unequal_axes",
-    "vibration_tone",
-    "held_samples",
-    "missing_codes",
-)
+SPOILED = ("noise_heavy_tailed", "noise_level", "noise_unequal_axes", "vibration_tone")
 """Names that samples in a wrong place or with a wrong code may look like."""
+
+NAMED_CODES = "missing_codes"
+"""The name of what an axis leaves out or keeps by its own code."""
 
 LEAST_SAMPLES = 200
 
@@ -53,7 +50,12 @@ def still_rows(t: Array, bins: Bins) -> NDArray[np.bool_]:
     return np.asarray(np.cumsum(edges)[:-1] > 0)
 
 
-def without_names(found: Sequence[Finding], nameless: Sequence[Finding]) -> list[Finding]:
-    """Return findings without the names that a nameless effect of the same sensor's samples looks like."""
-    sensors = {f.sensor for f in nameless}
-    return [f for f in found if f.sensor not in sensors or f.effect not in SPOILED]
+def beside_names(nameless: Sequence[Finding], named: Sequence[Finding]) -> list[Finding]:
+    """Return both, without names that a nameless effect of the same sensor's samples looks like.
+
+    What depends on an axis' own code, or keeps a value, has a name where values are missing.
+    """
+    coded = {f.sensor for f in named if f.effect == NAMED_CODES}
+    own = [f for f in nameless if f.where.driver not in (OWN_CODE, STALE) or f.sensor not in coded]
+    sensors = {f.sensor for f in own}
+    return [*own, *(f for f in named if f.sensor not in sensors or f.effect not in SPOILED)]

@@ -92,3 +92,16 @@ def test_a_lever_arm_is_measured() -> None:
     (found,) = diagnosed(12, arm=arm)
     assert found.effect == "lever_arm"
     np.testing.assert_allclose(found.parameters["position"].value, arm, atol=0.02)
+
+
+def test_an_axis_that_is_late_by_itself_is_no_delay_of_the_sensor() -> None:
+    accelerometer, gyroscope = played(3)
+    rate = gyroscope.xyz.copy()
+    rate[:, 1] = np.interp(gyroscope.t - 0.04, gyroscope.t, rate[:, 1])
+    late = Samples.checked(Sensor.GYROSCOPE, gyroscope.t, rate)
+    found = motion_findings(
+        accelerometer, late, aligned(late, cut(accelerometer, late), G), G, sound_phones()["time_offset"]
+    )
+    (axis,) = (f for f in found if f.effect != "lever_arm")
+    assert (axis.effect, axis.sensor, axis.axes) == ("unknown", "gyro", ["y"])
+    assert axis.parameters["delay"].value[1] == pytest.approx(0.04 * 2 / 3, abs=0.01)

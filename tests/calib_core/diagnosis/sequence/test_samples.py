@@ -1,0 +1,128 @@
+"""What samples show without a name: order, repetition, stale axes, codes, places; sound ones are silent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.formats.hhar_still import recordings
+
+STEP, RATE = 1.33e-4, 50.0
+Change = Callable[[np.ndarray, np.random.Generator], None]
+
+
+def turning(seed: int, minutes: float = 6.0) -> np.ndarray:
+    """Codes (n, 3) of a gyroscope: rests of 17 s, turns of 3 s of up to 2 rad/s, noise of six codes."""
+    rng = np.random.default_rng(seed)
+    n, length = int(minutes * 60 * RATE), 1000
+    x = np.clip((np.arange(n) % length - 850) / 150.0, 0.0, 1.0)
+    speed = 16.0 * x**2 * (1.0 - x) ** 2
+    course = np.repeat(rng.uniform(-2.0, 2.0, (n // length + 1, 3)), length, axis=0)[:n] * speed[:, None]
+    return np.rint(course / STEP + rng.normal(0.0, 6.0, (n, 3)) + rng.uniform(-40, 40, 3))
+
+
+def said(codes: np.ndarray) -> list[Finding]:
+    samples = Samples.checked(Sensor.GYROSCOPE, np.arange(len(codes)) / RATE, codes * STEP)
+    force = np.random.default_rng(9).normal([0.0, 0.0, 9.8], 0.01, codes.shape)
+    turned = np.abs(codes).max(axis=1) > 300
+    force[turned] += np.random.default_rng(8).normal(0.0, 1.0, (int(turned.sum()), 3))
+    bins = cut(Samples.checked(Sensor.ACCELEROMETER, samples.t, force), samples)
+    return sequence_findings(samples, "gyro", bins)
+
+
+def exchanged(x: np.ndarray, rng: np.random.Generator) -> None:
+    for i in np.flatnonzero(rng.random(len(x) - 1) < 0.004):
+        x[[i, i + 1]] = x[[i + 1, i]]
+
+
+def backwards(x: np.ndarray, rng: np.random.Generator) -> None:
+    for i in np.flatnonzero(rng.random(len(x) // 8) < 0.1) * 8:
+        x[i : i + 8] = x[i : i + 8][::-1].copy()
+
+
+def again(x: np.ndarray, rng: np.random.Generator) -> None:
+    for i in rng.integers(100, len(x) - 100, 3):
+        x[i : i + 12] = x[i - 40 : i - 28]
+
+
+def stale(x: np.ndarray, rng: np.random.Generator) -> None:
+    rows = 1 + np.flatnonzero(rng.random(len(x) - 1) < 0.02)
+    x[rows, 2] = x[rows - 1, 2]
+
+
+def torn(x: np.ndarray, rng: np.random.Generator) -> None:
+    high = np.vstack([x[:1], x[:-1]]) // 256
+    hit = (rng.random(x.shape) < 0.3) & (x // 256 != high)
+    x[hit] = (256 * high + x % 256)[hit]
+
+
+def mixed(x: np.ndarray, rng: np.random.Generator) -> None:
+    x[16::16] = np.rint(0.4 * x[16::16] + 0.6 * x[15:-1:16][: len(x[16::16])])
+
+
+@pytest.mark.parametrize(
+    ("change", "driver"),
+    [
+        (exchanged, "order of the samples"),
+        (backwards, "order of the samples"),
+        (again, "values delivered before"),
+        (stale, "axes read before they are new"),
+        (torn, "own code"),
+        (mixed, "count of the samples"),
+    ],
+)
+def test_what_a_bus_does_to_samples_is_unknown_with_what_it_follows(change: Change, driver: str) -> None:
+    codes = turning(3)
+    change(codes, np.random.default_rng(4))
+    found = said(codes)
+    assert driver in {f.where.driver for f in found}
+    assert {f.effect for f in found} == {"unknown"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sound_samples_are_silent(seed: int) -> None:
+    """As they are, in coarse steps, and held as drivers hold them, which has a name."""
+    codes = turning(seed)
+    assert said(codes) == []
+    assert said(20.0 * np.rint(codes / 20.0)) == []
+    late = 1 + np.flatnonzero(np.random.default_rng(seed).random(len(codes) - 1) < 0.03)
+    codes[late] = codes[late - 1]
+    assert said(codes) == []
+
+
+def test_places_and_longest_are_told() -> None:
+    codes = 4.0 * turning(5)
+    for first in (900, 1900, 2900):
+        codes[first : first + 6] = codes[first : first + 6][::-1].copy()
+    (found,) = said(codes)
+    assert {name: p.value for name, p in found.parameters.items()} == {
+        "places": 3.0, "samples": 18.0, "longest": 6.0,
+    }  # fmt: skip
+    assert found.where.t_start == pytest.approx(900 / RATE)
+
+
+def finding(effect: str, driver: str, sensor: str = "gyro") -> Finding:
+    where = Where(0.0, 1.0, (0.0, 1.0), driver)
+    made = direct_finding(effect, sensor, [0], where, {}, statement="", seen=Seen(99.0))
+    assert made is not None
+    return made
+
+
+def test_a_name_that_fits_is_kept_and_one_that_only_looks_like_it_goes() -> None:
+    coded, missing = finding("unknown", "own code"), finding("missing_codes", "values")
+    heavy, other = finding("noise_heavy_tailed", "noise"), finding("noise_heavy_tailed", "noise", "accel")
+    assert beside_names([coded], [heavy, other]) == [coded, other]
+    assert beside_names([coded], [missing]) == [missing]
+
+
+def test_real_phones_on_a_table_are_silent(data_dir: Path) -> None:
+    for one in recordings(data_dir / "hhar_still")[::24]:
+        assert sequence_findings(one.samples, "accel", cut(one.samples, None)) == []
