@@ -30,8 +30,8 @@ def axis_columns(t: Array, back: Array, rate: Array, up: Array, gravity: float) 
     Of the accelerometer's x and y against its z, then of the gyroscope's. back: (n, 3, 3), turns the body to
     where it was when the window began; rate: (n, 3); up: (3,), in the body then.
 
-    A late axis b of the gyroscope turns gravity by the integral of R e_b dw_b/dt: by parts R e_b w_b less that
-    of R (w x e_b) w_b. Of all axes together the second is nothing.
+    A late axis b of the gyroscope turns gravity by the integral of R e_b dw_b/dt: by parts R e_b w_b less
+    that of R (w x e_b) w_b. Of all axes together the second is nothing.
     """
     changing = -gravity * np.cross(rate, np.einsum("nji,j->ni", back, up))
     accel = -back * changing[:, None, :]
