@@ -65,7 +65,7 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
         socket_group=socket_group,
     )
     settings = options.settings()
-    log.set_up(settings.log.level)
+    lines = log.set_up(settings.log.level)
     memory.limit_arenas()
     notifier = Notifier()
 
@@ -82,3 +82,5 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
         if not passing(error):
             raise
         raise TryAgainError(f"{error.filename or 'the system'}: {error.strerror}") from error
+    finally:
+        lines.flush()

@@ -5,12 +5,15 @@ The callers decide what is logged.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
 import sys
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
+from queue import SimpleQueue
 from typing import Any, TextIO
 
 from stillcal.daemon.system.clock import Clock, host_time
@@ -21,6 +24,12 @@ _PRIORITIES = {"DEBUG": 7, "INFO": 6, "WARNING": 4, "ERROR": 3, "CRITICAL": 2}
 
 BURST, REFILL_S = 50.0, 10.0
 """Lines of one kind that may come at once, and after how long another one may, s."""
+
+MOST_WAITING = 1000
+"""Lines that wait for whoever reads them."""
+
+FLUSH_S = 0.5
+"""How long the end of the daemon waits for them, s."""
 
 MAX_KINDS, KIND_CHARACTERS = 200, 60
 """Kinds of lines that are told apart, and by how much of their text where they have no name."""
@@ -41,16 +50,68 @@ def entry(what: str, why: str, fields: Mapping[str, Any]) -> str:
     return " ".join([head, *(f"{key}={_value(value)}" for key, value in fields.items() if value is not None)])
 
 
-def set_up(level: str, stream: TextIO | None = None, environ: Mapping[str, str] = os.environ) -> None:
+def set_up(level: str, stream: TextIO | None = None, environ: Mapping[str, str] = os.environ) -> Lines:
     """Send the log to `stream` (standard error), in journald's form where journald reads it."""
     stream = stream or sys.stderr
-    handler = logging.StreamHandler(stream)
+    handler = Lines(_descriptor(stream))
     handler.setFormatter(_Journal() if reads_journal(stream, environ) else logging.Formatter(_PLAIN))
     handler.addFilter(Quota())
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)
     set_level(level)
+    return handler
+
+
+class Lines(logging.Handler):
+    """Writes lines in a thread of its own: whoever reads them may be stuck, as a terminal at Ctrl-S is.
+
+    At most MOST_WAITING lines wait, and later ones are counted. descriptor: None where nobody reads. Written
+    past Python's own files, whose locks a thread that is stuck would hold when the interpreter ends.
+    """
+
+    def __init__(self, descriptor: int | None) -> None:
+        super().__init__()
+        self._descriptor, self._lost = descriptor, 0
+        self._lines: SimpleQueue[bytes | threading.Event | None] = SimpleQueue()
+        threading.Thread(target=self._write, name="log", daemon=True).start()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Hand a line to the thread."""
+        if self._lines.qsize() >= MOST_WAITING:
+            self._lost += 1
+            return
+        lost, self._lost = self._lost, 0
+        tail = f" lost_before={lost}" if lost else ""
+        self._lines.put(f"{self.format(record)}{tail}\n".encode(errors="backslashreplace"))
+
+    def flush(self) -> None:
+        """Wait until what was said is written, but no longer than FLUSH_S."""
+        done = threading.Event()
+        self._lines.put(done)
+        done.wait(FLUSH_S)
+
+    def close(self) -> None:
+        """End the thread after what waits."""
+        self._lines.put(None)
+        super().close()
+
+    def _write(self) -> None:
+        while (item := self._lines.get()) is not None:
+            if isinstance(item, threading.Event):
+                item.set()
+            elif self._descriptor is not None:
+                with contextlib.suppress(OSError):  # nobody reads any more
+                    while item:
+                        item = item[os.write(self._descriptor, item) :]
+
+
+def _descriptor(stream: TextIO | None) -> int | None:
+    """Return the file that a stream writes to, None where there is none."""
+    try:
+        return None if stream is None else stream.fileno()
+    except (OSError, ValueError):
+        return None
 
 
 class Quota(logging.Filter):
@@ -97,12 +158,12 @@ def set_level(level: str) -> None:
     _logger.setLevel(level.upper())
 
 
-def reads_journal(stream: TextIO, environ: Mapping[str, str]) -> bool:
+def reads_journal(stream: TextIO | None, environ: Mapping[str, str]) -> bool:
     """Return whether `stream` is the one that journald named in JOURNAL_STREAM (systemd.exec(5))."""
-    try:
-        found = os.fstat(stream.fileno())
-    except (OSError, ValueError):
+    descriptor = _descriptor(stream)
+    if descriptor is None:
         return False
+    found = os.fstat(descriptor)
     return environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
 
 

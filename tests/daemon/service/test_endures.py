@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import fcntl
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -26,7 +28,7 @@ from stillcal.daemon.service.engine_thread import EngineThread
 from stillcal.daemon.settings import SettingsError
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.systemd import Notifier
-from tests.daemon.service.test_process import STILLCAL, arguments, heard, process
+from tests.daemon.service.test_process import STILLCAL, arguments, asked, heard, process
 from tests.support.asking import ask, connected
 from tests.support.living import answering, given_in, running, until, within_reason
 from tests.support.serial_line import Device
@@ -134,6 +136,29 @@ def test_sigterm_is_obeyed_while_the_engine_computes_without_end(tmp_path: Path)
         finally:
             daemon.kill()
             device.unplug()
+
+
+def test_a_log_that_nobody_reads_holds_up_nothing(folder: Path) -> None:
+    """A terminal at Ctrl-S, or a pipe whose reader is stuck: questions and SIGTERM are still answered."""
+    device = Device(folder / "tty")
+    unread, full = os.pipe()
+    fcntl.fcntl(full, fcntl.F_SETPIPE_SZ, 4096)
+    os.write(full, bytes(4096))
+    with subprocess.Popen([*STILLCAL, "run", *arguments(folder)], stderr=full) as daemon:
+        try:
+            within_reason(until_there(folder / "socket"))
+            assert asked(folder, "GetStatus")["status"]["uptime_s"] >= 0.0
+            daemon.send_signal(signal.SIGTERM)
+            assert daemon.wait(20) == 0
+        finally:
+            daemon.kill()
+    for descriptor in (unread, full):
+        os.close(descriptor)
+    device.unplug()
+
+
+async def until_there(path: Path) -> None:
+    await until(path.exists)
 
 
 def test_lines_that_took_it_down_are_counted_as_bad(tmp_path: Path) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import io
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -65,22 +64,29 @@ def test_places_of_late_are_bounded() -> None:
 
 
 @pytest.fixture
-def stream() -> Iterator[io.StringIO]:
+def written(tmp_path: Path) -> Iterator[Callable[[], str]]:
+    """What the log has written so far."""
     root, level = logging.getLogger(), logging.getLogger("stillcal").level
     handlers, root_level = root.handlers[:], root.level
-    stream = io.StringIO()
-    log.set_up("info", stream, {})
-    yield stream
+    with (tmp_path / "log").open("w") as stream:
+        lines = log.set_up("info", stream, {})
+
+        def text() -> str:
+            lines.flush()
+            return (tmp_path / "log").read_text()
+
+        yield text
+        lines.close()
     root.handlers[:] = handlers
     root.setLevel(root_level)
     logging.getLogger("stillcal").setLevel(level)
 
 
-def test_one_kind_of_line_repeated_fills_no_disk_and_hides_no_other(stream: io.StringIO) -> None:
+def test_one_kind_of_line_repeated_fills_no_disk_and_hides_no_other(written: Callable[[], str]) -> None:
     for i in range(10_000):
         say("warning", "another phone", "it is another one", device=f"phone {i}")
     say("warning", "disconnected", "pulled out")
-    lines = stream.getvalue().splitlines()
+    lines = written().splitlines()
     assert len(lines) == BURST + 1
     assert "pulled out" in lines[-1]
 
@@ -146,7 +152,7 @@ def test_a_description_is_still_printed_line_by_line(tmp_path: Path) -> None:
     within_reason(test())
 
 
-def test_hellos_in_turn_under_two_names_write_little(tmp_path: Path, stream: io.StringIO) -> None:
+def test_hellos_in_turn_under_two_names_write_little(tmp_path: Path, written: Callable[[], str]) -> None:
     encoder = WireEncoder(WireSettings(form=Form.BINARY))
 
     async def test() -> None:
@@ -160,4 +166,4 @@ def test_hellos_in_turn_under_two_names_write_little(tmp_path: Path, stream: io.
             device.unplug()
 
     within_reason(test())
-    assert len(stream.getvalue().splitlines()) < 5 * BURST
+    assert len(written().splitlines()) < 5 * BURST

@@ -158,9 +158,11 @@ def test_journald_gets_priorities(tmp_path: Path):
         environ = {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino}"}
         kept = logging.getLogger().handlers[:]
         try:
-            log.set_up("info", stream, environ)
+            lines = log.set_up("info", stream, environ)
             log.say("debug", "quiet")
             log.say("warning", "loud", "why", n=3)
+            lines.flush()
+            lines.close()
         finally:
             logging.getLogger().handlers[:] = kept
     assert (tmp_path / "log").read_text() == "<4>loud: why n=3\n"
