@@ -148,25 +148,27 @@ def stale_axes(samples: Samples, sensor: str) -> Finding | None:
     """
     free = ~at_limits(samples.xyz)
     found = {a: stays(samples.xyz, a, free[:, a]) for a in range(3)}
-    nats = {a: of_counts(hits, of, chance) for a, (hits, of, chance) in found.items() if of > 0.0}
-    axes = [a for a in nats if nats[a] > 0.0 and found[a][0] > found[a][1] * found[a][2]]
+    nats = {a: of_counts(rows.size, of, chance) for a, (rows, of, chance) in found.items() if of > 0.0}
+    axes = [a for a in nats if nats[a] > 0.0 and found[a][0].size > found[a][1] * found[a][2]]
     if not axes:
         return None
-    hits, of = max(found[a][0] for a in axes), max(found[a][1] for a in axes)
+    worst = max(axes, key=lambda a: found[a][0].size)
+    rows, of, _ = found[worst]
+    hits = float(rows.size)
     named = ", ".join(AXES[a] for a in axes)
     say = (
         f"In {hits:.0f} of {of:.0f} samples of motion the {NAME[sensor]}'s {named} has the value of the"
         " sample before, while other axes moved on: it was read before it was new."
     )
-    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), STALE)
+    where = Where(float(samples.t[rows[0]]), float(samples.t[rows[-1]]), (0.0, 0.0), STALE)
     sizes = {"fraction": share_of(hits, of).parameter("1")}
     # Any of the seven sets of axes may be late.
     seen = Seen(sum(nats[a] for a in axes) - float(np.log(7.0)))
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
 
 
-def stays(xyz: Array, axis: int, free: Flags) -> tuple[float, float, float]:
-    """Return in how many samples an axis alone keeps its value, of how many that must not, and by chance.
+def stays(xyz: Array, axis: int, free: Flags) -> tuple[Index, float, float]:
+    """Return the rows in which an axis alone keeps its value, of how many that must not, and its chance.
 
     They must not where the four neighbours of a sample are sure to have it elsewhere than the sample before.
     free: (n - 1,) whether the two are not at the end of the axis' range, where motion keeps them.
@@ -177,6 +179,7 @@ def stays(xyz: Array, axis: int, free: Flags) -> tuple[float, float, float]:
     change = np.diff(xyz, axis=0)[inner]
     alone = (change != 0.0).any(axis=1) & free[inner]
     unit = max(float(spread(left[:, None])[0]), step)
-    moved = np.abs(change[alone & (np.abs(change[:, axis] - left) > SURE * unit), axis])
+    due = np.flatnonzero(alone & (np.abs(change[:, axis] - left) > SURE * unit))
+    moved = np.abs(change[due, axis])
     near = float(((moved > 0.0) & (moved < 2.5 * step)).sum())
-    return float((moved == 0.0).sum()), float(moved.size), min((near + 1.0) / 4.0 / max(moved.size, 1), 0.5)
+    return due[moved == 0.0] + REACH, float(moved.size), min((near + 1.0) / 4.0 / max(moved.size, 1), 0.5)

@@ -8,10 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.motion.axis_delays import DRIVER as AXES_LATE
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.diagnosis.sequence import codes as own_code
+from stillcal.calib_core.diagnosis.sequence import order, places, recurrence
+from stillcal.calib_core.diagnosis.sequence.stamps import FEW, LEAP, PATTERN
 from stillcal.calib_core.diagnosis.stamps.clock_wander import DRIVER as WANDERING
 from stillcal.replay.diagnosis.judged import Judged, bins_of
-from stillcal.replay.diagnosis.report import figures
+from stillcal.replay.diagnosis.report import figures, sample_figures
 from stillcal.replay.diagnosis.report.curves import Curve
 from stillcal.replay.diagnosis.report.sides import Side
 from stillcal.replay.diagnosis.words.names import capital, noun, parameter_noun, simulation_text
@@ -20,6 +24,7 @@ from stillcal.replay.diagnosis.words.units import pretty
 
 SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
 VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed", "unknown")
+UNEVEN = (LEAP, PATTERN, FEW)
 LIMITED = ("accel_saturation", "gyro_saturation")
 
 
@@ -75,7 +80,7 @@ class Album:
 
     def pictures(self, answered: Mapping[str, Any]) -> list[Picture]:
         """Return the pictures of one finding of the answer."""
-        if answered["effect"] == "accel_gyro_time_offset":
+        if answered["effect"] == "accel_gyro_time_offset" or answered["where"]["driver"] == AXES_LATE:
             return _of_delay(answered, self.turned)
         # What only the simulation has is its curve, with the recording beside it.
         first, *others = self.sides[::-1] if answered["relation"] == "superfluous" else self.sides
@@ -153,7 +158,7 @@ Draw = Callable[[Sources, str], str]
 
 def _of_samples(finding: Mapping[str, Any], sources: Sources) -> list[Picture]:
     """Return the picture of what single samples or stamps do; none where no kind of picture shows it."""
-    kind = _kind(finding)
+    kind = _nameless(finding) or _kind(finding)
     if kind is None or not sources:
         return []
     draw, what, caption = kind
@@ -199,6 +204,39 @@ def _kind(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
         draw = lambda three, unit: figures.values_figure(three, unit, axis)  # noqa: E731 - one of five
         return draw, "Histogram of samples at rest", caption
     return None
+
+
+def _nameless(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
+    """Return how an effect of single samples without a name is drawn; None for any other."""
+    if finding["effect"] != "unknown":
+        return None
+    name = finding["axes"][0] if finding["axes"] else "x"
+    axis, driver = "xyz".index(name), finding["where"]["driver"]
+    if finding["sensor"] == "timing":
+        if driver not in UNEVEN:
+            return None
+        caption = "Histogram of sample intervals (log scale)."
+        return (
+            lambda three, _: figures.intervals_figure(three, arrival=False),
+            "Histogram of intervals",
+            caption,
+        )
+    if driver in (order.DRIVER, recurrence.AGAIN, recurrence.STALE):
+        at = float(finding["where"]["t_start"])
+        return (
+            lambda three, unit: sample_figures.samples_figure(three, unit, axis, at),
+            "Single samples where it first happens",
+            f"Samples of axis {name} where it first happens.",
+        )
+    what = {own_code.DRIVER: sample_figures.CODES, places.DRIVER: sample_figures.COUNT}.get(driver)
+    period = _number(finding, "period_codes", "period_samples")
+    if what is None or period is None:
+        return None
+    return (
+        lambda three, unit: sample_figures.cycle_figure(three, unit, axis, period, what),
+        f"Size of residuals over the {what}",
+        f"Median size of what neighbours leave of samples of axis {name}, over the {what}.",
+    )
 
 
 def _number(finding: Mapping[str, Any], *names: str) -> float | None:
