@@ -63,7 +63,8 @@ def record_command(  # noqa: PLR0917 - click hands every option over by name
     """Record the raw samples and events of the phone that a running daemon serves, as stillcal's CSV.
 
     OUT is NAME.csv or NAME.csv.gz. The phone's sensors stay on meanwhile. Ctrl-C ends the recording and
-    leaves a whole file. It also ends, whole, before the disk is full and when the daemon stops. Exit codes: 1
+    leaves a whole file. It also ends, whole, before the disk is full and when the daemon stops. What a kill or a power
+    cut leaves is in .NAME.csv.gz.PID.part, for zcat. Exit codes: 1
     the daemon refuses (only root and its own user may record), 3 no sample came, 4 no daemon, or it stopped.
     """
     _refuse_existing(out)
@@ -96,7 +97,8 @@ def _record(recording: LiveRecording, out: Path, messages: Iterator[dict[str, An
         if "error" in reply:
             return _refusal(reply), REFUSED
         recording.take((reply.get("parameters") or {}).get("block") or {})
-        if number % CHECK_EVERY == 0 and shutil.disk_usage(out.absolute().parent).free < RESERVE_BYTES:
+        low = number % CHECK_EVERY == 0 and shutil.disk_usage(out.absolute().parent).free < RESERVE_BYTES
+        if low or recording.filled:
             return f"{out}: less than {RESERVE_BYTES // 2**20} MiB are left on the disk: make room", BAD_INPUT
     return "", 0
 

@@ -7,6 +7,7 @@ as fast here as joining Python's repr, twenty times numpy.savetxt).
 from __future__ import annotations
 
 import contextlib
+import errno
 import gzip
 import io
 import os
@@ -14,7 +15,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
@@ -33,6 +34,9 @@ _BATCH_ROWS = 8192
 _ZIP_LEVEL = 4
 """Half the time of level 6, for files 8 % larger (a recording of 7.9 MB)."""
 
+SPARE_BYTES = 2**20
+"""More than a recording still writes after the last block that it took, compressed or not."""
+
 _encoder = msgspec.json.Encoder()
 
 
@@ -40,9 +44,10 @@ class TraceWriter:
     """Writes NAME.csv (or .csv.gz), NAME.events.jsonl and NAME.json; a context manager.
 
     gyroscope, temperature, arrival: whether the recording has these columns. side_files: whether events and
-    claims are written, or left as they stand. All is written under
-    temporary names in the same folder and renamed when the block ends well; when it ends in an error
-    nothing is left behind and what stood there stays. Raises TraceError where the folder does not take it.
+    claims are written, or left as they stand. sparing: whether some room is kept, by which all is completed
+    on a disk that others fill; `filled` says that they have. All is written under temporary names in the same
+    folder and renamed when the block ends well; when it ends in an error nothing is left behind and what
+    stood there stays. Raises TraceError where the folder does not take it.
     """
 
     def __init__(
@@ -54,11 +59,13 @@ class TraceWriter:
         arrival: bool = False,
         claims: Claims | None = None,
         side_files: bool = True,
+        sparing: bool = False,
     ) -> None:
         self.path = Path(path)
         self._gyroscope, self._temperature, self._arrival = gyroscope, temperature, arrival
         self._claims = claims
-        self._side_files = side_files
+        self._side_files, self._sparing = side_files, sparing
+        self._room: SparingFile | None = None
         self._events: list[Event] = []
         self._target = led_to(self.path)
         self._temporary = self._target.with_name(f".{self._target.name}.{os.getpid()}.part")
@@ -77,7 +84,7 @@ class TraceWriter:
             remedy = "give a file's name, or '-' for standard output"
             raise TraceError(self.path, "is no regular file and is not replaced", remedy)
         try:
-            self._file = self._temporary.open("wb")
+            self._file = self._opened()
         except OSError as error:
             raise self._refused(error) from None
         try:
@@ -108,6 +115,17 @@ class TraceWriter:
         """
         self._events.extend(events)
         self._append(self._rows(accelerometer, gyroscope if self._gyroscope else None))
+
+    @property
+    def filled(self) -> bool:
+        """Whether the disk was full, so that the recording must be completed now."""
+        return self._room is not None and self._room.filled
+
+    def _opened(self) -> BinaryIO:
+        if not self._sparing:
+            return self._temporary.open("wb")
+        self._room = SparingFile(self._temporary)
+        return io.BufferedWriter(self._room)
 
     def _begin(self, file: BinaryIO) -> None:
         """Begin the recording's own file."""
@@ -159,6 +177,8 @@ class TraceWriter:
         assert self._file is not None
         self._end()
         self._file.flush()
+        if self._room is not None:
+            self._room.free()
         os.fsync(self._file.fileno())
         self._file.close()
         if self._side_files:
@@ -175,6 +195,8 @@ class TraceWriter:
             write_atomically(beside(self.path, ".json"), msgspec.json.encode(self._claims.without_counts()))
 
     def _discard(self) -> None:
+        if self._room is not None:
+            self._room.free()
         with contextlib.suppress(OSError):
             if self._file is not None:
                 self._file.close()
@@ -198,3 +220,37 @@ class StandardOutputWriter(TraceWriter):
 
     def _discard(self) -> None:
         self._stream = None
+
+
+class SparingFile(io.FileIO):
+    """A file opened for writing; `filled` once the disk was full and the spare room is in use.
+
+    The spare file is written, not only lengthened, or the room would not be taken. Raises OSError where there
+    is no room for it, and later where the spare room is used up too.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._spare = path.with_name(f"{path.name}.spare")
+        self.filled = False
+        try:
+            self._spare.write_bytes(bytes(SPARE_BYTES))
+            super().__init__(path, "w")
+        except BaseException:
+            self.free()
+            raise
+
+    def write(self, data: Any, /) -> int:
+        """Write, on a full disk into the spare room."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT) or self.filled:
+                raise
+        self.filled = True
+        self.free()
+        return super().write(data)
+
+    def free(self) -> None:
+        """Give the spare room back, so that the disk has it for what is written beside the file."""
+        with contextlib.suppress(OSError):
+            self._spare.unlink()

@@ -90,6 +90,11 @@ class LiveRecording:
         self._latest_events: dict[type, Event] = {}
         self._until = -math.inf
 
+    @property
+    def filled(self) -> bool:
+        """Whether the disk is full: what was taken can still be completed, but no more."""
+        return self._writer is not None and self._writer.filled
+
     def take(self, block: dict[str, Any]) -> None:
         """Take a block as the socket's Record sends it. Raises TraceError where it cannot be written."""
         if block.get("claims"):
@@ -158,7 +163,7 @@ class LiveRecording:
         """Begin a file at t (s); what events said last holds there too."""
         path = self._parts.next_path()
         self._part = Part(path, t)
-        writer = TraceWriter(path, gyroscope=gyroscope, temperature=True, claims=self._claims)
+        writer = TraceWriter(path, gyroscope=gyroscope, temperature=True, claims=self._claims, sparing=True)
         self._writer = self._context.enter_context(writer)
         repeated = [msgspec.structs.replace(e, t=t) for e in self._latest_events.values() if e.t < t]
         self._events = [*repeated, *(e for e in self._events if e.t >= t)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -114,3 +116,44 @@ def test_split_writing_is_whole_writing(tmp_path: Path) -> None:
                 writer.write(part)
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     assert len(read_all(tmp_path / "a.csv").accelerometer) == 100
+
+
+ON_A_FULL_DISK = """
+import sys
+import subprocess
+import sys
+from pathlib import Path
+import numpy as np
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.formats.trace import read_all
+from stillcal.replay.formats.writer import TraceWriter
+folder, rows = Path(sys.argv[1]), 0
+for name in ("r.csv", "r.csv.gz"):
+    with TraceWriter(folder / name, gyroscope=False, sparing=True) as writer:
+        for second in range(100):
+            if second == 3:
+                with (folder / "others").open("wb", buffering=0) as others:
+                    try:
+                        while others.write(bytes(4096)): pass
+                    except OSError: pass
+            t = second + np.arange(100) / 100
+            xyz = np.random.default_rng(second).normal(5.6, 0.1, (100, 3))
+            writer.write(Samples.checked(Sensor.ACCELEROMETER, t, xyz))
+            if writer.filled: break
+    assert writer.filled and len(read_all(folder / name).accelerometer) == 100 * (second + 1)
+    (folder / "others").unlink()
+assert {p.name for p in folder.iterdir()} == {"r.csv", "r.csv.gz"}
+print("whole")
+"""
+
+
+def test_a_recording_is_completed_on_a_disk_that_others_fill(tmp_path: Path) -> None:
+    inside = ["unshare", "--user", "--map-root-user", "--mount"]
+    if subprocess.run([*inside, "true"], check=False, capture_output=True).returncode:
+        pytest.skip("no mount namespaces here")
+    mount = f"mount -t tmpfs -o size=3m none {tmp_path}"
+    run = f"{sys.executable} -c '{ON_A_FULL_DISK}' {tmp_path}"
+    ran = subprocess.run(
+        [*inside, "sh", "-c", f"{mount} && {run}"], capture_output=True, text=True, check=False
+    )
+    assert ran.stdout == "whole\n", ran.stderr
