@@ -63,9 +63,9 @@ def record_command(  # noqa: PLR0917 - click hands every option over by name
     """Record the raw samples and events of the phone that a running daemon serves, as stillcal's CSV.
 
     OUT is NAME.csv or NAME.csv.gz. The phone's sensors stay on meanwhile. Ctrl-C ends the recording and
-    leaves a whole file. It also ends, whole, before the disk is full and when the daemon stops. What a kill or
-    a power cut leaves is in .NAME.csv.gz.PID.part, for zcat. Exit codes: 1 the daemon refuses (only root and
-    its own user may record), 3 no sample came, 4 no daemon, or it stopped.
+    leaves a whole file. It also ends, whole, before the disk is full and when the daemon stops. What a kill
+    or a power cut leaves is in .NAME.csv.gz.PID.part, for zcat. Exit codes: 1 the daemon refuses (only root
+    and its own user may record), 3 no sample came, 4 no daemon, or it stopped.
     """
     _refuse_existing(out)
     where, stop = answering_path(path), _Stop(hours)

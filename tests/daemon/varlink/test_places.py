@@ -7,6 +7,7 @@ import json
 import signal
 import socket
 import subprocess
+import threading
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,24 @@ def test_a_listener_that_leaves_before_it_is_heard_leaves_nothing_behind(folder:
             await until(lambda: len(service.subscribers) == 0)
 
     within_reason(test())
+
+
+def test_who_leaves_while_its_answer_is_computed_gives_its_place_back_at_once(folder: Path) -> None:
+    async def test() -> None:
+        async with answering(folder, "[socket]\nconnections = 2\n") as service:
+            over = threading.Event()
+            busy = asyncio.ensure_future(service.engine_thread._run(over.wait))
+            for _ in range(2):
+                reader, writer = await connected(folder)
+                writer.write(json.dumps({"method": f"{NAME}.Calibrate"}).encode() + b"\0")
+                await asyncio.sleep(0.05)  # it is asked, and waits for the engine's thread
+                writer.close()
+            assert "parameters" in await ask(await connected(folder), "GetStatus")
+            assert not busy.done()
+            over.set()
+            await busy
+
+    within_reason(test(), 5.0)
 
 
 def test_as_many_listeners_as_there_are_places_keep_nobody_out(folder: Path) -> None:
