@@ -66,7 +66,7 @@ def test_who_leaves_while_its_answer_is_computed_gives_its_place_back_at_once(fo
             over = threading.Event()
             busy = asyncio.ensure_future(service.engine_thread._run(over.wait))
             for _ in range(2):
-                reader, writer = await connected(folder)
+                _, writer = await connected(folder)
                 writer.write(json.dumps({"method": f"{NAME}.Calibrate"}).encode() + b"\0")
                 await asyncio.sleep(0.05)  # it is asked, and waits for the engine's thread
                 writer.close()
