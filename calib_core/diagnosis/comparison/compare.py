@@ -63,6 +63,9 @@ AXIS_SIGMA = 2.6
 CROSSING_SPREAD_K = 10.0
 """K: how far from a recording's mean temperature the one lies at which a sensor was trimmed."""
 
+FARTHEST = 2.6
+"""Standard deviations of that temperature beyond which it is none (two-sided 1 %)."""
+
 GYROSCOPE_ONLY = ("gyro_bias", "gyro_scale", "gyro_slow_noise")
 
 
@@ -149,7 +152,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     unlogged = not_logged.not_logged(exams, had, names)
     reference = _mean_temperature(recorded.bins, simulated.bins)
     sides = [_quantities(exam, wanted, reference) for exam in exams]
-    crossing = _crossing_temperatures(sides, reference)
+    crossing = crossing_temperatures(sides, reference)
     if crossing:
         sides = [
             side | linear_quantities(e, wanted, reference | crossing)
@@ -266,13 +269,14 @@ def _union(one: Sequence[Wanted], other: Sequence[Wanted]) -> list[Wanted]:
     return list(out.values())
 
 
-def _crossing_temperatures(
+def crossing_temperatures(
     sides: Sequence[Mapping[Key, Quantity]], reference: Mapping[str, float]
 ) -> dict[str, float]:
     """Return, by sensor, the degC at which the biases of both agree best, where their slopes differ.
 
     A slope that is missing has a temperature at which it adds nothing. At any other one the bias would seem
     to differ too. It is the least squares crossing of the two lines of bias, with a prior about the mean.
+    Biases that meet beyond `FARTHEST` standard deviations of it differ anyway, and are stated at the mean.
     """
     out = {}
     for sensor, mean in reference.items():
@@ -285,7 +289,9 @@ def _crossing_temperatures(
             continue
         weight = np.linalg.inv(bias.covariance + np.diag(bias.recorded.tolerance**2))
         pull = float(line @ weight @ bias.value)
-        out[sensor] = mean - pull / (float(line @ weight @ line) + CROSSING_SPREAD_K**-2.0)
+        away = -pull / (float(line @ weight @ line) + CROSSING_SPREAD_K**-2.0)
+        if abs(away) <= FARTHEST * CROSSING_SPREAD_K:
+            out[sensor] = mean + away
     return out
 
 

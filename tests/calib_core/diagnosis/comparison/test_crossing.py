@@ -1,0 +1,34 @@
+"""The temperature at which biases are compared where the slopes of two recordings differ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.compare import crossing_temperatures
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+
+SLOPE = np.array([2e-3, -1e-3, 1e-3])
+
+
+def side(bias: Array, slope: Array) -> dict[tuple[str, str], Quantity]:
+    """Return an accelerometer's bias, m/s^2, at 24 degC and its slope, m/s^2/K."""
+
+    def quantity(name: str, value: Array, error: float, size: float) -> Quantity:
+        part = (Part(name, "m/s^2", 3),)
+        each = (np.full(3, size), np.full(3, 1e-9), np.arange(3))
+        return Quantity(f"accel_bias{name}", "accel", part, value, error**2 * np.eye(3), *each)
+
+    parts = (quantity("", bias, 1e-3, 0.5), quantity("_temperature", slope, 2e-5, 0.02))
+    return {(q.effect, "accel"): q for q in parts}
+
+
+@pytest.mark.parametrize(("warmer", "at"), [(8.0, 32.0), (-8.0, 16.0), (120.0, None)])
+def test_biases_are_compared_where_they_meet_if_a_phone_is_ever_as_warm(
+    warmer: float, at: float | None
+) -> None:
+    """A bias that differs for another reason was stated at 148 degC, where its sign was the opposite one."""
+    sides = [side(np.zeros(3), SLOPE), side(SLOPE * warmer, np.zeros(3))]
+    found = crossing_temperatures(sides, {"accel": 24.0})
+    assert found == ({} if at is None else {"accel": pytest.approx(at, abs=0.5)})
