@@ -8,6 +8,7 @@ holds what only a replay needs.
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from importlib.util import find_spec
@@ -60,6 +61,8 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; turn every expected error into one line on standard error."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a terminal without the letters of a phone's name
     if sys.argv[1:2] == ["run"]:
         _without_openssl()
     try:

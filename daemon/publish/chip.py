@@ -19,7 +19,7 @@ from stillcal.calib_core.calibration.terms import bias_terms
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.subscribers import CalibrationSubscribers
 from stillcal.daemon.sources.base import Source
-from stillcal.daemon.sources.chip_correction import ChipError, put_back
+from stillcal.daemon.sources.chip_correction import put_back
 from stillcal.daemon.sources.iio import IioSource
 from stillcal.daemon.system.log import say
 
@@ -70,7 +70,7 @@ def _written(source: Source, record: CalibrationRecord | None, memory: Path) -> 
                 bias = model.bias + _by_temperature(record, sensor, source.celsius)
                 if source.correct_chip(sensor, bias, model.scale, memory):
                     say("info", "chip", f"corrects the {sensor} itself", calibration=record.id)
-    except ChipError as error:
+    except ValueError as error:  # also of a file that holds no number
         return str(error)
     except OSError as error:
         return f"{error.filename or source.device}: {error.strerror or error}: let the daemon's user write it"

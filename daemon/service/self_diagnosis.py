@@ -29,6 +29,23 @@ _MIB = 2**20
 _PROGRAM = "from stillcal.daemon.cli.entry import main; main()"
 
 
+class _Finding(msgspec.Struct):
+    """What is read of a finding; the rest is kept as it came."""
+
+    effect: str
+    sensor: str
+    axes: list[str]
+    statement: str
+    probability: float | None
+
+
+class _Answer(msgspec.Struct):
+    """What is read of `diagnose --json`."""
+
+    verdict: str
+    findings: list[_Finding]
+
+
 @dataclass(frozen=True, slots=True)
 class NightReport:
     """The newest self-diagnosis. at: s of engine time, when it was tried; None before the first.
@@ -140,7 +157,11 @@ async def _answer(state: Path, settings: DiagnosisSettings, usage: _Usage) -> di
             await ended
     if child.returncode:
         raise DiagnosisError(_last_line(complaint) or f"its process ended with {child.returncode}")
-    answer: dict[str, Any] = msgspec.json.decode(output)
+    try:
+        msgspec.json.decode(output, type=_Answer)
+        answer: dict[str, Any] = msgspec.json.decode(output)
+    except msgspec.MsgspecError as error:  # another version was installed while this one runs
+        raise DiagnosisError(f"its answer makes no sense here: {error}") from error
     return answer
 
 

@@ -165,6 +165,14 @@ def _answer(listener: socket.socket, text: bytes) -> None:
         line.sendall(text)
 
 
+def test_a_terminal_without_a_letter_shows_its_number(path: Path) -> None:
+    command = [sys.executable, "-c", "from stillcal.daemon.cli.entry import main; main()"]
+    environ = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    words = [*command, "store", "history", str(path)]
+    ran = subprocess.run(words, capture_output=True, text=True, env=environ, check=False)
+    assert ran.returncode == 0 and "m/s\\xb2" in ran.stdout
+
+
 # Repairing
 
 

@@ -19,7 +19,7 @@ from stillcal.daemon import app
 from stillcal.daemon.cli.main import cli
 from stillcal.daemon.cli.watch import sentences
 from stillcal.daemon.cli.watch.snapshot import snapshot
-from stillcal.daemon.service import saved_state
+from stillcal.daemon.service import saved_state, self_diagnosis
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.service.self_diagnosis import Night, NightReport
 from stillcal.daemon.settings import DiagnosisSettings
@@ -105,6 +105,15 @@ def test_it_is_ended_where_it_takes_more_than_its_budget(
     answers = night(folder, lab, monkeypatch, budget)
     assert trouble in answers["found"]["trouble"] and answers["found"]["findings"] == []
     assert trouble in answers["watched"]
+
+
+@pytest.mark.parametrize("answer", ["", "{}", "[]", '{"verdict": "match", "findings": [{"effect": 1}]}'])
+def test_an_answer_of_another_version_is_a_trouble_and_ends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: str
+) -> None:
+    monkeypatch.setattr(self_diagnosis, "_PROGRAM", f"print({answer!r})")
+    report = asyncio.run(self_diagnosis.diagnose(tmp_path / "store.state", DiagnosisSettings(), 5.0, 40))
+    assert "makes no sense" in report.trouble and report.read() == []
 
 
 def test_the_rests_of_a_state_are_read_as_a_table_of_rests(tmp_path: Path) -> None:
