@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.kept_samples import chosen, of_samples
 from stillcal.calib_core.diagnosis.segments.overview import Overview, OverviewBuilder
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.system.memory import release_free_pages
 from stillcal.replay.formats.trace import Event, Recording, Trace, whole
 
 Flags = NDArray[np.bool_]
@@ -133,9 +135,12 @@ def read_condensed(trace: Trace, path: Path, progress: Callable[[float], None] |
             progress(trace.bytes_read / max(trace.size_bytes, 1))
     none = Samples.empty(Sensor.ACCELEROMETER)
     gyroscope = Samples.empty(Sensor.GYROSCOPE) if trace.has_gyroscope else None
-    return condenser.recording(
-        Recording(none, gyroscope, events, trace.claims, trace.notes, trace.name_of(path))
-    )
+    about = Recording(none, gyroscope, events, trace.claims, trace.notes, trace.name_of(path))
+    recording = condenser.recording(about)
+    if (arrow := sys.modules.get("pyarrow")) is not None:  # keeps what its reader has freed for the next one
+        arrow.default_memory_pool().release_unused()
+    release_free_pages()
+    return recording
 
 
 def condensed(recording: Recording) -> Recording:

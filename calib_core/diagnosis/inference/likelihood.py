@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -90,8 +91,10 @@ def reduce_view(
     blocks, groups = len(view.y), _grouped(columns)
     few = stacked(view, design[:, :, :0], extra)
     volume = blocks * float(np.log(view.variance).sum())
+    ends = np.cumsum([0, *(len(family.diagonals) for family in made)])
+    grams = [np.empty((ends[-1], *own.shape, own.shape[1])) for _, own in groups]
     parts = []
-    for family in made:
+    for family, (start, end) in zip(made, pairwise(ends), strict=True):
         root = 1.0 / np.sqrt(family.diagonals)
         y, taken, determinant = _freed(
             (family.rotation @ few) * root[:, None, :, None], view.baseline.shape[2]
@@ -101,17 +104,12 @@ def reduce_view(
         flat = turned.reshape(-1, design.shape[2])
         lost = (taken * roots[:, None, :]) @ flat
         log_det = blocks * np.log(family.diagonals).sum(axis=1) + volume
+        for (_, own), gram in zip(groups, grams, strict=True):
+            _fill(gram[start:end], turned, 1.0 / family.diagonals, lost, own)
         prior = np.log(family.weight)
-        parts.append(
-            (
-                prior,
-                prior - 0.5 * (log_det + determinant),
-                np.einsum("gn,gn->g", y, y),
-                (y * roots) @ flat,
-                *_grams(turned, 1.0 / family.diagonals, lost, groups),
-            )
-        )
-    prior, constant, yy, xy, *grams = (np.concatenate(each) for each in zip(*parts, strict=True))
+        constant = prior - 0.5 * (log_det + determinant)
+        parts.append((prior, constant, np.einsum("gn,gn->g", y, y), (y * roots) @ flat))
+    prior, constant, yy, xy = (np.concatenate(each) for each in zip(*parts, strict=True))
     baseline = view.parameters + (0 if extra is None else extra.shape[2])
     names = tuple(f.name for f in made for _ in f.strengths)
     return Reduced(
@@ -158,39 +156,31 @@ def _grouped(columns: list[Array]) -> list[tuple[list[int], Array]]:
     return [(rows, np.array([columns[i] for i in rows])) for rows in widths.values()]
 
 
-def _grams(turned: Array, weight: Array, lost: Array, groups: list[tuple[list[int], Array]]) -> list[Array]:
-    """Return the inner products (S, r, k, k) of each group's hypotheses' columns.
+def _fill(gram: Array, turned: Array, weight: Array, lost: Array, columns: Array) -> None:
+    """Write the inner products of the columns (r, k) of r hypotheses into gram (S, r, k, k).
 
     turned: (b, n, M) all columns in axes where the S shapes are diagonal, weight: (S, n) their inverse
     variances there. lost: (S, c, M) what of the columns lies along the c directions that are projected out.
     The products of columns are the same under all shapes, so one matrix product weighs them for all.
     """
-    out = []
-    for rows, columns in groups:
-        k = columns.shape[1]
-        i, j = np.triu_indices(k)
-        part = turned[:, :, columns]
-        pairs = (part[..., i] * part[..., j]).sum(axis=0)
-        whole = (weight @ pairs.reshape(weight.shape[1], -1)).reshape(len(weight), len(rows), i.size)
-        made = np.empty((len(weight), len(rows), k, k))
-        made[..., i, j] = whole
-        made[..., j, i] = whole
-        away = lost[:, :, columns].transpose(0, 2, 3, 1)
-        least = ROUNDING * np.einsum("...ii->...i", made)
-        made -= away @ np.swapaxes(away, -1, -2)
-        d = np.arange(k)
-        made[..., d, d] = np.maximum(made[..., d, d], least)
-        out.append(made)
-    return out
+    k = columns.shape[1]
+    i, j = np.triu_indices(k)
+    part = turned[:, :, columns]
+    pairs = (part[..., i] * part[..., j]).sum(axis=0)
+    whole = (weight @ pairs.reshape(weight.shape[1], -1)).reshape(len(weight), len(columns), i.size)
+    gram[..., i, j] = whole
+    gram[..., j, i] = whole
+    away = lost[:, :, columns].transpose(0, 2, 3, 1)
+    least = ROUNDING * np.einsum("...ii->...i", gram)
+    gram -= away @ np.swapaxes(away, -1, -2)
+    d = np.arange(k)
+    gram[..., d, d] = np.maximum(gram[..., d, d], least)
 
 
 def _apart(groups: list[tuple[list[int], Array]], grams: list[Array]) -> list[Array]:
-    """Return the inner products (G, k, k) of each hypothesis under every shape."""
-    out: list[Array] = [np.empty(0)] * sum(len(rows) for rows, _ in groups)
-    for (rows, _), made in zip(groups, grams, strict=True):
-        for j, i in enumerate(rows):
-            out[i] = np.ascontiguousarray(made[:, j])
-    return out
+    """Return the inner products (G, k, k) of each hypothesis under every shape, in place."""
+    of = {i: gram[:, j] for (rows, _), gram in zip(groups, grams, strict=True) for j, i in enumerate(rows)}
+    return [of[i] for i in range(len(of))]
 
 
 def stacked(view: View, design: Array, extra: Array | None) -> Array:
