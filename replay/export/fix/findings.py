@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ Finding = Mapping[str, Any]
 
 AXES = "xyz"
 SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
+POWERS = ("slope", "quadratic", "cubic")
+"""Parameters of a bias that is a polynomial in temperature."""
+
 ORDER = ("sample_rate", "accel_scale", "gyro_scale")
 """Applied first: a noise per sample depends on the rate, and a bias is added to what is scaled."""
 
@@ -119,9 +123,31 @@ def common_ratio(finding: Finding, name: str) -> float:
     return float(np.sqrt(np.sum(np.square(one)) / np.sum(np.square(other))))
 
 
+def powers_of(finding: Finding) -> list[str]:
+    """Return the powers of temperature that a finding has, the lowest first."""
+    return [
+        n for n in POWERS if any(n in finding[side] for side in ("difference", "parameters", "simulated"))
+    ]
+
+
+def restated(finding: Finding, warmer: float) -> Finding:
+    """Return a polynomial in temperature with its differences about a temperature that is `warmer` K higher.
+
+    About T + w a sum of c_p x^p has the coefficients sum over p of binomial(p, q) w^(p - q) c_p.
+    """
+    powers = powers_of(finding)
+    given = [difference(finding, name) for name in powers]
+    moved = {
+        name: sum(comb(p, q) * warmer ** (p - q) * c for p, c in enumerate(given, start=1) if p >= q)
+        for q, name in enumerate(powers, start=1)
+    }
+    values = {name: {"value": np.asarray(c).tolist()} for name, c in moved.items()}
+    return {**finding, "difference": {**finding["difference"], **values}}
+
+
 def refuse_bends(finding: Finding) -> None:
     """Raise CannotHold where a bias curves with temperature, after its slope has been put in."""
-    bends = [name for name in ("quadratic", "cubic") if name in finding["parameters"]]
+    bends = [name for name in POWERS[1:] if name in finding["parameters"]]
     if bends:
         raise CannotHold(f"its slope is put in, but there is no setting for {' and '.join(bends)}")
 

@@ -17,6 +17,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.replay.export.fix.findings import (
+    POWERS,
     CannotHold,
     Finding,
     Fixed,
@@ -25,10 +26,11 @@ from stillcal.replay.export.fix.findings import (
     gain_after,
     level,
     note_change,
+    powers_of,
     ratio,
     recorded,
     reference_c,
-    refuse_bends,
+    restated,
     rounded,
     to_add,
 )
@@ -56,13 +58,13 @@ class _Phone:
         self._add_bias(finding, to_add(finding, "bias", np.asarray(self._sensor(finding).bias)))
 
     def bias_temperature(self, finding: Finding) -> None:
-        delta, at = (
-            self._effect(finding, {"slope": difference(finding, "slope")})["slope"],
-            reference_c(finding),
-        )
+        """Put in a polynomial about the phone's own reference; the bias stays as it is at the finding's."""
+        own, at = self.phone.heat.reference_c, reference_c(finding)
+        about = finding if at is None else restated(finding, own - at)
+        added = self._effect(about, {name: difference(about, name) for name in powers_of(about)})
         if at is not None:
-            self._add_bias(finding, delta * (self.phone.heat.reference_c - at))
-        refuse_bends(finding)
+            gone = sum((d * (at - own) ** (POWERS.index(name) + 1) for name, d in added.items()), np.zeros(3))
+            self._add_bias(finding, -gone)
 
     def scale(self, finding: Finding) -> None:
         self._set_gain(finding, gain_after(finding, np.asarray(self._sensor(finding).scale)))

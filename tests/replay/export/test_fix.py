@@ -95,6 +95,31 @@ def test_a_phone_file_keeps_its_comments_and_takes_every_effect_but_the_unknown(
     np.testing.assert_allclose(phone.gyro.scale, np.diag([1.0 / 0.98, 1.0, 1.0 / 1.01]), rtol=1e-9)
 
 
+@pytest.mark.parametrize("relation", ["lacking", "superfluous"])
+def test_a_curve_in_temperature_is_put_into_a_phone_about_its_own_reference(relation: str) -> None:
+    """It was refused for want of a setting, which the file has. Bias and curve together count at 35 degC."""
+    curve = {"slope": [2e-4, 0.0, -1e-4], "quadratic": [1e-6, 0.0, 2e-6], "cubic": [0.0, 0.0, 3e-8]}
+    text = "[heat]\nreference_c = 25.0\n\n[gyro]\nbias = [0.001, 0.002, 0.003]\n"
+    lacking = {k: (v, [0.0] * 3) for k, v in curve.items()}
+    put = finding("gyro_bias_temperature", "gyro", lacking, "lacking", reference={"temperature_c": 35.0})
+    made = fixed("phone", text, put)
+    if relation == "superfluous":
+        own = {k: ([0.0] * 3, v) for k, v in curve.items()}
+        gone = finding(put["effect"], "gyro", own, relation, reference=put["reference"])
+        made = fixed("phone", made.text, gone)
+    assert made.not_held == []
+    phone = msgspec.convert(tomllib.loads(made.text), type=Phone)
+    assert phone.gyro is not None
+    for at in (10.0, 35.0, 50.0):
+        bias = np.array(phone.gyro.bias)
+        for effect in phone.effects:
+            for p, name in enumerate(curve, start=1):
+                bias += np.array(getattr(effect, name)) * (at - 25.0) ** p
+        put_in = sum(np.array(c) * (at - 35.0) ** p for p, c in enumerate(curve.values(), start=1))
+        wanted = np.array([0.001, 0.002, 0.003]) + (put_in if relation == "lacking" else 0.0)
+        np.testing.assert_allclose(bias, wanted, atol=1e-8)
+
+
 def test_a_phone_file_that_is_not_plain_is_written_anew_and_says_so() -> None:
     made = fixed("phone", "gyro = {bias = [0.001, 0.0, 0.0]}  # mine\n", BIAS)
     phone = msgspec.convert(tomllib.loads(made.text), type=Phone)
