@@ -39,6 +39,9 @@ MOST_WIDE = 0.35
 SPIKE, RARE = 8.0, 2e-3
 """Far samples are spikes, no noise, above this ratio if fewer than this part (more at a larger ratio)."""
 LEAST_SPIKES = 5
+UNLIKE_NOISE = 4.0
+"""Standard deviations by which far samples must be on one side, or rise from one size to the next."""
+
 QUIETEST = 0.1
 """Part of the pieces whose spread is the sensor's own, where others are shaken."""
 
@@ -148,7 +151,27 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
     seen = Seen(gain, _left_out([z[:, axes] for z in scaled]), best.unusual)
     if fit.ratio.value > SPIKE and share < RARE * fit.ratio.value / SPIKE:
         return _spikes(sensor, axes, everything, where, seen)
+    if (odd := unlike_noise(everything[:, axes])) != "":
+        say = f"{share:.1%} of the {NAME[sensor]}'s samples at rest are outliers, {odd}: they are no noise."
+        return direct_finding("unknown", sensor, axes, where, parameters, statement=say, seen=seen)
     return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
+
+
+def unlike_noise(z: Array) -> str:
+    """Say what far samples do that noise does not: most are on one side, or more are farther; "" for neither.
+
+    z: (n, k) in spreads. Whatever the law of noise, its density falls from the middle outwards.
+    """
+    far = z[np.abs(z) > FAR]
+    sided = abs(float(np.sign(far).sum()))
+    if sided > UNLIKE_NOISE * np.sqrt(far.size):
+        return f"{0.5 + 0.5 * sided / far.size:.0%} of them to one side"
+    count = np.bincount((np.abs(far) - FAR).astype(np.int64), minlength=2).astype(np.float64)
+    rise = np.diff(count) / np.sqrt(np.maximum(count[1:] + count[:-1], 1.0))
+    if rise.max() > UNLIKE_NOISE:
+        first = int(np.argmax(rise)) + 1
+        return f"many of about {FAR + first + int(np.argmax(count[first:])) + 0.5:.0f} times the noise"
+    return ""
 
 
 def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) -> Finding | None:

@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, residual, spread
+from stillcal.calib_core.diagnosis.sequence.places import Noise
 from stillcal.calib_core.streams.samples import Samples
 
 DRIVER = "own code"
@@ -72,14 +73,14 @@ class Repeats:
     nats: float
 
 
-def by_code(samples: Samples, sensor: str, size: Array | None) -> Finding | None:
+def by_code(samples: Samples, sensor: str, noise: Noise | None) -> Finding | None:
     """Find axes whose values, or whose noise at rest, depend on the code modulo a power of two.
 
-    size: of the noise, as `places.noise_size` has it; None where rests do not show it.
+    noise: at rest; None where rests do not show it.
     """
     if len(samples) < LEAST_SAMPLES:
         return None
-    found = {a: r for a in range(3) if (r := _of_axis(samples.xyz[:, a], size)) is not None}
+    found = {a: r for a in range(3) if (r := _of_axis(samples.xyz[:, a], noise)) is not None}
     if not found:
         return None
     best = max(found.values(), key=lambda r: r.nats)
@@ -95,13 +96,13 @@ def by_code(samples: Samples, sensor: str, size: Array | None) -> Finding | None
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
 
 
-def _of_axis(values: Array, size: Array | None) -> Repeats | None:
+def _of_axis(values: Array, noise: Noise | None) -> Repeats | None:
     code = codes(values)
     if code is None or float(spread(residual(code.astype(np.float64)[:, None]))[0]) < LEAST_NOISE:
         return None
     tried = [clearest(code, np.ones(code.size), "share of values"), lattice(code)]
-    if size is not None:
-        tried.append(clearest(code[REACH:-REACH], size, "noise at rest"))
+    if noise is not None:
+        tried.append(clearest(code[REACH:-REACH], noise.size, "noise at rest"))
     return max((r for r in tried if r is not None), key=lambda r: r.nats, default=None)
 
 

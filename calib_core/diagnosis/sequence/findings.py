@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.codes import DRIVER as OWN_CODE
 from stillcal.calib_core.diagnosis.sequence.codes import by_code
 from stillcal.calib_core.diagnosis.sequence.order import wrong_order
-from stillcal.calib_core.diagnosis.sequence.places import by_count, noise_size
+from stillcal.calib_core.diagnosis.sequence.places import Noise, by_count
 from stillcal.calib_core.diagnosis.sequence.recurrence import STALE, delivered_again, stale_axes
 from stillcal.calib_core.streams.samples import Samples
 
@@ -31,13 +31,13 @@ def sequence_findings(samples: Samples, sensor: str, bins: Bins) -> list[Finding
     if len(samples) < LEAST_SAMPLES:
         return []
     still = still_rows(samples.t, bins)
-    size = noise_size(samples.xyz, still)
+    noise = Noise.of(samples.xyz, still)
     found = [
         delivered_again(samples, sensor, still),
         wrong_order(samples, sensor),
         stale_axes(samples, sensor),
-        by_code(samples, sensor, size),
-        None if size is None else by_count(samples, sensor, size),
+        by_code(samples, sensor, noise),
+        None if noise is None else by_count(samples, sensor, noise),
     ]
     return [f for f in found if f is not None]
 

@@ -7,6 +7,9 @@ held against the spectrum about them, which is the null: periods of this recordi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,37 +47,53 @@ MOST_HELD = 0.01
 residuals are as regular as these are."""
 
 
-def by_count(samples: Samples, sensor: str, size: Array) -> Finding | None:
-    """Find noise at rest whose size follows the count of the samples. size: as `noise_size` has it."""
-    line = lines(size)
-    period, batched = batch(line)
-    beat, single = _beat(line)
-    nats, say = max(
-        (batched, f"at one place of every {period:.0f} samples"), (single, f"every {1.0 / beat:.4g} samples")
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """What neighbours leave of each sample at rest, nothing where the phone moved.
+
+    size: (m,) of all axes, free of lines, less its mean; signed: (m, 3), in spreads, held at `FARTHEST`.
+    """
+
+    size: Array
+    signed: Array
+
+    @classmethod
+    def of(cls, xyz: Array, still: NDArray[np.bool_]) -> Noise | None:
+        """Return the noise of values (n, 3), m = n - 4 of them; None where rests do not show it."""
+        rest = still[REACH:-REACH]
+        if rest.sum() < LEAST_SAMPLES:
+            return None
+        held = (np.diff(xyz, axis=0)[still[1:]] == 0.0).all(axis=1)
+        left = residual(xyz)
+        unit = spread(left[rest])
+        if held.mean() > MOST_HELD or (unit <= LEAST_SPREAD).any():
+            return None
+        left = np.where(rest[:, None], left / unit, 0.0)
+        size = np.minimum(np.abs(without_lines(left)), FARTHEST).mean(axis=1)
+        return cls(np.where(rest, size - size[rest].mean(), 0.0), np.clip(left, -FARTHEST, FARTHEST))
+
+
+def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
+    """Find noise at rest that follows the count of the samples, by its size or by its values."""
+    size = lines(noise.size)
+    period, batched = batch([size])
+    beat, single = _beat(size)
+    other, offset = batch([lines(axis) for axis in noise.signed.T], tones=True)
+    nats, length, say = max(
+        (
+            batched,
+            float(period),
+            f"size of the {NAME[sensor]}'s noise at rest is another at one place of every",
+        ),
+        (single, 1.0 / beat, f"size of the {NAME[sensor]}'s noise at rest goes up and down in every"),
+        (offset, float(other), f"{NAME[sensor]}'s mean at rest is another at some places of every"),
     )
-    length = float(period) if batched >= single else 1.0 / beat
-    told = f"The size of the {NAME[sensor]}'s noise at rest changes {say}, as no motion does."
+    told = f"The {say} {length:.4g} samples, as no motion makes it."
     half = 0.5 * len(samples) / max(float(samples.t[-1] - samples.t[0]), 1e-9)
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, half), DRIVER)
-    sizes = sized({"period_samples": (length, "samples"), "depth": (depth(size, length), "1")})
-    return direct_finding(
-        "unknown", sensor, [0, 1, 2], where, sizes, statement=told, seen=Seen(nats - float(np.log(2.0)))
-    )
-
-
-def noise_size(xyz: Array, still: NDArray[np.bool_]) -> Array | None:
-    """Return the size (m,) of the noise of each sample, less its mean, nothing where the phone moved."""
-    rest = still[REACH:-REACH]
-    if rest.sum() < LEAST_SAMPLES:
-        return None
-    held = (np.diff(xyz, axis=0)[still[1:]] == 0.0).all(axis=1)
-    left = residual(xyz)
-    unit = spread(left[rest])
-    if held.mean() > MOST_HELD or (unit <= LEAST_SPREAD).any():
-        return None
-    left = without_lines(np.where(rest[:, None], left, 0.0))
-    size = np.minimum(np.abs(left) / unit, FARTHEST).mean(axis=1)
-    return np.asarray(np.where(rest, size - size[rest].mean(), 0.0))
+    sizes = sized({"period_samples": (length, "samples")})
+    seen = Seen(nats - float(np.log(3.0)))
+    return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=told, seen=seen)
 
 
 def lines(size: Array) -> Array:
@@ -90,16 +109,22 @@ def lines(size: Array) -> Array:
     return np.asarray(INDEPENDENT * np.log1p(power / usual / INDEPENDENT))
 
 
-def batch(line: Array) -> tuple[int, float]:
-    """Return the likeliest size of a batch and nats for it, its overtones taken together (Fisher)."""
+def batch(series: Sequence[Array], *, tones: bool = False) -> tuple[int, float]:
+    """Return the likeliest size of a batch and nats for it, all its overtones taken together (Fisher).
+
+    series: of lines, as `lines` has them. tones: whether a series may have a line by itself, which is no
+    batch: the clearest of each is left out, and two at least must be left.
+    """
     from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
 
-    best, n = (2, 0.0), 2 * (line.size - 1)
+    best, n = (2, 0.0), 2 * (series[0].size - 1)
     for period in range(3, LARGEST + 1):
         at = np.rint(np.arange(1, (period - 1) // 2 + 1) * (n / period)).astype(np.int64)
-        at = at[(at > SLOWEST * n) & (at < line.size - ASIDE)]
-        if at.size:
-            nats = of_chance(float(chi2.logsf(2.0 * line[at].sum(), 2 * at.size)), LARGEST)
+        at = at[(at > SLOWEST * n) & (at < series[0].size - ASIDE)]
+        count = len(series) * (at.size - tones)
+        if at.size > 2 * tones:
+            told = sum(float(line[at].sum()) - tones * float(line[at].max()) for line in series)
+            nats = of_chance(float(chi2.logsf(2.0 * told, 2 * count)), LARGEST)
             best = max(best, (period, nats), key=lambda x: x[1])
     return best
 
@@ -110,9 +135,3 @@ def _beat(line: Array) -> tuple[float, float]:
     first, last = int(SLOWEST * n), line.size - ASIDE
     k = first + int(np.argmax(line[first:last]))
     return k / n, of_chance(-float(line[k]), float(last - first))
-
-
-def depth(size: Array, period: float) -> float:
-    """Return the amplitude of the first overtone of a period, samples, in the size of noise (m,)."""
-    wave = np.exp(-2j * np.pi * np.arange(size.size) / period)
-    return float(2.0 * np.abs((size * wave).sum()) / max(float((size != 0.0).sum()), 1.0))

@@ -109,7 +109,7 @@ def _patterned(found: Finding, grid: Grid) -> Finding | None:
     """Return stamps that are off by the same in every batch; None where each is off by itself."""
     off = np.where(grid.multiples == 1.0, np.clip(np.diff(grid.t) / grid.period - 1.0, -1.0, 1.0), 0.0)
     off = off - off.mean()
-    period, nats = batch(lines(off))
+    period, nats = batch([lines(off)])
     folded = off[: off.size // period * period].reshape(-1, period)
     share = float(folded.mean(axis=0).var() / max(off.var(), 1e-300))
     if share < MOST or nats < DOUBT:

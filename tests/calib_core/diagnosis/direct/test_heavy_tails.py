@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
+from stillcal.calib_core.diagnosis.direct.heavy_tails import tails, unlike_noise
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
@@ -81,3 +81,13 @@ def test_knocks_in_quiet_rests_are_no_tails_where_others_are_shaken(seed: int) -
     for start in rng.choice(49900, 400, replace=False):
         values[start : start + 12] += ring[:, None] * np.array([0.2, 0.7, 1.0])
     assert said(values) is None
+
+
+def test_outliers_of_one_side_or_one_size_are_no_noise() -> None:
+    rng = np.random.default_rng(5)
+    normal = rng.normal(size=(60000, 3))
+    far = rng.random(normal.shape) < 0.003
+    assert unlike_noise(normal) == unlike_noise(np.where(far, 6.0, 1.0) * normal) == ""
+    assert unlike_noise(rng.standard_t(4, size=normal.shape)) == ""
+    assert "one side" in unlike_noise(normal + 8.0 * far * np.abs(rng.normal(size=normal.shape)))
+    assert "times the noise" in unlike_noise(normal + 9.2 * far * rng.choice([-1.0, 1.0], normal.shape))

@@ -126,3 +126,13 @@ def test_a_name_that_fits_is_kept_and_one_that_only_looks_like_it_goes() -> None
 def test_real_phones_on_a_table_are_silent(data_dir: Path) -> None:
     for one in recordings(data_dir / "hhar_still")[::24]:
         assert sequence_findings(one.samples, "accel", cut(one.samples, None)) == []
+
+
+def test_a_value_that_is_off_in_every_batch_is_no_vibration() -> None:
+    codes = turning(6)
+    codes[::20] += 5.0
+    (found,) = said(codes)
+    assert found.where.driver == "count of the samples"
+    assert found.parameters["period_samples"].value == 20.0
+    wave = np.rint(turning(6) + 5.0 * np.sin(2.0 * np.pi * np.arange(18000) / 10.0)[:, None])
+    assert said(wave) == []
