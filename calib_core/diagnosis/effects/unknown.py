@@ -37,6 +37,9 @@ LENGTHS = (0.2, 0.6, np.inf)
 """Correlation lengths, as parts of the driver's range; the last leaves a straight line."""
 
 STRETCH_CUTS = 14
+OF_JUMPS = (curves.pulses, curves.switches)
+"""Dictionaries whose courses are several jumps."""
+
 GAIN = Linear("gain", "1", 3, 0.02)
 SLOPE = Linear("slope", "1/K", 3, 1e-3)
 SAY = "Unknown effect on the {what} of {{axes}}; it follows {follows}."
@@ -70,6 +73,7 @@ class UnknownCurve(Unknown):
     ) -> None:
         super().__init__(sensor, follows, Linear("amplitude", UNIT[sensor], 3 * width, SIZE[sensor]))
         self.many = many
+        self.several_of = f"{sensor}_bias_step" if many in OF_JUMPS else ""
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return none: the curves are a dictionary."""

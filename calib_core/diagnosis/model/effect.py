@@ -72,9 +72,9 @@ class Effect:
 
     in_turns: whether it shows in turns between rests, not at rest. by_row: its parameters are a matrix, row
     by row of the axis they act on; else the axes in turn. recurs: whether it may be found more than once.
-    prior_penalty: score (log10 of odds) that it must give away. rough: relative standard error that a curve
-    which is only roughly known adds to sizes and time constants. blind: blocks of residuals in which it
-    cannot be told from a true motion.
+    several_of: the name of the effect of which it is several. prior_penalty: score (log10 of odds) that it
+    must give away. rough: relative standard error that a curve which is only roughly known adds to sizes and
+    time constants. blind: blocks of residuals in which it cannot be told from a true motion.
     """
 
     name: str
@@ -91,6 +91,7 @@ class Effect:
     in_turns: bool = False
     by_row: bool = False
     recurs: bool = False
+    several_of: str = ""
     prior_penalty: float = 0.0
     rough: float = 0.0
     blind: tuple[str, ...] = ()

@@ -37,13 +37,12 @@ ACROSS = 13.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
-    """A hypothesis with its fit, score S and gain; profile: (grid point, gain) over its effect's grid."""
+    """A hypothesis with its fit, score S and gain."""
 
     hypothesis: Hypothesis
     fit: Fit
     score: float
     gain: float
-    profile: tuple[tuple[dict[str, float], float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +101,8 @@ def compete(
         one = _judged(reduced, index, h, null, h.multiplicity or grids[id(h.effect)])
         if one is not None:
             scored.setdefault(id(h.effect), []).append(one)
-    return sorted((_best(group) for group in scored.values()), key=lambda s: -s.score), reduced
+    best = (max(group, key=lambda s: s.score) for group in scored.values())
+    return sorted(best, key=lambda s: -s.score), reduced
 
 
 def _judged(
@@ -139,12 +139,6 @@ def _judged(
 def degrees(reduced: Sequence[Reduced], h: int) -> float:
     """Return the degrees of freedom of the views that see hypothesis `h`."""
     return sum(v.dof for v in reduced if v.own(h)[0].trace() > 0.0)
-
-
-def _best(group: list[Scored]) -> Scored:
-    top = max(group, key=lambda s: s.score)
-    profile = tuple((s.hypothesis.grid, s.gain) for s in group)
-    return Scored(top.hypothesis, top.fit, top.score, top.gain, profile)
 
 
 def reduce_scene(
@@ -250,7 +244,9 @@ def _effect(step: Step) -> str:
 
 def _one_of_many(step: Step, steps: Sequence[Step]) -> Step:
     """Take the name off an effect that comes once but was found several times: to and fro is no step."""
-    if _effect(step) == "unknown" or sum(_effect(s) == _effect(step) for s in steps) < 2:
+    name = _effect(step)
+    times = sum(name in (_effect(s), s.winner.hypothesis.effect.several_of) for s in steps)
+    if name == "unknown" or times < 2:
         return step
     hypothesis = step.winner.hypothesis
     return replace(
