@@ -16,7 +16,7 @@ from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, outside
 from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.direct.missing_codes import beside, dead_bits, dead_zone
-from stillcal.calib_core.diagnosis.direct.noise_changes import changing
+from stillcal.calib_core.diagnosis.direct.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, steps
 from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
@@ -299,7 +299,8 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
     samples, sensor = stream.samples, stream.sensor
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, stream.still.rate / 2.0), "noise at rest")
     fine = not stream.steps.blurs_level()
-    other = changing(stream.spectra, stream.levels, sensor, stream.bins) if fine else None
+    at_rest = (stream.spectra, stream.levels, sensor, stream.bins)
+    other = (changing(*at_rest) or by_force(*at_rest)) if fine else None
     wide = (
         tails(stream.still, sensor, sound["excess_kurtosis"], where, stream.steps.largest)
         if stream.steps.dithered()

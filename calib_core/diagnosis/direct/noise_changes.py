@@ -22,11 +22,13 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     Index,
     Seen,
     direct_finding,
+    of_chance,
     of_fit,
     sized,
 )
-from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.gravity import STANDARD
 
 LEAST_PIECES = 5
 LEAST_CHANGE = 0.22
@@ -36,6 +38,12 @@ WHITE = 0.25
 BANDS = 6
 KNOTS = 4
 """Places, evenly spaced in rank, between which the level's course with temperature is straight."""
+
+LEAST_RESTS = 10
+"""Rests whose level by force is looked at: three numbers are fitted."""
+
+LEAST_BY_FORCE = 0.12
+"""Natural logarithm of two levels by which noise must follow the force."""
 
 LEAST_RANGE = 1.0
 """Kelvin that a temperature must go through for noise to follow it."""
@@ -76,6 +84,55 @@ def changing(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
         return None
     best = max(fits, key=lambda fit: fit.seen.log_bayes_factor)
     return _stated(best, measured, sensor, spectrum.rate)
+
+
+def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Finding | None:
+    """Find noise of single axes that follows the force along them, as of a reference that makes it by ratio.
+
+    The level of a rest is the mean of its pieces, a parabola of the force against a constant; what shakes the
+    phone differs from rest to rest, and makes the variance that F's law holds the parabola against.
+    """
+    own = np.maximum(np.searchsorted(bins.t - bins.duration / 2, spectrum.t[:-1] + 1e-6, side="right") - 1, 0)
+    rests, which = np.unique(bins.rest[own], return_inverse=True)
+    if rests.size < LEAST_RESTS:
+        return None
+    count = np.bincount(which)[:, None]
+    level = _summed(which, np.log(measured.pieces)) / count
+    force = _summed(which, bins.force[own]) / count
+    fits = [_of_axis(level[:, a], force[:, a] / STANDARD) for a in range(3)]
+    clear = [a for a in range(3) if fits[a][0] > 0.0 and fits[a][1] >= LEAST_BY_FORCE]
+    if not clear:
+        return None
+    best = max(clear, key=lambda a: fits[a][0])
+    nats, change, held_out = fits[best]
+    ratio = float(np.exp(change))
+    say = (
+        f"The {NAME[sensor]}'s noise follows the force along its own axis: {ratio:.2f} times from the least"
+        f" to the most on {AXES[best]}."
+    )
+    where = Where(float(spectrum.t[0]), float(spectrum.t[-1]), (0.0, spectrum.rate / 2.0), "own force")
+    seen = Seen(nats - float(np.log(3.0)), held_out)
+    return direct_finding(
+        "unknown", sensor, clear, where, sized({"ratio": (ratio, "1")}), statement=say, seen=seen
+    )
+
+
+def _summed(which: Index, values: Array) -> Array:
+    """Return sums of values (n, k) by group (n,)."""
+    return np.stack([np.bincount(which, weights=column) for column in values.T], axis=1)
+
+
+def _of_axis(level: Array, force: Array) -> tuple[float, float, HeldOut]:
+    """Return nats for levels (n,) that follow a force (n,), by how much they change, and rests left out."""
+    from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
+
+    design = np.stack([np.ones(force.size), force, force**2], axis=1)
+    fitted = design @ _least_squares(design, level)
+    without, within = float(((level - level.mean()) ** 2).sum()), float(((level - fitted) ** 2).sum())
+    free = level.size - 3
+    chance = float(f.logsf(0.5 * (without - within) * free / max(within, 1e-300), 2, free))
+    held_out = _left_out(level, Course("own force", design, (0.0, 0.0), 3.0), np.arange(level.size))
+    return of_chance(chance), float(np.ptp(fitted)), held_out
 
 
 def _courses(level: Array, t: Array, bins: Bins, own: Index) -> list[Course]:

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.diagnosis.direct.low_pass import judged, quiet
-from stillcal.calib_core.diagnosis.direct.noise_changes import changing
+from stillcal.calib_core.diagnosis.direct.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.direct.noise_level import levels
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
@@ -27,11 +27,16 @@ def noise(seed: int) -> Array:
     return np.asarray(np.random.default_rng(seed).normal(0.0, 0.005, (T.size, 3)))
 
 
+def forces() -> Array:
+    """Return gravity (n, 3) in thirty rests of 80 s."""
+    up = np.random.default_rng(1).normal(size=(REST.max() + 1, 3))
+    return np.asarray(9.81 * (up / np.linalg.norm(up, axis=1, keepdims=True))[REST])
+
+
 def found(white: Array) -> Finding | None:
-    """Diagnose the accelerometer: thirty rests of 80 s, apart by turns of 3 s, and white noise (n, 3)."""
-    rng = np.random.default_rng(1)
-    up = rng.normal(size=(REST.max() + 1, 3))
-    force = 9.81 * (up / np.linalg.norm(up, axis=1, keepdims=True))[REST]
+    """Diagnose the accelerometer: the rests, apart by turns of 3 s, and white noise (n, 3)."""
+    rng = np.random.default_rng(3)
+    force = forces()
     moved = ((T % 80.0) < 3.0)[:, None]
     force = force + moved * rng.normal(0.0, 2.0, force.shape)
     accel = Samples.checked(Sensor.ACCELEROMETER, T, force + white, WARM, None)
@@ -41,7 +46,8 @@ def found(white: Array) -> Finding | None:
     bins = cut(accel, gyro, PLUGS)
     spectrum = judged(quiet(accel, bins))
     assert spectrum is not None
-    return changing(spectrum, levels(spectrum), "accel", bins)
+    seen = spectrum, levels(spectrum), "accel", bins
+    return changing(*seen) or by_force(*seen)
 
 
 def driver(white: Array) -> str | None:
@@ -93,3 +99,12 @@ def test_rests_that_are_shaken_each_in_its_way_are_no_change_of_the_sensor() -> 
     by_rest = rng.uniform(1.0, 3.0, REST.max() + 1)[REST]
     for when in (WARM > 27.0, ON > 0.5, T > 1300.0):
         assert found(noise(1) * np.where(when, by_rest, 1.0)[:, None]) is None
+
+
+def test_noise_of_a_reference_follows_the_force_on_its_own_axis() -> None:
+    share = np.hypot(1.0, [0.0, 0.0, 1.0] * forces() / 9.81)
+    seen = found(noise(4) * share)
+    assert seen is not None and (seen.effect, seen.where.driver, seen.axes) == ("unknown", "own force", ["z"])
+    assert seen.parameters["ratio"].value == pytest.approx(np.sqrt(2.0), rel=0.1)
+    any_rest = np.random.default_rng(2).uniform(0.7, 1.4, REST.max() + 1)[REST]
+    assert found(noise(4) * any_rest[:, None]) is None
