@@ -19,6 +19,7 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.judged import Judged
 from stillcal.replay.diagnosis.report import tables
 from stillcal.replay.diagnosis.report.pictures import Album, Picture
+from stillcal.replay.diagnosis.report.sides import in_pair
 from stillcal.replay.diagnosis.words.names import (
     BUILT_IN,
     THE_BUILT_IN,
@@ -60,8 +61,8 @@ footer{margin-top:2.5rem;font-size:.85rem;color:#555}
 
 RELATIONS = {
     "lacking": "{} lacks it",
-    "too_small": "it is smaller in {}",
-    "too_large": "it is larger in {}",
+    "too_small": "it differs from that of {}",
+    "too_large": "it differs from that of {}",
     "superfluous": "only {} has it",
 }
 
@@ -121,7 +122,9 @@ def _files(judged: Judged) -> str:
     if judged.simulated is not None:
         rows.append(_file(judged.answer["simulation"], judged.simulated))
     heads = ("file", "length", "accelerometer", "gyroscope", "thermometer", "at rest")
-    text = tables.table(heads, rows)
+    # All of a pair is judged, at rest or not.
+    shown = len(heads) - in_pair(judged.recorded)
+    text = tables.table(heads[:shown], [row[:shown] for row in rows])
     if judged.answer["simulation"] == BUILT_IN:
         text += (
             f"<p>{capital(THE_BUILT_IN)} is an ideal sensor moved as the recording moved: constant bias,"

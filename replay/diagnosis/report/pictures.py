@@ -80,8 +80,11 @@ class Album:
 
     def pictures(self, answered: Mapping[str, Any]) -> list[Picture]:
         """Return the pictures of one finding of the answer."""
-        if answered["effect"] == "accel_gyro_time_offset" or answered["where"]["driver"] == AXES_LATE:
-            return _of_delay(answered, self.turned)
+        # What gravity says of each side's delay is not how one reads later than the other of one motion.
+        between = self.sides[0].paired and len(self.turned) > 1
+        delay = answered["effect"] == "accel_gyro_time_offset" or answered["where"]["driver"] == AXES_LATE
+        if delay:
+            return _of_numbers(answered) if between else _of_delay(answered, self.turned)
         # What only the simulation has is its curve, with the recording beside it.
         first, *others = self.sides[::-1] if answered["relation"] == "superfluous" else self.sides
         curves = first.curves(answered)

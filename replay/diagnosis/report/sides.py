@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -36,7 +36,7 @@ class Side:
     @property
     def paired(self) -> bool:
         """Whether its residuals are those against another sensor of the same motion."""
-        return any(self._pair(scene.sensor) for scene in self.exam.scenes)
+        return in_pair(self.exam)
 
     def curves(self, answered: Mapping[str, Any]) -> list[Curve]:
         """Return what this side shows of a finding of the answer, one curve a named axis.
@@ -60,7 +60,16 @@ class Side:
     def _pair(self, sensor: str) -> tuple[View, ...]:
         """Return a sensor's residuals against another one of the same motion; none where there is none."""
         own = [s.views for s in self.exam.scenes if s.sensor == sensor]
-        return next((views for views in own if all(v.name.startswith(PAIR) for v in views)), ())
+        return next((views for views in own if _of_pair(views)), ())
+
+
+def in_pair(exam: Examination) -> bool:
+    """Whether what was examined are the readings of one sensor less those of another, moved or not."""
+    return any(_of_pair(scene.views) for scene in exam.scenes)
+
+
+def _of_pair(views: Sequence[View]) -> bool:
+    return all(v.name.startswith(PAIR) for v in views)
 
 
 def _alike(one: Finding, other: Finding) -> bool:

@@ -224,7 +224,7 @@ def test_the_page_shows_both_files_and_every_finding() -> None:
     assert "real.csv against sim.csv" in drawn and "Differences found, all identified" in drawn
     assert (
         "is too small in sim.csv" in drawn
-        and "that it is smaller in sim.csv" in drawn
+        and "that it differs from that of sim.csv" in drawn
         and drawn.count("<svg") + drawn.count("svg+xml") >= 1
     )
     assert "25 Hz" in drawn and "http" not in drawn.replace("http://www.w3.org", "")
