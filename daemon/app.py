@@ -51,7 +51,7 @@ from stillcal.daemon.system.files import passing
 from stillcal.daemon.system.log import say
 from stillcal.daemon.system.systemd import Notifier
 from stillcal.daemon.varlink.address import socket_path
-from stillcal.daemon.varlink.server import serving
+from stillcal.daemon.varlink.server import Server, serving
 
 T = TypeVar("T")
 
@@ -117,6 +117,7 @@ class Service:
         self._stop = asyncio.Event()
         self._unsaved = asyncio.Event()
         self._save_now = False
+        self._server: Server | None = None
 
     def open(self) -> None:
         """Lock the store, continue from the saved state, open what is published to.
@@ -205,7 +206,7 @@ class Service:
         """Serve until a signal asks to stop. Raises what ended one of the tasks before that."""
         self._listen_to_signals()
         self.session = self._new_session()
-        async with serving(self, self.settings.socket, self._options.passed):
+        async with serving(self, self.settings.socket, self._options.passed) as self._server:
             jobs = [
                 asyncio.create_task(job)
                 for job in (
@@ -431,6 +432,8 @@ class Service:
             say("warning", "reload", f"{name} has changed: restart the daemon to apply it")
         log.set_level(settings.log.level)
         self.storage.configure(settings.store)
+        if self._server is not None:
+            self._server.settings = settings.socket
         if settings.engine != old.engine:
             await self.engine_thread.change(self._engine_settings(settings))
         if settings.source != old.source:

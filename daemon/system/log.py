@@ -28,7 +28,7 @@ BURST, REFILL_S = 50.0, 10.0
 MOST_WAITING = 1000
 """Lines that wait for whoever reads them."""
 
-FLUSH_S = 0.5
+FLUSH_S = 0.2
 """How long the end of the daemon waits for them, s."""
 
 MAX_KINDS, KIND_CHARACTERS = 200, 60

@@ -38,7 +38,10 @@ RETRY_S = 1.0
 
 
 class Server:
-    """All clients. dropped: number disconnected for stalling, for malformed requests or to make room."""
+    """All clients. settings: their limits, which may be replaced at any time.
+
+    dropped: number disconnected for stalling, for malformed requests or to make room.
+    """
 
     def __init__(self, daemon: Daemon, settings: SocketSettings, clock: Clock = time.monotonic) -> None:
         self.settings, self.clock = settings, clock

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import errno
 import os
@@ -15,7 +16,8 @@ import pytest
 from stillcal.daemon.store.store import Store, StoreError
 from stillcal.replay.serial_phone.link import serve_phone
 from stillcal.replay.trials.faults.calls import failing_call
-from tests.support.living import given_in, running, until, within_reason
+from tests.support.asking import ask, connected
+from tests.support.living import answering, given_in, running, until, within_reason
 
 
 def test_another_device_is_taken_on_reload_and_bad_settings_are_refused(
@@ -37,6 +39,19 @@ def test_another_device_is_taken_on_reload_and_bad_settings_are_refused(
             await serve_phone(lab[:3], {}, path=tmp_path / "tty")
             await until(lambda: service.saved.clock.newest > 100)
             assert service.source.settings.baud == 9600
+
+    within_reason(test())
+
+
+def test_limits_of_clients_are_those_of_the_settings_read_last(folder: Path) -> None:
+    async def test() -> None:
+        async with answering(folder, "[socket]\nmessage_bytes = 1024\n") as service:
+            long = {"to": "x" * 2000}
+            with pytest.raises(asyncio.IncompleteReadError):
+                await ask(await connected(folder), "Rollback", parameters=long)
+            (folder / "stillcal.toml").write_text("[socket]\nmessage_bytes = 4096\n")
+            assert await service.reload() == ""
+            assert "no earlier" in str(await ask(await connected(folder), "Rollback", parameters=long))
 
     within_reason(test())
 
