@@ -2,7 +2,8 @@
 
 The pieces (rests, stretches, turns, parts of the stamps) are cut into `FOLDS` blocks in their order. A
 hypothesis is fitted to four blocks, its scatter included, and predicts the fifth; without the effect the
-scatter is fitted too, about the nearest that a sound phone may show.
+scatter is fitted too, about the nearest that a sound phone may show. Of shares of samples many pieces are
+dealt out: what lasts for some of them, and then no more, is in all folds, and what comes once is in one.
 """
 
 from __future__ import annotations
@@ -12,10 +13,18 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import FOLDS, HeldOut, Index
 
+SHARE_PIECES = 400
+"""Pieces that a share of samples is counted in: what lasts for 1 % of a recording is in four of them."""
+
 
 def blocks(n: int) -> Index:
     """Return the fold (n,) of each of n pieces in their order."""
     return np.minimum(np.arange(n) * FOLDS // max(n, 1), FOLDS - 1).astype(np.int64)
+
+
+def dealt(n: int) -> Index:
+    """Return the fold (n,) of each of n pieces, dealt out by a fixed shuffle, with which no period is in step."""
+    return np.asarray(np.random.default_rng(0).permutation(n) % FOLDS, dtype=np.int64)
 
 
 def rms(values: Array) -> float:
@@ -59,7 +68,7 @@ def of_spread(values: Array, sound: float) -> HeldOut:
 
 def of_shares(hits: Array, of: Array, sound: float) -> HeldOut:
     """Predict hits (n,) among `of` (n,) by their share in the others, against a share of at most `sound`."""
-    fold, gain = blocks(hits.size), 0.0
+    fold, gain = dealt(hits.size), 0.0
     before, after = np.zeros(hits.size), np.zeros(hits.size)
     for k in np.unique(fold):
         test = fold == k

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.left_out import blocks, of_shares, rms
+from stillcal.calib_core.diagnosis.inference.left_out import SHARE_PIECES, blocks, of_shares, rms
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Measured,
@@ -56,7 +56,7 @@ def timing_findings(samples: Samples, claims: Claims, sound: SoundPhones) -> lis
         found.append(stamps.drops(grid, usual(sound, "dropped_samples", nominal), where))
         if arrived is not None:
             common = usual(sound, "arrival_bursts", nominal)
-            found.append(_bursts(waited(samples.t, arrived, period), common, where))
+            found.append(_bursts(samples.t, waited(samples.t, arrived, period), common, where))
     return [f for f in found if f is not None]
 
 
@@ -187,15 +187,16 @@ def burst_share(waiting: tuple[Array, float]) -> Measured:
     return share_of(float(hits.sum()), float(hits.size), together)
 
 
-def _bursts(waiting: tuple[Array, float], common: Usual, where: Where) -> Finding | None:
+def _bursts(t: Array, waiting: tuple[Array, float], common: Usual, where: Where) -> Finding | None:
     """Find samples that waited and were delivered together. common: of log10 of their share plus 1e-3."""
     fraction = burst_share(waiting)
-    pieces = np.array_split(waiting[0], PIECES)
+    pieces = np.array_split(waiting[0], SHARE_PIECES)
     hits, of = np.array([p.sum() for p in pieces]), np.array([float(p.size) for p in pieces])
     held_out = of_shares(np.minimum(hits, of), of, min(10.0**common.highest, 0.9))
     seen = of_measured(fraction.log(LEAST_SHARE), common, held_out)
     share = f"{fraction.value:.1%}"
-    say = f"{share} of the samples arrive in bursts; use the sensor's time stamps, not the arrivals."
+    where, when = stamps.located(t, waiting[0], where)
+    say = f"{share} of the samples arrive in bursts{when}; use the sensor's time stamps, not the arrivals."
     parameter = {"fraction": fraction.parameter("1")}
     return direct_finding("arrival_bursts", "timing", [], where, parameter, statement=say, seen=seen)
 

@@ -5,13 +5,13 @@ Stamps that come in bursts have no grid: they say when samples were delivered, a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.left_out import of_shares, of_spread
+from stillcal.calib_core.diagnosis.inference.left_out import SHARE_PIECES, of_shares, of_spread
 from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
     direct_finding,
@@ -52,6 +52,13 @@ LEAST_JITTER = 1e-4
 
 LEAST_SHARE = 1e-4
 """The same of a share of samples."""
+
+
+NEARLY_ALL = (0.01, 0.99)
+"""Parts of the hits that lie before the start, and before the end, of the time in which nearly all are."""
+
+LASTING = 0.5
+"""Part of a recording beyond which what is there is there all along."""
 
 
 def mean_period(t: Array) -> float:
@@ -212,10 +219,24 @@ def drops(grid: Grid, usual: Usual, where: Where) -> Finding | None:
     """Find places of the grid that are empty. usual: of log10 of the part missing plus `LEAST_SHARE`."""
     lost = grid.dropped()
     fraction = grid.share(lost)
-    parts = np.array_split(lost, PIECES)
+    parts = np.array_split(lost, SHARE_PIECES)
     hits = np.array([float(p.sum()) for p in parts])
     of = np.array([float(p.size) for p in parts]) + hits
-    seen = of_measured(fraction.log(LEAST_SHARE), usual, of_shares(hits, of, 10.0**usual.highest))
-    say = f"{fraction.value:.2%} of the samples are missing, in {np.count_nonzero(lost)} gaps."
+    held_out = of_shares(hits, of, 10.0**usual.highest)
+    seen = of_measured(fraction.log(LEAST_SHARE), usual, held_out)
+    where, when = located(grid.t[1:], lost, where)
+    say = f"{fraction.value:.2%} of the samples are missing, in {np.count_nonzero(lost)} gaps{when}."
     parameter = {"fraction": fraction.parameter("1")}
     return direct_finding("dropped_samples", "timing", [], where, parameter, statement=say, seen=seen)
+
+
+def located(t: Array, hits: Array, where: Where) -> tuple[Where, str]:
+    """Return when nearly all of the hits (n,) at stamps t (n,) s are, and words for a while."""
+    total = np.cumsum(hits)
+    if total.size == 0 or total[-1] <= 0.0:
+        return where, ""
+    first, last = np.searchsorted(total, np.array(NEARLY_ALL) * total[-1])
+    start, end = float(t[first]), float(t[min(last, t.size - 1)])
+    if end - start > LASTING * (where.t_end - where.t_start):
+        return where, ""
+    return replace(where, t_start=start, t_end=end), f", nearly all from {start:.0f} to {end:.0f} s"

@@ -1,0 +1,64 @@
+"""Samples that are lost, or wait, for a minute of a recording: the processor was busy then."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.model.records import Claims, Finding
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+RATE, N = 50.0, 60_000
+
+
+def found(kept: Array, arrival: Array | None = None) -> dict[str, Finding]:
+    """Return what stamps at 50 Hz show of which only some are kept, by name; the rate is declared."""
+    rng = np.random.default_rng(5)
+    t = np.arange(N) / RATE
+    stamps = t + 2e-5 * rng.standard_normal(N)
+    arrived = None if arrival is None else frozen(arrival[kept])
+    samples = Samples(
+        Sensor.ACCELEROMETER, frozen(stamps[kept]), frozen(np.zeros((int(kept.sum()), 3))), None, arrived
+    )
+    claims = Claims(nominal_rate_hz=RATE)
+    return {f.effect: f for f in timing_findings(samples, claims, sound_phones())}
+
+
+def test_losses_of_a_while_are_found_where_they_are() -> None:
+    """Half of the samples of one minute in twenty are missing: 2.5 % of all, from 600 to 660 s."""
+    rng = np.random.default_rng(1)
+    t = np.arange(N) / RATE
+    kept = ~((t > 600.0) & (t < 660.0) & (rng.random(N) < 0.5))
+    lost = found(kept)["dropped_samples"]
+    assert 599.0 < lost.where.t_start < 603.0
+    assert 657.0 < lost.where.t_end < 661.0
+    assert "nearly all from 60" in lost.statement
+    assert abs(float(np.asarray(lost.parameters["fraction"].value)) - (~kept).mean()) < 1e-3
+
+
+def test_losses_all_along_name_no_time() -> None:
+    """Two in a hundred are missing everywhere."""
+    kept = np.random.default_rng(2).random(N) > 0.02
+    lost = found(kept)["dropped_samples"]
+    assert lost.where.t_end - lost.where.t_start > 1190.0
+    assert "nearly all" not in lost.statement
+
+
+def test_what_happens_once_is_not_stated() -> None:
+    """Within two seconds every other sample is missing: 0.08 % of all, which nothing else bears out."""
+    t = np.arange(N) / RATE
+    kept = ~((t > 600.2) & (t < 602.2) & (np.arange(N) % 2 == 0))
+    assert "dropped_samples" not in found(kept)
+
+
+def test_deliveries_in_bursts_for_a_while_are_found_where_they_are() -> None:
+    """For one minute samples wait for one another, ten at a time."""
+    t = np.arange(N) / RATE
+    waits = (t > 300.0) & (t < 360.0)
+    late = np.where(waits, (9 - np.arange(N) % 10) / RATE, 0.0)
+    arrival = t + 0.003 + late + 1e-4 * np.random.default_rng(3).random(N)
+    bursts = found(np.ones(N, dtype=np.bool_), np.maximum.accumulate(arrival))["arrival_bursts"]
+    assert 299.0 < bursts.where.t_start < 302.0
+    assert 358.0 < bursts.where.t_end < 361.0
