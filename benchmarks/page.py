@@ -44,7 +44,7 @@ SECTIONS = {
     "6": ("Diagnosis", "The whole catalogue of left-out effects, on the first hours of the same day."),
     "7": (
         "Truth at a random moment",
-        "Simulated days of people and phones whose bias follows temperature (0.2 to 0.9 mg/K, 0.005 to "
+        "Eight simulated weeks of people whose phones' bias follows temperature (0.2 to 0.9 mg/K, 0.005 to "
         "0.03 deg/s/K; curved in a third, late in a third), heat of charging, random walk, flicker, knocks. "
         "Every ten minutes after the first calibration: the mean vector error of calibrated specific force "
         "at rest, the common rotation taken out, and the error of rate. Intervals are those of the bias, by "
@@ -88,7 +88,7 @@ def _met(row: dict[str, Any]) -> str:
     margin = row["margin"]
     if margin is None:
         return "**no**"
-    return f"**no**, by a factor of {1 / margin:.2g}" if margin < 1.0 else "**no**, but fast enough: accuracy"
+    return f"**no**, by a factor of {1 / margin:.3g}" if margin < 1.0 else "**no**, but fast enough: accuracy"
 
 
 def page(document: dict[str, Any]) -> str:

@@ -36,8 +36,8 @@ from stillcal.replay.phone import Chunk
 
 EVERY_S = 600.0
 DAY_S = 86400.0
-PHONES, DAYS = 8, 5.0
-"""Of `make bench`, for the sake of its time; forty phones and seven days are `--phones 40 --days 7`."""
+PHONES, DAYS, SEED = 8, 7.0, 1619
+"""Of `make bench`, for the sake of its time; forty phones are `--phones 40 --days 7 --seed 1619`."""
 
 ENGINES = {
     "stillcal": EngineSettings(),
@@ -298,8 +298,13 @@ def measured(
 def run(quick: bool) -> Iterator[Row]:
     """Yield the rows of item 7."""
     phones, days = (1, 2.0) if quick else (PHONES, DAYS)
-    rows, _, costs = measured(phones, days, 0, os.cpu_count() or 1)
+    rows, _, costs = measured(phones, days, SEED, os.cpu_count() or 1)
     yield from _costs(costs)
+    yield from _errors(rows)
+
+
+def _errors(rows: np.ndarray) -> Iterator[Row]:
+    """Yield everybody's errors at all moments, and how they stand to the goals."""
     for sensor, (median_goal, high_goal, unit) in GOALS.items():
         for who in (*RIVALS, *ENGINES):
             own = _of(rows, sensor, who)

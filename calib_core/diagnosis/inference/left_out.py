@@ -23,7 +23,7 @@ def blocks(n: int) -> Index:
 
 
 def dealt(n: int) -> Index:
-    """Return the fold (n,) of each of n pieces, dealt out by a fixed shuffle, with which no period is in step."""
+    """Return the fold (n,) of each of n pieces, dealt out by a fixed shuffle: in step with no period."""
     return np.asarray(np.random.default_rng(0).permutation(n) % FOLDS, dtype=np.int64)
 
 
