@@ -17,6 +17,9 @@ from stillcal.calib_core.arrays import Array
 FLICKER_TIMES_PER_DECADE = 2
 """Gauss-Markov processes a decade of correlation time that make up flicker noise (Keshner 1982)."""
 
+DEPENDENT = 1e-6
+"""Relative singular value below which columns are one another's combinations."""
+
 _PART = 1 << 15  # 256 KB: three of them fit a second-level cache
 
 
@@ -164,25 +167,32 @@ def restricted_log_likelihood(covariance: Array, y: Array, design: Array) -> tup
 
 
 def fit_noise(
-    t: Array, duration: Array, values: Array, taus: tuple[float, ...] = (60.0, 240.0, 960.0)
+    t: Array,
+    duration: Array,
+    values: Array,
+    taus: tuple[float, ...] = (60.0, 240.0, 960.0),
+    free: Array | None = None,
 ) -> NoiseModel:
     """Fit white + flicker + Gauss-Markov + random walk to bin means by restricted maximum likelihood.
 
-    t: (n,) s, middles of the bins. duration: (n,) s. values: (n,). The mean is free. The correlation time of
-    the Gauss-Markov process is the best of `taus`, s. Raises ValueError with fewer than 8 bins.
+    t: (n,) s, middles of the bins. duration: (n,) s. values: (n,). free: (n, p), columns of what may be in
+    the values besides, or was fitted to them before; the mean is free too. The correlation time of the
+    Gauss-Markov process is the best of `taus`, s. Raises ValueError with fewer than 8 bins beside these.
     """
-    if t.size < 8:
-        raise ValueError(f"coloured noise needs at least 8 bins, have {t.size}")
-    fits = [_fit_components(components(t, duration, tau), values, tau) for tau in taus]
+    columns = np.ones((t.size, 1)) if free is None else np.column_stack([np.ones(t.size), free])
+    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    design = basis[:, sizes > DEPENDENT * sizes[0]] if t.size else columns
+    if t.size - design.shape[1] + 1 < 8:
+        raise ValueError(f"coloured noise needs at least 8 bins, have {t.size - design.shape[1] + 1}")
+    fits = [_fit_components(components(t, duration, tau), values, design, tau) for tau in taus]
     return max(fits, key=lambda model: model.log_likelihood)
 
 
-def _fit_components(parts: tuple[Array, ...], values: Array, tau: float) -> NoiseModel:
+def _fit_components(parts: tuple[Array, ...], values: Array, design: Array, tau: float) -> NoiseModel:
     """Fit the amplitudes of unit covariances, in units of the values' own scatter."""
     from scipy.optimize import minimize  # noqa: PLC0415 - loaded when used: the daemon stays light
 
     scatter = max(float(values.std()), 1e-300)
-    design = np.ones((values.size, 1))
     basis = [c / c.diagonal().mean() for c in parts]
     objective = _objective(basis, (values - values.mean()) / scatter, design)
     starts = np.log([[1.0, 0.1, 0.1, 0.1], [0.1, 0.3, 0.3, 0.3]])
@@ -190,7 +200,12 @@ def _fit_components(parts: tuple[Array, ...], values: Array, tau: float) -> Nois
     best = min(runs, key=lambda run: float(run.fun))
     scale = [scatter * np.sqrt(np.exp(x) / c.diagonal().mean()) for x, c in zip(best.x, parts, strict=True)]
     return NoiseModel(
-        scale[0], scale[1], scale[2], tau, scale[3], float(-best.fun) - (values.size - 1) * np.log(scatter)
+        scale[0],
+        scale[1],
+        scale[2],
+        tau,
+        scale[3],
+        float(-best.fun) - (values.size - design.shape[1]) * np.log(scatter),
     )
 
 

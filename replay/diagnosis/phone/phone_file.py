@@ -12,6 +12,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.direct.low_pass import quiet
 from stillcal.calib_core.diagnosis.direct.noise_level import density
+from stillcal.calib_core.diagnosis.model.earth import ground, shared_rate
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.noise.allan import FLOOR
@@ -149,7 +150,9 @@ def _gyroscope(
         return None
     slow: list[NoiseModel | None] = [None] * 3
     if bins.rate is not None:
-        slow = [_wander(bins, bins.rate[:, a] - affine.gyro[:, a]) for a in range(3)]
+        up = affine.baseline.up
+        earth = shared_rate(up, ground(samples, bins, up))
+        slow = [_wander(bins, bins.rate[:, a] - affine.gyro[:, a], earth[:, a]) for a in range(3)]
     return _sensor(
         samples,
         bins,
@@ -234,23 +237,30 @@ def _tail_power(samples: Samples, effects: Sequence[Effect]) -> float:
 
 
 def _force_wander(bins: Bins, affine: AffinePhone, gravity: float) -> NoiseModel | None:
-    """Return the slow noise of gravity's norm, assumed equal on the axes."""
+    """Return the slow noise of gravity's norm, assumed equal on the axes.
+
+    Bias and scale were fitted to the same norm, and took in what wanders in their directions.
+    """
     up, scale = affine.baseline.up, affine.baseline.scale
     corrected = (bins.force - affine.accel - affine.baseline.bias) @ scale.T
-    return _wander(bins, np.einsum("na,na->n", up, corrected) - gravity)
+    products = up[:, [0, 1, 2, 0, 0, 1]] * up[:, [0, 1, 2, 1, 2, 2]]
+    return _wander(bins, np.einsum("na,na->n", up, corrected) - gravity, np.hstack([up, products]))
 
 
-def _wander(bins: Bins, values: Array) -> NoiseModel | None:
-    """Fit coloured noise to residuals (n,) of the bins, a few neighbours together where there are many."""
-    if len(bins) < LEAST_BINS:
-        return None
+def _wander(bins: Bins, values: Array, free: Array) -> NoiseModel | None:
+    """Fit coloured noise to residuals (n,) of the bins, a few neighbours together where there are many.
+
+    free: (n, p), what else may be in them. None where there is too little beside it.
+    """
     group_size = max(1, round(len(bins) / MOST_BINS))
     cuts = np.flatnonzero((np.arange(len(bins)) % group_size == 0) | (np.diff(bins.rest, prepend=-1) != 0))
     weight = np.add.reduceat(bins.duration, cuts)
-    t, value = (np.add.reduceat(x * bins.duration, cuts) / weight for x in (bins.t, values))
-    if t.size < LEAST_BINS:
+    t, value, *columns = (
+        np.add.reduceat(x * bins.duration, cuts) / weight for x in (bins.t, values, *free.T)
+    )
+    if t.size - np.linalg.matrix_rank(free) < LEAST_BINS:
         return None
-    return _bounded(fit_noise(t, weight, value, TAUS), bins, values)
+    return _bounded(fit_noise(t, weight, value, TAUS, np.stack(columns, axis=1)), bins, values)
 
 
 def _bounded(model: NoiseModel, bins: Bins, values: Array) -> NoiseModel:

@@ -76,6 +76,23 @@ def test_fit_recovers_the_spectrum(truth: noise.NoiseModel) -> None:
     np.testing.assert_allclose(np.mean(fits, axis=0) / structure(truth), 1.0, atol=0.45)
 
 
+def test_what_was_fitted_before_takes_no_slow_noise_with_it() -> None:
+    """Of fourteen rests ten columns took 70 % of flicker noise: what they left has a floor of 0.3 of it."""
+    rng, size = np.random.default_rng(2), 40
+    truth = noise.NoiseModel(5e-4, flicker=5e-4)
+    t, length = np.arange(size) * 50.0, np.full(size, 50.0)
+    factor = np.linalg.cholesky(truth.covariance(t, length))
+    free = rng.normal(size=(14, 9))[np.arange(size) * 14 // size]
+    apart = []
+    for _ in range(6):
+        y = factor @ rng.normal(size=size)
+        left = y - free @ np.linalg.lstsq(free, y, rcond=None)[0]
+        fits = [noise.fit_noise(t, length, left, (240.0,), columns) for columns in (None, free)]
+        apart.append([np.hypot(f.flicker, 0.6 * f.gauss_markov) / truth.flicker for f in fits])
+    without, with_free = np.mean(apart, axis=0)
+    assert without < 0.6 and with_free == pytest.approx(1.0, abs=0.3)
+
+
 def test_fit_refuses_too_few_bins() -> None:
     with pytest.raises(ValueError, match="at least 8 bins"):
         noise.fit_noise(BINS[:5], LENGTHS[:5], BINS[:5])
