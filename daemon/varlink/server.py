@@ -7,18 +7,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
+from pathlib import Path
 
 from asyncvarlink import VarlinkInterfaceRegistry
 from asyncvarlink.serviceinterface import VarlinkServiceInterface
 
 from stillcal._version import __version__
-from stillcal.daemon.settings import SocketSettings
+from stillcal.calib_core.errors import TryAgainError
+from stillcal.daemon.settings import SettingsError, SocketSettings
 from stillcal.daemon.system.clock import Clock
 from stillcal.daemon.system.log import say
+from stillcal.daemon.varlink.address import socket_path
 from stillcal.daemon.varlink.connection import Connection
 from stillcal.daemon.varlink.interface import CalibrationInterface
 from stillcal.daemon.varlink.socket import opened
@@ -32,6 +36,9 @@ CLOSING_S = 0.2
 
 LISTEN_BACKLOG = 1024
 """Clients that the kernel queues before they are accepted (listen(2))."""
+
+LOOK_S = 10.0
+"""Time between two looks whether the socket still has its name, s."""
 
 RETRY_S = 1.0
 """Pause before clients are accepted again after the process ran out of descriptors, s."""
@@ -139,12 +146,19 @@ async def serving(
     daemon: Daemon, settings: SocketSettings, passed: Sequence[socket.socket] = ()
 ) -> AsyncIterator[Server]:
     """Serve the sockets that systemd passed, or else one of our own, while the block lasts."""
-    server = Server(daemon, settings)
-    with opened(settings, passed) as sockets:
-        for line in sockets:
-            line.setblocking(False)
-            line.listen(LISTEN_BACKLOG)
-        listeners = [asyncio.create_task(server.admit(listener)) for listener in sockets]
+    server, listeners = Server(daemon, settings), list[asyncio.Task[None]]()
+    with contextlib.ExitStack() as held:
+
+        def listen() -> None:
+            for line in held.enter_context(opened(settings, passed)):
+                held.callback(line.close)
+                line.setblocking(False)
+                line.listen(LISTEN_BACKLOG)
+                listeners.append(asyncio.create_task(server.admit(line)))
+
+        listen()
+        if not passed:
+            listeners.append(asyncio.create_task(_kept_reachable(socket_path(settings.path), listen)))
         try:
             yield server
         finally:
@@ -152,8 +166,20 @@ async def serving(
                 listener.cancel()
             await asyncio.gather(*listeners, return_exceptions=True)
             await server.close()
-            for line in sockets:
-                line.close()
+
+
+async def _kept_reachable(path: Path, listen: Callable[[], None]) -> None:
+    """Listen anew where the socket's name was removed, as when a folder of temporary files is cleaned."""
+    while True:
+        await asyncio.sleep(LOOK_S)
+        if os.path.lexists(path):
+            continue
+        try:
+            listen()
+        except (SettingsError, TryAgainError) as error:
+            say("warning", "socket", str(error))
+        else:
+            say("warning", "socket", f"{path} had been removed: made anew")
 
 
 async def _acceptable(listener: socket.socket) -> None:

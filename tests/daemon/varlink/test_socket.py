@@ -18,8 +18,9 @@ from stillcal.daemon.app import Service
 from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.settings import SettingsError
 from stillcal.daemon.system.systemd import Notifier
-from tests.support.asking import NAME, connected
-from tests.support.living import answering, within_reason
+from stillcal.daemon.varlink import server
+from tests.support.asking import NAME, ask, connected
+from tests.support.living import answering, until, within_reason
 
 
 def test_a_second_daemon_on_the_same_socket_is_refused_and_a_dead_ones_place_is_taken(folder: Path) -> None:
@@ -51,6 +52,21 @@ async def answering_after(folder: Path) -> AsyncIterator[Service]:
                 break
             await asyncio.sleep(0.001)
         yield service
+
+
+def test_a_socket_whose_name_is_removed_is_made_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "LOOK_S", 0.01)
+
+    async def test() -> None:
+        async with answering(folder):
+            before = await connected(folder)
+            (folder / "socket").unlink()
+            await until((folder / "socket").exists)
+            for line in (before, await connected(folder)):
+                assert "parameters" in await ask(line, "GetStatus")
+        assert not (folder / "socket").exists()
+
+    within_reason(test())
 
 
 @pytest.mark.parametrize("mode", ["0o600", "0o660"])
