@@ -90,7 +90,8 @@ def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
     """Find noise of single axes that follows the force along them, as of a reference that makes it by ratio.
 
     The level of a rest is the mean of its pieces, a parabola of the force against a constant; what shakes the
-    phone differs from rest to rest, and makes the variance that F's law holds the parabola against.
+    phone differs from rest to rest, and makes the variance that F's law holds the parabola against. A place
+    where it always lies alike shakes it by more, so pieces must scatter about the parabola as noise does.
     """
     own = np.maximum(np.searchsorted(bins.t - bins.duration / 2, spectrum.t[:-1] + 1e-6, side="right") - 1, 0)
     rests, which = np.unique(bins.rest[own], return_inverse=True)
@@ -100,11 +101,19 @@ def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
     level = _summed(which, np.log(measured.pieces)) / count
     force = _summed(which, bins.force[own]) / count
     fits = [_of_axis(level[:, a], force[:, a] / STANDARD) for a in range(3)]
-    clear = [a for a in range(3) if fits[a][0] > 0.0 and fits[a][1] >= LEAST_BY_FORCE]
+    pieces, along = np.log(measured.pieces), bins.force[own] / STANDARD
+    by_chance = EVEN * float(np.sqrt(3.0)) * _chance(spectrum, np.ones(own.size, dtype=np.bool_)) + 0.03
+    clear = [
+        a
+        for a in range(3)
+        if fits[a][0] > 0.0
+        and fits[a][1] >= LEAST_BY_FORCE
+        and _scatter(pieces[:, a] - _parabola(along[:, a]) @ fits[a][3]) < by_chance
+    ]
     if not clear:
         return None
     best = max(clear, key=lambda a: fits[a][0])
-    nats, change, held_out = fits[best]
+    nats, change, held_out, _ = fits[best]
     ratio = float(np.exp(change))
     say = (
         f"The {NAME[sensor]}'s noise follows the force along its own axis: {ratio:.2f} times from the least"
@@ -122,17 +131,26 @@ def _summed(which: Index, values: Array) -> Array:
     return np.stack([np.bincount(which, weights=column) for column in values.T], axis=1)
 
 
-def _of_axis(level: Array, force: Array) -> tuple[float, float, HeldOut]:
-    """Return nats for levels (n,) that follow a force (n,), by how much they change, and rests left out."""
+def _parabola(force: Array) -> Array:
+    """Return the design (n, 3) of a parabola of a force (n,)."""
+    return np.stack([np.ones(force.size), force, force**2], axis=1)
+
+
+def _of_axis(level: Array, force: Array) -> tuple[float, float, HeldOut, Array]:
+    """Return nats for levels (n,) that follow a force (n,), by how much they change, and rests left out.
+
+    The fourth is the parabola, (3,).
+    """
     from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
 
-    design = np.stack([np.ones(force.size), force, force**2], axis=1)
-    fitted = design @ _least_squares(design, level)
+    design = _parabola(force)
+    curve = _least_squares(design, level)
+    fitted = design @ curve
     without, within = float(((level - level.mean()) ** 2).sum()), float(((level - fitted) ** 2).sum())
     free = level.size - 3
     chance = float(f.logsf(0.5 * (without - within) * free / max(within, 1e-300), 2, free))
     held_out = _left_out(level, Course("own force", design, (0.0, 0.0), 3.0), np.arange(level.size))
-    return of_chance(chance), float(np.ptp(fitted)), held_out
+    return of_chance(chance), float(np.ptp(fitted)), held_out, curve
 
 
 def _courses(level: Array, t: Array, bins: Bins, own: Index) -> list[Course]:

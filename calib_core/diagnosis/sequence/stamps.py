@@ -68,7 +68,8 @@ def _leaping(found: Finding, sensors: Sequence[Samples]) -> Finding:
     shares = np.concatenate([gone_on(s) for s in sensors])
     against, both = int((shares < NOTHING).sum()), int(((shares < NOTHING) | (shares > ALL)).sum())
     nats = (2 * against - both) * float(np.log((1.0 - WRONG) / WRONG))
-    if nats < DOUBT:
+    # Where motion often speaks for either, as a shaking does that is quicker than a gap, it tells neither.
+    if nats < DOUBT or both - against > 2.0 * WRONG * both:
         return found
     say = (
         f"The time stamps leap, but no sample is missing: in {against} of {both} gaps that motion shows it"
