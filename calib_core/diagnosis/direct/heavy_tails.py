@@ -42,6 +42,9 @@ LEAST_SPIKES = 5
 UNLIKE_NOISE = 4.0
 """Standard deviations by which far samples must be on one side, or rise from one size to the next."""
 
+SMALL_STEP = 0.6
+"""Spreads that a step may be: of coarser ones a spread holds too few."""
+
 QUIETEST = 0.1
 """Part of the pieces whose spread is the sensor's own, where others are shaken."""
 
@@ -151,26 +154,31 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
     seen = Seen(gain, _left_out([z[:, axes] for z in scaled]), best.unusual)
     if fit.ratio.value > SPIKE and share < RARE * fit.ratio.value / SPIKE:
         return _spikes(sensor, axes, everything, where, seen)
-    if (odd := unlike_noise(everything[:, axes])) != "":
+    if (odd := unlike_noise(everything[:, axes], step / float(spread[axes].min()))) != "":
         say = f"{share:.1%} of the {NAME[sensor]}'s samples at rest are outliers, {odd}: they are no noise."
         return direct_finding("unknown", sensor, axes, where, parameters, statement=say, seen=seen)
     return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
 
 
-def unlike_noise(z: Array) -> str:
+def unlike_noise(z: Array, step: float = 0.0) -> str:
     """Say what far samples do that noise does not: most are on one side, or more are farther; "" for neither.
 
-    z: (n, k) in spreads. Whatever the law of noise, its density falls from the middle outwards.
+    z: (n, k) and step in spreads. Whatever the law of noise, its density falls from the middle outwards. It
+    is counted over a spread, in whole steps.
     """
     far = z[np.abs(z) > FAR]
     sided = abs(float(np.sign(far).sum()))
     if sided > UNLIKE_NOISE * np.sqrt(far.size):
         return f"{0.5 + 0.5 * sided / far.size:.0%} of them to one side"
-    count = np.bincount((np.abs(far) - FAR).astype(np.int64), minlength=2).astype(np.float64)
+    if step > SMALL_STEP:
+        return ""
+    width = step * max(round(1.0 / step), 1) if step > 0.0 else 1.0
+    count = np.bincount((np.abs(z) / width).astype(np.int64).ravel(), minlength=2).astype(np.float64)
     rise = np.diff(count) / np.sqrt(np.maximum(count[1:] + count[:-1], 1.0))
     if rise.max() > UNLIKE_NOISE:
         first = int(np.argmax(rise)) + 1
-        return f"many of about {FAR + first + int(np.argmax(count[first:])) + 0.5:.0f} times the noise"
+        size = (first + int(np.argmax(count[first:])) + 0.5) * width
+        return f"many of about {size:.1f} times the noise"
     return ""
 
 
