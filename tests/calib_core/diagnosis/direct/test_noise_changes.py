@@ -108,3 +108,10 @@ def test_noise_of_a_reference_follows_the_force_on_its_own_axis() -> None:
     assert seen.parameters["ratio"].value == pytest.approx(np.sqrt(2.0), rel=0.1)
     any_rest = np.random.default_rng(2).uniform(0.7, 1.4, REST.max() + 1)[REST]
     assert found(noise(4) * any_rest[:, None]) is None
+
+
+def test_a_place_that_is_shaken_and_where_the_phone_lies_alike_is_no_force() -> None:
+    """Rests with z up are in a car: their noise is larger, and of another size in every ten seconds."""
+    in_car = forces()[:, 2] > 4.0
+    by_piece = np.random.default_rng(7).uniform(1.2, 3.0, T.size)[(T // 10.0).astype(int)]
+    assert found(noise(5) * np.where(in_car, by_piece, 1.0)[:, None]) is None

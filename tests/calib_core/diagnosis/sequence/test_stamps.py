@@ -43,6 +43,19 @@ def test_gaps_over_which_motion_went_on_are_lost_samples_and_others_are_not() ->
     assert leap.evidence.log_bayes_factor == 50.0
 
 
+def test_motion_that_speaks_for_both_takes_no_name_away() -> None:
+    """Over a third of the gaps samples are missing, at the others stamps leap: 14 against 7 is no rule."""
+    t = np.arange(9000) / RATE
+    at = np.arange(400, t.size, 400)
+    leaps, losses = at[at // 400 % 3 != 0], at[at // 400 % 3 == 0]
+    stamps = t + 0.04 * np.searchsorted(leaps, np.arange(t.size), side="right")
+    keep = np.ones(t.size, dtype=bool)
+    keep[losses] = False
+    both = swinging(t[keep], stamps[keep])
+    assert (gone_on(both) < 0.25).sum() > (gone_on(both) > 0.5).sum() + 4
+    assert judged([named("dropped_samples")], both, [both]) == [named("dropped_samples")]
+
+
 def test_gaps_that_no_motion_shows_are_lost_samples() -> None:
     t = np.arange(5000) / RATE
     noise = np.random.default_rng(1).normal(size=(t.size, 3))
