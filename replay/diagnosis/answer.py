@@ -14,7 +14,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
 from stillcal.replay.diagnosis.words.correction_code import to_paste
@@ -27,6 +27,9 @@ NORMAL_95 = 1.96
 """Half the width of a 95 % interval of a normal distribution, in standard deviations."""
 
 _OF_TIME = {"tau_s", "period_s", "frequency", "cutoff", "highest_rate", "lowest_rate"}
+SCALE_BY_AXIS = Part("scale", "1", 3)
+"""An accelerometer's scale by rests: its common factor looks like another gravity."""
+
 WITHOUT_ZERO = frozenset({"limit", "ratio", "order", "longest", *_OF_TIME})
 """Parameters of which an ideal sensor has no value that could be written as a number."""
 
@@ -254,11 +257,15 @@ def _values(quantity: Quantity) -> dict[str, Any]:
 
 
 def _difference(difference: Difference) -> dict[str, Any]:
-    """Return what to add to the simulation, with 95 % intervals; of positive numbers the ratio too."""
+    """Return what to add to the simulation, with 95 % intervals; of positive numbers the ratio too.
+
+    Of scales that share gravity's uncertainty it is also given how they differ from their mean.
+    """
     recorded, simulated = difference.recorded, difference.simulated
     if not recorded.logarithmic:
         half = NORMAL_95 * difference.sigma
-        return _by_part(recorded, difference.value, difference.value - half, difference.value + half)
+        out = _by_part(recorded, difference.value, difference.value - half, difference.value + half)
+        return out | (_against_mean(difference) if recorded.parts[0] == SCALE_BY_AXIS else {})
     one, other = _number(recorded), _number(simulated)
     half = NORMAL_95 * np.hypot(one * recorded.sigma, other * simulated.sigma)
     out = _by_part(recorded, one - other, one - other - half, one - other + half)
@@ -266,6 +273,15 @@ def _difference(difference: Difference) -> dict[str, Any]:
     ratio = np.exp(difference.value)
     ci = np.stack([ratio / spread, ratio * spread], axis=-1)
     return out | {"ratio": {"value": ratio.tolist(), "ci95": ci.tolist(), "unit": "1"}}
+
+
+def _against_mean(difference: Difference) -> dict[str, Any]:
+    """Return the three scales less their mean, which is as unsure as gravity is, with 95 % intervals."""
+    apart = np.eye(3) - 1.0 / 3.0
+    value = apart @ difference.value[:3]
+    half = NORMAL_95 * np.sqrt(np.diag(apart @ difference.covariance[:3, :3] @ apart))
+    ci = np.stack([value - half, value + half], axis=-1)
+    return {"scale_against_mean": {"value": value.tolist(), "ci95": ci.tolist(), "unit": "1"}}
 
 
 def _number(quantity: Quantity) -> Array:

@@ -48,6 +48,7 @@ PARAMETERS = {
     "tau_s": "time constant",
     "period_s": "period",
     "relative": "error of the rate",
+    "scale_against_mean": "scale against the mean of the axes",
     "allan_deviation_100s": "Allan deviation at 100 s",
 }
 """What parameters are called whose name in JSON is not a word."""

@@ -145,7 +145,7 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     if finding["effect"] == "unknown":
         owner, other = (recording, simulation) if relation == "lacking" else (simulation, recording)
         side = "parameters" if relation == "lacking" else "simulated"
-        seen = "".join(f", {text}" for text in (_where(finding), _sizes(finding, side)) if text)
+        seen = "".join(f", {text}" for text in (_where(finding, side), _sizes(finding, side)) if text)
         driver = finding["where"]["driver"]
         return f"{owner} shows {what}{seen}; it follows {driver}. {other} does not show it."
     if relation == "lacking" and finding["effect"] in CONSTANTS:
@@ -161,13 +161,16 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     recorded, simulated = (_side(finding, side, name) for side in ("parameters", "simulated"))
     word = _word(finding, name)
     text = f"The {what} {word} in {simulation}: {simulated}, recorded {recorded}."
-    return (
-        f"{text} The difference is {_side(finding, 'difference', name)}." if _overlap(finding, name) else text
+    if not _overlap(finding, name):
+        return text
+    apart = (
+        "scale_against_mean" if name == "scale" and "scale_against_mean" in finding["difference"] else name
     )
+    return f"{text} The difference is {_side(finding, 'difference', apart)}."
 
 
 def _overlap(finding: Mapping[str, Any], name: str | None) -> bool:
-    """Whether a number that is shown has intervals that overlap: both may share an error, as of gravity."""
+    """Whether intervals of a number that is shown overlap: the difference may be surer than they are."""
     if any(name not in finding[side] for side in ("parameters", "simulated", "difference")):
         return False
     if any("ci95" not in finding[side][name] for side in ("parameters", "simulated")):
@@ -181,9 +184,10 @@ def _overlap(finding: Mapping[str, Any], name: str | None) -> bool:
     return bool((low < np.minimum(recorded[:, 1], simulated[:, 1])).any())
 
 
-def _where(finding: Mapping[str, Any]) -> str:
-    """Return on which axes and when something is seen."""
-    where, axes = finding["where"], " and ".join(finding["axes"])
+def _where(finding: Mapping[str, Any], side: str) -> str:
+    """Return on which axes, where they are told apart, and when something is seen."""
+    apart = all(_apart(p) for p in finding[side].values())
+    where, axes = finding["where"], " and ".join(finding["axes"]) if apart else ""
     start, end = (round(where[at]) for at in ("t_start", "t_end"))
     return f"{f'on {axes} ' if axes else ''}from {start} to {end} s"
 
@@ -197,8 +201,19 @@ def _sizes(finding: Mapping[str, Any], side: str) -> str:
         if values.size > len(AXES):
             factor, unit = shown_in(values.max(), finding[side][name]["unit"], name)
             text = f"up to {plain(float(values.max()) * factor)} {unit}".strip()
+        elif not _apart(finding[side][name]):
+            factor, unit = shown_in(values.max(), finding[side][name]["unit"], name)
+            text = f"up to {plain(float(values.max()) * factor)} {unit} (the axes are not told apart)"
         texts.append(text if text.startswith(parameter_noun(name)) else f"{parameter_noun(name)} {text}")
     return "; ".join(texts)
+
+
+def _apart(parameter: Mapping[str, Any]) -> bool:
+    """Whether one of three axes at least is beyond its own 95 % interval from nothing."""
+    if np.size(parameter["value"]) != len(AXES) or "ci95" not in parameter:
+        return True
+    low, high = np.asarray(parameter["ci95"], dtype=np.float64).reshape(-1, 2).T
+    return bool((low * high > 0.0).any())
 
 
 def _clearest(finding: Mapping[str, Any]) -> str | None:

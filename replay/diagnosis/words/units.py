@@ -33,7 +33,7 @@ WHOLE: dict[str, Scale] = {
 }
 """Units that are shown in one way, whatever the size."""
 
-SHARES = ("fraction", "scale", "misalignment", "gain")
+SHARES = ("fraction", "scale", "scale_against_mean", "misalignment", "gain")
 """Parameters without a unit that are read as per cent."""
 
 SMALL = 0.01

@@ -1,12 +1,14 @@
-"""How well a simulation fits, before and after: what counts in the two numbers."""
+"""The answer's numbers: how well a simulation fits, before and after, and how its scales differ."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.comparison.compare import Comparison
-from stillcal.replay.diagnosis.answer import Fit
+from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract
+from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.replay.diagnosis.answer import Fit, answer_of
 
 
 def test_what_is_unknown_counts_in_both_and_a_rate_that_cannot_be_put_in_in_neither() -> None:
@@ -15,3 +17,24 @@ def test_what_is_unknown_counts_in_both_and_a_rate_that_cannot_be_put_in_in_neit
     assert fit.p_before == fit.p_after == pytest.approx(np.exp(-20.0))
     rate = Comparison(evidence=[("accel_bias", -3.0), ("sample_rate", 90.0)])
     assert Fit.of(rate, rate, ["sample_rate"]).p_before == 1.0
+
+
+def test_scales_that_share_gravitys_error_are_told_against_their_mean() -> None:
+    """The difference of one scale alone was 0.49 +- 0.55 % beside a probability above 0.999."""
+    common, own = 0.002**2 * np.ones((6, 6)), 1e-8 * np.eye(6)
+    common[3:] = common[:, 3:] = 0.0
+    parts = (Part("scale", "1", 3), Part("misalignment", "rad", 3))
+    where = Where(0.0, 900.0, (0.0, 0.05), "nothing")
+
+    def scale(x: float) -> Quantity:
+        value = np.array([x, 0.002, -0.001, 0.0, 0.0, 0.0])
+        alike = (np.full(6, 0.03), np.full(6, 2e-4), np.arange(6) % 3)
+        return Quantity("accel_scale", "accel", parts, value, common + own, *alike, where=where)
+
+    apart = subtract(scale(-0.003), scale(-0.008))
+    one = Discrepancy("accel_scale", "accel", ["x"], where, apart.relation(), 1.0, 300.0, apart)
+    (said,) = answer_of(Comparison([one]), ("real.csv", "sim.csv"), Fit(1e-9, 1.0), {})["findings"]
+    against = said["difference"]["scale_against_mean"]
+    np.testing.assert_allclose(against["value"], [0.01 / 3.0, -0.005 / 3.0, -0.005 / 3.0])
+    assert np.ptp(against["ci95"], axis=1).max() < 6e-4
+    assert "The difference is scale against the mean of the axes x 0.333 ± 0.023 %." in said["statement"]

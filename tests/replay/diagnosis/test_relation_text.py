@@ -63,7 +63,7 @@ def test_of_a_matrix_the_elements_that_differ_are_shown_of_both() -> None:
 
 
 def test_intervals_that_overlap_come_with_the_difference() -> None:
-    """Gravity is unknown to 0.2 % in both scales alike, so they overlap however sure the difference is."""
+    """Gravity is unknown to 0.2 % in each of both, so scales overlap however sure their ratios are."""
     text = told("accel_scale", "too_small", ["x"], scale=([1.0, 0.0, 0.0], [0.99, 0.0, 0.0], "1"))
     assert "The difference is scale x 1.000 ± 0.050 %." in text
     text = told("accel_scale", "too_small", ["x"], scale=([1.0, 0.0, 0.0], [0.5, 0.0, 0.0], "1"))
@@ -159,5 +159,10 @@ def test_what_has_no_name_is_told_with_axes_time_and_size() -> None:
     }  # fmt: skip
     said = statement(finding, ("real.csv", BUILT_IN))
     assert ", on y from 0 to 831 s, gain y -0.300 ± 0.030 %; it follows own force" in said
+    # Gravity's norm sees one direction a rest: all three axes together are sure, and none of them by itself.
+    loose = {"step": {"value": [0.006, 0.03, -0.028], "ci95": [[-0.01, 0.022], [-0.01, 0.07], [-0.07, 0.014]],
+                      "unit": "m/s^2"}}  # fmt: skip
+    text = statement(finding | {"parameters": loose}, ("real.csv", BUILT_IN))
+    assert "(accelerometer), from 0 to 831 s, step up to 3.06 mg (the axes are not told apart);" in text
     many = {"amplitude": {"value": (0.01 * np.eye(3)).tolist(), "unit": "rad/s"}}
     assert "amplitude up to 0.573 deg/s;" in statement(finding | {"parameters": many}, ("real.csv", BUILT_IN))
