@@ -86,14 +86,14 @@ class McapFiles:
 
     def take(self, items: Sequence[Live]) -> None:
         """Write samples. Raises OSError."""
-        if self._file is None:
-            self._begin()
         for item in items:
             if isinstance(item, Interruption):
                 self._offset = None
-            else:
-                self._write(item)
-        if self._clock() - self._flushed >= FLUSH_S:
+                continue
+            if self._file is None:
+                self._begin()
+            self._write(item)
+        if self._file is not None and self._clock() - self._flushed >= FLUSH_S:
             self._flush()
 
     def close(self) -> None:

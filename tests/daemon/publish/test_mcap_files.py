@@ -132,6 +132,7 @@ def test_a_daemon_that_restarts_without_end_or_meets_a_full_disk_deletes_nothing
     assert len(kept) == mcap_files.FILES + 4
     idle = writer(tmp_path / "live.mcap")
     idle.open()
+    idle.take([Interruption("the phone was lost")])
     idle.close()
     monkeypatch.setattr(mcap_files, "RESERVE_BYTES", 2**60)
     with pytest.raises(OSError, match="left on the disk"):
