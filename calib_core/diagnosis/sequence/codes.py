@@ -46,7 +46,7 @@ NEIGHBOURS = 12
 APART = 2
 """The first of these, in the least difference that the range of codes tells apart."""
 
-BITS_OFF = (3, 14)
+BITS_OFF = (3, 16)
 """Bits that single values may be off by."""
 
 CLEAR = 3.0

@@ -31,6 +31,9 @@ AGAIN, STALE = "values delivered before", "axes read before they are new"
 SHORTEST = 3
 """Samples in a row, at least, that are delivered once more."""
 
+MOST = 0.3
+"""Part of the samples that may be: a motion that repeats itself without noise, in a simulation, is none."""
+
 LAGS = (2, 3, 5, 8, 13)
 """Samples later at which two at rest are compared to learn how often values are alike by chance."""
 
@@ -62,9 +65,9 @@ def delivered_again(samples: Samples, sensor: str, still: Flags) -> Finding | No
     tries = 0.5 * float(len(xyz)) ** 2
     worth = [(s, -s.length * float(np.log(alike)) - float(np.log(tries))) for s in repeated(xyz)]
     worth = [(s, nats) for s, nats in worth if nats > 0.0]
-    if not worth:
-        return None
     t, rows = samples.t, sum(s.length for s, _ in worth)
+    if not worth or rows > MOST * len(xyz):
+        return None
     where = Where(
         float(t[worth[0][0].first]), float(t[worth[-1][0].first + worth[-1][0].length - 1]), (0.0, 0.0), AGAIN
     )

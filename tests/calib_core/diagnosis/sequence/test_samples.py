@@ -98,6 +98,11 @@ def test_sound_samples_are_silent(seed: int) -> None:
     assert said(codes) == []
 
 
+def test_a_simulated_motion_that_repeats_itself_without_noise_is_not_delivered_again() -> None:
+    t = np.arange(6000) / RATE
+    assert said(np.rint(15000.0 * np.sin(2.0 * np.pi * np.outer(t, [0.1, 0.2, 0.3])))) == []
+
+
 def test_places_and_longest_are_told() -> None:
     codes = 4.0 * turning(5)
     for first in (900, 1900, 2900):
