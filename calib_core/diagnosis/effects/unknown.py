@@ -16,6 +16,7 @@ from stillcal.calib_core.diagnosis.effects.bias import SIZE, UNIT
 from stillcal.calib_core.diagnosis.effects.by_force import seen_in
 from stillcal.calib_core.diagnosis.effects.by_rate import TURN_PENALTY
 from stillcal.calib_core.diagnosis.effects.temperature import known
+from stillcal.calib_core.diagnosis.effects.timed import DRIFT_PENALTY
 from stillcal.calib_core.diagnosis.effects.warmup import TAUS, relaxation
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import (
@@ -144,8 +145,9 @@ class Settling(Unknown):
     blind = BLOCKS_ACROSS
 
     def __init__(self, sensor: str) -> None:
-        size = SIZE[sensor] / float(np.sqrt(len(TAUS)))
-        super().__init__(sensor, "time since start", Linear("amplitude", UNIT[sensor], 3 * len(TAUS), size))
+        size = Linear("amplitude", UNIT[sensor], 3 * len(TAUS), SIZE[sensor] / float(np.sqrt(len(TAUS))))
+        # Slow wander looks like this as often as it looks like a ramp.
+        super().__init__(sensor, "time since start", size, DRIFT_PENALTY)
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return both spacings, where more than one time constant can show."""

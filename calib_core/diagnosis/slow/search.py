@@ -275,7 +275,7 @@ def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
     if step.winner.hypothesis.effect.name != "unknown":
         return step
     named = [s for s in step.others if s.hypothesis.effect.name != "unknown"][: thresholds.PAIRS]
-    best, chosen = step.winner.score - thresholds.UNKNOWN_MARGIN, step
+    best, chosen = _as_likely_beforehand(step.winner) - thresholds.UNKNOWN_MARGIN, step
     for first in named:
         others = [s.hypothesis.effect for s in named if s is not first]
         effects = [e for e in others if not _spent(e, first.hypothesis.effect)]
@@ -298,9 +298,16 @@ def prefer_named(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step
     fine = sorted((sharpened(scene, s, before) for s in named), key=lambda s: -s.score)
     others = [*fine, *(s for s in step.others if s not in named)]
     for s in fine:
-        if step.winner.score - s.score - s.hypothesis.effect.prior_penalty < thresholds.UNKNOWN_MARGIN:
+        if _as_likely_beforehand(step.winner) - _as_likely_beforehand(s) < thresholds.UNKNOWN_MARGIN:
             return Step(s, (step.winner, *(other for other in others if other is not s)))
     return Step(step.winner, tuple(sorted(others, key=lambda s: -s.score)))
+
+
+def _as_likely_beforehand(one: Scored) -> float:
+    """Return a score without its penalty, which is for what wander looks like: here something surely is."""
+    effect = one.hypothesis.effect
+    handicap = thresholds.UNKNOWN_HANDICAP if effect.name == "unknown" else 0.0
+    return one.score + effect.prior_penalty - handicap
 
 
 def sharpened(scene: Scene, one: Scored, before: Sequence[Hypothesis]) -> Scored:
