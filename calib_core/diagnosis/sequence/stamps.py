@@ -34,6 +34,9 @@ NOTHING, ALL = 0.25, 0.5
 WRONG = 0.1
 """Chance that motion speaks for the wrong one: it bends within a gap."""
 
+FEWEST = 10
+"""Gaps that motion must show: one knock beside a gap is enough for a few."""
+
 DOUBT = float(np.log(20.0))
 """Nats from which a name does not fit, twenty to one: that there is something the stamps show in any case."""
 
@@ -69,7 +72,7 @@ def _leaping(found: Finding, sensors: Sequence[Samples]) -> Finding:
     against, both = int((shares < NOTHING).sum()), int(((shares < NOTHING) | (shares > ALL)).sum())
     nats = (2 * against - both) * float(np.log((1.0 - WRONG) / WRONG))
     # Where motion often speaks for either, as a shaking does that is quicker than a gap, it tells neither.
-    if nats < DOUBT or both - against > 2.0 * WRONG * both:
+    if nats < DOUBT or both < FEWEST or both - against > 2.0 * WRONG * both:
         return found
     say = (
         f"The time stamps leap, but no sample is missing: in {against} of {both} gaps that motion shows it"
