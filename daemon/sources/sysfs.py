@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.streams import limits
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.sources import chip_correction
 
@@ -50,7 +51,12 @@ class Channel:
     def read(self) -> Array:
         """Return one reading (3,), SI, the phone's axes. Raises SensorGoneError."""
         raw = np.array([number(file) for file in self.files])
-        return np.asarray(self.mount @ ((raw + self.offset) * self.scale / self.chip_scale - self.chip_bias))
+        with np.errstate(over="ignore", invalid="ignore"):  # refused below
+            own = (raw + self.offset) * self.scale / self.chip_scale - self.chip_bias
+            xyz = np.asarray(self.mount @ own)
+        if not (np.abs(xyz) <= limits.READING).all():
+            raise SensorGoneError(f"{self.files[0]}: {xyz.tolist()} is no reading")
+        return xyz
 
     def read_again(self) -> Channel:
         """Return the channel with what the chip corrects by itself now. Raises SensorGoneError."""

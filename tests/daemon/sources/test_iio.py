@@ -217,6 +217,24 @@ def test_a_rate_is_asked_of_the_chip_and_kept_to(tmp_path: Path) -> None:
     within_reason(test())
 
 
+@pytest.mark.parametrize("odd", ["nan", "1e300", "9" * 400])
+def test_a_value_that_is_no_reading_is_a_loss_and_it_goes_on_once_it_is_one_again(
+    tmp_path: Path, odd: str
+) -> None:
+    folder = imu(tmp_path)
+
+    async def test() -> None:
+        async with IioSource(settings(tmp_path)) as source:
+            await until(source, lambda r: bool(of(Samples, r)))
+            put(folder, in_anglvel_x_raw=odd)
+            records = await until(source, lambda r: bool(of(LinkDown, r)))
+            assert "is no reading" in of(LinkDown, records)[0].reason
+            put(folder, in_anglvel_x_raw=10)
+            await until(source, lambda r: bool(of(Samples, r)))
+
+    within_reason(test())
+
+
 def test_removed_while_reading_it_says_so_once_and_is_found_again(tmp_path: Path) -> None:
     folder = imu(tmp_path)
 
