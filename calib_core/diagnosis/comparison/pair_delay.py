@@ -36,6 +36,9 @@ SINGULAR = 1e12
 LIVELY = 0.1
 """Part of the rms rate of change of the liveliest piece from which a piece counts as moving."""
 
+NOISY = 0.02
+"""Part of a piece's changes that may be noise of the other sensor, by which a delay would seem smaller."""
+
 SIZE = 0.01
 """Prior standard deviation of a delay, s: a sample of a phone's usual rate."""
 
@@ -84,7 +87,10 @@ def _moving(true: Samples) -> list[slice]:
     every = [slice(i, i + n) for i in range(1, len(true) - n - 1, n)]
     every = [p for p in every if true.t[p.stop] - true.t[p.start] < 1.5 * n * period]
     power = np.array([float((np.diff(true.xyz[p], axis=0) ** 2).mean()) for p in every])
-    moving = [p for p, x in zip(every, power, strict=True) if x > LIVELY**2 * power.max()]
+    # White noise has twice its variance in first differences and 70 times in fourth ones, motion next to none.
+    noise = np.array([float((np.diff(true.xyz[p], 4, axis=0) ** 2).mean()) / 35.0 for p in every])
+    sure = (power > LIVELY**2 * power.max(initial=0.0)) & (noise < NOISY * power)
+    moving = [p for p, use in zip(every, sure, strict=True) if use]
     return moving[:: -(-len(moving) // MOST_PIECES)] if moving else []
 
 
