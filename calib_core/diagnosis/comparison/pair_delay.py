@@ -87,7 +87,7 @@ def _moving(true: Samples) -> list[slice]:
     every = [slice(i, i + n) for i in range(1, len(true) - n - 1, n)]
     every = [p for p in every if true.t[p.stop] - true.t[p.start] < 1.5 * n * period]
     power = np.array([float((np.diff(true.xyz[p], axis=0) ** 2).mean()) for p in every])
-    # White noise has twice its variance in first differences and 70 times in fourth ones, motion next to none.
+    # White noise has twice its variance in first differences, 70 times in fourth ones; motion next to none.
     noise = np.array([float((np.diff(true.xyz[p], 4, axis=0) ** 2).mean()) / 35.0 for p in every])
     sure = (power > LIVELY**2 * power.max(initial=0.0)) & (noise < NOISY * power)
     moving = [p for p, use in zip(every, sure, strict=True) if use]
