@@ -43,8 +43,9 @@ FARTHEST = 4.0
 
 LEAST_SAMPLES = 1000
 MOST_HELD = 0.01
-"""Part of the samples at rest that may repeat the one before: where values are held, or steps hide the noise,
-residuals are as regular as these are."""
+"""Part of the samples at rest that may repeat the one before on all axes, beyond chance.
+
+Where values are held, residuals are as regular as a driver holds them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,10 +64,11 @@ class Noise:
         rest = still[REACH:-REACH]
         if rest.sum() < LEAST_SAMPLES:
             return None
-        held = (np.diff(xyz, axis=0)[still[1:]] == 0.0).all(axis=1)
+        same = np.diff(xyz, axis=0)[still[1:]] == 0.0
+        held = float(same.all(axis=1).mean() - same.mean(axis=0).prod())
         left = residual(xyz)
         unit = spread(left[rest])
-        if held.mean() > MOST_HELD or (unit <= LEAST_SPREAD).any():
+        if held > MOST_HELD or (unit <= LEAST_SPREAD).any():
             return None
         left = np.where(rest[:, None], left / unit, 0.0)
         size = np.minimum(np.abs(without_lines(left)), FARTHEST).mean(axis=1)
