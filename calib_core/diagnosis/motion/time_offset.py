@@ -207,7 +207,7 @@ class _Motion:
 
 
 def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
-    """Return stamps (n,) and rate (n, 3) of unbroken windows in which the phone turns, the lively ones.
+    """Return stamps (n,), all different, and rate (n, 3) of unbroken windows of turning, the lively ones.
 
     Slow turns of a hand tell little, and its own acceleration is the louder beside them.
     """
@@ -217,7 +217,7 @@ def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Ar
     for first in range(0, len(gyroscope) - n, n):
         t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
         rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
-        if t[-1] - t[0] < 1.5 * WINDOW and rms > LEAST_RATE:
+        if t[-1] - t[0] < 1.5 * WINDOW and np.diff(t).min() > 0.0 and rms > LEAST_RATE:
             found.append((t, rate))
             size.append(rms)
     least = min(LIVELY_RATE, sorted(size)[-min(WANTED, len(size))]) if size else 0.0
