@@ -291,7 +291,7 @@ def _left_out(level: Array, course: Course, rest: Index) -> HeldOut:
         before[test] = level[test] - level[train].mean()
         parameters = _least_squares(course.design[train], level[train])
         after[test] = level[test] - course.design[test] @ parameters
-        s0 = rms(level[train] - level[train].mean())
+        s0 = max(rms(level[train] - level[train].mean()), 1e-12)
         s1 = max(rms(level[train] - course.design[train] @ parameters), 1e-12)
         gain += float(
             (np.log(s0 / s1) + 0.5 * (before[test] / s0) ** 2 - 0.5 * (after[test] / s1) ** 2).sum()
