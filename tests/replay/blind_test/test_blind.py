@@ -103,6 +103,17 @@ open({str(key)!r}).read()
     assert json.loads((tmp_path / "r0001.json").read_bytes())["verdict"] in ("match", "identified")
 
 
+def test_the_diagnosis_finds_its_code_in_the_answering_process(challenge: Path, tmp_path: Path) -> None:
+    """It may open no file but its recordings and its own code, whichever layer that is in."""
+    whole = (challenge / "recordings" / "r0001.csv").read_text().splitlines(keepends=True)
+    recordings, out = tmp_path / "recordings", tmp_path / "out"
+    recordings.mkdir()
+    (recordings / "r0001.csv").write_text("".join(whole[:4000]))
+    answering.answer_all(recordings, out, ["r0001"])
+    answer = answering.read_answers(out, ["r0001"])["r0001"]
+    assert answer["verdict"] != "failed", answer["why"]
+
+
 def test_a_solver_that_breaks_answers_failed(tmp_path: Path) -> None:
     (tmp_path / "r0001.csv").write_text("t,ax,ay,az\n0,0,0,nan\n")
     assert answering.answer_one(tmp_path, "r0001")["verdict"] == "failed"
