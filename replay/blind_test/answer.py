@@ -19,7 +19,7 @@ from typing import IO, Any
 
 import msgspec
 
-import stillcal
+from stillcal import calib_core, config, daemon, replay
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.formats.trace import read_all
@@ -116,7 +116,8 @@ def _confine(folders: Sequence[Path]) -> None:
     This prevents reading a key by mistake or on purpose from Python code; it is no sandbox for other code.
     """
     code = [*map(Path, sys.path), Path(sys.prefix), Path(sys.base_prefix)]
-    code += Path(stillcal.__file__).parent.iterdir()  # in a clone, links to folders elsewhere
+    layers = (calib_core.__file__, config.__file__, daemon.__file__, replay.__file__)
+    code += [Path(file).parent for file in layers]
     allowed = tuple(
         f"{folder.resolve()}{os.sep}" for folder in (*folders, *code) if str(folder) not in ("", ".")
     )
