@@ -122,8 +122,6 @@ def _top(document: dict[str, Any]) -> Iterator[str]:
         "processor unless said otherwise. What stands here is the median over rounds, in brackets the middle "
         "half; *times as fast* is the peer's time over ours within the same round: above 1 we are faster.\n"
     )
-    for item, how in document.get("apart", {}).items():
-        yield f"Item {item} was measured apart from the others: {how}.\n"
     for item, error in document["failed"].items():
         yield f"**Item {item} failed and is missing or cut short: {error}**\n"
 

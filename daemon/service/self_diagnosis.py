@@ -158,8 +158,8 @@ async def _answer(state: Path, settings: DiagnosisSettings, usage: _Usage) -> di
     if child.returncode:
         raise DiagnosisError(_last_line(complaint) or f"its process ended with {child.returncode}")
     try:
-        msgspec.json.decode(output, type=_Answer)
         answer: dict[str, Any] = msgspec.json.decode(output)
+        msgspec.convert(answer, _Answer)
     except msgspec.MsgspecError as error:  # another version was installed while this one runs
         raise DiagnosisError(f"its answer makes no sense here: {error}") from error
     return answer

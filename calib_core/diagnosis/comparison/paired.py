@@ -172,8 +172,6 @@ def _only_sought(found: Comparison, *, gyroscope: bool, constants: bool, timed: 
         unsought |= dict.fromkeys(MOTION, NOT_SOUGHT) | {
             DELAY: "it moves too little in most of the recording"
         }
-    if timed:
-        del unsought[DELAY]
     known = {**{(n.effect, n.sensor): n.reason for n in found.not_compared}, **unsought}
     if timed:
         known.pop(DELAY, None)

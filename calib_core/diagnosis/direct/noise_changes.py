@@ -73,11 +73,11 @@ def changing(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
     level = np.log(measured.pieces).mean(axis=1)
     if level.size < 3 * LEAST_PIECES:
         return None
-    own = np.searchsorted(bins.t - bins.duration / 2, spectrum.t[:-1] + 1e-6, side="right") - 1
+    own = _bins_of(spectrum, bins)
     fits = [
         fit
-        for course in _courses(level, spectrum.t, bins, np.maximum(own, 0))
-        if (fit := _fitted(level, course, spectrum, bins.rest[np.maximum(own, 0)])) is not None
+        for course in _courses(level, spectrum.t, bins, own)
+        if (fit := _fitted(level, course, spectrum, bins.rest[own])) is not None
         and _of_sensor(spectrum, fit.high)
     ]
     if not fits:
@@ -93,37 +93,41 @@ def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
     phone differs from rest to rest, and makes the variance that F's law holds the parabola against. A place
     where it always lies alike shakes it by more, so pieces must scatter about the parabola as noise does.
     """
-    own = np.maximum(np.searchsorted(bins.t - bins.duration / 2, spectrum.t[:-1] + 1e-6, side="right") - 1, 0)
+    own = _bins_of(spectrum, bins)
     rests, which = np.unique(bins.rest[own], return_inverse=True)
     if rests.size < LEAST_RESTS:
         return None
     count = np.bincount(which)[:, None]
-    level = _summed(which, np.log(measured.pieces)) / count
-    force = _summed(which, bins.force[own]) / count
-    fits = [_of_axis(level[:, a], force[:, a] / STANDARD) for a in range(3)]
     pieces, along = np.log(measured.pieces), bins.force[own] / STANDARD
+    level, force = _summed(which, pieces) / count, _summed(which, along) / count
+    fits = [_of_axis(level[:, a], force[:, a]) for a in range(3)]
     by_chance = EVEN * float(np.sqrt(3.0)) * _chance(spectrum, np.ones(own.size, dtype=np.bool_)) + 0.03
     clear = [
         a
         for a in range(3)
-        if fits[a][0] > 0.0
-        and fits[a][1] >= LEAST_BY_FORCE
-        and _scatter(pieces[:, a] - _parabola(along[:, a]) @ fits[a][3]) < by_chance
+        if fits[a].nats > 0.0
+        and fits[a].change >= LEAST_BY_FORCE
+        and _scatter(pieces[:, a] - _parabola(along[:, a]) @ fits[a].curve) < by_chance
     ]
     if not clear:
         return None
-    best = max(clear, key=lambda a: fits[a][0])
-    nats, change, held_out, _ = fits[best]
-    ratio = float(np.exp(change))
+    best = max(clear, key=lambda a: fits[a].nats)
+    ratio = float(np.exp(fits[best].change))
     say = (
         f"The {NAME[sensor]}'s noise follows the force along its own axis: {ratio:.2f} times from the least"
         f" to the most on {AXES[best]}."
     )
     where = Where(float(spectrum.t[0]), float(spectrum.t[-1]), (0.0, spectrum.rate / 2.0), "own force")
-    seen = Seen(nats - float(np.log(3.0)), held_out)
+    seen = Seen(fits[best].nats - float(np.log(3.0)), fits[best].held_out)
     return direct_finding(
         "unknown", sensor, clear, where, sized({"ratio": (ratio, "1")}), statement=say, seen=seen
     )
+
+
+def _bins_of(spectrum: Spectra, bins: Bins) -> Index:
+    """Return the bin (P,) in which each piece of rest begins."""
+    begun = np.searchsorted(bins.t - bins.duration / 2, spectrum.t[:-1] + 1e-6, side="right")
+    return np.maximum(begun - 1, 0)
 
 
 def _summed(which: Index, values: Array) -> Array:
@@ -136,11 +140,18 @@ def _parabola(force: Array) -> Array:
     return np.stack([np.ones(force.size), force, force**2], axis=1)
 
 
-def _of_axis(level: Array, force: Array) -> tuple[float, float, HeldOut, Array]:
-    """Return nats for levels (n,) that follow a force (n,), by how much they change, and rests left out.
+@dataclass(frozen=True, slots=True, eq=False)
+class _ByForce:
+    """A parabola of the force, curve (3,), by which levels change by so much; nats for it."""
 
-    The fourth is the parabola, (3,).
-    """
+    nats: float
+    change: float
+    held_out: HeldOut
+    curve: Array
+
+
+def _of_axis(level: Array, force: Array) -> _ByForce:
+    """Return the parabola of levels (n,) over a force (n,), and how it foretells rests left out."""
     from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
 
     design = _parabola(force)
@@ -150,7 +161,7 @@ def _of_axis(level: Array, force: Array) -> tuple[float, float, HeldOut, Array]:
     free = level.size - 3
     chance = float(f.logsf(0.5 * (without - within) * free / max(within, 1e-300), 2, free))
     held_out = _left_out(level, Course("own force", design, (0.0, 0.0), 3.0), np.arange(level.size))
-    return of_chance(chance), float(np.ptp(fitted)), held_out, curve
+    return _ByForce(of_chance(chance), float(np.ptp(fitted)), held_out, curve)
 
 
 def _courses(level: Array, t: Array, bins: Bins, own: Index) -> list[Course]:

@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.maths.robust import bulk
 from stillcal.calib_core.streams.samples import Samples
 
 BLOCK_S = 1.0
@@ -181,7 +182,7 @@ def held(samples: Samples, sensor: str, usual: Usual) -> tuple[Finding | None, f
     share = seen.share()
     if share.value <= 0.0:
         return None, 0.0
-    first, last = _bulk(np.maximum(seen.together - seen.chance, 0.0))
+    first, last = bulk(np.maximum(seen.together - seen.chance, 0.0))
     end = min((last + 1) * seen.n, len(samples) - 1)
     where = Where(float(samples.t[first * seen.n]), float(samples.t[end]), (0.0, 0.0), "values")
     say = (
@@ -208,13 +209,6 @@ def _mixed_steps(xyz: Array, same: NDArray[np.bool_], together: float) -> bool:
         return False
     changes = len(xyz) - together
     return len(np.unique(xyz, axis=0)) < COME_BACK * changes
-
-
-def _bulk(excess: Array) -> tuple[int, int]:
-    """Return first and last of the blocks that hold all but 2 % of the excess."""
-    total = np.cumsum(excess) / excess.sum()
-    first, last = np.searchsorted(total, (0.01, 0.99))
-    return int(first), int(min(last, excess.size - 1))
 
 
 def _longest(same: NDArray[np.bool_]) -> int:

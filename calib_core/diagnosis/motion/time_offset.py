@@ -189,9 +189,7 @@ class _Motion:
         """Return what delays of single axes do, as spectra (f, 3, 4) a window."""
         made = []
         for t, rate in self.windows:
-            back = matrix(attitudes(t, rate))
-            turned = np.einsum("nij,nj->ni", back, _force(self.accelerometer, self.baseline, t))
-            up = turned.mean(axis=0) / np.linalg.norm(turned.mean(axis=0))
+            back, _, up = _turned_back(_force(self.accelerometer, self.baseline, t), t, rate)
             made.append(_spectrum(axis_columns(t, back, rate, up, self.gravity)))
         return made
 
@@ -245,12 +243,18 @@ def _equations(force: Array, t: Array, rate: Array, gravity: float) -> tuple[Spe
 
     Both are turned back to the window's start, and free of gravity and of what grows steadily.
     """
-    back = matrix(attitudes(t, rate))
-    still = np.einsum("nij,nj->ni", back, force)
-    up = still.mean(axis=0) / np.linalg.norm(still.mean(axis=0))
+    back, still, up = _turned_back(force, t, rate)
     late = -gravity * np.cross(rate, np.einsum("nji,j->ni", back, up))
     effects = back @ np.concatenate([of_arm(t, rate), late[:, :, None]], axis=2)
     return _spectrum(effects), _spectrum(still)
+
+
+def _turned_back(force: Array, t: Array, rate: Array) -> tuple[Array, Array, Array]:
+    """Return what turns the body to where it was at first (n, 3, 3), the force (n, 3) there, and up (3,)."""
+    back = matrix(attitudes(t, rate))
+    still = np.einsum("nij,nj->ni", back, force)
+    mean = still.mean(axis=0)
+    return back, still, np.asarray(mean / np.linalg.norm(mean))
 
 
 def _spectrum(values: Array) -> Spectrum:

@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stamps.rate_changes import stretches
+from stillcal.calib_core.maths.robust import bulk
 
 PIECES = 40
 """Parts of a recording that errors are taken from: enough for a standard error known to a tenth."""
@@ -53,9 +54,6 @@ LEAST_JITTER = 1e-4
 LEAST_SHARE = 1e-4
 """The same of a share of samples."""
 
-
-NEARLY_ALL = (0.01, 0.99)
-"""Parts of the hits that lie before the start, and before the end, of the time in which nearly all are."""
 
 LASTING = 0.5
 """Part of a recording beyond which what is there is there all along."""
@@ -232,11 +230,9 @@ def drops(grid: Grid, usual: Usual, where: Where) -> Finding | None:
 
 def located(t: Array, hits: Array, where: Where) -> tuple[Where, str]:
     """Return when nearly all of the hits (n,) at stamps t (n,) s are, and words for a while."""
-    total = np.cumsum(hits)
-    if total.size == 0 or total[-1] <= 0.0:
+    if not hits.any():
         return where, ""
-    first, last = np.searchsorted(total, np.array(NEARLY_ALL) * total[-1])
-    start, end = float(t[first]), float(t[min(last, t.size - 1)])
+    start, end = (float(t[k]) for k in bulk(hits))
     if end - start > LASTING * (where.t_end - where.t_start):
         return where, ""
     return replace(where, t_start=start, t_end=end), f", nearly all from {start:.0f} to {end:.0f} s"

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.terms import POWER_NAMES
 
 Finding = Mapping[str, Any]
 
 AXES = "xyz"
 SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
-POWERS = ("slope", "quadratic", "cubic")
-"""Parameters of a bias that is a polynomial in temperature."""
-
 ORDER = ("sample_rate", "accel_scale", "gyro_scale")
 """Applied first: a noise per sample depends on the rate, and a bias is added to what is scaled."""
 
@@ -126,7 +124,9 @@ def common_ratio(finding: Finding, name: str) -> float:
 def powers_of(finding: Finding) -> list[str]:
     """Return the powers of temperature that a finding has, the lowest first."""
     return [
-        n for n in POWERS if any(n in finding[side] for side in ("difference", "parameters", "simulated"))
+        n
+        for n in POWER_NAMES
+        if any(n in finding[side] for side in ("difference", "parameters", "simulated"))
     ]
 
 
@@ -147,7 +147,7 @@ def restated(finding: Finding, warmer: float) -> Finding:
 
 def refuse_bends(finding: Finding) -> None:
     """Raise CannotHold where a bias curves with temperature, after its slope has been put in."""
-    bends = [name for name in POWERS[1:] if name in finding["parameters"]]
+    bends = [name for name in POWER_NAMES[1:] if name in finding["parameters"]]
     if bends:
         raise CannotHold(f"its slope is put in, but there is no setting for {' and '.join(bends)}")
 

@@ -14,10 +14,10 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.terms import POWER_NAMES
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.replay.export.fix.findings import (
-    POWERS,
     CannotHold,
     Finding,
     Fixed,
@@ -63,8 +63,9 @@ class _Phone:
         about = finding if at is None else restated(finding, own - at)
         added = self._effect(about, {name: difference(about, name) for name in powers_of(about)})
         if at is not None:
-            gone = sum((d * (at - own) ** (POWERS.index(name) + 1) for name, d in added.items()), np.zeros(3))
-            self._add_bias(finding, -gone)
+            by_power = enumerate(POWER_NAMES, start=1)
+            gone = [d * (at - own) ** p for p, name in by_power if (d := added.get(name)) is not None]
+            self._add_bias(finding, -sum(gone, np.zeros(3)))
 
     def scale(self, finding: Finding) -> None:
         self._set_gain(finding, gain_after(finding, np.asarray(self._sensor(finding).scale)))
