@@ -12,7 +12,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.gravity import STANDARD, Gravity
-from stillcal.daemon.store.store import Store, StoreError, StoreSettings
+from stillcal.daemon.store.files import StoreError
+from stillcal.daemon.store.store import Store, StoreSettings
 from stillcal.replay.runner import Outcome
 
 _DEG = 180 / np.pi

@@ -19,7 +19,7 @@ from stillcal.calib_core.static.classify import LABELS, Coarseness, Codes, Flags
 from stillcal.calib_core.static.gather import Gatherer, GatherState
 from stillcal.calib_core.static.noise_floor import Floor, counted, octave_of, renewed
 from stillcal.calib_core.static.rest import RestState
-from stillcal.calib_core.static.settings import DetectorSettings, Label, Ledger, Mode, Sense, Sleep, Want
+from stillcal.calib_core.static.settings import DetectorSettings, Ledger, Mode, Sense, Want
 from stillcal.calib_core.static.windows import (
     BLOCK,
     COLUMNS,
@@ -34,18 +34,6 @@ from stillcal.calib_core.static.windows import (
     with_rows,
 )
 from stillcal.calib_core.streams.samples import Samples, Sensor
-
-__all__ = [
-    "DetectorSettings",
-    "DetectorState",
-    "Label",
-    "Ledger",
-    "Mode",
-    "Sense",
-    "Sleep",
-    "StationaryDetector",
-    "Want",
-]
 
 _FIRST_EPOCH, _LAST_EPOCH = BLOCK, 64 * BLOCK
 """Cells between renewals of the noise floors: 4 s at first, so that a floor is known soon, and doubling up to

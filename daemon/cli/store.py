@@ -23,8 +23,8 @@ from stillcal.calib_core.calibration.terms import with_terms
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import OpenGroup, examples
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument, calibration_json, differences, parse
-from stillcal.daemon.store.files import MAX_BYTES
-from stillcal.daemon.store.store import Reading, Store
+from stillcal.daemon.store.files import MAX_BYTES, Reading
+from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import read_regular
 from stillcal.daemon.system.printable import printable
 

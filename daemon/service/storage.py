@@ -16,8 +16,8 @@ from typing import TypeVar
 from stillcal.calib_core.engine.actions import Forget, Publish, Reject
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.store.document import StoreDocument
-from stillcal.daemon.store.files import StoreBusyError, StoreLockedError, store_error
-from stillcal.daemon.store.store import Outcome, Store, StoreError, StoreSettings
+from stillcal.daemon.store.files import StoreBusyError, StoreError, StoreLockedError, store_error
+from stillcal.daemon.store.store import Outcome, Store, StoreSettings
 from stillcal.daemon.system import memory
 from stillcal.daemon.system.files import make_folder
 from stillcal.daemon.system.worker import Worker

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from stillcal.daemon.wire.decoder import Command, Message, WireCounters
+from stillcal.daemon.wire.messages import Command, Message
+from stillcal.daemon.wire.reassembly import WireCounters
 
 
 @dataclass(frozen=True, slots=True)

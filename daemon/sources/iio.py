@@ -16,22 +16,14 @@ from pathlib import Path
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.static.settings import Sense, Sleep
-from stillcal.calib_core.streams.events import Tick
+from stillcal.calib_core.streams.events import Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.sources import sysfs
 from stillcal.daemon.sources.base import SerialSettings, Source
 from stillcal.daemon.sources.sysfs import SensorGoneError, Sensors
 from stillcal.daemon.system.clock import Clock, host_time
-from stillcal.daemon.wire.decoder import (
-    Claim,
-    Command,
-    Hello,
-    Identify,
-    Rate,
-    Status,
-    Temperature,
-    WireCounters,
-)
+from stillcal.daemon.wire.messages import Claim, Command, Hello, Identify, Rate, Status
+from stillcal.daemon.wire.reassembly import WireCounters
 
 MAX_RATE_HZ = 50.0
 """Sampling rate unless [source] rate_hz sets one: each axis costs a system call and a bus transfer."""

@@ -19,15 +19,10 @@ from collections.abc import AsyncIterator
 import serial
 
 from stillcal.daemon.sources.base import Record, SerialSettings, Source
-from stillcal.daemon.wire.decoder import (
-    Command,
-    Form,
-    Identify,
-    WireCounters,
-    WireDecoder,
-    WireEncoder,
-    WireSettings,
-)
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
+from stillcal.daemon.wire.messages import Command, Identify
+from stillcal.daemon.wire.reassembly import WireCounters
 
 READ_BYTES = 4096
 """Bytes read at once: a terminal's buffer, so that a full queue is exceeded by no more than that."""

@@ -22,25 +22,7 @@ from types import TracebackType
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.daemon.store.atomic import NotDurableError, sync_folder, write_atomically
 from stillcal.daemon.store.document import SCHEMA, HistoryEntry, StoreDocument, render
-from stillcal.daemon.store.files import (
-    Reading,
-    StoreError,
-    StoreLockedError,
-    is_locked_by,
-    read,
-    store_error,
-    take_lock,
-)
-
-__all__ = [
-    "Outcome",
-    "Reading",
-    "Store",
-    "StoreError",
-    "StoreLockedError",
-    "StoreSettings",
-    "Verification",
-]
+from stillcal.daemon.store.files import Reading, StoreError, is_locked_by, read, store_error, take_lock
 
 MODES = (0o600, 0o640)
 

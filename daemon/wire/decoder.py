@@ -11,43 +11,12 @@ from __future__ import annotations
 import dataclasses
 from enum import Enum, auto
 
-from stillcal.calib_core.streams.events import Temperature
 from stillcal.daemon.wire.cobs import MARKER, MARKERS, MAX_FRAME, FrameError, unframed
-from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
+from stillcal.daemon.wire.encoder import Form
 from stillcal.daemon.wire.frames import PayloadError, parse_payload
-from stillcal.daemon.wire.messages import (
-    VERSION,
-    Claim,
-    Command,
-    Grant,
-    Hello,
-    Identify,
-    Message,
-    Rate,
-    Status,
-)
+from stillcal.daemon.wire.messages import Message
 from stillcal.daemon.wire.reassembly import WireCounters, WireDelivery
-from stillcal.daemon.wire.sample_blocks import Coding
 from stillcal.daemon.wire.text import MAX_LINE, LineError, Row, parse_line
-
-__all__ = [
-    "VERSION",
-    "Claim",
-    "Coding",
-    "Command",
-    "Form",
-    "Grant",
-    "Hello",
-    "Identify",
-    "Message",
-    "Rate",
-    "Status",
-    "Temperature",
-    "WireCounters",
-    "WireDecoder",
-    "WireEncoder",
-    "WireSettings",
-]
 
 PRINTABLE = bytes(range(0x20, 0x7F)) + b"\t"
 

@@ -13,17 +13,9 @@ from typing import Any
 
 import msgspec
 
-from stillcal.calib_core.static.detector import Sense, Sleep
+from stillcal.calib_core.static.settings import Sense, Sleep
 from stillcal.calib_core.streams.events import Charging, End, Location, Temperature, Tick
-from stillcal.daemon.wire.messages import (
-    Grant,
-    Hello,
-    Identify,
-    Message,
-    Rate,
-    Status,
-    within_limits,
-)
+from stillcal.daemon.wire.messages import Grant, Hello, Identify, Message, Rate, Status, within_limits
 from stillcal.daemon.wire.sample_blocks import HEADER, SENSORS, parse_samples
 
 HELLO = 0x20

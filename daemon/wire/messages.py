@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from stillcal.calib_core.static.detector import Sense, Sleep
+from stillcal.calib_core.static.settings import Sense, Sleep
 from stillcal.calib_core.streams import limits
 from stillcal.calib_core.streams.events import Charging, End, Location, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples

@@ -19,7 +19,8 @@ from stillcal.daemon.cli.options import config_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.document import FORMAT, StoreDocument
-from stillcal.daemon.store.store import Store, StoreError
+from stillcal.daemon.store.files import StoreError
+from stillcal.daemon.store.store import Store
 from stillcal.replay.commands.outputs import refuse_collisions, say, write_output
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.trace import Trace

@@ -15,7 +15,8 @@ from stillcal.calib_core.diagnosis.segments.kept_samples import chosen, of_sampl
 from stillcal.calib_core.diagnosis.segments.overview import Overview, OverviewBuilder
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.system.memory import release_free_pages
-from stillcal.replay.formats.trace import Event, Recording, Trace, whole
+from stillcal.replay.formats.claims import Event
+from stillcal.replay.formats.trace import Recording, Trace, whole
 
 Flags = NDArray[np.bool_]
 

@@ -20,21 +20,8 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import Cut, cut, merged
 from stillcal.replay.formats.recognition.log import Log
 from stillcal.replay.formats.recognition.opened import open_log
-from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.sources import STANDARD_INPUT
 from stillcal.replay.notebook import html_table
-
-__all__ = [
-    "Chunk",
-    "Claims",
-    "Event",
-    "Recording",
-    "Trace",
-    "TraceError",
-    "open_trace",
-    "read_all",
-    "read_rest_table",
-]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

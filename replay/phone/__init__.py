@@ -3,7 +3,6 @@
 A forward model that shares no formula with calib_core, of which it uses the sample blocks and events only.
 """
 
-from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.replay.phone.phone import Phone, dump_phone, load_phone
 from stillcal.replay.phone.plan import Event
 from stillcal.replay.phone.population import population
@@ -12,10 +11,8 @@ from stillcal.replay.phone.scenario import Scenario, load_scenario
 from stillcal.replay.phone.simulation import Chunk, Simulation, Truth, simulate
 
 __all__ = [
-    "Charging",
     "Chunk",
     "Event",
-    "Location",
     "Phone",
     "RestDraws",
     "Scenario",

@@ -11,7 +11,7 @@ from rich.progress import Progress
 
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.formats.hhar_still import recordings as recordings_of
-from stillcal.replay.formats.trace import read_rest_table
+from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.real_data import sound_phones
 from stillcal.replay.real_data.injection import DIRECT, SLOW
 from stillcal.replay.real_data.page import Shown, page

@@ -18,17 +18,10 @@ from types import TracebackType
 from typing import Literal, Self
 
 from stillcal.calib_core.streams.events import End
-from stillcal.daemon.wire.decoder import (
-    Claim,
-    Command,
-    Hello,
-    Identify,
-    Message,
-    WireCounters,
-    WireDecoder,
-    WireEncoder,
-    WireSettings,
-)
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import WireEncoder, WireSettings
+from stillcal.daemon.wire.messages import Claim, Command, Hello, Identify, Message
+from stillcal.daemon.wire.reassembly import WireCounters
 from stillcal.replay.serial_phone.stream import Chunk, PhoneStream
 
 READ_BYTES = 65_536

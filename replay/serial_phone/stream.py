@@ -13,10 +13,10 @@ from typing import Protocol
 
 import numpy as np
 
-from stillcal.calib_core.static.detector import Sense, Sleep
+from stillcal.calib_core.static.settings import Sense, Sleep
 from stillcal.calib_core.streams.events import Charging, End, Location, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.daemon.wire.decoder import Command, Grant, Message, Rate, Status
+from stillcal.daemon.wire.messages import Command, Grant, Message, Rate, Status
 
 PhoneEvent = Charging | Location
 

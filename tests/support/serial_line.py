@@ -14,7 +14,8 @@ import numpy as np
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.sources.base import LinkDown, Record, SerialSettings
 from stillcal.daemon.sources.serial import SerialSource
-from stillcal.daemon.wire.decoder import Message, WireDecoder
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.messages import Message
 
 
 class Device:

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from stillcal.calib_core.static.detector import Sense, Sleep
-from stillcal.calib_core.streams.events import Charging, End, Location, Tick
+from stillcal.calib_core.static.settings import Sense, Sleep
+from stillcal.calib_core.streams.events import Charging, End, Location, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.daemon.wire.decoder import Grant, Hello, Identify, Message, Rate, Status, Temperature
+from stillcal.daemon.wire.messages import Grant, Hello, Identify, Message, Rate, Status
 
 A, G = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
 

@@ -17,8 +17,9 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.model import SensorModel
+from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.phone import Charging, Phone, Scenario, load_phone, simulate
+from stillcal.replay.phone import Phone, Scenario, load_phone, simulate
 from stillcal.replay.phone.activities.carried import Walk
 from stillcal.replay.phone.activities.resting import Rest, Table
 from stillcal.replay.phone.effects.on_bias import GyroBiasTemperature

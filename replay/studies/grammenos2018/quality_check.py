@@ -12,9 +12,10 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.calib_core.temperature.thermometer import Thermometer
-from stillcal.replay.phone import Charging, Chunk, Phone, Truth, load_phone, load_scenario, simulate
+from stillcal.replay.phone import Chunk, Phone, Truth, load_phone, load_scenario, simulate
 from stillcal.replay.phone.effects.on_bias import AccelBiasStep, GyroBiasDrift
 from stillcal.replay.studies.claim import (
     Cause,

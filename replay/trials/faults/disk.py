@@ -21,7 +21,8 @@ from pathlib import Path
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.daemon.service import saved_state
-from stillcal.daemon.store.store import Store, StoreError
+from stillcal.daemon.store.files import StoreError
+from stillcal.daemon.store.store import Store
 from stillcal.replay.trials.faults.kill import Tell, example, in_child
 from stillcal.replay.trials.faults.wire import Figures
 

@@ -24,7 +24,10 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.sources.base import SerialSettings
 from stillcal.daemon.sources.serial import SerialSource
-from stillcal.daemon.wire.decoder import Message, WireCounters, WireDecoder, WireEncoder, WireSettings
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import WireEncoder, WireSettings
+from stillcal.daemon.wire.messages import Message
+from stillcal.daemon.wire.reassembly import WireCounters
 
 READ = 4095
 """Bytes that one read from a terminal gives at most."""

@@ -75,6 +75,7 @@ MODULES = (
     "streams.samples",
     "streams.events",
     "static.detector",
+    "static.settings",
     "static.rest",
     "gyroscope.rotation_segment",
     "gravity",

@@ -20,8 +20,9 @@ from stillcal.calib_core.gyroscope.fit import GyroscopeFit, GyroscopeSettings, P
 from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment, cut_rotation_segment
 from stillcal.calib_core.maths import rotation
 from stillcal.calib_core.model import SensorModel
-from stillcal.calib_core.static.detector import DetectorSettings, StationaryDetector
+from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState, force_uncertainties, forces
+from stillcal.calib_core.static.settings import DetectorSettings
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 G = 9.80665

@@ -11,16 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stillcal.calib_core.codec import packed, unpacked
-from stillcal.calib_core.static.detector import (
-    DetectorSettings,
-    DetectorState,
-    Mode,
-    Sense,
-    Sleep,
-    StationaryDetector,
-)
+from stillcal.calib_core.static.detector import DetectorState, StationaryDetector
 from stillcal.calib_core.static.gather import uniform
 from stillcal.calib_core.static.rest import group_attitudes
+from stillcal.calib_core.static.settings import DetectorSettings, Mode, Sense, Sleep
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.studies.grammenos2018.algorithm_1 import algorithm_1
 

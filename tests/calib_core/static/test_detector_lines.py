@@ -9,16 +9,10 @@ import pytest
 from msgspec.structs import replace
 
 from stillcal.calib_core.static.classify import Coarseness
-from stillcal.calib_core.static.detector import (
-    DetectorSettings,
-    DetectorState,
-    Label,
-    Mode,
-    Sense,
-    StationaryDetector,
-)
+from stillcal.calib_core.static.detector import DetectorState, StationaryDetector
 from stillcal.calib_core.static.noise_floor import Floor
 from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.static.settings import DetectorSettings, Label, Mode, Sense
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from stillcal.calib_core.static.detector import Label, StationaryDetector
+from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import group_attitudes
+from stillcal.calib_core.static.settings import Label
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.static.detector import DetectorSettings, Label, StationaryDetector
+from stillcal.calib_core.static.detector import StationaryDetector
+from stillcal.calib_core.static.settings import DetectorSettings, Label
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.studies.grammenos2018.algorithm_1 import algorithm_1
 

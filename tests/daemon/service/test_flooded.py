@@ -23,7 +23,8 @@ from stillcal.daemon.service.phone_session import DEVICE_CHARACTERS
 from stillcal.daemon.system import log
 from stillcal.daemon.system.log import BURST, MAX_KINDS, REFILL_S, Quota, say
 from stillcal.daemon.system.printable import printable
-from stillcal.daemon.wire.decoder import Form, Hello, WireEncoder, WireSettings
+from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
+from stillcal.daemon.wire.messages import Hello
 from tests.support.asking import ask, connected
 from tests.support.living import answering, until, within_reason
 from tests.support.serial_line import Device

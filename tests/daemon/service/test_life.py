@@ -18,7 +18,7 @@ from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.store.document import StoreDocument
 from stillcal.daemon.store.store import Store
-from stillcal.daemon.wire.decoder import Hello
+from stillcal.daemon.wire.messages import Hello
 from stillcal.replay.runner import replay
 from stillcal.replay.serial_phone.link import LinkSettings, PhoneLink, serve_phone
 from stillcal.replay.serial_phone.stream import PhoneStream

@@ -20,7 +20,8 @@ from stillcal.daemon.service.engine_thread import EngineThread
 from stillcal.daemon.service.phone_session import GATHER_S, LATE_S, SILENCE_S, PhoneSession
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.sources.base import SerialSettings, Source
-from stillcal.daemon.wire.decoder import Command, Identify, WireCounters
+from stillcal.daemon.wire.messages import Command, Identify
+from stillcal.daemon.wire.reassembly import WireCounters
 from tests.support.clock import ManualClock
 
 CONTINUOUS = EngineSettings(ScheduleSettings(watch="continuous"))

@@ -17,7 +17,7 @@ import pytest
 from stillcal.daemon.cli.exits import TRY_AGAIN
 from stillcal.daemon.cli.query import replies
 from stillcal.daemon.service import saved_state
-from stillcal.daemon.wire.decoder import Hello
+from stillcal.daemon.wire.messages import Hello
 from stillcal.replay.serial_phone.link import PhoneLink
 from stillcal.replay.serial_phone.stream import PhoneStream
 from tests.support.living import given_in, until, within_reason

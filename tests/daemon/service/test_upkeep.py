@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-from stillcal.daemon.store.store import Store, StoreError
+from stillcal.daemon.store.files import StoreError
+from stillcal.daemon.store.store import Store
 from stillcal.replay.serial_phone.link import serve_phone
 from stillcal.replay.trials.faults.calls import failing_call
 from tests.support.asking import ask, connected

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stillcal.calib_core.static.detector import Sense, Sleep
-from stillcal.calib_core.streams.events import Tick
+from stillcal.calib_core.static.settings import Sense, Sleep
+from stillcal.calib_core.streams.events import Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.app import Service
 from stillcal.daemon.app_launch import LaunchOptions
@@ -23,7 +23,7 @@ from stillcal.daemon.sources.base import LinkDown, LinkUp, SerialSettings
 from stillcal.daemon.sources.iio import IioSource
 from stillcal.daemon.sources.sysfs import SensorGoneError, find, matrix
 from stillcal.daemon.system.systemd import Notifier
-from stillcal.daemon.wire.decoder import Hello, Identify, Rate, Status, Temperature
+from stillcal.daemon.wire.messages import Hello, Identify, Rate, Status
 from tests.support.living import within_reason
 
 

@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillcal.calib_core.static.detector import Sense
+from stillcal.calib_core.static.settings import Sense
 from stillcal.calib_core.streams.events import Tick
 from stillcal.daemon.sources.base import LinkDown, LinkUp, Record
 from stillcal.daemon.sources.serial import READ_BYTES, SerialSource
-from stillcal.daemon.wire.decoder import Form, Identify, WireDecoder, WireEncoder, WireSettings
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
+from stillcal.daemon.wire.messages import Identify
 from tests.support.living import within_reason
 from tests.support.serial_line import Device, block, lost, quick, seen, starts, until
 

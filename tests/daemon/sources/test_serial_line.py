@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from stillcal.calib_core.streams.events import Tick
 from stillcal.daemon.sources.base import LinkDown, LinkUp, Record, SerialSettings
 from stillcal.daemon.sources.serial import SerialSource
-from stillcal.daemon.wire.decoder import Identify, WireEncoder
+from stillcal.daemon.wire.encoder import WireEncoder
+from stillcal.daemon.wire.messages import Identify
 from tests.support.living import within_reason
 from tests.support.serial_line import Device, block, lost, quick, seen, starts, until
 

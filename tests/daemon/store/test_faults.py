@@ -15,7 +15,8 @@ import pytest
 
 from stillcal.daemon.store.atomic import NotDurableError, write_atomically
 from stillcal.daemon.store.document import StoreDocument, render
-from stillcal.daemon.store.store import Store, StoreError
+from stillcal.daemon.store.files import StoreError
+from stillcal.daemon.store.store import Store
 from stillcal.replay.trials.faults.disk import fsync_failing_at
 
 KILLS = 30

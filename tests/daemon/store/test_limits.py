@@ -10,11 +10,9 @@ import pytest
 
 from stillcal.daemon.store import store as store_module
 from stillcal.daemon.store.atomic import write_atomically
-from stillcal.daemon.store.document import (
-    StoreDocument,
-)
-from stillcal.daemon.store.files import MAX_BYTES, StoreLockedError, read, store_error, take_lock
-from stillcal.daemon.store.store import Store, StoreError, StoreSettings
+from stillcal.daemon.store.document import StoreDocument
+from stillcal.daemon.store.files import MAX_BYTES, StoreError, StoreLockedError, read, store_error, take_lock
+from stillcal.daemon.store.store import Store, StoreSettings
 
 
 @pytest.fixture

@@ -17,7 +17,8 @@ from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.errors import TryAgainError
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.service.storage import Storage
-from stillcal.daemon.store.store import Store, StoreError, StoreLockedError
+from stillcal.daemon.store.files import StoreError, StoreLockedError
+from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import make_folder
 from stillcal.replay.trials.faults.calls import CALLS, PASSING, failing_call, surviving
 from tests.support.asking import STILLCAL

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from stillcal.daemon.store.document import SCHEMA, StoreDocument, parse, render
-from stillcal.daemon.store.store import Store, StoreError, StoreLockedError, StoreSettings
+from stillcal.daemon.store.files import StoreError, StoreLockedError
+from stillcal.daemon.store.store import Store, StoreSettings
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 

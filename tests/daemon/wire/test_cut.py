@@ -10,7 +10,10 @@ from hypothesis import strategies as st
 
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.wire.cobs import MAX_FRAME, cobs_encode, framed
-from stillcal.daemon.wire.decoder import Coding, Form, Message, WireDecoder, WireEncoder, WireSettings
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
+from stillcal.daemon.wire.messages import Message
+from stillcal.daemon.wire.sample_blocks import Coding
 from tests.support.wire_said import OTHERS, G, joined, run
 
 

@@ -11,7 +11,8 @@ import pytest
 from stillcal.calib_core.streams.events import Charging, Location, Tick
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.daemon.wire.cobs import MAX_FRAME, framed
-from stillcal.daemon.wire.decoder import WireDecoder, WireEncoder, WireSettings
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import WireEncoder, WireSettings
 from stillcal.daemon.wire.frames import MAX_HELLO
 from tests.support.wire_said import joined, others, run, same
 

@@ -9,24 +9,14 @@ import zlib
 import numpy as np
 import pytest
 
-from stillcal.calib_core.static.detector import Sense, Sleep
-from stillcal.calib_core.streams.events import Charging, End, Location, Tick
+from stillcal.calib_core.static.settings import Sense, Sleep
+from stillcal.calib_core.streams.events import Charging, End, Location, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.daemon.wire.cobs import cobs_decode, cobs_encode
-from stillcal.daemon.wire.decoder import (
-    Coding,
-    Form,
-    Grant,
-    Hello,
-    Identify,
-    Message,
-    Rate,
-    Status,
-    Temperature,
-    WireDecoder,
-    WireEncoder,
-    WireSettings,
-)
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
+from stillcal.daemon.wire.messages import Grant, Hello, Identify, Message, Rate, Status
+from stillcal.daemon.wire.sample_blocks import Coding
 from stillcal.daemon.wire.text import crc16
 from tests.support.wire_said import A, G, others, same
 

@@ -21,8 +21,9 @@ from stillcal.calib_core.streams.events import Charging, End, Location, Tick
 from stillcal.calib_core.streams.samples import SampleError, Samples, Sensor
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.saved_state import SavedState, decode, encode
-from stillcal.daemon.wire.decoder import Message, WireDecoder, WireSettings
-from stillcal.daemon.wire.messages import PhoneMessage, Status
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import WireSettings
+from stillcal.daemon.wire.messages import Message, PhoneMessage, Status
 from stillcal.daemon.wire.text import MicrosClock
 from stillcal.replay.trials.faults.hostile import any_message, any_style, encoded
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from stillcal.calib_core.streams.events import Tick
-from stillcal.daemon.wire.decoder import Form, Hello, Message, WireDecoder, WireEncoder, WireSettings
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
 from stillcal.daemon.wire.frames import Frame
-from stillcal.daemon.wire.messages import SEQUENCE_MASK
+from stillcal.daemon.wire.messages import SEQUENCE_MASK, Hello, Message
 from stillcal.daemon.wire.reassembly import WireCounters, WireDelivery
 from tests.support.wire_said import A, G, run
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.streams.events import Charging, Location
-from stillcal.daemon.wire.decoder import Form, Temperature, WireDecoder, WireEncoder, WireSettings
+from stillcal.calib_core.streams.events import Charging, Location, Temperature
+from stillcal.daemon.wire.decoder import WireDecoder
+from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
 from stillcal.daemon.wire.text import COUNTER, LATE, MAX_LINE, MOST_MICROS, MicrosClock, crc16
 from tests.support.wire_said import G, joined, others, run
 

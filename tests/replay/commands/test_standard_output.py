@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from stillcal.daemon.store.atomic import write_atomically
-from stillcal.daemon.store.store import StoreError
+from stillcal.daemon.store.files import StoreError
 from stillcal.replay.commands.outputs import write_output
 from stillcal.replay.commands.store_files import import_command
 from stillcal.replay.formats.errors import TraceError

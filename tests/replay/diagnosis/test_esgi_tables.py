@@ -10,7 +10,7 @@ import pytest
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins
-from stillcal.replay.formats.trace import read_rest_table
+from stillcal.replay.formats.rest_table import read_rest_table
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])

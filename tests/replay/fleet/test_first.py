@@ -14,13 +14,14 @@ from click.testing import CliRunner
 
 from stillcal.calib_core.accelerometer import prior as fleet_prior
 from stillcal.calib_core.accelerometer.prior import NOMINAL, FleetPrior
-from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.fleet.first_calibration import first_calibration
 from stillcal.replay.fleet.prior_file import few_devices, read_prior
 from stillcal.replay.fleet.summary.report import prior_document
-from stillcal.replay.formats.trace import Samples, TraceError, open_trace
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import open_trace
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.outcome import current_in_store
 from stillcal.replay.phone import load_phone, load_scenario, simulate

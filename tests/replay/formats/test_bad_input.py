@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stillcal.replay.formats import sources
-from stillcal.replay.formats.trace import TraceError, read_all
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import read_all
 
 HEADER = "t,ax,ay,az,gx,gy,gz"
 

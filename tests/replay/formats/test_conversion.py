@@ -17,7 +17,8 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.cli.main import cli
 from stillcal.daemon.store.store import Store
 from stillcal.replay.commands.convert import convert_command
-from stillcal.replay.formats.trace import Claims, Recording, open_trace, read_all
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.trace import Recording, open_trace, read_all
 from stillcal.replay.formats.writer import TraceWriter
 from tests.support.log_files import rows
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from stillcal.replay.formats.columns import builtin_formats, load_map, parse_map
-from stillcal.replay.formats.trace import TraceError, open_trace, read_all
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import open_trace, read_all
 
 OWN = """
 [time]

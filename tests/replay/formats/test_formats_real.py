@@ -10,7 +10,8 @@ import pytest
 
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.checks.units import UnitCheck
-from stillcal.replay.formats.trace import Recording, TraceError, read_all
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import Recording, read_all
 
 FORMATS = files("stillcal.config") / "formats"
 SUNSIDED = (FORMATS / "mpu6050.toml").read_text()

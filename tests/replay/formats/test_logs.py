@@ -19,11 +19,12 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs import extras
 from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
 from stillcal.replay.formats.tables.compiled import LONG_BYTES, compiled_reader
 from stillcal.replay.formats.tables.table import EMPTY
-from stillcal.replay.formats.trace import Recording, TraceError, open_trace, read_all
+from stillcal.replay.formats.trace import Recording, open_trace, read_all
 from tests.support.log_files import (
     DATA,
     IMU,

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillcal.replay.formats.trace import TraceError, open_trace, read_all
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import open_trace, read_all
 
 OPENED = {
     "axivity/ax3_testfile.cwa": ("Axivity CWA", 98.86),

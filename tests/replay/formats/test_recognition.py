@@ -20,8 +20,9 @@ import pytest
 
 import stillcal
 from stillcal.replay.formats import sources
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.opened import is_rest_table
-from stillcal.replay.formats.trace import TraceError, open_trace, read_all
+from stillcal.replay.formats.trace import open_trace, read_all
 from tests.support.log_files import (
     DATA,
     as_folder,

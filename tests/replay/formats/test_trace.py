@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 
 from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import merged
-from stillcal.replay.formats.trace import TraceError, open_trace, read_all, read_rest_table
+from stillcal.replay.formats.rest_table import read_rest_table
+from stillcal.replay.formats.trace import open_trace, read_all
 
 HEADER = "t,ax,ay,az,gx,gy,gz"
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stillcal.replay.formats.trace import Recording, TraceError, read_all
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import Recording, read_all
 
 HEADER = "t,ax,ay,az,gx,gy,gz"
 SCENES = ["turning", "walking", "still"]

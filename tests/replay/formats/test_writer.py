@@ -16,7 +16,8 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.claims import Claims
-from stillcal.replay.formats.trace import TraceError, open_trace, read_all
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import open_trace, read_all
 from stillcal.replay.formats.writer import TraceWriter
 
 VALUES = st.floats(-1e4, 1e4, allow_nan=False).map(lambda x: x + 0.0)  # no minus zero: -0.0 == 0.0 anyway

@@ -11,17 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.phone import (
-    Charging,
-    Chunk,
-    Location,
-    Scenario,
-    Simulation,
-    load_phone,
-    load_scenario,
-    simulate,
-)
+from stillcal.replay.phone import Chunk, Scenario, Simulation, load_phone, load_scenario, simulate
 from stillcal.replay.phone.heat import Heat, Surroundings
 from stillcal.replay.phone.motion.gravity import gravity_at
 from stillcal.replay.phone.settings import HeatSettings

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stillcal.calib_core.static.detector import Sense, Sleep
+from stillcal.calib_core.static.settings import Sense, Sleep
 from stillcal.calib_core.streams.events import Charging, End, Location, Tick
 from stillcal.daemon.sources.base import LinkDown, LinkUp, SerialSettings
 from stillcal.daemon.sources.serial import SerialSource
-from stillcal.daemon.wire.decoder import Coding, Form, Grant, Hello, Status, WireSettings
+from stillcal.daemon.wire.encoder import Form, WireSettings
+from stillcal.daemon.wire.messages import Grant, Hello, Status
+from stillcal.daemon.wire.sample_blocks import Coding
 from stillcal.replay.serial_phone.link import LinkSettings, PhoneLink, serve_phone
 from stillcal.replay.serial_phone.stream import PhoneStream
 from tests.support.living import within_reason

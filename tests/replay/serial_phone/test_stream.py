@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillcal.calib_core.static.detector import Sense, Sleep
+from stillcal.calib_core.static.settings import Sense, Sleep
 from stillcal.calib_core.streams.events import Charging, End, Location, Tick
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.daemon.wire.decoder import Grant, Message, Rate, Status
+from stillcal.daemon.wire.messages import Grant, Message, Rate, Status
 from stillcal.replay.serial_phone.stream import PhoneEvent, PhoneStream
 from tests.support.phone_pieces import EVENTS, Piece, pieces, whole
 from tests.support.wire_said import A, G, joined, same

@@ -22,7 +22,8 @@ from stillcal.replay.diagnosis.diagnose import diagnose_recording
 from stillcal.replay.diagnosis.report.figures import drawing
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.diagnosis.words.summary import LINES, summary
-from stillcal.replay.formats.trace import Recording, read_rest_table
+from stillcal.replay.formats.rest_table import read_rest_table
+from stillcal.replay.formats.trace import Recording
 from stillcal.replay.formats.writer import TraceWriter
 from tests.support.report_days import THERMAL, TONE, phone_with, recorded
 
