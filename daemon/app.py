@@ -64,8 +64,11 @@ SAVE_AT_LEAST_S = 600.0
 RETRY_EVERY_S = 2.0
 """So often it is tried again where the disk refused, s."""
 
-STOP_TIMEOUT_S = 0.5
-"""A clean stop waits at most this long for the phone session, and again for the engine, s."""
+END_S, LAST_SAMPLES_S = 1.2, 0.5
+"""A clean stop waits at most so long for everything together, and of that for the phone's last samples, s.
+
+With what the log may take (log.FLUSH_S) and the interpreter's own end, the daemon ends within 2 s of SIGTERM.
+"""
 
 HEARTBEAT_S = 10.0
 """Time between two status messages to systemd, s, unless its watchdog wants them more often."""
@@ -223,9 +226,10 @@ class Service:
             say("info", "ready", "waiting for the phone", port=self.settings.source.port)
             stop = asyncio.create_task(self._stop.wait())
             await asyncio.wait([stop, *jobs], return_when=asyncio.FIRST_COMPLETED)
+            until = asyncio.get_running_loop().time() + END_S
             failed = [job.exception() for job in jobs if job.done()]
             self._notifier.stopping("saving")
-        await self._end(*jobs)
+        await self._end(until, *jobs)
         for error in failed:
             raise error or RuntimeError("a task of the service ended unexpectedly")
 
@@ -321,17 +325,20 @@ class Service:
             return False
         return await self.storage.save(data)
 
-    async def _end(self, serving: asyncio.Task[None], *others: asyncio.Task[None]) -> None:
-        """Feed what has arrived, save the state, and release the source, the thread and the store."""
+    async def _end(self, until: float, serving: asyncio.Task[None], *others: asyncio.Task[None]) -> None:
+        """Feed what has arrived, save the state, and release the source, the thread and the store.
+
+        until: by the loop's time, s. What hangs then, such as the engine, a disk or a publisher, is left.
+        """
         self.session.source.close()
-        await asyncio.wait([serving], timeout=STOP_TIMEOUT_S)
+        await asyncio.wait([serving], timeout=LAST_SAMPLES_S)
         for job in (serving, *others):
             job.cancel()
-        await asyncio.gather(serving, *others, return_exceptions=True)
-        saved = False
+        saving = asyncio.create_task(self.save())
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(2 * STOP_TIMEOUT_S):
-                saved = await self.engine_thread.idle(STOP_TIMEOUT_S) and await self.save()
+            async with asyncio.timeout_at(until):
+                await asyncio.gather(saving, serving, *others, return_exceptions=True)
+        saved = not saving.cancelled() and saving.result()
         if not saved:
             say("warning", "stopping", "the engine or the disk is busy: the state is as it was last saved")
         self.engine_thread.close()

@@ -11,11 +11,14 @@ below `stillcal.calib_core`, `stillcal.daemon`, `stillcal.replay` and `stillcal.
 change. Importing stillcal alone loads neither numpy nor scipy: the daemon imports this module too.
 """
 
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
 from stillcal._version import __version__
 
+TYPE_CHECKING = False  # typing's, whose import takes as long as all of this
 if TYPE_CHECKING:
+    from typing import Any
+
     from stillcal.api import (
         Calibration,
         Diagnosis,

@@ -1,19 +1,43 @@
-"""What the command `stillcal` calls: nothing is imported before an interruption would be met.
+"""What the command `stillcal` calls: Ctrl-C is met before anything else is imported.
 
 Importing the command line takes a tenth of a second, in which Ctrl-C is as likely as in any other.
 """
 
 from __future__ import annotations
 
-import sys
+import os
+import signal
+
+from stillcal.daemon.cli.exits import INTERRUPTED
+
+INTERRUPTION = "stillcal: interrupted; nothing half-written"
 
 
 def main() -> None:
     """Run the command line."""
-    try:
-        from stillcal.daemon.cli.main import main as command  # noqa: PLC0415 - within the try is the point
+    quit_when_interrupted()
+    from stillcal.daemon.cli.main import main as command  # noqa: PLC0415 - interrupted before as well
 
-        command()
-    except KeyboardInterrupt:
-        sys.stderr.write("stillcal: interrupted; nothing half-written\n")
-        sys.exit(130)
+    command()
+
+
+def quit_when_interrupted() -> None:
+    """Let Ctrl-C end the process at once, in one line, while nothing has been begun that must be ended.
+
+    A KeyboardInterrupt instead would be lost wherever Python ignores exceptions, as in callbacks of imports.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored (nohup)
+        signal.signal(signal.SIGINT, _quit)
+
+
+def raise_when_interrupted() -> None:
+    """Let Ctrl-C raise KeyboardInterrupt again, for commands that clean up after themselves."""
+    if signal.getsignal(signal.SIGINT) is _quit:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _quit(*_: object) -> None:
+    try:
+        os.write(2, f"{INTERRUPTION}\n".encode())
+    finally:
+        os._exit(INTERRUPTED)

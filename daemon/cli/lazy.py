@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from stillcal.daemon.cli.entry import raise_when_interrupted
+
 
 def examples(*lines: str) -> str:
     """Return an epilog that click does not rewrap."""
@@ -91,4 +93,5 @@ def _registered(group: str) -> dict[str, str]:
 def _imported(place: str) -> click.Command:
     module, attribute = place.split(":")
     command: click.Command = getattr(importlib.import_module(module), attribute)
+    raise_when_interrupted()
     return command

@@ -16,6 +16,7 @@ from importlib.util import find_spec
 import click
 
 from stillcal.calib_core.errors import TryAgainError, UserError
+from stillcal.daemon.cli.entry import INTERRUPTION
 from stillcal.daemon.cli.exits import BAD_INPUT, INTERRUPTED, TRY_AGAIN
 from stillcal.daemon.cli.lazy import LazyGroup, examples
 
@@ -74,7 +75,7 @@ def main() -> None:
         click.echo(f"stillcal: {error.format_message()}", err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
-        click.echo("stillcal: interrupted; nothing half-written", err=True)
+        click.echo(INTERRUPTION, err=True)
         sys.exit(INTERRUPTED)
     except TryAgainError as error:
         click.echo(f"stillcal: {error}", err=True)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 from pathlib import Path
 
 import click
 
 from stillcal.calib_core.errors import TryAgainError
 from stillcal.daemon.app_launch import LaunchOptions
+from stillcal.daemon.cli.entry import quit_when_interrupted
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option
 from stillcal.daemon.system import log, memory
@@ -52,6 +54,7 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
     settings are wrong, or the store or the socket cannot be used; 75 after a passing fault of the machine
     (disk, memory, descriptors) or while another process holds the store: start it again.
     """
+    quit_when_interrupted()  # until the service listens itself
     require("stillcal run", DAEMON)
     from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has
 
@@ -69,13 +72,10 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
     memory.limit_arenas()
     notifier = Notifier()
 
-    async def serve() -> None:
-        service = Service(settings, options, notifier)
-        service.open()
-        await service.run()
-
+    service = Service(settings, options, notifier)
     try:
-        asyncio.run(serve())
+        service.open()
+        asyncio.run(service.run())
     except MemoryError as error:
         raise TryAgainError("the system is out of memory: free some") from error
     except OSError as error:
@@ -83,4 +83,5 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
             raise
         raise TryAgainError(f"{error.filename or 'the system'}: {error.strerror}") from error
     finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
         lines.flush()

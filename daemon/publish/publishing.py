@@ -20,9 +20,6 @@ from stillcal.daemon.system.worker import Worker
 RETRY_S = 30.0
 """Pause before a publisher that failed is opened again, s."""
 
-CLOSE_S = 1.0
-"""Longest wait for a publisher to close when the daemon stops, s."""
-
 
 class Publisher(Protocol):
     """Takes live samples. name: for the log. patience_s: how long samples may gather before it gets them."""
@@ -45,7 +42,10 @@ Subscribe = Callable[[float], AbstractContextManager[Subscriber[Live]]]
 
 
 async def publishing(publisher: Publisher, subscribe: Subscribe) -> None:
-    """Publish until cancelled. The publisher is open, or opens itself when samples come."""
+    """Publish until cancelled, and once more where closing hangs.
+
+    The publisher is open, or opens itself when samples come.
+    """
     worker = Worker("publish")
     try:
         while True:
@@ -57,10 +57,8 @@ async def publishing(publisher: Publisher, subscribe: Subscribe) -> None:
                 say("warning", "publish", f"{publisher.name}: {reason}: opened again later")
                 await _opened_again(publisher, worker)
     finally:
-        with contextlib.suppress(Exception):
-            async with asyncio.timeout(CLOSE_S):
-                await worker.run(publisher.close)
-        worker.close()
+        with contextlib.closing(worker), contextlib.suppress(Exception):
+            await worker.run(publisher.close)
 
 
 async def _opened_again(publisher: Publisher, worker: Worker) -> None:

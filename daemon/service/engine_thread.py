@@ -127,10 +127,6 @@ class EngineThread:
         """Return how long the current job has been running, s; 0 where there is none."""
         return self._clock() - self._since if self._jobs else 0.0
 
-    async def idle(self, timeout_s: float) -> bool:
-        """Wait for the queued jobs; return whether they ended within `timeout_s`."""
-        return await self._thread.idle(timeout_s)
-
     def close(self) -> None:
         """Stop the thread after its current job."""
         self._thread.close()

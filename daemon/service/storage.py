@@ -132,10 +132,6 @@ class Storage:
             return False
         return True
 
-    async def idle(self, timeout_s: float) -> bool:
-        """Wait for what is being written; say whether it was over within `timeout_s`."""
-        return await self._thread.idle(timeout_s)
-
     def close(self) -> None:
         """Finish the write in progress and unlock the store."""
         self._thread.close()

@@ -21,11 +21,15 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.system.files import read_regular
 
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 SI_DRIVERS = re.compile(r"(icm426\d\d|icm427\d\d|iim42\d\d\d|icm40609)")
 """Names of the devices of inv_icm42600."""
+
+MAX_BYTES = 2**20
+"""More than what is kept of a few registers can have."""
 
 AXES = "xyz"
 STEP_SHARE = 0.75
@@ -126,7 +130,7 @@ def _remember(held: Mapping[str, str], memory: Path) -> None:
 def _remembered(memory: Path) -> dict[str, str]:
     """Return what is kept of this boot of the kernel."""
     try:
-        before = msgspec.json.decode(memory.read_bytes(), type=Before)
+        before = msgspec.json.decode(read_regular(memory, MAX_BYTES), type=Before)
     except (OSError, msgspec.MsgspecError):
         return {}
     return before.files if before.boot == _boot() else {}

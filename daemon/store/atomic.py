@@ -25,11 +25,12 @@ def write_atomically(path: Path, data: bytes, mode: int = 0o644) -> None:
     """Replace the file at `path` by `data`, with permissions `mode`; the old stays until the new is whole.
 
     The temporary is `path` with `.tmp` added, so that crashes leave at most one, which the next write
-    takes over; `path` may have one writer at a time. Raises OSError (disk full, read-only folder, I/O
-    error) with the old file intact and the temporary removed, and NotDurableError where only the last
-    step, the sync of the folder, failed. A failed fsync is never tried again on the same file: the
-    kernel may have dropped the pages and would then report success (fsync(2), errors). A device, a pipe or a
-    socket at `path` is never replaced: OSError. A link at `path` stays one: its file is replaced.
+    replaces, as it does whatever else lies there but a folder; `path` may have one writer at a time. Raises
+    OSError (disk full, read-only folder, I/O error) with the old file intact and the temporary removed, and
+    NotDurableError where only the last step, the sync of the folder, failed. A failed fsync is never tried
+    again on the same file: the kernel may have dropped the pages and would then report success (fsync(2),
+    errors). A device, a pipe or a socket at `path` is never replaced: OSError. A link at `path` stays one:
+    its file is replaced.
     """
     path = led_to(path)
     if path.is_symlink() or (path.exists() and not (path.is_file() or path.is_dir())):
@@ -68,7 +69,8 @@ def sync_folder(folder: Path) -> None:
 
 
 def _write_synced(path: Path, data: bytes, mode: int) -> None:
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | SAFE, mode), "wb") as file:
+    path.unlink(missing_ok=True)  # what a crash left, or a FIFO, which opening would wait for
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | SAFE, mode), "wb") as file:
         if hasattr(os, "fchmod"):
             os.fchmod(file.fileno(), mode)  # os.open's mode is cut by the umask
         file.write(data)

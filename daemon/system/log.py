@@ -73,6 +73,7 @@ class Lines(logging.Handler):
     def __init__(self, descriptor: int | None) -> None:
         super().__init__()
         self._descriptor, self._lost = descriptor, 0
+        self._patience_s = FLUSH_S
         self._lines: SimpleQueue[bytes | threading.Event | None] = SimpleQueue()
         threading.Thread(target=self._write, name="log", daemon=True).start()
 
@@ -86,10 +87,11 @@ class Lines(logging.Handler):
         self._lines.put(f"{self.format(record)}{tail}\n".encode(errors="backslashreplace"))
 
     def flush(self) -> None:
-        """Wait until what was said is written, but no longer than FLUSH_S."""
+        """Wait until what was said is written, but no longer than FLUSH_S in all."""
         done = threading.Event()
         self._lines.put(done)
-        done.wait(FLUSH_S)
+        if not done.wait(self._patience_s):
+            self._patience_s = 0.0
 
     def close(self) -> None:
         """End the thread after what waits."""

@@ -31,11 +31,6 @@ class Worker:
         self._jobs.put((future, job, arguments))
         return await asyncio.wrap_future(future)
 
-    async def idle(self, timeout_s: float) -> bool:
-        """Wait for the jobs at hand; say whether they were over within `timeout_s`."""
-        done, _ = await asyncio.wait([asyncio.ensure_future(self.run(lambda: None))], timeout=timeout_s)
-        return bool(done)
-
     def close(self) -> None:
         """Take no more jobs; the thread ends after those at hand."""
         self._jobs.put(None)

@@ -4,8 +4,8 @@
 
 Killed while it saves (kill.py) and while it lives (live.py), disks that fail (disk.py), clients that mean no
 good and a second daemon (socket.py), calibrations while others wait (fit.py), the wire (wire.py), system
-calls that fail once (calls.py), and a daemon that a phone and clients try by every means (endure.py). Each
-part also checks what must hold; exit code 1 where something does not.
+calls that fail once (calls.py), parts that hang (hangs.py), and a daemon that a phone and clients try by
+every means (endure.py). Each part also checks what must hold; exit code 1 where something does not.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from stillcal.replay.trials.faults.calls import every_call
 from stillcal.replay.trials.faults.disk import failing_disks
 from stillcal.replay.trials.faults.endure import hostile_bytes, hostile_messages, leavers, tables
 from stillcal.replay.trials.faults.fit import calibrating
+from stillcal.replay.trials.faults.hangs import hangs
 from stillcal.replay.trials.faults.kill import killed
 from stillcal.replay.trials.faults.live import killed_live
 from stillcal.replay.trials.faults.socket import attacked
@@ -62,6 +63,7 @@ PARTS: dict[str, Part] = {
         pulled_out(TIMES, n.seed),
     ],
     "calls": lambda n, folder: every_call(folder),
+    "hangs": lambda n, folder: hangs(folder),
     "leavers": lambda n, folder: [leavers(LEAVERS, folder)],
     "tables": lambda n, folder: [tables(TABLES_S, folder)],
     "bytes": lambda n, folder: [hostile_bytes(RANDOM_BYTES, n.seed, folder)],

@@ -13,7 +13,7 @@ import os
 import sys
 import time
 import tty
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,8 +71,13 @@ class Trial:
 
 
 @contextlib.asynccontextmanager
-async def on_trial(folder: Path) -> AsyncIterator[Trial]:
-    """Run a daemon with a calibration in its store; another client asks it meanwhile; end it by SIGTERM."""
+async def on_trial(
+    folder: Path, run: str = RUN, more: Sequence[str] = (), log: int | None = None
+) -> AsyncIterator[Trial]:
+    """Run a daemon with a calibration in its store; another client asks it meanwhile; end it by SIGTERM.
+
+    run: the program; more: of its arguments; log: a descriptor, for one that is not read.
+    """
     Store(folder / "store.json").publish(example()[0])
     (folder / "stillcal.toml").write_text("")
     master, slave = os.openpty()
@@ -81,10 +86,9 @@ async def on_trial(folder: Path) -> AsyncIterator[Trial]:
     (folder / "tty").symlink_to(os.ttyname(slave))
     names = {"--config": "stillcal.toml", "--port": "tty", "--store": "store.json", "--socket": "socket"}
     arguments = [word for option, name in names.items() for word in (option, str(folder / name))]
-    with (folder / "log").open("wb") as log:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", RUN, "run", *arguments, stderr=log
-        )
+    command = [sys.executable, "-c", run, "run", *arguments, *more]
+    with (folder / "log").open("wb") as file:
+        process = await asyncio.create_subprocess_exec(*command, stderr=file if log is None else log)
     target = Target(folder, SocketSettings(), process)  # type: ignore[arg-type]  # its pid is enough
     trial = Trial(target, master, Waits(process.pid))
     try:
@@ -138,7 +142,7 @@ async def _sent(name: str, pieces: Iterable[bytes], folder: Path) -> Figures:
     count = size = 0
     async with on_trial(folder) as trial:
         for piece in pieces:
-            await _write(trial.line, piece)
+            await write(trial.line, piece)
             count, size = count + 1, size + len(piece)
         async with asyncio.timeout(START_S):
             while (wire := (await status(trial.target))["wire"])["bytes"] < size:
@@ -148,7 +152,7 @@ async def _sent(name: str, pieces: Iterable[bytes], folder: Path) -> Figures:
     return trial.figures(name, counts, Store(folder / "store.json").verify().whole)
 
 
-async def _write(line: int, data: bytes) -> None:
+async def write(line: int, data: bytes) -> None:
     """Write to the phone's end as fast as it is taken; what the daemon says is read and thrown away."""
     view = memoryview(data)
     while view:

@@ -257,18 +257,45 @@ def test_what_the_service_cannot_see_is_warned_of(tmp_path: Path, folder: str, s
 # Interrupting
 
 
-def test_an_interruption_while_the_command_line_is_imported_is_130() -> None:
+IMPORTED = (
+    "class Interrupting:\n"
+    "    def find_spec(self, name, *more):\n"
+    "        if name == 'stillcal.daemon.{}': signal.raise_signal(signal.SIGINT)\n"
+    "sys.meta_path.insert(0, Interrupting())\n"
+)
+CALLED = (
+    "from {0} import {1} as owner\n"
+    "def interrupted(*args, call=owner.{2}):\n"
+    "    signal.raise_signal(signal.SIGINT)\n"
+    "    return call(*args)\n"
+    "owner.{2} = interrupted\n"
+)
+
+
+@pytest.mark.parametrize(
+    "moment",
+    [
+        IMPORTED.format("cli.main"),
+        IMPORTED.format("app"),
+        CALLED.format("stillcal.daemon.store.store", "Store", "recover"),
+        CALLED.format("asyncio", "events", "new_event_loop"),
+        CALLED.format("stillcal.daemon.app", "Service", "_listen_to_signals"),
+    ],
+    ids=["entry", "commands", "store", "asyncio", "listening"],
+)
+def test_an_interruption_at_any_moment_of_the_start_is_one_line_and_130(tmp_path: Path, moment: str) -> None:
     script = (
         "import sys, signal\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background ignores it
-        "class Interrupting:\n"
-        "    def find_spec(self, name, *more):\n"
-        "        if name == 'stillcal.daemon.cli.main': signal.raise_signal(signal.SIGINT)\n"
-        "sys.meta_path.insert(0, Interrupting())\n"
+        f"{moment}"
         "from stillcal.daemon.cli.entry import main; main()\n"
     )
-    ran = subprocess.run([sys.executable, "-c", script, "run"], capture_output=True, text=True, check=False)
-    assert ran.returncode == 130 and "Traceback" not in ran.stderr
+    more = ["--port", "none", "--store", tmp_path / "store.json", "--socket", tmp_path / "socket"]
+    command = [sys.executable, "-c", script, "run", *map(str, more)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert ran.returncode == 130, ran.stderr
+    said = [line for line in ran.stderr.splitlines() if " INFO " not in line]
+    assert said == ["stillcal: interrupted; nothing half-written"] and not (tmp_path / "socket").exists()
 
 
 def test_the_console_script_is_that_entry() -> None:

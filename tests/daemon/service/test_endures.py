@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import fcntl
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -28,7 +26,7 @@ from stillcal.daemon.service.engine_thread import EngineThread
 from stillcal.daemon.settings import SettingsError
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.systemd import Notifier
-from tests.daemon.service.test_process import STILLCAL, arguments, asked, heard, process
+from tests.daemon.service.test_process import STILLCAL, arguments, heard, process
 from tests.support.asking import ask, connected
 from tests.support.living import answering, given_in, running, until, within_reason
 from tests.support.serial_line import Device
@@ -109,56 +107,6 @@ def test_the_unit_starts_it_again_after_every_exit_but_bad_settings() -> None:
     unit = Path("config/systemd/stillcal.service").read_text()
     assert "Restart=on-failure" in unit and "RestartPreventExitStatus=2\n" in unit
     assert "StartLimitIntervalSec=0" in unit
-
-
-def test_sigterm_is_obeyed_while_the_engine_computes_without_end(tmp_path: Path) -> None:
-    """The engine's thread never comes back; the process ends all the same, with exit code 0."""
-    script = (
-        "from stillcal.calib_core.engine.engine import Engine\n"
-        "def spin(self, *items):\n"
-        "    print('spinning', flush=True)\n"
-        "    while True: pass\n"
-        "Engine.feed = spin\n"
-        "from stillcal.daemon.cli.main import main; main()\n"
-    )
-    device = Device(tmp_path / "tty")
-    command = [sys.executable, "-c", script, "run", *arguments(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
-        try:
-            heard(daemon, "connected")
-            device.write(b"A0,0,0,0,9.8\nG0,0,0,0,0\nA1,10000,0,0,9.8\n")
-            assert daemon.stdout is not None and "spinning" in daemon.stdout.readline()
-            began = time.monotonic()
-            daemon.send_signal(signal.SIGTERM)
-            assert daemon.wait(20) == 0
-            assert time.monotonic() - began < 4.0  # 2 s on an idle machine, which `make faults` holds it to
-            assert daemon.stderr is not None and "state saved" not in daemon.stderr.read()
-        finally:
-            daemon.kill()
-            device.unplug()
-
-
-def test_a_log_that_nobody_reads_holds_up_nothing(folder: Path) -> None:
-    """A terminal at Ctrl-S, or a pipe whose reader is stuck: questions and SIGTERM are still answered."""
-    device = Device(folder / "tty")
-    unread, full = os.pipe()
-    fcntl.fcntl(full, fcntl.F_SETPIPE_SZ, 4096)
-    os.write(full, bytes(4096))
-    with subprocess.Popen([*STILLCAL, "run", *arguments(folder)], stderr=full) as daemon:
-        try:
-            within_reason(until_there(folder / "socket"))
-            assert asked(folder, "GetStatus")["status"]["uptime_s"] >= 0.0
-            daemon.send_signal(signal.SIGTERM)
-            assert daemon.wait(20) == 0
-        finally:
-            daemon.kill()
-    for descriptor in (unread, full):
-        os.close(descriptor)
-    device.unplug()
-
-
-async def until_there(path: Path) -> None:
-    await until(path.exists)
 
 
 def test_lines_that_took_it_down_are_counted_as_bad(tmp_path: Path) -> None:

@@ -233,17 +233,12 @@ def test_a_full_or_read_only_disk_leaves_the_old_store(tmp_path, make_record, fa
     assert said in ran.stdout
 
 
-def test_a_temporary_left_by_a_crash_is_taken_over(path, make_record):
-    path.with_name("store.json.tmp").write_bytes(b"left by a crash")
-    Store(path).publish(make_record(1))
-    assert not path.with_name("store.json.tmp").exists()
-    assert Store(path).verify().whole
-
-
-def test_a_temporary_that_is_a_link_is_not_followed(path, make_record, tmp_path):
-    victim = tmp_path / "victim"
+@pytest.mark.parametrize("name", ["store.json.tmp", "store.json.last-good.tmp"])
+@pytest.mark.parametrize("what", ["a crash's", "a link", "a FIFO"])
+def test_whatever_lies_in_a_temporarys_place_goes_and_is_not_written_to(path, make_record, what, name):
+    victim, temporary = path.with_name("victim"), path.with_name(name)
     victim.write_bytes(b"precious")
-    path.with_name("store.json.tmp").symlink_to(victim)
-    with pytest.raises(StoreError):
-        Store(path).publish(make_record(1))
+    {"a crash's": Path.touch, "a link": lambda p: p.symlink_to(victim), "a FIFO": os.mkfifo}[what](temporary)
+    Store(path).publish(make_record(1))
+    assert not os.path.lexists(temporary) and Store(path).verify().whole
     assert victim.read_bytes() == b"precious"

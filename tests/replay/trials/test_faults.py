@@ -28,6 +28,7 @@ from stillcal.replay.trials.faults import __main__ as faults
 from stillcal.replay.trials.faults.disk import failing_disks
 from stillcal.replay.trials.faults.endure import hostile_bytes, hostile_messages, leavers, tables
 from stillcal.replay.trials.faults.fit import calibrating
+from stillcal.replay.trials.faults.hangs import hangs
 from stillcal.replay.trials.faults.kill import example, killed
 from stillcal.replay.trials.faults.live import killed_live
 from stillcal.replay.trials.faults.socket import attacked
@@ -96,6 +97,12 @@ def judged(found: Figures) -> Figures:
 def test_whatever_a_phone_sends_the_daemon_answers_on_and_ends() -> None:
     assert judged(faults.in_folder(lambda f: hostile_messages(120, 2, f))).counts["pieces"] == 120
     assert judged(faults.in_folder(lambda f: hostile_bytes(20_000, 2, f))).counts["bytes"] == 20_000
+
+
+def test_whatever_hangs_it_answers_on_and_ends_without_a_half_saved_state() -> None:
+    for found in faults.in_folder(lambda f: list(hangs(f))):
+        assert judged(found).counts["ms from SIGTERM to its end"] < 4000  # 2 s is what `make faults` asks
+        assert found.counts["states saved"] == 0
 
 
 def test_clients_that_leave_at_every_stage_give_their_places_back() -> None:
