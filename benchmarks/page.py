@@ -98,7 +98,7 @@ def page(document: dict[str, Any]) -> str:
 
 def _top(document: dict[str, Any]) -> Iterator[str]:
     machine, load = document["machine"], document["load"]
-    yield "# Performance\n"
+    yield "# Performance\n\n*For people who ask what stillcal costs, beside other tools.*\n"
     minutes = sum(document["taken_s"].values()) / 60
     yield (
         f"`make bench` measured all of this in {minutes:.1f} minutes and wrote this page, which is not to be "

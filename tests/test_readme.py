@@ -1,4 +1,4 @@
-"""README.md: its commands run as they stand, its Python does too, and what it links to is there."""
+"""README.md: its commands run as they stand, and its Python does; every page: its links lead somewhere."""
 
 from __future__ import annotations
 
@@ -47,12 +47,28 @@ def test_the_python_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (tmp_path / "lab-calibrated.csv").is_file()
 
 
-PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "config").rglob("*.md")]
+FOLDERS = ("*", "docs/*", "config/*/*", "examples/*/*")
+PAGES = [page for folder in FOLDERS for page in ROOT.glob(f"{folder}.md")]
+
+
+def anchors(page: Path) -> set[str]:
+    """The names that GitHub gives to a page's headings."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
-    """Links to files beside the page; those to the web are not followed."""
-    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
-    local = [link for link in links if "://" not in link]
-    assert [link for link in local if not (page.parent / link).exists()] == []
+    """Links to files beside the page and to their headings; those to the web are not followed."""
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+        if "://" in link:
+            continue
+        name, _, heading = link.partition("#")
+        target = (page.parent / name) if name else page
+        assert target.exists(), link
+        assert not heading or heading in anchors(target), link
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
+def test_every_page_says_whom_it_is_for(page: Path) -> None:
+    assert re.match(r"# .+\n\n\*For ", page.read_text())

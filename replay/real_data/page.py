@@ -19,6 +19,8 @@ from stillcal.replay.studies.claim import table
 
 _PAGE = """# The diagnosis on other people's recordings
 
+*For people who ask what the diagnosis finds on real devices.*
+
 Made by `python -m stillcal.replay.real_data $STILLCAL_DATA`; [data.md](data.md) says where the recordings
 come from. Nothing is tuned to them: each goes through the path of `stillcal diagnose`, without claims of a
 maker, since none came with them.

@@ -70,6 +70,8 @@ SUMMARY = {
 
 _HEAD = """# What the papers claim, and what comes out here
 
+*For readers of the papers.*
+
 {claims} claims of four papers beside our figures, made by `stillcal evaluate` (extra `evaluation`). Every
 verdict is computed. *Reproduced*: our figure lies within a tolerance that is given with its reason.
 *Differs*: it lies outside; the study says why, by a run that tested it, or that the cause is not known and

@@ -20,6 +20,8 @@ from stillcal.replay.studies.methods.device_faces import DeviceOutcome, calibrat
 
 _PAGE = """# How far phones are off
 
+*For people who ask what errors real phones have.*
+
 {total} devices lay still on their faces (Stisen et al. 2015). {done} were calibrated, {refused} were refused
 because a face is missing, and {broken} have a broken sensor. Local gravity is not known; {gravity} m/s² is
 used, so all scales have its error in common, up to 0.3 %. Made by

@@ -18,6 +18,8 @@ LAYERS = ("replay", "daemon", "calib_core")
 HEAD = """\
 # How the code is laid out
 
+*For people who change the code.*
+
 Made from the code by `python -m stillcal.replay.trials.pages.architecture > docs/architecture.md`; a test
 holds it against the code, and `make check` holds the code against the layers in `pyproject.toml`.
 

@@ -18,6 +18,8 @@ WIDTH = 100
 HEAD = """\
 # Commands
 
+*For people who want to look an option up.*
+
 Made from the commands' own help by `python -m stillcal.replay.trials.pages.commands > docs/commands.md`; a
 test holds this page against them. `stillcal COMMAND --help` prints the same in a terminal.
 """

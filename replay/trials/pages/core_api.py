@@ -23,6 +23,8 @@ WIDTH = 100
 HEAD = """\
 # Python API
 
+*For people who write Python with stillcal.*
+
 The public interface is `stillcal` itself: `load`, `calibrate`, `apply`, `diagnose`, `simulate`, and what they
 return. The modules of the core after it are internal: they may change without notice. This page is made
 from the docstrings by `python -m stillcal.replay.trials.pages.core_api > docs/api.md`; a test compares the

@@ -14,6 +14,8 @@ from stillcal.calib_core.diagnosis.model.records import NAME
 HEAD = """\
 # Slow effects that the diagnosis knows
 
+*For people who look up what a finding means, or write an effect of their own.*
+
 Made from the effects' own classes by `python -m stillcal.replay.trials.pages.effects > docs/effects.md`; a
 test holds this page against them. What single samples and stamps show (limits, steps, jitter, ...) is in
 [diagnosis.md](diagnosis.md), section 8.
