@@ -88,7 +88,10 @@ class LatentHeat(BiasEffect):
         self.look_alikes = (f"{sensor}_warmup", f"{sensor}_charging_bias", f"{sensor}_bias_drift")
 
     def points(self, moments: Moments) -> Sequence[Grid]:
-        """Return time constants and shares, only where no thermometer was recorded."""
+        """Return time constants and shares, only where no thermometer was recorded and the sources show.
+
+        Without them a start off balance is a warm-up, which has its own name.
+        """
         if moments.temperature is not None:
             return []
         shares = [(1.0, 0.0, 0.0), (1.0, 0.0, -0.7), (1.0, 0.0, 0.7), (1.0, 0.5, 0.0)]
@@ -98,7 +101,7 @@ class LatentHeat(BiasEffect):
             {"tau_s": tau, "plug": plug, "use": use, "start": start}
             for tau, (plug, use, start) in product(LATENT_TAUS, shares)
         ]
-        return [g for g in grids if moves(_heat(moments, g), 0.05)]
+        return [g for g in grids if moves(_heat(moments, g | {"start": 0.0}), 0.05)]
 
     def finer(self, moments: Moments, grid: Grid) -> Sequence[Grid]:
         """Return time constants within a factor of four."""

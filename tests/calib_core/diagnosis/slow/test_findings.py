@@ -12,9 +12,11 @@ import pytest
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.diagnosis.effects.by_force import distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.effects.warmup import LatentHeat
 from stillcal.calib_core.diagnosis.inference.likelihood import null_log_likelihood, posterior_weights
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
+from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
@@ -94,6 +96,15 @@ def test_heat_is_found_without_a_thermometer() -> None:
     assert findings[0].effect == "thermal_latent"
     assert set(findings[0].axes) == {"x", "z"}
     assert "tau_s" in findings[0].parameters
+
+
+def test_heat_of_use_needs_use_that_shows() -> None:
+    """A phone that is handled for three seconds a rest gets no warmer; it settles after its start."""
+    windows = np.arange(2400.0)
+    t = np.arange(5.0, 2400.0, 10.0)
+    for period, offered in ((400, False), (6, True)):
+        history = History((0.0, 2400.0), np.stack([windows, (windows % period < 3).astype(float)], axis=1))
+        assert bool(LatentHeat("accel").points(Moments(t, np.full(t.size, 10.0), history))) == offered
 
 
 def test_a_thermometer_that_does_nothing_raises_no_alarm() -> None:
