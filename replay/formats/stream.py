@@ -191,13 +191,18 @@ class SampleFile:
         temperature, arrival = self._temperatures(rows), self._arrivals(rows)
         run = {}
         for sensor, axes in self._layout.axes.items():
-            xyz = rows.values[:, axes]
-            there = xyz[:, 0] != EMPTY
-            samples = Samples(sensor, frozen(rows.t), frozen(self._si(sensor, xyz)), temperature, arrival)
+            columns = [rows.t, *rows.values[:, axes].T, temperature, arrival]
             lines = rows.lines
-            if not there.all():
-                self._without_cells += int(np.count_nonzero(~there))
-                samples, lines = _selected(samples, there), lines[there]
+            there = np.flatnonzero(columns[1] != EMPTY)
+            if there.size < len(rows):
+                self._without_cells += len(rows) - there.size
+                columns = [None if column is None else column.take(there) for column in columns]
+                lines = lines[there]
+            t, x, y, z, *others = columns
+            xyz = self._si(sensor, np.stack((x, y, z), axis=1))
+            samples = Samples(
+                sensor, frozen(t), frozen(xyz), *(None if c is None else frozen(c) for c in others)
+            )
             self._check_limits(samples, lines)
             run[sensor] = samples
         return run
@@ -262,17 +267,6 @@ def _refuse_by_name(path: Path, sensor_map: SensorMap) -> None:
     if stem in sensor_map.refuse:
         what, remedy = sensor_map.refuse[stem]
         raise TraceError(path, what, remedy)
-
-
-def _selected(samples: Samples, which: NDArray[np.bool_]) -> Samples:
-    temperature, arrival = samples.temperature, samples.t_arrival
-    return Samples(
-        samples.sensor,
-        frozen(samples.t[which]),
-        frozen(samples.xyz[which]),
-        None if temperature is None else frozen(temperature[which]),
-        None if arrival is None else frozen(arrival[which]),
-    )
 
 
 def filled_forward(column: Array, last: float) -> Array | None:

@@ -63,7 +63,7 @@ class Recording:
         """Samples of the accelerometer a second, by the median interval; 0 with less than two samples."""
         return median_rate_hz(self.accelerometer)
 
-    def chunks(self, max_rows: int = 8192) -> Iterator[Chunk]:
+    def chunks(self, max_rows: int = 16384) -> Iterator[Chunk]:
         """Yield the recording in time order, at most `max_rows` samples a sensor at a time, as Trace does."""
         events = list(self.events)
         gyroscope = self.gyroscope or Samples.empty(Sensor.GYROSCOPE)
@@ -169,7 +169,7 @@ class Trace:
     def __iter__(self) -> Iterator[Chunk]:
         return self.chunks()
 
-    def chunks(self, max_rows: int = 8192) -> Iterator[Chunk]:
+    def chunks(self, max_rows: int = 16384) -> Iterator[Chunk]:
         """Yield the recording from its start in time order, at most `max_rows` samples a sensor at a time.
 
         The two sensors never part: all samples up to a time are out before any later one. Raises

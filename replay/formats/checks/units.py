@@ -171,10 +171,11 @@ def shown_unit(turning: Turning) -> str:
 
 def _seconds(samples: Samples) -> tuple[Array, Array, Array]:
     """Return the seconds (n,) that samples lie in, their means (n, 3) and their norms' mean squares (n,)."""
+    if not len(samples):
+        return np.empty(0), np.empty((0, 3)), np.empty(0)
     whole = np.floor(samples.t)
-    starts = np.flatnonzero(np.diff(whole, prepend=np.nan) != 0.0)
-    count = np.diff(starts, append=len(samples))
-    mean = np.add.reduceat(samples.xyz, starts) / count[:, None] if len(samples) else np.empty((0, 3))
-    square = np.einsum("ij,ij->i", samples.xyz, samples.xyz)
-    power = np.add.reduceat(square, starts) / count if len(samples) else np.empty(0)
-    return whole[starts], mean, power
+    starts = np.concatenate(([0], np.flatnonzero(whole[1:] != whole[:-1]) + 1))
+    count = np.diff(starts, append=len(samples))[:, None]
+    mean = np.add.reduceat(samples.xyz, starts) / count
+    power = np.add.reduceat(samples.xyz**2, starts) / count
+    return whole[starts], mean, power.sum(axis=1)

@@ -28,7 +28,7 @@ from stillcal.replay.formats.recognition.names import is_rate_hz
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.stream import SampleFile
-from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats, of_arrow
+from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats, of_arrow, side_by_side
 
 MOST_ARRAYS = 2000
 """Arrays of a file that are looked at; a recording has a few dozen."""
@@ -61,7 +61,7 @@ class _Arrays:
             for first in range(0, self.length, BLOCK_ROWS):
                 last = min(first + BLOCK_ROWS, self.length)
                 chosen = [as_floats(self.columns[names[p]](first, last)) for p in places]
-                yield np.column_stack(chosen), last / self.length
+                yield side_by_side(chosen), last / self.length
 
         return NumberTable(path, names, rows, size)
 
@@ -152,12 +152,12 @@ class _ParquetColumns(_Arrays):
 
             wanted = [names[p] for p in places]
             done = 0
-            with parquet.ParquetFile(str(stored.local)) as file:
+            with parquet.ParquetFile(str(stored.local), pre_buffer=False) as file:  # which is for networks
                 chosen = list(dict.fromkeys(wanted))
                 for batch in file.iter_batches(BLOCK_ROWS, columns=chosen, use_threads=False):
                     done += batch.num_rows
                     columns = [_numbers(batch.column(batch.schema.get_field_index(n))) for n in wanted]
-                    yield np.column_stack(columns), done / max(self.length, 1)
+                    yield side_by_side(columns), done / max(self.length, 1)
 
         return NumberTable(path, names, rows, size)
 

@@ -24,7 +24,7 @@ from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Part
 from stillcal.replay.formats.sources import Source, unpacked_copy
-from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats
+from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats, side_by_side
 
 _HEAD = b"\xa3\x95"
 _FMT = 128
@@ -234,7 +234,7 @@ class _Reader:
                     # Messages have no check sum: a reading that no sensor gives is damage.
                     wild = ~(np.abs(column) <= READING) & (names[place] not in _TIMES)
                     columns.append(np.where(wild, np.nan, column))
-                yield np.column_stack(columns), min(1.0, (first + BLOCK_ROWS) / len(places))
+                yield side_by_side(columns), min(1.0, (first + BLOCK_ROWS) / len(places))
 
         return NumberTable(self._path, names, rows, len(self._content))
 

@@ -10,10 +10,8 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 
-import numpy as np
-
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.formats.tables.numbers import of_arrow
+from stillcal.replay.formats.tables.numbers import of_arrow, side_by_side
 from stillcal.replay.formats.tables.table import EMPTY
 
 LONG_BYTES = 1 << 27
@@ -49,10 +47,6 @@ def compiled_reader(size_bytes: int, width: int) -> Reader | None:
             return None
         if table.num_rows != count:
             return None
-        values = np.empty((count, len(places)))
-        for i, place in enumerate(places):
-            column = table.column(names[place]).combine_chunks()
-            values[:, i] = of_arrow(column, EMPTY)
-        return values
+        return side_by_side([of_arrow(table.column(names[p]).combine_chunks(), EMPTY) for p in places])
 
     return read

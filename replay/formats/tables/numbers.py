@@ -13,7 +13,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.tables.table import EMPTY, Block
 
-BLOCK_ROWS = 16384
+BLOCK_ROWS = 32768
 """Rows given at a time, so that memory stays flat."""
 
 Rows = Callable[[Sequence[int]], Iterator[tuple[Array, float]]]
@@ -74,6 +74,14 @@ def as_floats(values: ArrayLike) -> Array:
         return np.asarray(values, dtype=np.float64)
 
 
+def side_by_side(columns: Sequence[Array]) -> Array:
+    """Return columns (n,) as a table (n, k) in which each of them lies unbroken in memory.
+
+    What is done column by column is then done up to ten times as fast as where rows lie unbroken.
+    """
+    return np.stack(columns).T
+
+
 def of_arrow(column: Any, null: float = np.nan) -> Array:
     """Return an Arrow array of numbers as 64-bit floats, `null` where it has none.
 
@@ -84,9 +92,11 @@ def of_arrow(column: Any, null: float = np.nan) -> Array:
         return as_floats(np.from_dlpack(column))
     column = column.cast("float64")
     known, values = column.buffers()
-    rows = slice(column.offset, column.offset + len(column))
-    there = np.unpackbits(np.frombuffer(known, dtype=np.uint8), bitorder="little")
-    return np.where(there[rows], np.frombuffer(values)[rows], null)
+    whole, part = divmod(column.offset, 8)
+    there = np.frombuffer(known, dtype=np.uint8, offset=whole)
+    there = np.unpackbits(there, count=part + len(column), bitorder="little")[part:]
+    numbers = np.frombuffer(values, count=len(column), offset=8 * column.offset)
+    return np.where(there.view(np.bool_), numbers, null)
 
 
 def in_arrays(path: Path, columns: dict[str, Array], size_bytes: int) -> NumberTable:
@@ -98,6 +108,6 @@ def in_arrays(path: Path, columns: dict[str, Array], size_bytes: int) -> NumberT
         for first in range(0, length, BLOCK_ROWS):
             last = min(first + BLOCK_ROWS, length)
             block = [as_floats(columns[names[place]][first:last]) for place in places]
-            yield np.column_stack(block), last / length
+            yield side_by_side(block), last / length
 
     return NumberTable(path, names, rows, size_bytes)
