@@ -28,7 +28,7 @@ def test_files_that_the_page_names_are_there() -> None:
 def test_every_task_is_done_where_its_page_says() -> None:
     text = (ROOT / "docs" / "tasks.md").read_text()
     rows = re.findall(r"^\| .+ \| `([^`]+)` \| `([^`]+)` \|$", text, flags=re.MULTILINE)
-    assert len(rows) == 11
+    assert len(rows) == len(re.findall(r"^\*\*", text, flags=re.MULTILINE)) > 10
     assert [row for row in rows if row[1] not in (ROOT / row[0]).read_text()] == []
     folders = "calib_core|daemon|replay|config|tests"
     named = re.findall(rf"`((?:{folders})/[\w./]*)`", text)

@@ -17,7 +17,7 @@ from rich.table import Table
 from stillcal._version import __version__
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.cli.options import format_option, quiet_option
+from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.store.document import pretty
 from stillcal.daemon.store.store import Store
@@ -60,7 +60,13 @@ _LACKING = "this needs the extra `fleet`: pip install '.[fleet]' ({})"
 )
 @click.option("--scheduler", help="Address of a Dask scheduler; its workers read the same paths.")
 @click.option("--workers", type=click.IntRange(1), help="Number of local processes [default: one per core].")
-@format_option("RECORDINGS", rests=True)
+@click.option(
+    "--format",
+    "format_",
+    default="auto",
+    show_default=True,
+    help="Format of RECORDINGS (docs/formats.md), or a column map (.toml); auto: by the content of each.",
+)
 @click.option(
     "--watch",
     type=click.Choice(["auto", "continuous", "probing"]),
