@@ -23,6 +23,9 @@ DIAGONAL = ("S_xx", "S_yy", "S_zz")
 LOWER = {"S_xy": "S_yx", "S_xz": "S_zx", "S_yz": "S_zy"}
 """Each entry above the diagonal and its mirror image below."""
 
+ALL = len(BIAS + SCALE)
+"""Parameters of a calibration that holds a rotation common to all axes."""
+
 
 def names(parameters: int, form: Form = "symmetric") -> tuple[str, ...]:
     """Name the parameters in order, as in the paper's v and v' (4.2.1): bias first.

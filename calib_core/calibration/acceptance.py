@@ -213,6 +213,11 @@ def _cross_validated(new: Candidate, asked: NDArray[np.bool_]) -> Array:
     return residuals
 
 
+def sums_by_block(block: NDArray[np.intp], gains: Array) -> Array:
+    """Return the sums of gains (n,) of the same block (n,), so that each block is one piece of evidence."""
+    return np.bincount(block, gains).astype(np.float64) if gains.size else np.zeros(0)
+
+
 MOST_GAIN, ENOUGH_GAIN = 4.5, 10.0
 """nats that one piece of evidence may count, as three standard uncertainties do, and nats that decide."""
 

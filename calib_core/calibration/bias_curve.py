@@ -12,10 +12,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.acceptance import beyond_doubt, flipped_share
+from stillcal.calib_core.calibration.acceptance import beyond_doubt, flipped_share, sums_by_block
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.record import (
     CalibrationRecord,
@@ -337,14 +336,14 @@ def _change(
     errors = [fit.errors[1:] ** 2 for fit in (without, curved)]
     gains = np.log((errors[0] + own) / (errors[1] + own)).sum(axis=1)
     _, block = np.unique(np.floor(seen.t[1:] / BLOCK_S), return_inverse=True)
-    by_hour = _by_hour(block, gains)
+    by_hour = sums_by_block(block, gains)
     evidence: Evidence = {"hours": by_hour.size, "gain": float(by_hour.sum())}
     evidence |= {
         f"typical_{name}": float(np.sqrt(np.median(e))) if e.size else None
         for name, e in zip(("without", "with"), errors, strict=True)
     }
     at_stated = (errors[0] - errors[1]).sum(axis=1) / (2.0 * without.errors_sd[1:] ** 2)
-    doubtless = beyond_doubt(_by_hour(block, at_stated))
+    doubtless = beyond_doubt(sums_by_block(block, at_stated))
     if by_hour.size < settings.held_out_rests:
         return (TAKEN_UP if doubtless and not held else ""), evidence
     if held:
@@ -352,17 +351,12 @@ def _change(
         without_curve, with_curve = (e[newest].sum(axis=1) for e in errors)
         most = _BAD**2 * without_curve.mean()
         lost = np.minimum(with_curve, most) - np.minimum(without_curve, most)
-        worse = flipped_share(_by_hour(block[newest], lost)[-NEWEST_HOURS:])
+        worse = flipped_share(sums_by_block(block[newest], lost)[-NEWEST_HOURS:])
         matters = with_curve.mean() > MATTERS**2 * without_curve.mean()
         return (DROPPED if worse <= settings.chance and matters else ""), evidence | {"chance": worse}
     better, lately = flipped_share(by_hour), flipped_share(by_hour[-NEWEST_HOURS:])
     taken_up = better <= settings.chance * _STRICTER and lately <= settings.chance
     return (TAKEN_UP if taken_up or doubtless else ""), evidence | {"chance": better}
-
-
-def _by_hour(block: NDArray[np.intp], values: Array) -> Array:
-    """Return the sums of values (n,) of the same block (n,)."""
-    return np.bincount(block, values).astype(np.float64) if values.size else np.zeros(0)
 
 
 def _learnt(

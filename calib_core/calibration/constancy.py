@@ -20,6 +20,7 @@ from stillcal.calib_core.accelerometer.fit import AccelerometerFit
 from stillcal.calib_core.accelerometer.parameters import basis
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.rest_pool import HeldRest
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.maths.f_distribution import tail
 from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.static.rest import force_uncertainties, forces
@@ -83,7 +84,7 @@ class Change:
 
     def words(self) -> str:
         """Return a sentence that describes the change."""
-        largest_mg = self.largest / 9.80665e-3
+        largest_mg = self.largest / (STANDARD / 1000)
         if self.shape is Shape.STEP:
             return f"the bias changed by {largest_mg:.2g} mg at {self.at:.0f} s"
         rate = largest_mg / (self.span_s / 60.0)

@@ -12,10 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.parameters import names
+from stillcal.calib_core.accelerometer.parameters import ALL, names
 from stillcal.calib_core.accelerometer.six_faces import common_rotation
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.acceptance import beyond_doubt, clearly_smaller, flipped_share
+from stillcal.calib_core.calibration.acceptance import (
+    beyond_doubt,
+    clearly_smaller,
+    flipped_share,
+    sums_by_block,
+)
 from stillcal.calib_core.calibration.bias_curve import BLOCK_S, EFFECTS, Learnt, learn_accelerometer
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
@@ -42,9 +47,6 @@ LARGEST_KNOCK = 3 * ACCELEROMETER.step
 
 _FEW_HOURS = 2
 """Hours with later rests that suffice against a calibration that a prior entered: it assumes more."""
-
-_ALL = 12
-"""Parameters of a calibration that holds a rotation common to all axes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +129,7 @@ def _accepted(
     old, new = np.abs(_residuals(record, part, memory))[held_out], learnt.errors[held_out]
     gains = (old**2 - new**2) / (2 * learnt.errors_sd[held_out] ** 2)
     _, block = np.unique(np.floor(learnt.t[held_out] / BLOCK_S), return_inverse=True)
-    by_hour: Array = np.bincount(block, gains).astype(np.float64) if gains.size else np.zeros(0)
+    by_hour = sums_by_block(block, gains)
     doubtless = beyond_doubt(by_hour)
     enough = by_hour.size >= (_FEW_HOURS if part.with_prior else settings.held_out_rests)
     if not enough and not doubtless:
@@ -219,7 +221,7 @@ def _replaced(
 
 def _unturned(part: AccelerometerRecord) -> AccelerometerRecord:
     """Return a calibration without the rotation common to all axes, which rests alone do not show."""
-    if part.parameters != _ALL:
+    if part.parameters != ALL:
         return part
     return replace(part, scale=common_rotation(part.scale).T @ part.scale)
 

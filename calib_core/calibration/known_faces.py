@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.parameters import basis, names
+from stillcal.calib_core.accelerometer.parameters import ALL, basis, names
 from stillcal.calib_core.accelerometer.six_faces import (
     SixFaces,
     common_rotation,
@@ -36,9 +36,6 @@ from stillcal.calib_core.calibration.record import (
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.rest import attitude_labels, force_uncertainties, forces
-
-_ALL = 12
-"""Parameters of a calibration that holds a common rotation."""
 
 
 def calibrate_faces(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSettings) -> CalibrationRecord:
@@ -75,26 +72,26 @@ def inherit_rotation(old: CalibrationRecord | None, new: CalibrationRecord) -> C
     """Return a new calibration turned by the common rotation of the old one, where that has one."""
     known = None if old is None else old.accelerometer
     part = new.accelerometer
-    if known is None or part is None or known.parameters != _ALL or part.parameters == _ALL:
+    if known is None or part is None or known.parameters != ALL or part.parameters == ALL:
         return new
-    if known.covariance is None or known.names != names(_ALL):
+    if known.covariance is None or known.names != names(ALL):
         return new
     rotation = common_rotation(known.scale)
     scale = rotation @ part.scale
-    turned = np.zeros((_ALL, _ALL))
+    turned = np.zeros((ALL, ALL))
     if part.covariance is not None:
         form = "symmetric" if part.names == names(part.parameters) else "triangular"
         spread = basis(part.parameters, form)
         turned = spread @ part.covariance @ spread.T
-    by_scale = np.eye(_ALL)
+    by_scale = np.eye(ALL)
     by_scale[3:, 3:] = np.kron(rotation, np.eye(3))
     turned = by_scale @ turned @ by_scale.T
     turned[3:, 3:] += rotated_scale_covariance(scale, rotation_covariance(known.scale, known.covariance))
     accelerometer = replace(
         part,
         scale=scale,
-        parameters=_ALL,
-        names=names(_ALL),
+        parameters=ALL,
+        names=names(ALL),
         covariance=frozen(turned),
         observability=None,
     )
@@ -103,11 +100,11 @@ def inherit_rotation(old: CalibrationRecord | None, new: CalibrationRecord) -> C
 
 def _turned(part: GyroscopeRecord | None, rotation: Array) -> GyroscopeRecord | None:
     """Turn a gyroscope's calibration, where its axes were fitted to the accelerometer's."""
-    if part is None or part.parameters != _ALL:
+    if part is None or part.parameters != ALL:
         return part
     covariance = part.covariance
     if covariance is not None:
-        by_scale = np.eye(_ALL)
+        by_scale = np.eye(ALL)
         by_scale[:9, :9] = np.kron(rotation, np.eye(3))
         covariance = frozen(by_scale @ covariance @ by_scale.T)
     return replace(part, scale=rotation @ part.scale, covariance=covariance)
@@ -120,8 +117,8 @@ def _accelerometer_record(fit: SixFaces, rests: int, gravity: Gravity, value: fl
     return AccelerometerRecord(
         scale=fit.model.scale,
         bias=fit.model.bias,
-        parameters=_ALL,
-        names=names(_ALL),
+        parameters=ALL,
+        names=names(ALL),
         covariance=frozen(covariance),
         rms_residual=fit.rms_residual,
         n_rests=rests,

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.gravity import STANDARD
 
 UNIT_K = 10.0
 """K: coefficients count from the reference in units of this."""
@@ -42,7 +43,7 @@ class Priors:
     spread: float = 1.5
 
 
-MG, DEG = 9.80665e-3, np.pi / 180
+MG, DEG = STANDARD / 1000, np.pi / 180
 ACCELEROMETER = Priors((8 * MG, 1.5 * MG, 0.5 * MG), 0.05 * MG, 0.03 * MG, 0.1 * MG, 10 * MG)
 GYROSCOPE = Priors((0.3 * DEG, 0.05 * DEG, 0.02 * DEG), 5e-4 * DEG, 1.5e-3 * DEG, 5e-3 * DEG, 0.3 * DEG)
 """Data sheets of phones' parts: 0.2 to 1 mg/K, 0.01 to 0.03 deg/s/K (Bosch BMI160, BMI270; InvenSense)."""

@@ -2,8 +2,10 @@
 
 NOT_MET = DAMAGED = REFUSED = 1
 BAD_INPUT = 2
-TOO_LITTLE = 3
+TOO_LITTLE = 3  # too few rests or attitudes for a calibration
 NO_DAEMON = 4
-VERDICT = 5
-TRY_AGAIN = 75  # EX_TEMPFAIL of sysexits.h: the service manager starts the daemon again
+VERDICT = 5  # that of --fail-on
+TRY_AGAIN = (
+    75  # EX_TEMPFAIL of sysexits.h, a passing fault (disk, memory): the service manager starts it again
+)
 INTERRUPTED = 130

@@ -1,9 +1,7 @@
 """The command line's entry: one command per verb. Every refusal is one line and an exit code.
 
-Exit codes: 0 done, 1 a criterion not met, 2 bad input, 3 too little data for a calibration, 4 no daemon
-answers, 75 a passing fault of the machine (disk, memory, descriptors), 130 interrupted. Nothing is computed
-here, and only click is imported until a command is called: the daemon starts in a third of a second and never
-holds what only a replay needs.
+The exit codes are in exits.py. Nothing is computed here, and only click is imported until a command is
+called: the daemon starts in a third of a second and never holds what only a replay needs.
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service.live_stream import Interruption, Live, LiveBlock
 from stillcal.daemon.settings import SettingsError
@@ -41,9 +42,6 @@ PER_G, PER_DEG_S = 8192, 1024
 RANGE = (16 * PER_G,) * 3 + (2048 * PER_DEG_S,) * 3
 """Largest value of each axis: 16 g and 2048 deg/s; beyond it a value is cut."""
 
-STANDARD_G = 9.80665
-"""m/s^2; one g of the kernel's resolution is not said to be another."""
-
 SETUP = struct.Struct("=HHHH80sI")
 """struct uinput_setup: bus, vendor, product, version, name, number of force feedback effects."""
 
@@ -60,7 +58,7 @@ def _iow(number: int, size: int) -> int:
     return 1 << 30 | size << 16 | ord("U") << 8 | number
 
 
-UI_DEV_CREATE, UI_DEV_DESTROY = ord("U") << 8 | 1, ord("U") << 8 | 2
+UI_DEV_CREATE = ord("U") << 8 | 1
 UI_DEV_SETUP, UI_ABS_SETUP = _iow(3, SETUP.size), _iow(4, ABS_SETUP.size)
 UI_SET_EVBIT, UI_SET_ABSBIT, UI_SET_MSCBIT, UI_SET_PROPBIT = (_iow(n, 4) for n in (100, 103, 104, 110))
 
@@ -142,7 +140,7 @@ def describe(fd: int, ioctl: Ioctl) -> None:
 
 def reports(t: Array, force: Array, rate: Array | None) -> Array:
     """Return the events of reports at times t (n,), s, one report a row. force, rate: (n, 3) m/s^2, rad/s."""
-    values = [_turned(force) * (PER_G / STANDARD_G)]
+    values = [_turned(force) * (PER_G / STANDARD)]
     if rate is not None:
         values.append(_turned(np.degrees(rate)) * PER_DEG_S)
     axes = np.column_stack(values)

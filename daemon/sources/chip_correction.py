@@ -21,9 +21,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.daemon.store.atomic import write_atomically
+from stillcal.daemon.system.clock import BOOT_ID
 from stillcal.daemon.system.files import read_regular
-
-BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 SI_DRIVERS = re.compile(r"(icm426\d\d|icm427\d\d|iim42\d\d\d|icm40609)")
 """Names of the devices of inv_icm42600."""

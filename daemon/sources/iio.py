@@ -21,7 +21,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.sources import sysfs
 from stillcal.daemon.sources.base import SerialSettings, Source
 from stillcal.daemon.sources.sysfs import SensorGoneError, Sensors
-from stillcal.daemon.system.clock import Clock, host_time
+from stillcal.daemon.system.clock import BOOT_ID, Clock, host_time
 from stillcal.daemon.wire.messages import Claim, Command, Hello, Identify, Rate, Status
 from stillcal.daemon.wire.reassembly import WireCounters
 
@@ -39,8 +39,6 @@ STATUS_S = 10.0
 
 THERMOMETER_S = 60.0
 """The same for the thermometer while the sensors sleep, s."""
-
-BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 class IioSource(Source):

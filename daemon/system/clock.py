@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 Clock = Callable[[], float]
 """Returns a time in s; only differences mean anything."""
+
+
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+"""Changes at each boot, when CLOCK_BOOTTIME starts at zero again."""
 
 
 def host_time() -> float:

@@ -13,11 +13,9 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.errors import TraceError
-
-STANDARD_GRAVITY = 9.80665
-"""m/s^2, exact by definition: 3rd CGPM (1901)."""
 
 Column = str | Annotated[int, msgspec.Meta(ge=0)]
 """A column by its name in the header, or by its place counted from 0."""
@@ -25,7 +23,7 @@ Column = str | Annotated[int, msgspec.Meta(ge=0)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Sign = Literal[-1, 1]
 
-_FORCE_UNITS = {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
+_FORCE_UNITS = {"m/s^2": 1.0, "g": STANDARD, "mg": STANDARD / 1000}
 _RATE_UNITS = {"rad/s": 1.0, "deg/s": 0.017453292519943295, "mdeg/s": 1.7453292519943295e-05}
 """SI values of one unit of force and of rate."""
 

@@ -29,6 +29,7 @@ from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.settings import DetectorSettings
 from stillcal.calib_core.streams.events import End
@@ -48,7 +49,7 @@ KNOWN = (
 _REST_S = 8.0
 """Longest rest, s: these recordings last minutes, and one long rest would show nothing of their course."""
 
-_UNITS = {Sensor.ACCELEROMETER: ("mg", 1000 / 9.80665), Sensor.GYROSCOPE: ("deg/s", 180 / np.pi)}
+_UNITS = {Sensor.ACCELEROMETER: ("mg", 1000 / STANDARD), Sensor.GYROSCOPE: ("deg/s", 180 / np.pi)}
 _KINDS = {Sensor.ACCELEROMETER: "ACC", Sensor.GYROSCOPE: "GYR"}
 _REFERENCE_C = 35.0
 

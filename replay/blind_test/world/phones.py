@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import msgspec
@@ -223,14 +222,6 @@ def _timed(t: Array, clock: Clock, rng: np.random.Generator) -> tuple[Array, Arr
 def _thermometer(temperature: Array, rng: np.random.Generator) -> Array:
     noisy = temperature + 0.02 * rng.standard_normal(temperature.size)
     return np.asarray(np.round(noisy / 0.05) * 0.05)
-
-
-def with_corrupted(recording: MadeRecording, sensor: str, change: Callable[[Array], None]) -> MadeRecording:
-    """Return a recording of which `change` altered one sensor's readings in place."""
-    name = "accelerometer" if sensor == "accel" else "gyroscope"
-    values = getattr(recording, name).xyz.copy()
-    change(values)
-    return replace(recording, **{name: replace(getattr(recording, name), xyz=frozen(values))})
 
 
 def without_gravity(claims: Claims) -> Claims:

@@ -37,6 +37,13 @@ class CannotHold(Exception):  # noqa: N818 - a refusal is not a failure
     """A configuration has no place for a finding; its text says why."""
 
 
+class NothingToTakeOut(CannotHold):
+    """A simulation has too much of what its configuration does not have at all."""
+
+    def __init__(self) -> None:
+        super().__init__("it has nothing of this to take out; the simulation must have it from elsewhere")
+
+
 def apply_findings(
     findings: Iterable[Finding],
     handlers: Mapping[str, Callable[[Finding], None]],
@@ -92,7 +99,7 @@ def to_add(finding: Finding, name: str, before: Array) -> Array:
         return delta
     gone = np.where(delta != 0.0, -np.asarray(before), 0.0)
     if not gone.any():
-        raise CannotHold("it has nothing of this to take out; the simulation must have it from elsewhere")
+        raise NothingToTakeOut
     return gone
 
 
@@ -189,7 +196,7 @@ def gain_after(finding: Finding, before: Array) -> Array:
     if finding["relation"] != "superfluous":
         return np.asarray(_gain_change(finding) @ before)
     if np.array_equal(before, np.eye(3)):
-        raise CannotHold("it has nothing of this to take out; the simulation must have it from elsewhere")
+        raise NothingToTakeOut
     return np.eye(3)
 
 

@@ -18,9 +18,6 @@ FIXERS = {
 }
 """Tool to module within this package; each has fix(text or None, findings)."""
 
-SCHEMA = 2
-"""Of the answers that say what to add to a simulation."""
-
 
 def fixed_for(tool: str, text: str | None, answer: Mapping[str, Any]) -> Fixed:
     """Return a tool's configuration with the differences of an answer in it.

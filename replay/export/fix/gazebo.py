@@ -129,9 +129,7 @@ class Gazebo:
 
     def _set(self, element: str, axis: int, name: str, value: float) -> None:
         before = self._value(element, axis, name)
-        node = self._imu()
-        for tag in (element, AXES[axis], "noise"):
-            node = self._descend(node, tag)
+        node = self._noise(element, axis)
         if node.attributes.get("type", "none") == "none":
             self._gaussian(node)
             node = self._noise(element, axis)

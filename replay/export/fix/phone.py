@@ -21,6 +21,7 @@ from stillcal.replay.export.fix.findings import (
     CannotHold,
     Finding,
     Fixed,
+    NothingToTakeOut,
     apply_findings,
     difference,
     gain_after,
@@ -163,7 +164,7 @@ class _Phone:
                     note_change(self._fixed, f"{name}.{key}", np.asarray(before[key]), np.asarray(value))
                 return added
         if finding["relation"] == "superfluous":
-            raise CannotHold("it has nothing of this to take out; the simulation must have it from elsewhere")
+            raise NothingToTakeOut
         made = self._made(kind, {**own, **values})
         self._set_effects([*self.phone.effects, made])
         for key, value in values.items():

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.claims import Claims
-from stillcal.replay.formats.columns import STANDARD_GRAVITY, ColumnMap, SensorMap, TemperatureMap, TimeMap
+from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Part
 from stillcal.replay.formats.sources import Source, unpacked_copy
@@ -305,8 +306,8 @@ def _claims(first: NDArray[np.void]) -> Claims:
     gyroscope, packed = axes >> 4 >= 6, axes & 0x0F == 0
     return Claims(
         nominal_rate_hz=3200.0 / (1 << (15 - (rate & 0x0F))),
-        accel_range=(16 >> (rate >> 6)) * STANDARD_GRAVITY,
-        accel_lsb=(1 / 256.0 if packed else force_lsb) * STANDARD_GRAVITY,
+        accel_range=(16 >> (rate >> 6)) * STANDARD,
+        accel_lsb=(1 / 256.0 if packed else force_lsb) * STANDARD,
         gyro_range=float(np.deg2rad(rate_lsb * 32768)) if gyroscope else None,
         gyro_lsb=float(np.deg2rad(rate_lsb)) if gyroscope else None,
     )

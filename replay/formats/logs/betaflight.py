@@ -16,8 +16,9 @@ from pathlib import Path
 
 import msgspec
 
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.formats.columns import STANDARD_GRAVITY, ColumnMap, SensorMap, TimeMap
+from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
 from stillcal.replay.formats.sources import Source, source_of
@@ -82,7 +83,7 @@ def _count(facts: dict[str, str], sensor: Sensor) -> float | None:
     """Return the SI value of one count, None where the facts do not tell."""
     try:
         if sensor is Sensor.ACCELEROMETER:
-            return STANDARD_GRAVITY / float(facts["acc_1G"])
+            return STANDARD / float(facts["acc_1G"])
         fine = 10.0 if float(facts.get("blackbox_high_resolution") or 0) else 1.0
         if "gyroScale" in facts:
             return float(facts["gyroScale"]) * 1e6 / fine

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.studies import drawing
@@ -71,14 +70,6 @@ def tilted(forces: Array, rates: Array, rate_hz: float, tilt: float) -> TiltErro
     slopes = np.asarray(sensed @ change / (change @ change))
     scaling, crossed = (math.cos(tilt) - 1.0) * change, math.sin(tilt) * level
     return TiltError(_rms(scaling), _rms(crossed), slopes)
-
-
-def without_bias(rates: Array, still: NDArray[np.bool_], person: NDArray[np.intp]) -> Array:
-    """Return rates (n, m, 3) less each person's mean over the windows (n,) in which he keeps still."""
-    right = rates.copy()
-    for p in np.unique(person):
-        right[person == p] -= rates[still & (person == p)].mean(axis=(0, 1))
-    return right
 
 
 def _rms(values: Array) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.accelerometer.fit import AccelerometerSettings
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import (
     Cause,
@@ -32,7 +33,6 @@ from stillcal.replay.studies.methods.esgi import ESGI_GRAVITY
 from stillcal.replay.studies.methods.navigation import strapdown
 
 WORK = "ESGI'95"
-STANDARD = 9.80665
 LIMIT = 0.02
 FIG3_ANGLES = np.array([1.53938, 1.60221, 1.60221])
 """phi, psi, theta of the sensor behind Fig. 3, as printed: corners of the allowed angles."""

@@ -2,7 +2,7 @@
 
 Georgieva, Hofreither, Ilieva, Ivanov and Nakov, "Laboratory calibration of a MEMS accelerometer sensor",
 section 2. raw_i = s_i + b_i a_i, where a_i is the acceleration along axis i and the axes meet at angles
-phi = xOy, psi = xOz, theta = yOz. The general fit is accelerometer.py; this one exists for its own terms.
+phi = xOy, psi = xOz, theta = yOz. The general fit is accelerometer/fit.py; this one has its own terms.
 
 Conventions that the paper leaves open, settled on its own figures
 (tests/replay/studies/methods/test_esgi.py):

@@ -1,7 +1,7 @@
 """What `make run` shows: a daemon that lives through a simulated phone's day, beside the truth.
 
 Then the three phones of ESGI'95 (Georgieva et al.), whose published rests the package carries. The day is
-lived over a pseudo-terminal (demo_live.py); what was found is asked over the daemon's socket.
+lived over a pseudo-terminal (live.py); what was found is asked over the daemon's socket.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A simulated week through the daemon's engine, counted: `python -m stillcal.replay.trials.week`.
 
 As fast as it goes, in one process, chunk by chunk as they would arrive, with what befalls a phone's clock on
-the way (week_clock.py) and store and state kept as the daemon keeps them: what was calibrated, checked and
+the way (clock.py) and store and state kept as the daemon keeps them: what was calibrated, checked and
 zeroed and why; how far the published calibration was from the truth at every hour; what of the samples was
 used; and how much memory a further day costs. Exit code 1 where a bar is not met.
 """

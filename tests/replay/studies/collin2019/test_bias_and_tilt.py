@@ -17,7 +17,7 @@ from stillcal.replay.studies.collin2019.bias_prediction import (
     predicted,
     theory,
 )
-from stillcal.replay.studies.collin2019.heading_tilt import tilted, without_bias
+from stillcal.replay.studies.collin2019.heading_tilt import tilted
 
 
 def test_one_over_f_has_the_spectrum_and_increments_of_its_definition() -> None:
@@ -51,16 +51,6 @@ def test_a_tilted_axis_senses_the_cosine_of_turns_about_up_and_the_sine_of_other
     level = tilted(forces, 0.1 * np.ones((5, 50, 1)) * frame[:, 0], 50.0, tilt)
     # the RMS over all directions of the tilt is that of a sinusoid
     assert level.crossed == pytest.approx(math.degrees(0.1 * math.sin(tilt) / math.sqrt(2.0)), rel=1e-6)
-
-
-def test_rates_lose_the_mean_at_rest_of_their_own_person() -> None:
-    rates = np.full((4, 3, 3), 0.2)
-    rates[2:] = 0.5
-    rates[1] += 1.0
-    still = np.array([True, False, True, True])
-    right = without_bias(rates, still, np.array([1, 1, 2, 2]))
-    assert right[[0, 2, 3]] == pytest.approx(0.0)
-    assert right[1] == pytest.approx(1.0)
 
 
 def test_the_real_gyroscope_is_predicted_from_its_first_half_alone(data_dir: Path) -> None:
