@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -101,8 +102,9 @@ class StationaryDetector:
         An accelerometer window waits for gyroscope samples of the same time, up to max_lag_s of stream time.
         Blocks passed in one call are taken together. Raises ValueError where a stream runs backwards.
         """
+        counted = self._unasked_until(blocks)
         for block in blocks:
-            self._take(block)
+            self._take(block, counted)
         self._advance(self._horizon())
         return self._gatherer.take_rests()
 
@@ -157,14 +159,31 @@ class StationaryDetector:
         octave = octave_of(rate_hz)
         return float(self._state.floors[0].level[octave]), float(self._state.floors[1].level[octave])
 
-    def _take(self, block: Samples) -> None:
-        """Add a block to its stream; rows that come too late to be classified are dropped."""
+    def _unasked_until(self, blocks: Iterable[Samples]) -> float:
+        """Return the cell before which these blocks complete every window, and no probe asks for one.
+
+        All cells of the longest windows, of BLOCK cells, lie on one side of it.
+        """
+        state, window = self._state, self.settings.window_s
+        if state.mode is Mode.SCAN or state.gathered.probe is None:
+            return -math.inf
+        streams = {Sensor.ACCELEROMETER: state.accel.t, Sensor.GYROSCOPE: state.gyro.t}
+        streams |= {block.sensor: block.t for block in blocks if len(block)}
+        accel, gyro = (np.floor(t[-1] / window) if t.size else -math.inf for t in streams.values())
+        known = min(accel, gyro) if state.gyro_expected or gyro >= state.next_cell else accel
+        return float(np.floor(min(known, state.gathered.probe.start) / BLOCK) * BLOCK)
+
+    def _take(self, block: Samples, counted: float) -> None:
+        """Add a block to its stream; rows that come too late to be classified are dropped.
+
+        counted: of the cells before this one only the number of samples will be asked for.
+        """
         state, accel = self._state, block.sensor is Sensor.ACCELEROMETER
         stream = state.accel if accel else state.gyro
         last = stream.t[-1] if stream.t.size else -math.inf
         if len(block) and block.t[0] < last:
             raise ValueError(f"{block.sensor} runs backwards, from {last:.6f} to {block.t[0]:.6f} s: sort it")
-        stream = take(stream, block, self.settings.window_s)
+        stream = take(stream, block, self.settings.window_s, counted=counted)
         late = int(np.searchsorted(stream.rows[:, K], state.next_cell))
         stream.rows = stream.rows[late:]
         if accel:

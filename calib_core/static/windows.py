@@ -74,8 +74,13 @@ def _temperatures(stream: Stream, block: Samples) -> Array | None:
     return np.concatenate([np.full(t.size, np.nan) if x is None else x for x, t in parts])
 
 
-def take(stream: Stream, block: Samples, window: float, *, close: bool = False) -> Stream:
-    """Add a block to a stream: complete cells become rows, other samples wait. close: no sample waits."""
+def take(
+    stream: Stream, block: Samples, window: float, *, close: bool = False, counted: float = -math.inf
+) -> Stream:
+    """Add a block to a stream: complete cells become rows, other samples wait. close: no sample waits.
+
+    counted: of the cells before this one only the samples are counted.
+    """
     waiting = stream.t.size > 0
     t = np.concatenate((stream.t, block.t)) if waiting else block.t
     xyz = np.concatenate((stream.xyz, block.xyz)) if waiting else block.xyz
@@ -93,18 +98,26 @@ def take(stream: Stream, block: Samples, window: float, *, close: bool = False) 
     inside, waiting_temperature = None, None
     if temperature is not None:
         inside, waiting_temperature = temperature[part], frozen(temperature[tail].copy())
-    rows = reduce_cells(t[part], xyz[part], inside, cells[part], window, norm=norm)
+    rows = reduce_cells(t[part], xyz[part], inside, cells[part], window, norm=norm, counted=counted)
     rows = np.concatenate((stream.rows, rows)) if stream.rows.shape[0] else rows
     return Stream(frozen(t[tail].copy()), frozen(xyz[tail].copy()), waiting_temperature, frozen(rows))
 
 
 def reduce_cells(
-    t: Array, xyz: Array, temperature: Array | None, cells: Array, window: float, *, norm: bool
+    t: Array,
+    xyz: Array,
+    temperature: Array | None,
+    cells: Array,
+    window: float,
+    *,
+    norm: bool,
+    counted: float = -math.inf,
 ) -> Array:
     """Return one row for each cell that holds a sample, (rows, COLUMNS).
 
     t: (n,) s. xyz: (n, 3). temperature: (n,) degC or None. cells: (n,) the cell of each sample. window: s,
-    length of a cell. norm: whether to fill the columns of the vector's norm, which are 0 otherwise.
+    length of a cell. norm: whether to fill the columns of the vector's norm, which are 0 otherwise. counted:
+    in the rows of cells before this one the pauses and moments are 0.
     """
     starts = np.flatnonzero(np.concatenate(([True], cells[1:] != cells[:-1])))
     counts = np.diff(starts, append=t.size)
@@ -116,7 +129,11 @@ def reduce_cells(
     rows[:, T1] = t[starts + counts - 1]
     rows[:, TEMP] = np.nan if temperature is None else np.add.reduceat(temperature, starts) / counts
     room = np.empty((2, 4 * min(t.size, _CHUNK + _CHUNK // 4)))
-    for first, last in _chunks(starts, t.size):
+    wanted = int(np.searchsorted(rows[:, K], counted))
+    for start, last in _chunks(starts, t.size):
+        first = max(start, wanted)
+        if first >= last:
+            continue
         span = slice(starts[first], starts[last] if last < starts.size else t.size)
         local, out, n = starts[first:last] - span.start, rows[first:last], counts[first:last]
         _gaps(t[span], local, window, out)
