@@ -75,6 +75,7 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
     service = Service(settings, options, notifier)
     try:
         service.open()
+        memory.exempt_from_collection()
         asyncio.run(service.run())
     except MemoryError as error:
         raise TryAgainError("the system is out of memory: free some") from error

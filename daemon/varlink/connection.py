@@ -46,7 +46,10 @@ class ConnectionOwner(Protocol):
 
 
 class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
-    """One client. Its requests are answered one at a time, in turn with those of other clients."""
+    """One client. Its requests are answered one at a time, in turn with those of other clients.
+
+    cost: of its last answer, s; turn: how much of the time of answering it has had, s, as its server counts.
+    """
 
     def __init__(self, registry: VarlinkInterfaceRegistry, server: ConnectionOwner) -> None:
         super().__init__(registry)
@@ -60,6 +63,7 @@ class Connection(VarlinkInterfaceServerProtocol, asyncio.Protocol):
         self._subscriber: Any = None
         self._call_credit, self._credit_at = server.settings.calls_per_s, server.clock()
         self.answering = False
+        self.turn = self.cost = 0.0
         self.may_change = False
         self.rolling_means: dict[str, RollingMean] = {}
 

@@ -1,6 +1,9 @@
 """The socket's server: accepts clients and answers them in turn. interface.py defines the methods.
 
-A client is accepted once there is room for it. After TURN_S of answering, the loop serves the phone again.
+A client is accepted once there is room for it. Clients have equal shares of the time of answering, and whose
+answer would end first by them is answered first (fair queueing, Demers et al. 1989, 10.1145/75246.75248, with
+the cost of a client's last answer for that of its next): who asks for little waits for nobody who asks for
+much. After TURN_S of answering, the loop serves the phone again.
 """
 
 from __future__ import annotations
@@ -10,8 +13,9 @@ import contextlib
 import os
 import socket
 import time
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
+from heapq import heappop, heappush
+from itertools import count
 from pathlib import Path
 
 from asyncvarlink import VarlinkInterfaceRegistry
@@ -55,7 +59,9 @@ class Server:
         self.dropped = 0
         self._registry = _registry(daemon)
         self._clients: dict[Connection, None] = {}
-        self._queue: deque[Connection] = deque()
+        self._queue: list[tuple[float, int, Connection]] = []
+        self._queued, self._turn = count(), 0.0
+        self._arrived: list[Connection] = []
         self._serving = False
         self._departed = asyncio.Event()
 
@@ -126,17 +132,25 @@ class Server:
             client.hang_up()
 
     def _enqueue(self, client: Connection) -> None:
-        self._queue.append(client)
+        self._arrived.append(client)
         if not self._serving:
             self._serving = True
             asyncio.get_running_loop().call_soon(self._serve)
 
     def _serve(self) -> None:
-        """Answer clients in turn for TURN_S, then return to the event loop."""
+        """Answer for TURN_S those clients first that have had least, then return to the event loop."""
         until = self.clock() + TURN_S
-        while self._queue and self.clock() < until:
-            self._queue.popleft().answer()
-        self._serving = bool(self._queue)
+        while (self._queue or self._arrived) and self.clock() < until:
+            for client in self._arrived:
+                client.turn = max(client.turn, self._turn)
+                heappush(self._queue, (client.turn + client.cost, next(self._queued), client))
+            self._arrived.clear()
+            _, _, client = heappop(self._queue)
+            self._turn, began = max(self._turn, client.turn), self.clock()
+            client.answer()
+            client.cost = self.clock() - began
+            client.turn += client.cost
+        self._serving = bool(self._queue or self._arrived)
         if self._serving:
             asyncio.get_running_loop().call_soon(self._serve)
 

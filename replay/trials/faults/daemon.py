@@ -17,7 +17,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.daemon.app import Service
 from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.system import log
-from stillcal.daemon.system.memory import limit_arenas, resident_bytes
+from stillcal.daemon.system.memory import exempt_from_collection, limit_arenas, resident_bytes
 from stillcal.daemon.system.systemd import Notifier
 from stillcal.replay.trials.faults.waiting import withheld_s
 
@@ -55,6 +55,7 @@ async def _serve(given: LaunchOptions, report: Path) -> None:
     service = Service(given.settings(), given, Notifier({}))
     service.open()
     notes = Notes()
+    exempt_from_collection()
     noting = asyncio.create_task(notes.take())
     await service.run()
     noting.cancel()

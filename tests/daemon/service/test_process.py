@@ -99,11 +99,23 @@ def test_the_daemon_holds_no_more_than_it_uses() -> None:
     assert not [name for name in json.loads(found.stdout) if name.startswith("stillcal.replay")]
 
 
-def test_run_holds_no_openssl(tmp_path: Path) -> None:
-    with process(tmp_path, *arguments(tmp_path)) as daemon:
-        heard(daemon, "ready")
-        held = Path(f"/proc/{daemon.pid}/maps").read_text()
-        assert "numpy" in held and "libcrypto" not in held and "libssl" not in held
+def test_run_holds_no_openssl_and_searches_its_modules_for_no_garbage(tmp_path: Path) -> None:
+    script = (
+        "import atexit, gc; atexit.register(lambda: print(gc.get_freeze_count(), len(gc.get_objects())))\n"
+        "from stillcal.daemon.cli.entry import main; main()\n"
+    )
+    command = [sys.executable, "-c", script, "run", *arguments(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
+        try:
+            heard(daemon, "ready")
+            held = Path(f"/proc/{daemon.pid}/maps").read_text()
+            assert "numpy" in held and "libcrypto" not in held and "libssl" not in held
+            daemon.send_signal(signal.SIGTERM)
+            assert daemon.stdout is not None
+            exempt, searched = map(int, daemon.stdout.read().split())
+            assert exempt > 10_000 > searched
+        finally:
+            daemon.kill()
 
 
 @pytest.mark.parametrize(("text", "reason"), [("", "port is not set"), ("[source]\nport = 3", "must be str")])
