@@ -50,11 +50,12 @@ def symmetric(forward: np.ndarray) -> np.ndarray:
     return np.asarray((vectors * np.sqrt(values)) @ vectors.T)
 
 
-@pytest.mark.parametrize("attitudes", [8, 11])
+@pytest.mark.slow
+@pytest.mark.parametrize("attitudes", [8, 11, 13])
 def test_nine_phones_in_ten_are_calibrated_from_everyday_attitudes_and_intervals_hold(
     attitudes: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    phones, done, alone, inside, worst = 40, 0, 0, [], []
+    phones, done, alone, inside, worst = 200, 0, 0, [], []
     for number in range(phones):
         rng = np.random.default_rng([attitudes, number])
         forward, bias = phone(rng)
