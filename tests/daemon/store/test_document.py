@@ -29,13 +29,9 @@ from stillcal.daemon.store.document import (
     pretty,
     render,
 )
+from tests.support.store_documents import published
 
 GOLDEN = Path(__file__).parents[2] / "golden"
-
-
-@pytest.fixture
-def document(make_record):
-    return StoreDocument().after_publishing(make_record(1), 32).after_publishing(make_record(2), 32)
 
 
 def with_checksum(value: dict) -> bytes:
@@ -262,13 +258,6 @@ def test_figures_survive_as_finite_or_unknown(make_record):
     again = parse(render(StoreDocument(current=make_record(1))))[0].current
     assert math.isclose(again.accelerometer.bias_uncertainty[0], 1e-3)
     assert np.isnan(again.accelerometer.bias_uncertainty[1:]).all()
-
-
-def published(*records, limit=32):
-    document = StoreDocument()
-    for record in records:
-        document = document.after_publishing(record, limit)
-    return document
 
 
 # Its layout and its schemas, to the column

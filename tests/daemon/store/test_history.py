@@ -11,11 +11,7 @@ from hypothesis import strategies as st
 
 from stillcal.calib_core.calibration.record import Acceptance
 from stillcal.daemon.store.document import StoreDocument, bounded
-
-
-@pytest.fixture
-def document(make_record):
-    return StoreDocument().after_publishing(make_record(1), 32).after_publishing(make_record(2), 32)
+from tests.support.store_documents import published
 
 
 def test_publishing_the_same_again_changes_no_history(document, make_record):
@@ -87,13 +83,6 @@ def test_history_says_when_and_why(make_record):
     assert (replaced.at, rejected.at) == (77.0, 88.0)
     assert replaced.reason == f"replaced by {make_record(2).id}: charging"
     assert rejected.reason == "worse by 0.2"
-
-
-def published(*records, limit=32):
-    document = StoreDocument()
-    for record in records:
-        document = document.after_publishing(record, limit)
-    return document
 
 
 # What it keeps, to the entry

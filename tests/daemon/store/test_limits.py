@@ -10,7 +10,6 @@ import pytest
 
 from stillcal.daemon.store import store as store_module
 from stillcal.daemon.store.atomic import write_atomically
-from stillcal.daemon.store.document import StoreDocument
 from stillcal.daemon.store.files import MAX_BYTES, StoreError, StoreLockedError, read, store_error, take_lock
 from stillcal.daemon.store.store import Store, StoreSettings
 
@@ -18,13 +17,6 @@ from stillcal.daemon.store.store import Store, StoreSettings
 @pytest.fixture
 def path(tmp_path):
     return tmp_path / "store.json"
-
-
-def published(*records, limit=32):
-    document = StoreDocument()
-    for record in records:
-        document = document.after_publishing(record, limit)
-    return document
 
 
 # Settings
