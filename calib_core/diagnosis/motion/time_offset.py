@@ -21,6 +21,7 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.motion.axis_delays import AxisDelays, axis_columns
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression, of_arm
+from stillcal.calib_core.diagnosis.motion.delay_trend import DelayTrend
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
@@ -79,9 +80,15 @@ def motion_findings(
     error = float(np.hypot(np.sqrt(fit.last.jackknifed(PARTS)[1][3, 3]), fit.delay_apart))
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
     delay = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
-    late, axes = _delayed(delay, fit.first, usual, where, interval), fit.axes(motion)
-    if late is None or axes.differ:
-        late = axes.finding(where, 0.0 if late is None else late.evidence.log_bayes_factor)
+    late, axes, trend = (
+        _delayed(delay, fit.first, usual, where, interval),
+        fit.axes(motion),
+        fit.trend(motion),
+    )
+    surely = 0.0 if late is None else late.evidence.log_bayes_factor
+    if late is None or axes.differ or trend.grows:
+        by_time = trend.log_chance < axes.log_chance
+        late = trend.finding(where, fit.delay, surely) if by_time else axes.finding(where, surely)
     found = [
         late,
         lever_arm(fit.last.only(ARM), fit.arm_apart, where),
@@ -135,13 +142,24 @@ class _Fit:
 
     def axes(self, motion: _Motion) -> AxisDelays:
         """Return what sets the delays of single axes apart."""
-        every = [np.concatenate(pair, axis=2) for pair in zip(self.effects, motion.of_axes(), strict=True)]
+        return AxisDelays(*self._beside(motion.of_axes()))
+
+    def trend(self, motion: _Motion) -> DelayTrend:
+        """Return by how much the delay grows from the first window to the last."""
+        middle = np.array([t.mean() for t, _ in motion.windows])
+        age = (middle - middle.mean()) / float(np.ptp(middle))
+        sums, (apart,) = self._beside([e[:, :, 3:] * x for e, x in zip(self.effects, age, strict=True)])
+        return DelayTrend(sums, apart)
+
+    def _beside(self, more: Sequence[Spectrum]) -> tuple[Regression, list[float]]:
+        """Return the equations with further columns, spectra (f, 3, k) a window, and how parts disagree."""
+        every = [np.concatenate(pair, axis=2) for pair in zip(self.effects, more, strict=True)]
         sums = _summed(every, self.still, self.weight)
         x, frequency = sums.fitted(), np.arange(self.weight.size) / WINDOW
         scale = self.weight[:, None]
         left = np.array([(y - e @ x) * scale for e, y in zip(every, self.still, strict=True)])
-        terms = [np.array([e[:, :, k] * scale for e in every]) for k in range(-4, 0)]
-        return AxisDelays(sums, [disagreement(term, left, frequency) for term in terms])
+        terms = [np.array([e[:, :, k] * scale for e in every]) for k in range(-more[0].shape[2], 0)]
+        return sums, [disagreement(term, left, frequency) for term in terms]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

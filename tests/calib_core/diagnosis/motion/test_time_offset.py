@@ -105,3 +105,16 @@ def test_an_axis_that_is_late_by_itself_is_no_delay_of_the_sensor() -> None:
     (axis,) = (f for f in found if f.effect != "lever_arm")
     assert (axis.effect, axis.sensor, axis.axes) == ("unknown", "gyro", ["y"])
     assert axis.parameters["delay"].value[1] == pytest.approx(0.04 * 2 / 3, abs=0.01)
+
+
+def test_a_delay_that_grows_is_no_one_delay() -> None:
+    accelerometer, gyroscope = played(11)
+    t = gyroscope.t
+    rate = np.stack([np.interp(t - 0.06 * t / t[-1], t, axis) for axis in gyroscope.xyz.T], axis=1)
+    late = Samples.checked(Sensor.GYROSCOPE, t, rate)
+    (found,) = motion_findings(
+        accelerometer, late, aligned(late, cut(accelerometer, late), G), G, sound_phones()["time_offset"]
+    )
+    low, high = found.parameters["growth"].ci95
+    assert (found.effect, found.where.driver) == ("unknown", "rate of turn, with time")
+    assert low < 0.06 < high and low > 0.0

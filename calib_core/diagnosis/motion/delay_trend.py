@@ -1,0 +1,50 @@
+"""A delay between the sensors that changes with time: clocks that run apart, or a queue that grows.
+
+One delay then fits the middle of the recording only. Its growth with time is fitted beside it, and held
+against how windows of motion, frequencies and directions disagree about it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding, of_chance
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.motion.axis_delays import UNLIKELY
+from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
+
+DRIVER = "rate of turn, with time"
+
+
+class DelayTrend:
+    """By how much a delay grows from the first window to the last.
+
+    growth: s, with its error; log_chance: of a delay that stays being seen to grow so much.
+    """
+
+    def __init__(self, sums: Regression, apart: float) -> None:
+        """Estimate it by the last column of a regression; apart: s, how parts disagree about it."""
+        from scipy.stats import t  # noqa: PLC0415 - the daemon stays light
+
+        fitted, covariance, _ = sums.jackknifed(PARTS)
+        error = float(np.sqrt(covariance[-1, -1] + apart**2))
+        self.growth = Measured(float(fitted[-1]), error)
+        free = min(PARTS, len(sums.power)) - 1
+        self.log_chance = float(np.log(2.0) + t.logsf(abs(self.growth.value) / error, free))
+
+    @property
+    def grows(self) -> bool:
+        """Whether one delay at all times does not fit."""
+        return self.log_chance < float(np.log(UNLIKELY))
+
+    def finding(self, where: Where, middle: float, least: float = 0.0) -> Finding | None:
+        """State a delay that grows. middle: s, the one that fits best; least: nats for what shows anyway."""
+        first, last = (1e3 * (middle + sign * self.growth.value) for sign in (-0.5, 0.5))
+        say = (
+            f"The gyroscope's delay behind the accelerometer changes from {first:.1f} to {last:.1f} ms in the"
+            " course of the recording."
+        )
+        there = Where(where.t_start, where.t_end, where.band_hz, DRIVER)
+        seen = Seen(max(of_chance(self.log_chance), least))
+        sizes = {"growth": self.growth.parameter("s")}
+        return direct_finding("unknown", "timing", [], there, sizes, statement=say, seen=seen)
