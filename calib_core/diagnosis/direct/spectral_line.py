@@ -12,6 +12,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.steady_segments import (
     INDEPENDENT,
     NEIGHBOURS,
+    OWN,
     Places,
     Stretches,
     stretches,
@@ -162,6 +163,24 @@ def _profile(seen: Stretches, rows: Index, middle: int) -> Array:
     return np.asarray(seen.power[rows[:, None], within].sum(axis=(0, 2)))
 
 
+def _louder_side(seen: Stretches, rows: Index, middle: int) -> Array:
+    """Return the mean power (rows, 3) on the side of a line that is louder in all stretches together.
+
+    At the edge of a band in which something shakes, or where a line that wanders turns, the mean of both
+    sides is half of what is on one.
+    """
+    away = np.arange(OWN // 2 + 1, (OWN + NEIGHBOURS) // 2 + 1)
+    steps = np.round(np.outer(seen.wider[rows], away)).astype(np.int64)
+    sides = np.stack(
+        [
+            seen.power[rows[:, None], np.clip(middle + sign * steps, 0, seen.f.size - 1)].mean(axis=1)
+            for sign in (-1, 1)
+        ]
+    )
+    louder = sides.sum(axis=1).argmax(axis=0)
+    return np.asarray(np.where(louder == 0, sides[0], sides[1]))
+
+
 def _narrow(profile: Array, count: int) -> bool:
     """Whether the power (41,), a sum of `count` powers, falls off within three bins, as a taper's."""
     middle = profile.size // 2
@@ -225,8 +244,7 @@ def _peak(grid: Array, power: Array) -> float:
 def _stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | None:
     frequency, error = _frequency(seen, rows, middle)
     line = np.abs(_amplitudes(seen, rows, np.array([frequency]))[:, 0]) ** 2
-    scale = seen.to_amplitude[rows] ** 2
-    noise = scale[:, None] * seen.power[rows, middle] / np.maximum(seen.ratio[rows, middle], 1e-300)
+    noise = seen.to_amplitude[rows, None] ** 2 * _louder_side(seen, rows, middle)
     power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)
     amplitude = np.sqrt(np.maximum(power, 0.0))
     scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude

@@ -110,6 +110,9 @@ def test_a_line_is_found_and_broad_shaking_is_not() -> None:
     assert line.axes == ["z"]
     phase = np.cumsum(rng.normal(0, 0.25, N)) + 2 * np.pi * 9.0 * t
     assert tone(stream(t, quiet + 0.02 * np.sin(phase)[:, None]), "accel") is None
+    shaken = np.fft.rfft(rng.normal(0, 0.2, (N, 3)), axis=0)
+    shaken[np.fft.rfftfreq(N, t[1] - t[0]) < 12.0] = 0.0  # as loud right above an edge as far above it
+    assert tone(stream(t, quiet + np.fft.irfft(shaken, N, axis=0)), "accel") is None
 
 
 def test_contamination_is_measured() -> None:
