@@ -13,7 +13,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects import curves
 from stillcal.calib_core.diagnosis.effects.bias import SIZE, UNIT
-from stillcal.calib_core.diagnosis.effects.by_force import seen_in
+from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, seen_in
 from stillcal.calib_core.diagnosis.effects.by_rate import TURN_PENALTY
 from stillcal.calib_core.diagnosis.effects.temperature import known
 from stillcal.calib_core.diagnosis.effects.timed import DRIFT_PENALTY
@@ -129,10 +129,33 @@ class SmoothCurve(Unknown):
             line = on_axes(centred(x))
             return np.concatenate([line, np.zeros((len(moments), 3, 3 * COSINES - 3))], axis=2)
         place = (x - x.min()) / max(float(np.ptp(x)), 1e-300)
-        frequency = np.pi * np.arange(1, COSINES + 1) / MARGIN
-        density = np.sqrt(2.0 * np.pi) * grid["length"] * np.exp(-0.5 * (grid["length"] * frequency) ** 2)
-        waves = np.cos(place[:, None] * frequency) * np.sqrt(2.0 / MARGIN * density)
-        return np.asarray((waves[:, None, :, None] * np.eye(3)[:, None, :]).reshape(len(moments), 3, -1))
+        return _waves_on_axes(np.repeat(place[:, None], 3, axis=1), grid["length"])
+
+
+def _waves_on_axes(place: Array, length: float) -> Array:
+    """Return each cosine on each axis in turn (n, 3, 3 COSINES), at each axis' place (n, 3) in its range."""
+    frequency = np.pi * np.arange(1, COSINES + 1) / MARGIN
+    density = np.sqrt(2.0 * np.pi) * length * np.exp(-0.5 * (length * frequency) ** 2)
+    waves = np.cos(place[:, :, None] * frequency) * np.sqrt(2.0 / MARGIN * density)
+    return np.asarray((waves[:, :, :, None] * np.eye(3)[:, None, :]).reshape(len(place), 3, -1))
+
+
+class ForceCurve(Unknown):
+    """An error of the accelerometer that is some smooth curve of the force on its own axis."""
+
+    def __init__(self) -> None:
+        size = Linear("amplitude", UNIT["accel"], 3 * COSINES, SIZE["accel"])
+        super().__init__("accel", "own force, not as a polynomial", size)
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return the correlation lengths that bend, where attitudes suffice for more than a polynomial."""
+        enough = seen_in(moments, max(FEWEST_OF_DEGREE.values()))
+        return [{"length": length} for length in LENGTHS if enough and length < np.inf]
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return each cosine on each axis in turn, over the force from -g to g."""
+        assert moments.up is not None, "no grid points without attitudes"
+        return _waves_on_axes((moments.up + 1.0) / 2.0, grid["length"])
 
 
 class Settling(Unknown):
@@ -295,7 +318,7 @@ def unknown_effects(sensor: str) -> list[Effect]:
         AttitudeSquared(sensor),
     ]
     if sensor == "accel":
-        own += [GainInStretch(), GainInTime(), CrossedForce()]
+        own += [ForceCurve(), GainInStretch(), GainInTime(), CrossedForce()]
     else:
         own += [GainByDirection(), GainInTurns()]
     many = (
