@@ -27,7 +27,7 @@ because a face is missing, and {broken} have a broken sensor. Local gravity is n
 used, so all scales have its error in common, up to 0.3 %. Made by
 `python -m stillcal.replay.studies.stisen2015.survey FOLDER`.
 
-![Bias and scale of each device](figures/hhar_still.png)
+![Bias and scale of each device](images/hhar_still.png)
 
 {calibrated_table}
 
