@@ -32,7 +32,7 @@ _REMEDIES = {
     errno.EACCES: "permission denied: run as the store's owner or give another path",
     errno.EPERM: "not permitted: run as the store's owner or give another path",
     errno.ENOENT: "there is no such folder: create it or give another path",
-    errno.ELOOP: "its links lead in a circle: remove one of them or give another path",
+    errno.ELOOP: "it is a link, or its links lead in a circle: remove it or give another path",
     errno.EMFILE: "this process has too many files open: raise the limit (ulimit -n)",
     errno.ENFILE: "the system has too many files open: close some",
     errno.ENOMEM: "the system is out of memory: free some",

@@ -181,6 +181,7 @@ class Store:
                 )
             if not verification.last_good.regular:
                 self._set_aside(self.last_good_path, "unreadable")
+                self.last_good_path.unlink(missing_ok=True)  # a FIFO or a link, which has two names now
                 verification = self.verify()
             if verification.store.problem is not None:
                 return self._replace_damaged(verification)

@@ -14,7 +14,6 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
 from stillcal.calib_core.calibration.constancy import LEVEL, Change, Shape, find_change
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
-from stillcal.calib_core.engine.actions import Publish
 from stillcal.calib_core.engine.decisions import FitTask, fit_and_decide
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.schedule import Occasion
@@ -23,7 +22,6 @@ from stillcal.calib_core.maths.f_distribution import tail
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.events import Charging, End
 from stillcal.replay.phone import load_phone, load_scenario, simulate
-from stillcal.replay.runner import replay
 
 MG = STANDARD / 1000
 NOISE = 2e-4
@@ -157,35 +155,6 @@ def test_as_many_attitudes_as_parameters_are_said_to_be_untested_and_one_more_is
         sd = outcome.record.accelerometer.bias_uncertainty
         assert ("nothing is left to test it" in outcome.reason) is untested
         assert bool(sd.min() > 0.5 * MG) is untested
-
-
-def lived(change_at: float, added: Array, phones: tuple[str, ...] = ("typical",)) -> tuple[Engine, list[Any]]:
-    """Let an engine live through a lab recording of each phone; from a time (s) on `added` is in it."""
-    engine, kept, begin = Engine(), [], 0.0
-    chunks = []
-    for number, name in enumerate(phones):
-        simulation = simulate(load_scenario("lab"), load_phone(name), number + 1)
-        for chunk in simulation.chunks():
-            accel, gyro = chunk.accelerometer, chunk.gyroscope
-            t = accel.t + begin
-            xyz = accel.xyz + added * (t >= change_at)[:, None]
-            chunks.append(
-                replace(
-                    chunk,
-                    accelerometer=replace(accel, t=frozen(t), xyz=frozen(xyz)),
-                    gyroscope=replace(gyro, t=frozen(gyro.t + begin)),
-                )
-            )
-        begin += simulation.duration + 10.0
-    replay(chunks, engine, kept.append)
-    return engine, [a.record for a in kept if isinstance(a, Publish)]
-
-
-@pytest.mark.slow
-def test_a_recording_whose_end_nobody_saw_says_so() -> None:
-    """A second phone, too noisy to rest by the first one's floor, appended to the first's recording."""
-    _, records = lived(np.inf, np.zeros(3), ("typical", "mpu6050"))
-    assert "unknown whether it holds there" in records[-1].acceptance.reason
 
 
 def test_a_change_between_two_checks_is_noticed_at_the_next_review() -> None:

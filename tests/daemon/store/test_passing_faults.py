@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import stat
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -108,14 +109,21 @@ def test_a_loop_of_links_is_refused_in_one_line(tmp_path: Path) -> None:
     assert len(ran.stderr.splitlines()) == 1 and "circle" in ran.stderr
 
 
-def test_a_folder_in_the_place_of_the_last_good_copy_is_set_aside(path: Path, make_record: Any) -> None:
+@pytest.mark.parametrize(
+    "make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["folder", "fifo", "zero"]
+)
+def test_what_is_no_file_in_the_place_of_the_last_good_copy_is_set_aside(
+    path: Path, make_record: Any, make: Callable[[Path], None]
+) -> None:
     store = Store(path)
     store.last_good_path.unlink()
-    store.last_good_path.mkdir()
-    (store.last_good_path / "kept").write_text("somebody's")
-    store.publish(make_record(9))
+    make(store.last_good_path)
+    kind = stat.S_IFMT(store.last_good_path.lstat().st_mode)
+    for number in (9, 10):
+        store.publish(make_record(number))
     assert store.verify().last_good.document is not None
-    assert path.with_name("store.json.unreadable-1.json").joinpath("kept").read_text() == "somebody's"
+    (aside,) = path.parent.glob("*unreadable*")
+    assert stat.S_IFMT(aside.lstat().st_mode) == kind
 
 
 def test_who_removes_the_lock_lets_nobody_write_beside_the_first(path: Path, make_record: Any) -> None:

@@ -6,19 +6,28 @@ import math
 
 import pytest
 
-from stillcal.replay.trials.misleading.__main__ import CASES, Verdict, judge
+from stillcal.replay.trials.misleading.__main__ import CASES, Case, Verdict, judge
 
-BY_NAME = {case.name: case for case in CASES}
+SAID = {
+    "nothing happens": "",
+    "the bias drifts by 0.5 mg/min": "widened",
+    "it steps by 3 mg in the middle": "widened",
+    "it steps by 20 mg in the middle": "made anew",
+    "it steps by 20 mg near the end": "refused",
+    "it steps by 20 mg after a calibration": "degraded",
+    "another phone's recording is appended": "made anew",
+    "a noisier phone's recording is appended": "warned",
+    "another phone goes on, live": "degraded",
+    "six attitudes for six parameters": "refused",
+}
 
 
-def test_a_step_in_the_middle_is_told_and_the_bias_is_the_new_one() -> None:
-    verdict = judge(BY_NAME["it steps by 20 mg in the middle"], 1)
-    assert verdict.said == "made anew" and verdict.error_mg < 0.2 and not verdict.misleads
-
-
-def test_where_nothing_happens_nothing_is_said() -> None:
-    verdict = judge(BY_NAME["nothing happens"], 1)
-    assert not verdict.said and verdict.error_mg < 0.2 and not verdict.misleads
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_what_happens_is_told_and_nothing_where_nothing_does(case: Case) -> None:
+    verdict = judge(case, 1)
+    assert verdict.said == SAID[case.name] and not verdict.misleads
+    if verdict.said in ("", "made anew"):
+        assert verdict.error_mg < 0.2
 
 
 @pytest.mark.parametrize(
