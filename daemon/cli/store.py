@@ -23,7 +23,7 @@ from stillcal.calib_core.calibration.terms import with_terms
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import OpenGroup, examples
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument, calibration_json, differences, parse
-from stillcal.daemon.store.files import MAX_BYTES, Reading
+from stillcal.daemon.store.files import MAX_BYTES, Reading, existing
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import read_regular
 from stillcal.daemon.system.printable import printable
@@ -105,7 +105,7 @@ def history(path: Path, as_json: bool) -> None:
 )
 def rollback(path: Path, identity: str | None, steps: int) -> None:
     """Make an earlier calibration current again; the present one moves to the history."""
-    with _one_line(), Store(_existing(path)) as store:
+    with _one_line(), Store(existing(path)) as store:
         outcome = store.rollback(steps if identity is None else identity)
     for note in outcome.notes:
         click.echo(note, err=True)
@@ -129,7 +129,7 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
     Bias that follows temperature and g-sensitivity of the gyroscope can be corrected. DIAGNOSIS is the file
     that `stillcal diagnose --json` wrote. The calibration without them stays in the history.
     """
-    with _one_line(), Store(_existing(path)) as store:
+    with _one_line(), Store(existing(path)) as store:
         document = store.load()
         if document is None or document.current is None:
             raise ValueError(f"{path}: holds no calibration: run stillcal replay or the daemon first")
@@ -171,7 +171,7 @@ def repair(path: Path, source: Path | None, accepted: bool) -> None:
     checksum; what lay at PATH is set aside.
     """
     with _one_line():
-        document, _ = parse(_contents(source or _existing(path)), trusted=True)
+        document, _ = parse(_contents(source or existing(path)), trusted=True)
         with Store(path) as store:
             changes = differences(store.load_if_any() or StoreDocument(), document)
             for change in changes[:MOST_CHANGES]:
@@ -207,7 +207,7 @@ def _contents(path: Path) -> bytes:
 def verify(path: Path, as_json: bool) -> None:
     """Check that a store is intact: JSON, checksum, schema, units and values. Exit code 1 if it is not."""
     with _one_line():
-        found = Store(_existing(path)).verify()
+        found = Store(existing(path)).verify()
     report = {
         "whole": found.whole,
         "store": reading_json(found.store),
@@ -231,16 +231,10 @@ def _one_line() -> Iterator[None]:
         sys.exit(BAD_INPUT)
 
 
-def _existing(path: Path) -> Path:
-    if not path.exists():
-        raise ValueError(f"{path}: no such store: give the path of an existing one")
-    return path
-
-
 def _loaded(path: Path) -> StoreDocument:
     """Read a store, warning on standard error where only its last good copy could be used."""
     with _one_line():
-        store = Store(_existing(path))
+        store = Store(existing(path))
         problem = store.verify().store.problem
         document = store.load()
     if problem is not None:

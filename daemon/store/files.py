@@ -77,6 +77,13 @@ class Reading:
         return self.document is not None or self.problem is not None
 
 
+def existing(path: Path) -> Path:
+    """Return the path of a store to be read. Raises StoreError where nothing is there."""
+    if not path.exists():
+        raise StoreError(f"{path}: no such store: give the path of an existing one")
+    return path
+
+
 def read(path: Path) -> Reading:
     """Read what lies at a path.
 

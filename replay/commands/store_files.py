@@ -11,6 +11,7 @@ import click
 
 from stillcal.calib_core.errors import UserError
 from stillcal.daemon.cli.lazy import examples
+from stillcal.daemon.store.files import existing
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import read_regular
 from stillcal.replay.commands.outputs import files, refuse_collisions, say, store_files, write_output
@@ -48,7 +49,7 @@ def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
     refuse_collisions([out], reads)
     target = target_named(tool)
     known = None if phone is None else _phone(phone)
-    made = exported(target, of_record(current_in_store(_existing(path)), known), path.name)
+    made = exported(target, of_record(current_in_store(existing(path)), known), path.name)
     write_output(out, made.data)
     if made.left_out:
         names = ", ".join(made.left_out)
@@ -106,12 +107,6 @@ def _bytes_of(source: Path) -> bytes:
     if len(data) > MAX_BYTES:
         raise ValueError(f"is larger than {MAX_BYTES} bytes")
     return data
-
-
-def _existing(path: Path) -> Path:
-    if not path.exists():
-        raise UserError(f"{path}: no such store: give the path of an existing one")
-    return path
 
 
 def _phone(name: str) -> Phone:
