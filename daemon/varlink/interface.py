@@ -258,10 +258,16 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
 
 def _with_quick_tables() -> None:
-    """Have the tables of Correct and Stream converted at once (rows.py); the description stays as it is."""
-    stream = varlinksignature(CalibrationInterface.Stream)
-    assert stream is not None
-    stream.return_type = ObjectVarlinkType({"block": Encoded(api.StreamBlock)})
+    """Have tables and long answers converted at once (rows.py); the description stays as it is."""
+    for method, name, kind in (
+        (CalibrationInterface.Stream, "block", api.StreamBlock),
+        (CalibrationInterface.GetHistory, "entries", list[api.Entry]),
+        (CalibrationInterface.GetStillness, "stillness", api.Stillness),
+        (CalibrationInterface.GetEnergy, "days", list[api.EnergyDay]),
+    ):
+        answer = varlinksignature(method)
+        assert answer is not None
+        answer.return_type = ObjectVarlinkType({name: Encoded(kind)})
     signature = varlinksignature(CalibrationInterface.Correct)
     assert signature is not None
     optional_number = VarlinkType.from_type_annotation(float).optional()
@@ -270,8 +276,8 @@ def _with_quick_tables() -> None:
     parameters = {"sensor": sensor, "samples": Rows(), "temperature_c": optional_number}
     parameters |= {"force": Rows().optional(), "smooth_hz": optional_number}
     signature.parameter_type = ObjectVarlinkType(parameters, discardnone=left_out)
-    answer = {"samples": Rows(), "delay_s": optional_number}
-    signature.return_type = ObjectVarlinkType(answer, discardnone={"delay_s"})
+    corrected = {"samples": Rows(), "delay_s": optional_number}
+    signature.return_type = ObjectVarlinkType(corrected, discardnone={"delay_s"})
 
 
 _with_quick_tables()

@@ -43,18 +43,18 @@ class Rows(VarlinkType):
 
 
 class Encoded(VarlinkType):
-    """A record that is given as JSON already, so that it is made once for all clients.
+    """An answer that msgspec writes as it is: records, or JSON already, made once for all clients.
 
     described: the annotation that the interface's description shows.
     """
 
-    def __init__(self, described: type) -> None:
+    def __init__(self, described: Any) -> None:
         shown = VarlinkType.from_type_annotation(described)
         self.as_type, self.as_varlink = shown.as_type, shown.as_varlink
         self.typedefs = shown.typedefs
 
     def tojson(self, obj: Any, oobstate: Any = None) -> Any:
-        """Return the JSON (msgspec.Raw) as it is."""
+        """Return what msgspec writes (msgspec.Raw is JSON already)."""
         return obj
 
     def fromjson(self, obj: Any, oobstate: Any = None) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
@@ -246,18 +246,22 @@ def stillness(daemon: Daemon, limit: int) -> api.Stillness:
     """Return the newest rests held, newest first."""
     view, now = daemon.view, daemon.now
     held = view.pool.held[::-1][:limit]
+    residuals = _residuals(held, view.record)
     windows = view.ledger.windows
     return api.Stillness(
         windows=sum(windows.values()),
         windows_still=windows.get(Label.STILL, 0),
         rests_held=view.rests_held,
-        rests=[_rest(h, view.record, now) for h in held],
+        rests=[_rest(h, residual, now) for h, residual in zip(held, residuals, strict=True)],
     )
 
 
 def energy(days: list[Day], limit: int) -> list[api.EnergyDay]:
     """Return the accounts of the newest days, oldest first."""
-    return [api.EnergyDay(**dataclasses.asdict(day)) for day in days[-limit:]]
+    names = [field.name for field in dataclasses.fields(api.EnergyDay)]
+    return [
+        api.EnergyDay(*(getattr(day, name) for name in names)) for day in days[max(len(days) - limit, 0) :]
+    ]
 
 
 def findings(daemon: Daemon) -> api.Findings:
@@ -365,15 +369,24 @@ def standing(daemon: Daemon) -> api.Event:
     return api.Event("current", held.reason if held else "no calibration yet", daemon.now, held)
 
 
-def _rest(held: HeldRest, record: CalibrationRecord | None, now: float | None) -> api.Rest:
-    rest, part = held.rest, None if record is None else record.accelerometer
-    norm = None if part is None else float(np.linalg.norm(part.model.apply(rest.specific_force)))
+def _residuals(held: Sequence[HeldRest], record: CalibrationRecord | None) -> Sequence[float | None]:
+    """Return by how much the calibrated force of each rest is longer than gravity, m/s^2; None without."""
+    if record is None or record.accelerometer is None or not held:
+        return [None] * len(held)
+    forces = np.array([h.rest.specific_force for h in held])
+    norms = np.linalg.norm(record.accelerometer.model.apply(forces), axis=1)
+    residuals: list[float | None] = (norms - [h.gravity.value for h in held]).tolist()
+    return residuals
+
+
+def _rest(held: HeldRest, residual: float | None, now: float | None) -> api.Rest:
+    rest = held.rest
     return api.Rest(
         t_start_s=rest.t_start,
         t_end_s=rest.t_end,
         force=rest.specific_force.tolist(),
         age_s=_age(rest.t_end, now),
-        residual=None if norm is None else norm - held.gravity.value,
+        residual=residual,
         temperature_c=rest.temperature,
     )
 

@@ -6,14 +6,26 @@ import asyncio
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 from asyncvarlink.conversion import ConversionError, VarlinkType
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillcal.daemon.varlink.rows import MAX_ROWS, Rows, too_large
+from stillcal.calib_core.engine.state import EngineState
+from stillcal.calib_core.static.settings import Ledger
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.service.energy_ledger import Day
+from stillcal.daemon.service.saved_state import SavedState, decode, encode
+from stillcal.daemon.store.document import StoreDocument
+from stillcal.daemon.varlink import views
+from stillcal.daemon.varlink.rows import MAX_ROWS, Encoded, Rows, too_large
+from stillcal.daemon.varlink.types import EnergyDay, Entry, Stillness
+from stillcal.replay.trials.faults.fit import gathered
 from tests.support.asking import NAME, ask, connected, stored
 from tests.support.living import answering, within_reason
 
@@ -75,6 +87,35 @@ def test_an_oversized_table_is_refused_and_the_connection_goes_on(folder: Path, 
             assert len((await ask(line, "Correct", parameters=few))["parameters"]["samples"]) == 1
 
     within_reason(test())
+
+
+def test_long_answers_are_written_as_the_library_writes_them(make_record: Any) -> None:
+    document = StoreDocument()
+    for number in range(3):
+        document = document.after_publishing(make_record(number), 32)
+    state = SavedState(EngineState(pool=gathered(1, attitudes=6, each=2)))
+    pool = decode(encode(state)).engine.pool  # with plain numbers
+    view = SimpleNamespace(pool=pool, ledger=Ledger(), rests_held=12, record=document.current)
+    daemon: Any = SimpleNamespace(view=view, now=2e6)
+    still = views.stillness(daemon, 10)
+    first, record = pool.held[-1], make_record(2)
+    force = record.apply(first.rest.specific_force[None], Sensor.ACCELEROMETER)
+    assert still.rests[0].residual == pytest.approx(float(np.linalg.norm(force)) - first.gravity.value)
+    days = [Day(number, samples=3) for number in range(4)]
+    assert [[day.number for day in views.energy(days, limit)] for limit in (0, 2, 9)] == [
+        [],
+        [2, 3],
+        [0, 1, 2, 3],
+    ]
+    for kind, answer in (
+        (Stillness, still),
+        (list[Entry], views.history(document, 9)),
+        (list[EnergyDay], views.energy(days, 9)),
+    ):
+        library = VarlinkType.from_type_annotation(kind)  # type: ignore[arg-type]
+        ours = Encoded(kind)
+        assert ours.as_varlink == library.as_varlink
+        assert msgspec.json.encode(ours.tojson(answer)) == msgspec.json.encode(library.tojson(answer))
 
 
 def test_the_description_is_the_one_that_was_published(folder: Path) -> None:
