@@ -28,6 +28,7 @@ from stillcal.calib_core.streams.smoothing import RollingMean
 from stillcal.daemon.varlink import types as api
 from stillcal.daemon.varlink import views
 from stillcal.daemon.varlink.address import NAME as INTERFACE
+from stillcal.daemon.varlink.daemon import Daemon
 from stillcal.daemon.varlink.rows import Encoded, Rows
 
 DEFAULT_BATCH_S = 0.02
@@ -88,7 +89,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
     errors = (NotCalibrated, Refused, TooSlow)
 
-    def __init__(self, daemon: views.Daemon) -> None:
+    def __init__(self, daemon: Daemon) -> None:
         self._daemon = daemon
 
     @varlinkmethod(return_parameter="calibration")

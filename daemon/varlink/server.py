@@ -28,9 +28,9 @@ from stillcal.daemon.system.clock import Clock
 from stillcal.daemon.system.log import say
 from stillcal.daemon.varlink.address import socket_path
 from stillcal.daemon.varlink.connection import Connection
+from stillcal.daemon.varlink.daemon import Daemon
 from stillcal.daemon.varlink.interface import CalibrationInterface
 from stillcal.daemon.varlink.socket import opened
-from stillcal.daemon.varlink.views import Daemon
 
 TURN_S = 0.01
 """How long clients are answered before the event loop serves everything else, s."""

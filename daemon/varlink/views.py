@@ -6,8 +6,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import AbstractContextManager
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,75 +23,14 @@ from stillcal.daemon.service.energy_ledger import Day
 from stillcal.daemon.service.engine_thread import View
 from stillcal.daemon.service.live_stream import Interruption, Live
 from stillcal.daemon.service.phone_session import Recorded
-from stillcal.daemon.service.saved_state import SavedState
-from stillcal.daemon.service.subscribers import BACKLOG, CalibrationSubscribers, Notification, Subscriber
+from stillcal.daemon.service.subscribers import BACKLOG, Notification
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument
 from stillcal.daemon.varlink import types as api
+from stillcal.daemon.varlink.daemon import Daemon
 from stillcal.daemon.wire.messages import Hello
 
 DAY_S = 86400.0
-
-
-class Daemon(Protocol):
-    """The daemon as the socket sees it."""
-
-    saved: SavedState
-    subscribers: CalibrationSubscribers
-
-    @property
-    def view(self) -> View:
-        """The engine's view."""
-
-    @property
-    def document(self) -> StoreDocument:
-        """The contents of the store."""
-
-    @property
-    def source(self) -> Source:
-        """The source of samples."""
-
-    @property
-    def trouble(self) -> str:
-        """Why the last write failed; empty after one that succeeded."""
-
-    @property
-    def store_name(self) -> str:
-        """The store's path."""
-
-    @property
-    def seed(self) -> int:
-        """The seed of the random pauses between probes."""
-
-    @property
-    def claims(self) -> Mapping[str, Any]:
-        """What the phone's maker claims of it."""
-
-    def recording(self, sparing: bool) -> AbstractContextManager[Subscriber[Recorded]]:
-        """Subscribe to samples and events while the block lasts."""
-
-    def streaming(self, sparing: bool, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
-        """Subscribe to corrected samples while the block lasts."""
-
-    @property
-    def uptime_s(self) -> float:
-        """Time since the daemon started, s."""
-
-    @property
-    def now(self) -> float | None:
-        """The engine's time, s; None before the first sample."""
-
-    async def rollback(self, target: int | str) -> CalibrationRecord | None:
-        """Make an earlier calibration current. Raises ValueError."""
-
-    async def calibrate(self) -> CalibrationRecord:
-        """Try a full calibration now. Raises ValueError with the reason where there is no better one."""
-
-    async def zero(self) -> CalibrationRecord:
-        """Measure the gyroscope's bias now. Raises ValueError where there is no recent rest."""
-
-    async def reload(self) -> str:
-        """Read the settings again; return why they were refused, or an empty string."""
 
 
 @functools.lru_cache(maxsize=128)

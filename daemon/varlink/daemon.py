@@ -1,0 +1,77 @@
+"""What the socket needs of the daemon."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.daemon.service.engine_thread import View
+from stillcal.daemon.service.live_stream import Live
+from stillcal.daemon.service.phone_session import Recorded
+from stillcal.daemon.service.saved_state import SavedState
+from stillcal.daemon.service.subscribers import CalibrationSubscribers, Subscriber
+from stillcal.daemon.sources.base import Source
+from stillcal.daemon.store.document import StoreDocument
+
+
+class Daemon(Protocol):
+    """The daemon as the socket sees it."""
+
+    saved: SavedState
+    subscribers: CalibrationSubscribers
+
+    @property
+    def view(self) -> View:
+        """The engine's view."""
+
+    @property
+    def document(self) -> StoreDocument:
+        """The contents of the store."""
+
+    @property
+    def source(self) -> Source:
+        """The source of samples."""
+
+    @property
+    def trouble(self) -> str:
+        """Why the last write failed; empty after one that succeeded."""
+
+    @property
+    def store_name(self) -> str:
+        """The store's path."""
+
+    @property
+    def seed(self) -> int:
+        """The seed of the random pauses between probes."""
+
+    @property
+    def claims(self) -> Mapping[str, Any]:
+        """What the phone's maker claims of it."""
+
+    def recording(self, sparing: bool) -> AbstractContextManager[Subscriber[Recorded]]:
+        """Subscribe to samples and events while the block lasts."""
+
+    def streaming(self, sparing: bool, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
+        """Subscribe to corrected samples while the block lasts."""
+
+    @property
+    def uptime_s(self) -> float:
+        """Time since the daemon started, s."""
+
+    @property
+    def now(self) -> float | None:
+        """The engine's time, s; None before the first sample."""
+
+    async def rollback(self, target: int | str) -> CalibrationRecord | None:
+        """Make an earlier calibration current. Raises ValueError."""
+
+    async def calibrate(self) -> CalibrationRecord:
+        """Try a full calibration now. Raises ValueError with the reason where there is no better one."""
+
+    async def zero(self) -> CalibrationRecord:
+        """Measure the gyroscope's bias now. Raises ValueError where there is no recent rest."""
+
+    async def reload(self) -> str:
+        """Read the settings again; return why they were refused, or an empty string."""
