@@ -54,8 +54,14 @@ class Server:
     dropped: number disconnected for stalling, for malformed requests or to make room.
     """
 
-    def __init__(self, daemon: Daemon, settings: SocketSettings, clock: Clock = time.monotonic) -> None:
-        self.settings, self.clock = settings, clock
+    def __init__(
+        self,
+        daemon: Daemon,
+        settings: SocketSettings,
+        clock: Clock = time.monotonic,
+        cpu_time: Clock = time.thread_time,
+    ) -> None:
+        self.settings, self.clock, self._cpu_time = settings, clock, cpu_time
         self.dropped = 0
         self._registry = _registry(daemon)
         self._clients: dict[Connection, None] = {}
@@ -146,9 +152,9 @@ class Server:
                 heappush(self._queue, (client.turn + client.cost, next(self._queued), client))
             self._arrived.clear()
             _, _, client = heappop(self._queue)
-            self._turn, began = max(self._turn, client.turn), self.clock()
+            self._turn, began = max(self._turn, client.turn), self._cpu_time()
             client.answer()
-            client.cost = self.clock() - began
+            client.cost = self._cpu_time() - began
             client.turn += client.cost
         self._serving = bool(self._queue or self._arrived)
         if self._serving:

@@ -57,7 +57,7 @@ class Client:
 def test_who_asks_for_little_waits_for_one_answer_and_who_asks_for_much_has_its_share() -> None:
     async def test() -> None:
         clock, answered = ManualClock(), list[str]()
-        server = Server(None, SocketSettings(), clock)  # type: ignore[arg-type]  # nothing is asked of it
+        server = Server(None, SocketSettings(), clock, clock)  # type: ignore[arg-type]  # nothing is asked of it
         clients = [Client(f"much {i}", 0.008, clock, answered) for i in range(8)]
         little = Client("little", 0.0001, clock, answered)
         for client in clients:
