@@ -29,6 +29,7 @@ from stillcal.replay.formats.tables.cells import (
     holding,
     is_date,
     is_number,
+    line_ends,
     read_numbers,
 )
 from stillcal.replay.formats.tables.compiled import compiled_reader
@@ -144,7 +145,7 @@ class TextTable:
                         raise TraceError(self.path, "a line does not end", _TEXT_REMEDY, line)
                     continue
                 text, tail = b"".join((tail, memoryview(data)[:cut])), data[cut:]
-                count = text.count(b"\n")
+                count = line_ends(text)
                 yield text, line, count, False
                 line += count
             if tail:
