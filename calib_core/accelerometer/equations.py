@@ -36,6 +36,8 @@ class Norms:
 
     def only(self, mask: NDArray[np.bool_]) -> Norms:
         """Return the rests where `mask` (n,) holds, with their attitudes numbered anew."""
+        if mask.all():
+            return self
         labels = np.unique(self.labels[mask], return_inverse=True)[1]
         return replace(self, raw=self.raw[mask], sd=self.sd[mask], target=self.target[mask], labels=labels)
 
@@ -66,8 +68,8 @@ class Norms:
         return np.asarray(np.maximum(((slopes * self.sd) ** 2).sum(axis=1), _LEAST_SD**2))
 
     def start(self) -> Array:
-        """Return the parameters of an ideal sensor, (p,)."""
-        return np.asarray(np.linalg.lstsq(self.matrix, _IDENTITY, rcond=None)[0], dtype=np.float64)
+        """Return the parameters of an ideal sensor, (p,); the columns of `matrix` are orthogonal."""
+        return np.asarray(_IDENTITY @ self.matrix / (self.matrix**2).sum(axis=0))
 
     def _unpacked(self, v: Array) -> tuple[Array, Array]:
         twelve = self.matrix @ v
@@ -125,7 +127,7 @@ def solve(norms: Norms, damping: Damping, rounds: int, start: Array | None = Non
         minimum = minimise(_whitened(norms, weights.whitening), v, damping)
         v, iterations, converged = minimum.v, iterations + minimum.iterations, minimum.converged
         before, weights = weights, _weights(norms, v)
-        if np.allclose(weights.variances, before.variances, rtol=2e-3, atol=0.0):
+        if (np.abs(weights.variances - before.variances) <= 2e-3 * before.variances).all():
             break
     white = weights.whitening @ norms.residuals(v)[1]
     covariance = np.asarray(np.linalg.inv(white.T @ white), dtype=np.float64)

@@ -19,7 +19,7 @@ from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer import prior as prior_fit
 from stillcal.calib_core.accelerometer.equations import Norms, Solution, solve
 from stillcal.calib_core.accelerometer.observability import Attitude
-from stillcal.calib_core.accelerometer.parameters import Form, basis, names
+from stillcal.calib_core.accelerometer.parameters import Form, basis, inverse, names, variances_along
 from stillcal.calib_core.accelerometer.prior import FleetPrior
 from stillcal.calib_core.accelerometer.result import AccelerometerFit, Dropped
 from stillcal.calib_core.arrays import Array, frozen
@@ -326,9 +326,9 @@ def _outliers(task: Task, solution: Solution) -> list[int]:
     if task.settings.outlier_level == 0.0:
         return []
     residuals, jacobian = task.norms.residuals(solution.v)
-    if np.isfinite(observability.amplification(task.norms.directions(), 9)):
+    if task.parameters < 9 and observability.determined(task.norms.directions(), 9):
         richer = replace(task.norms, matrix=basis(9, task.form))
-        jacobian = richer.residuals(np.linalg.pinv(richer.matrix) @ task.norms.matrix @ solution.v)[1]
+        jacobian = richer.residuals(inverse(9, task.form) @ task.norms.matrix @ solution.v)[1]
     most = int(task.settings.max_outliers * len(residuals))
     variances = solution.variances(task.norms)
     return random_effects.outliers(residuals, jacobian, variances, most, task.settings.outlier_level)
@@ -347,7 +347,7 @@ def _without(task: Task, rows: list[int]) -> NDArray[np.bool_]:
 def _explained(task: Task, solution: Solution, fitted: int) -> NDArray[np.bool_]:
     """Tell which rests, (n,), the fitted ones explain, given the scatter that those show."""
     residuals, jacobian = task.norms.residuals(solution.v)
-    predicted = np.einsum("ij,jk,ik->i", jacobian, solution.covariance, jacobian)
+    predicted = variances_along(jacobian, solution.covariance)
     free = max(fitted - jacobian.shape[1], 1)
     limit = quantile(free, 1.0 - task.settings.outlier_level / (2.0 * len(residuals)))
     sd = np.sqrt(solution.variances(task.norms) + predicted)
@@ -376,8 +376,8 @@ def _model(task: Task, solution: Solution) -> SensorModel:
 
 def _covariance(task: Task, solution: Solution) -> Array:
     """Return the covariance of the model's own parameters, (p, p), in m/s^2 and 1."""
-    units = np.r_[np.full(3, task.g), np.ones(9)]
-    spread = np.linalg.pinv(basis(task.parameters, task.form)) @ (task.norms.matrix * units[:, None])
+    units = np.repeat((task.g, 1.0), (3, 9))
+    spread = inverse(task.parameters, task.form) @ (task.norms.matrix * units[:, None])
     return frozen(spread @ solution.covariance @ spread.T)
 
 

@@ -16,7 +16,7 @@ from itertools import product
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.parameters import Form, basis, names, norm_rows
+from stillcal.calib_core.accelerometer.parameters import Form, basis, names, norm_rows, variances_along
 from stillcal.calib_core.arrays import Array, frozen
 
 FACES = (
@@ -86,7 +86,7 @@ def coverage(up: Array, parameters: int = 9, form: Form = "symmetric") -> Covera
         parameters,
         names(parameters, form),
         len(up),
-        amplification(up, parameters),
+        _amplification(information, parameters),
         _observability(up, parameters, form),
         ("rotation common to all axes",) if parameters == 12 else (),
         _weakest(information, parameters),
@@ -95,10 +95,12 @@ def coverage(up: Array, parameters: int = 9, form: Form = "symmetric") -> Covera
 
 def amplification(up: Array, parameters: int = 9) -> float:
     """Return the worst standard error of a calibrated norm over one rest's noise, inf where undetermined."""
-    information = _information(up, parameters)
-    if not _determined(information):
-        return float("inf")
-    return float(np.sqrt(_variances(sphere(), information, parameters).max()))
+    return _amplification(_information(up, parameters), parameters)
+
+
+def determined(up: Array, parameters: int = 9) -> bool:
+    """Tell whether distinct attitudes, unit vectors (n, 3), determine every parameter of a model."""
+    return _determined(_information(up, parameters))
 
 
 def most_helpful_attitude(up: Array, parameters: int = 9) -> Attitude:
@@ -143,16 +145,17 @@ def _determined(information: Array) -> bool:
     return bool(eigenvalues[0] > _SINGULAR * eigenvalues[-1])
 
 
-def _variances(candidates: Array, information: Array, parameters: int) -> Array:
-    """Return the variance of the calibrated norm along candidate directions, (n,)."""
-    rows = norm_rows(candidates, _gauge(parameters))
-    return np.asarray(np.einsum("ij,ij->i", rows, np.linalg.solve(information, rows.T).T))
+def _amplification(information: Array, parameters: int) -> float:
+    if not _determined(information):
+        return float("inf")
+    variances = variances_along(_sphere_rows(parameters), frozen(np.linalg.inv(information)))
+    return float(np.sqrt(variances.max()))
 
 
 def _weakest(information: Array, parameters: int) -> Attitude:
     """Return the named attitude of largest predicted variance: adding it shrinks the covariance most."""
-    eased = information + _RIDGE * np.eye(len(information))
-    variances = _variances(places(), eased, parameters)
+    eased = frozen(np.linalg.inv(information + _RIDGE * np.eye(len(information))))
+    variances = variances_along(norm_rows(places(), _gauge(parameters)), eased)
     first = int(np.argmax(variances >= 0.999 * variances.max()))
     return Attitude(frozen(places()[first]), describe(places()[first]))
 
@@ -169,17 +172,21 @@ def _observability(up: Array, parameters: int, form: Form) -> Array:
     known = values > _SINGULAR * max(values[-1], 1e-300)
     hidden = (vectors[:, ~known] ** 2).sum(axis=1)
     variances = (vectors[:, known] ** 2 / values[known]).sum(axis=1)
-    even = np.diag(np.linalg.inv(_even_moments(matrix))) / max(len(up), 1)
+    even = _even_variances(parameters, form) / max(len(up), 1)
     return frozen(np.where(hidden > 1e-9, 0.0, np.sqrt(even / np.maximum(variances, 1e-300))))
 
 
-def _even_moments(matrix: Array) -> Array:
-    """Return the mean information over the sphere, by the 14-point rule exact to degree 5 (McLaren 1963)."""
-    cube = places()
+@cache
+def _even_variances(parameters: int, form: Form) -> Array:
+    """Return each parameter's variance by one rest spread evenly over the sphere, (p,).
+
+    By the 14-point rule exact to degree 5 (McLaren 1963).
+    """
+    cube, matrix = places(), basis(parameters, form)
     faces, corners = cube[:6], cube[18:]
     weights = np.r_[np.full(6, 1 / 15), np.full(8, 3 / 40)]
     rows = norm_rows(np.vstack((faces, corners)), matrix)
-    return np.asarray(rows.T @ (weights[:, None] * rows))
+    return frozen(np.diag(np.linalg.inv(rows.T @ (weights[:, None] * rows))))
 
 
 @cache
@@ -198,3 +205,8 @@ def sphere(n: int = 400) -> Array:
     turn = np.pi * (1.0 + np.sqrt(5.0)) * k
     ring = np.sqrt(1.0 - z * z)
     return frozen(np.vstack((np.column_stack((ring * np.cos(turn), ring * np.sin(turn), z)), places())))
+
+
+@cache
+def _sphere_rows(parameters: int) -> Array:
+    return frozen(norm_rows(sphere(), _gauge(parameters)))

@@ -56,6 +56,18 @@ def basis(parameters: int, form: Form = "symmetric") -> Array:
     return frozen(matrix)
 
 
+@cache
+def inverse(parameters: int, form: Form = "symmetric") -> Array:
+    """Return the (parameters, 12) matrix that turns (bias, scale) back into parameters, by least squares."""
+    matrix = basis(parameters, form)
+    return frozen((matrix / (matrix**2).sum(axis=0)).T)  # the columns are orthogonal
+
+
+def variances_along(rows: Array, covariance: Array) -> Array:
+    """Return the variance of each linear combination of the parameters, (n,); rows: (n, p) its factors."""
+    return np.asarray(np.einsum("ij,ij->i", rows @ covariance, rows))
+
+
 def norm_rows(directions: Array, matrix: Array) -> Array:
     """Return the derivative of a calibrated force's norm along unit directions (n, 3) by parameters, (n, p).
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer.equations import Norms, pooling
-from stillcal.calib_core.accelerometer.parameters import basis, names
+from stillcal.calib_core.accelerometer.parameters import basis, names, variances_along
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths.levenberg_marquardt import Damping, minimise
@@ -304,4 +304,4 @@ def norm_variances(up: Array, covariance: Array, gravity: float) -> Array:
     """Return the variance (n,) of the calibrated norm of gravity along unit vectors (n, 3), (m/s^2)^2."""
     products = gravity * up[:, :, None] * up[:, None, :]
     rows = np.hstack((-up, products.reshape(-1, 9))) @ basis(9)
-    return np.asarray(np.einsum("ij,jk,ik->i", rows, covariance, rows))
+    return variances_along(rows, covariance)

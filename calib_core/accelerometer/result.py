@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.accelerometer import observability
 from stillcal.calib_core.accelerometer.observability import Coverage
-from stillcal.calib_core.accelerometer.parameters import Form, basis
+from stillcal.calib_core.accelerometer.parameters import Form, basis, inverse, variances_along
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.model import SensorModel
 
@@ -67,7 +67,7 @@ class AccelerometerFit:
     @property
     def values(self) -> Array:
         """The parameters, (p,), in the order of `names`."""
-        return np.asarray(np.linalg.pinv(basis(self.parameters, self.form)) @ self._twelve())
+        return np.asarray(inverse(self.parameters, self.form) @ self._twelve())
 
     @property
     def used(self) -> NDArray[np.bool_]:
@@ -84,7 +84,7 @@ class AccelerometerFit:
     @property
     def total_covariance(self) -> Array:
         """Covariance of the parameters, (p, p), with the uncertainty of the common scale."""
-        back = np.linalg.pinv(basis(self.parameters, self.form))
+        back = inverse(self.parameters, self.form)
         return np.asarray(back @ self._full_covariance() @ back.T)
 
     @property
@@ -97,7 +97,7 @@ class AccelerometerFit:
     def worst_norm_uncertainty(self) -> float:
         """Standard uncertainty of the calibrated norm at rest along the worst direction, m/s^2."""
         rows = self._norm_rows(observability.sphere())
-        return float(np.sqrt(np.einsum("ij,jk,ik->i", rows, self._from_rests(), rows).max()))
+        return float(np.sqrt(variances_along(rows, self._from_rests()).max()))
 
     def interval(self, level: float = 0.95) -> Array:
         """Return two-sided intervals of the parameters at `level`, (p, 2), by Student's t or the normal."""
@@ -123,7 +123,7 @@ class AccelerometerFit:
         return np.asarray(np.sqrt(variances))
 
     def _twelve(self) -> Array:
-        return np.asarray(np.r_[self.model.bias, self.model.scale.ravel()])
+        return np.asarray(np.concatenate((self.model.bias, self.model.scale.ravel())))
 
     def _from_rests(self) -> Array:
         matrix = basis(self.parameters, self.form)

@@ -92,7 +92,8 @@ def minimise(function: Residuals, start: Array, settings: Damping) -> Minimum:
 
 def _step(hessian: Array, gradient: Array, damping: float) -> Array:
     """Return the step of Eq. 6, (p,), with Marquardt's damping in place of the constant delta."""
-    damped = hessian + damping * np.diag(np.diag(hessian))
+    damped = hessian.copy()
+    damped.flat[:: len(hessian) + 1] += damping * hessian.diagonal()
     try:
         return np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -106,5 +107,5 @@ def _settled(old: Array, new: Array, hessian: Array, cost: float, settings: Damp
     a change below a fraction epsilon of the parameter's standard error is enough, too.
     """
     size = np.maximum(np.abs(old + new) / 2.0, settings.floor)
-    spread = np.sqrt(cost / np.maximum(np.diag(hessian), np.finfo(float).tiny))
+    spread = np.sqrt(cost / np.maximum(hessian.diagonal(), np.finfo(float).tiny))
     return bool(np.all(np.abs(new - old) < settings.tolerance * np.maximum(size, spread)))

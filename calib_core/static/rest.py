@@ -77,14 +77,15 @@ def attitude_labels(raw: Array, angle: float) -> NDArray[np.intp]:
     A force belongs to the first attitude whose first member's direction is within `angle` (rad) of its own.
     """
     unit = directions(raw)
-    labels, free = np.full(len(unit), -1, dtype=np.intp), np.ones(len(unit), dtype=bool)
+    labels, taken = np.full(len(unit), -1, dtype=np.intp), np.zeros(len(unit), dtype=bool)
     nearest, number = np.cos(angle), 0
-    while free.any():
-        first = int(free.argmax())
-        near = free & (unit @ unit[first] >= nearest)
+    for first in range(len(unit)):
+        if taken[first]:
+            continue
+        near = (unit @ unit[first] >= nearest) > taken
         near[first] = True
         labels[near] = number
-        free &= ~near
+        taken |= near
         number += 1
     return labels
 
