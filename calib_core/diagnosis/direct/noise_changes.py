@@ -190,7 +190,7 @@ def _fitted(level: Array, course: Course, spectrum: Spectra, rest: Index) -> _Fi
     high = fitted > 0.5 * (fitted.max() + fitted.min())
     if min(high.sum(), (~high).sum()) < LEAST_PIECES:
         return None
-    change = float(np.median(level[high]) - np.median(level[~high]))
+    change = float(np.ptp(fitted))
     left, groups = level - fitted, (high, ~high)
     spreads = [(_scatter(left[rows]), _chance(spectrum, rows)) for rows in groups]
     if change < LEAST_CHANGE or any(seen > EVEN * chance + 0.03 for seen, chance in spreads):

@@ -88,16 +88,23 @@ def delivered_again(samples: Samples, sensor: str, still: Flags) -> Finding | No
 
 
 def by_chance(xyz: Array, still: Flags) -> float:
-    """Return `CORRELATED` times how often rows (n, 3) at rest equal a row some samples earlier; 1 at most."""
+    """Return `CORRELATED` times how often rows (n, 3) equal a row some samples earlier; 1 at most.
+
+    At rest or in motion, whichever is oftener: a range that is switched has coarser steps in motion.
+    """
+    least = 1.0 / max(len(xyz), 1)
+    usual = [_usual_share(xyz, rows) for rows in (still, ~still)]
+    return min(CORRELATED * max([least, *(share for share in usual if share is not None)]), 1.0)
+
+
+def _usual_share(xyz: Array, among: Flags) -> float | None:
+    """Return the part of some rows that equals one a few samples earlier, the median of `LAGS`."""
     shares = [
         float((xyz[k:] == xyz[:-k]).all(axis=1)[both].mean())
         for k in LAGS
-        if (both := still[k:] & still[:-k]).any()
+        if (both := among[k:] & among[:-k]).any()
     ]
-    if not shares:
-        shares = [float((xyz[k:] == xyz[:-k]).all(axis=1).mean()) for k in LAGS if k < len(xyz)]
-    least = 1.0 / max(len(xyz), 1)
-    return min(CORRELATED * max(float(np.median(shares)) if shares else 1.0, least), 1.0)
+    return float(np.median(shares)) if shares else None
 
 
 def repeated(xyz: Array) -> list[Stretch]:

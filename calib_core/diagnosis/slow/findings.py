@@ -131,10 +131,23 @@ def each_driver_once(stated: Sequence[Stated]) -> list[Stated]:
 
     A curve without a name is a model too; what it leaves of one cause is no second cause.
     """
-    nameless = [s for s in stated if s.finding.effect == "unknown"]
-    likely = sorted(nameless, key=lambda s: s.finding.evidence.log_bayes_factor)
-    drivers = {s.finding.where.driver: s for s in likely}
-    return [s for s in stated if s.finding.effect != "unknown" or drivers[s.finding.where.driver] is s]
+    nameless = [s.finding for s in stated if s.finding.effect == "unknown"]
+    kept: list[Finding] = []
+    for one in sorted(nameless, key=lambda f: -f.evidence.log_bayes_factor):
+        if not any(_of_one_cause(one, other) for other in kept):
+            kept.append(one)
+    return [s for s in stated if s.finding.effect != "unknown" or any(s.finding is f for f in kept)]
+
+
+def _of_one_cause(one: Finding, other: Finding) -> bool:
+    """Whether two findings follow the same, or come again with one period, as a tone and its overtones."""
+    if one.where.driver == other.where.driver:
+        return True
+    if not all("period_s" in f.parameters for f in (one, other)):
+        return False
+    span = one.where.t_end - one.where.t_start
+    cycles = [span / float(np.max(f.parameters["period_s"].value)) for f in (one, other)]
+    return abs(cycles[0] - cycles[1]) < 0.5  # a cycle apart, they are independent
 
 
 def _supported(finding: Finding) -> float:

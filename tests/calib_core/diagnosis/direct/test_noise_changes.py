@@ -60,8 +60,12 @@ def test_even_noise_is_silent(seed: int) -> None:
     assert found(noise(seed)) is None
 
 
-def test_noise_that_follows_temperature() -> None:
-    assert driver(noise(1) * np.exp(0.05 * (WARM - 25.0))[:, None]) == "temperature"
+@pytest.mark.parametrize("slope", [0.05, 0.025])
+def test_noise_that_follows_temperature(slope: float) -> None:
+    """The weaker one changes by a third from coldest to warmest, between two halves by a fifth."""
+    seen = found(noise(1) * np.exp(slope * (WARM - 25.0))[:, None])
+    assert seen is not None and seen.where.driver == "temperature"
+    assert seen.parameters["ratio"].value == pytest.approx(np.exp(slope * np.ptp(WARM)), rel=0.1)
 
 
 def test_noise_added_beside_what_a_filter_passed_follows_charging() -> None:

@@ -103,6 +103,13 @@ def test_a_simulated_motion_that_repeats_itself_without_noise_is_not_delivered_a
     assert said(np.rint(15000.0 * np.sin(2.0 * np.pi * np.outer(t, [0.1, 0.2, 0.3])))) == []
 
 
+def test_coarse_steps_in_motion_alone_come_again_by_chance() -> None:
+    codes = turning(1)
+    moved = np.abs(codes).max(axis=1) > 300
+    codes[moved] = 2000.0 * np.rint(np.random.default_rng(1).normal(0.0, 1.0, (int(moved.sum()), 3)))
+    assert "values delivered before" not in {f.where.driver for f in said(codes)}
+
+
 def test_places_and_longest_are_told() -> None:
     codes = 4.0 * turning(5)
     for first in (900, 1900, 2900):

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import null_log_likeliho
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
-from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
 from stillcal.calib_core.diagnosis.slow.findings import Stated, each_driver_once, slow_findings
@@ -162,10 +162,15 @@ def test_a_drift_beside_a_walk_is_as_uncertain_as_the_walk_makes_it() -> None:
 
 
 def test_what_has_no_name_is_said_once_for_each_driver() -> None:
-    def stated(effect: str, driver: str, evidence: float) -> Stated:
-        where = Where(0.0, 1.0, (0.0, 0.1), driver)
-        return Stated(Finding(effect, "gyro", ["x"], where, {}, Evidence(evidence), [], ""))
+    def stated(effect: str, driver: str, evidence: float, period: float | None = None) -> Stated:
+        where = Where(0.0, 1000.0, (0.0, 0.1), driver)
+        sizes = {} if period is None else {"period_s": Parameter(period, None, "s")}
+        return Stated(Finding(effect, "gyro", ["x"], where, sizes, Evidence(evidence), [], ""))
 
     weak, strong = stated("unknown", "charging", 8.0), stated("unknown", "charging", 20.0)
     others = [stated("unknown", "temperature", 5.0), stated("gyro_bias_step", "charging", 4.0)]
     assert each_driver_once([weak, *others, strong]) == [*others, strong]
+    sine, overtones = stated("unknown", "a period", 9.0, 55.0), stated("unknown", "a sawtooth", 7.0, 54.5)
+    assert each_driver_once([overtones, sine]) == [sine]
+    apart = stated("unknown", "a sawtooth", 7.0, 50.0)
+    assert each_driver_once([apart, sine]) == [apart, sine]
