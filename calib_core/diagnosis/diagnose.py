@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.shared_noise import shared_noise, shared_noise_finding
 from stillcal.calib_core.diagnosis.direct.spectral_line import tone
+from stillcal.calib_core.diagnosis.direct.step_changes import step_change
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
@@ -283,7 +284,8 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
         if len(stream.still.pieces) >= 3
         else None
     )
-    found = [held, comb, saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)]
+    cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
+    found = [held, comb, cut_off, step_change(samples, sensor)]
     if not stream.steps.hides_noise():
         found.append(tone(samples, sensor))
         if share < repeats.MANY:

@@ -8,6 +8,7 @@ where motion brings it again and again, is not stuck.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.repeated_values import at_limits
@@ -29,7 +30,7 @@ def stuck(samples: Samples, sensor: str) -> Finding | None:
     """Find the longest run in which one axis of a sensor is stuck."""
     same = np.diff(samples.xyz, axis=0) == 0.0
     free = same & ~at_limits(samples.xyz)
-    runs = [_longest(free[:, a]) for a in range(3)]
+    runs = [longest_run(free[:, a]) for a in range(3)]
     axis = int(np.argmax([last - first for first, last in runs]))
     first, last = runs[axis]
     length, t = last - first, samples.t
@@ -54,7 +55,7 @@ def stuck(samples: Samples, sensor: str) -> Finding | None:
     return direct_finding("unknown", sensor, [axis], where, sizes, statement=say, seen=seen)
 
 
-def _longest(same: Array) -> tuple[int, int]:
+def longest_run(same: NDArray[np.bool_]) -> tuple[int, int]:
     """Return the longest run [first, last) of True in (n,) bool."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     if not edges.size:
