@@ -20,9 +20,14 @@ from typing import Any
 
 import numpy as np
 
+from stillcal.calib_core.engine.state import EngineState
+from stillcal.daemon.service import saved_state
+from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.store.store import Store
+from stillcal.daemon.varlink.interface import MAX_ENTRIES
 from stillcal.daemon.varlink.rows import MAX_ROWS
+from stillcal.replay.trials.faults.fit import gathered
 from stillcal.replay.trials.faults.hostile import runs
 from stillcal.replay.trials.faults.kill import example
 from stillcal.replay.trials.faults.target import START_S, Target, ask, question, status
@@ -35,6 +40,9 @@ STOP_S = 2.0
 ASK_EVERY_S = 0.02
 FLOODING = 8
 """Clients that ask for tables without end."""
+
+FULLEST = 48, 24
+"""Attitudes of the fullest pool, and rests in each."""
 
 BYTES_AT_ONCE = 4096
 SETTLED_S = 10.0
@@ -237,19 +245,25 @@ STAGES: list[tuple[str, Callable[[str], Coroutine[Any, Any, None]]]] = [
 
 
 def tables(seconds: float, folder: Path) -> Figures:
-    """Let FLOODING clients ask for tables of 240 kB without pause; others are answered as ever."""
+    """Let FLOODING clients ask without pause for tables of 240 kB and for as many rests as there can be.
+
+    Others are answered as ever.
+    """
     return asyncio.run(_tables(seconds, folder))
 
 
 async def _tables(seconds: float, folder: Path) -> Figures:
     over = question("Correct", sensor="gyroscope", samples=[[1, 1, 1]] * 20_000)
     full = question("Correct", sensor="gyroscope", samples=[[1.25, 2.5, 3.75]] * MAX_ROWS)
+    rests = question("GetStillness", limit=MAX_ENTRIES)
+    state = SavedState(EngineState(pool=gathered(1, *FULLEST)))
+    saved_state.save(saved_state.state_path(folder / "store.json"), saved_state.encode(state))
     asked = [0]
 
     async def flood(path: str) -> None:
         reader, writer = await asyncio.open_unix_connection(path, limit=2**20)
         while True:
-            for table in (over, full):
+            for table in (over, full, rests):
                 writer.write(table)
                 await reader.readuntil(b"\0")
                 asked[0] += 1
