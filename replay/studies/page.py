@@ -126,10 +126,11 @@ bicycle or loads a phone with other work. Where nothing was recorded at all the 
 
 ## Where the papers' methods are
 
-What a user needs is in the product: the accelerometer's fit, the gyroscope's fit, rests, gravity by place and
-the quality check are `stillcal.calib_core` ([api.md](api.md)). Methods that only the studies need are the
-package `stillcal.replay.studies.methods`. They are kept with the studies: documented and tested there, and
-imported from Python in a checkout. The wheel leaves them out, and they may change with the studies:
+What a user needs is in the product: the accelerometer's fit, the gyroscope's fit, rests, the rolling mean,
+gravity by place and the quality check are `stillcal.calib_core` ([api.md](api.md)). Methods that only the
+studies need are the package `stillcal.replay.studies.methods`. They are kept with the studies: documented and
+tested there, and imported from Python in a checkout. The wheel leaves them out, and they may change with the
+studies:
 
 {methods}
 
@@ -149,7 +150,6 @@ METHODS = {
     "esgi": "a fit of the angles between the sensor's axes (ESGI'95, section 2)",
     "motion_modes": "features of motion and Bayes' rule on them (Collin 2019, 4.1 and 4.2)",
     "navigation": "strapdown navigation, headings and dead reckoning by steps (Collin 2019, 3.1 and 3.4)",
-    "smoothing": "rolling mean, its window by sampling rate, rolling median (Grammenos 2018, 4.6)",
     "step_template": "steps by a template: correlation, dynamic time warping (Collin 2019, 3.2)",
     "steps": "step detection and step length from the norm of the force (Collin 2019, 3.2 and 3.3)",
 }

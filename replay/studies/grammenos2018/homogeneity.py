@@ -16,6 +16,7 @@ from stillcal.calib_core.accelerometer.known_attitudes import (
 )
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.streams.smoothing import window_for
 from stillcal.replay.formats.hhar_still import read
 from stillcal.replay.studies.claim import (
     Cause,
@@ -33,7 +34,6 @@ from stillcal.replay.studies.har.data import DATA, RATE_HZ, Windows, read_window
 from stillcal.replay.studies.har.devices import CARRIED, Device, read_devices
 from stillcal.replay.studies.har.recordings import FOLDER
 from stillcal.replay.studies.methods.device_faces import calibrate_devices
-from stillcal.replay.studies.methods.smoothing import window_for_rate
 
 NAME, TITLE, WORK = "homogeneity", "Are calibrated traces more alike? (Tables 4 and 5)", "Grammenos 2018"
 MOVING = ("walk", "stairs up", "stairs down")
@@ -110,7 +110,7 @@ def aggregate_error(traces: Array) -> Array:
 
 def smoothed(traces: Array) -> Array:
     """Return the rolling mean of traces (n, length, 3) at 50 Hz by Table 2, whole windows only."""
-    k = window_for_rate(RATE_HZ)
+    k = window_for(RATE_HZ)
     total = np.cumsum(np.concatenate([np.zeros_like(traces[:, :1]), traces], axis=1), axis=1)
     return np.asarray((total[:, k:] - total[:, :-k]) / k)
 

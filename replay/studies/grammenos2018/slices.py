@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.smoothing import RollingMean
 from stillcal.replay.studies.grammenos2018.kalman import settled
 from stillcal.replay.studies.har.data import RATE_HZ, Windows
 from stillcal.replay.studies.har.devices import Device
 from stillcal.replay.studies.har.scoring import Labels, Learner, by_person, fitted, folds
-from stillcal.replay.studies.methods.smoothing import RollingMean, window_for_rate
 
 SLICE, FOLDS, MOST = 40, 5, 900
 """Samples a slice; folds by people; slices a classifier is trained on at most, drawn."""
@@ -100,8 +100,7 @@ def filtered(windows: Array) -> Array:
 
     The first samples are means of as many as there are; they lie before the slices that are cut.
     """
-    window = window_for_rate(RATE_HZ)
-    return np.stack([RollingMean(window).feed(w) for w in windows])
+    return np.stack([RollingMean(RATE_HZ).smoothed(w) for w in windows])
 
 
 def flat(windows: Array) -> Array:

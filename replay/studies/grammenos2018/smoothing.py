@@ -8,13 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.streams.smoothing import RollingMean, window_for
 from stillcal.replay.studies.claim import Cause, Claim, Evidence, Progress, Study, holds, picture, table
 from stillcal.replay.studies.drawing import BLUE, GREY, RED, panels, save
 from stillcal.replay.studies.har.data import without_recordings
 from stillcal.replay.studies.har.recordings import Still, read_still
-from stillcal.replay.studies.methods.smoothing import RollingMean, rolling_median, window_for_rate
 
 NAME, TITLE, WORK = "smoothing", "Smoothing at rest (Tables 1 and 2)", "Grammenos 2018"
 TABLE_1 = {10: (4.6495e-05, 3.4568e-05), 20: (2.6465e-05, 1.8359e-05)}
@@ -29,6 +30,9 @@ PAPER = {
     "kept": ("4.6", "the median is significantly dearer: its window kept sorted", "significantly"),
     "table 2": ("4.6, Table 2", "window by rate: worth its delay", "3, 5, 10, 20 steps"),
 }
+RATE_HZ = {3: 10.0, 5: 50.0, 10: 100.0, 20: 200.0}
+"""A rate at which Table 2 has this window."""
+
 SECONDS = 20.0
 """The middle of a recording is used: whoever started it has left."""
 
@@ -62,8 +66,13 @@ def middle(rest: Still) -> Array:
 def filtered(values: Array, window: int) -> tuple[float, float]:
     """Return the variance after the rolling median and the rolling mean, over the axes' mean, (m/s^2)^2."""
     median = rolling_median(values, window)
-    mean = RollingMean(window).feed(values)[window - 1 :]
+    mean = RollingMean(RATE_HZ[window]).smoothed(values)[window - 1 :]
     return float(median.var(axis=0).mean()), float(mean.var(axis=0).mean())
+
+
+def rolling_median(values: Array, window: int) -> Array:
+    """Return the medians of whole windows of values (n, 3), (n - window + 1, 3)."""
+    return np.asarray(np.median(sliding_window_view(values, window, axis=0), axis=-1))
 
 
 def _interval(values: Array) -> tuple[float, float, float]:
@@ -174,7 +183,7 @@ def _table_2(rests: list[Still], parts: dict[Still, Array]) -> Claim:
             continue
         values = parts[rest]
         rate = (len(values) - 1) / SECONDS
-        window = window_for_rate(rate)
+        window = window_for(rate)
         left.append(filtered(values, window)[1] / values.var(axis=0).mean())
         delay.append((window - 1) / 2.0 / rate)
     ours = f"variance left {np.median(left):.2f}, delay {min(delay) * 1e3:.0f} to {max(delay) * 1e3:.0f} ms"

@@ -42,7 +42,6 @@ from stillcal.replay.studies.har.devices import Device, read_devices
 from stillcal.replay.studies.har.recordings import FOLDER, Still, read_still
 from stillcal.replay.studies.har.scoring import network
 from stillcal.replay.studies.methods.device_faces import calibrate_devices
-from stillcal.replay.studies.methods.smoothing import rolling_median
 
 
 def test_median_against_mean_on_white_noise() -> None:
@@ -59,7 +58,7 @@ def test_median_against_mean_on_white_noise() -> None:
 def test_both_medians_that_are_timed_are_medians_and_the_mean_is_one(window: int) -> None:
     values = np.random.default_rng(3).normal(size=(300, 1)).round(1)  # with values that are alike
     listed = values[:, 0].tolist()
-    medians = rolling_median(values, window)[:, 0]
+    medians = smoothing_study.rolling_median(values, window)[:, 0]
     assert smoothing_study.sorting(listed, window) == pytest.approx(medians)
     assert smoothing_study.kept_sorted(listed, window) == pytest.approx(medians)
     means = np.convolve(values[:, 0], np.full(window, 1.0 / window), mode="valid")

@@ -42,6 +42,13 @@ def test_each_mean_is_that_of_the_newest_samples() -> None:
     assert smooth.t is raw.t
 
 
+def test_no_rounding_builds_up_after_a_huge_value() -> None:
+    """A running sum loses 1e16's worth of digits for good; a window forgets it."""
+    raw = np.full((1000, 3), 0.1)
+    raw[10] = 1e16
+    assert RollingMean(50.0).smoothed(raw)[-1] == pytest.approx(0.1, abs=1e-16)
+
+
 def test_the_variance_of_noise_falls_and_a_ramp_lags_by_the_delay() -> None:
     noise = RollingMean(100.0)
     assert noise.smoothed(stream(20_000, 100.0).xyz).var() == pytest.approx(0.1, rel=0.1)
