@@ -2,7 +2,7 @@
 
 `python benchmarks/truth.py --phones 40 --days 7 --jobs 2` prints the tables; `--phones 1 --days 3` takes
 about a minute. Every ten minutes after the first calibration, what each contender would tell is compared with
-the truth.
+the truth. `--no-thermometer` withholds the temperatures; the rivals need them, and do not take part.
 """
 
 # ruff: noqa: E402 - the number of threads is read when numpy is first imported
@@ -13,7 +13,7 @@ import os
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -81,9 +81,20 @@ class Answer:
 def read_every_minute(chunk: Chunk) -> list[Temperature]:
     """Return the thermometer's readings, once a minute, as a phone tells them with its sensors off too."""
     accel = chunk.accelerometer
-    assert accel.temperature is not None
+    if accel.temperature is None:
+        return []
     rows = np.unique(np.floor(accel.t / 60.0), return_index=True)[1]
     return [Temperature(float(accel.t[k]), float(accel.temperature[k])) for k in rows]
+
+
+def without_thermometer(chunk: Chunk) -> Chunk:
+    """Return a chunk whose temperatures are withheld."""
+    accel, gyro = (
+        None if samples is None else replace(samples, temperature=None)
+        for samples in (chunk.accelerometer, chunk.gyroscope)
+    )
+    assert accel is not None
+    return replace(chunk, accelerometer=accel, gyroscope=gyro)
 
 
 @dataclass(slots=True)
@@ -131,6 +142,8 @@ class Contest:
             engine.feed(*items)
             if name == "stillcal":
                 self.cost.add(chunk.t_end, time.process_time() - began, engine.ledger.asked_s)
+        if chunk.accelerometer.temperature is None:
+            return
         pool = self.engines["stillcal"].present.pool
         for held in pool.since(np.nextafter(self._last_rest, np.inf)).held:
             self._table.take(held.rest)
@@ -145,15 +158,16 @@ class Contest:
         records = [e.present.record for e in self.engines.values()]
         return all(r is not None and r.accelerometer is not None for r in records)
 
-    def answers(self, t: float, celsius: float) -> Iterator[Answer]:
+    def answers(self, t: float, celsius: float | None) -> Iterator[Answer]:
         """Yield every contender's answer at t (s) and a temperature, degC, as the phone reports it."""
         for sensor in Sensor:
             yield Answer("raw", sensor, _ZERO)
             for name, engine in self.engines.items():
                 record = engine.present.record
                 if record is not None:
-                    lagged = engine.present.thermometer.lagged(t, celsius)
-                    yield from told_by(name, record, sensor, t, (celsius, lagged))
+                    yield from told_by(name, record, sensor, t, Warmth.of(engine, t, celsius))
+        if celsius is None:
+            return
         for name, bias in (("offset table", self._table.bias(celsius)), ("vqf", self._vqf.bias())):
             if bias is not None:
                 yield Answer(name, GYRO, bias)
@@ -161,19 +175,33 @@ class Contest:
             yield Answer("daily fit", ACCEL, bias=daily[1], scale=daily[0])
 
 
-def told_by(
-    name: str, record: CalibrationRecord, sensor: Sensor, t: float, warmth: tuple[float, Array]
-) -> Iterator[Answer]:
-    """Yield what a calibration tells of a sensor at t (s); nothing without a part.
+@dataclass(frozen=True, slots=True)
+class Warmth:
+    """What an engine knows of the phone's temperature, as `bias_terms` takes it."""
 
-    warmth: temperature, degC, and those of sensors that follow the thermometer late, by its readings so far.
-    """
-    celsius, lagged = warmth
+    celsius: float | None
+    lagged: Array | None
+    charged: Array
+
+    @classmethod
+    def of(cls, engine: Engine, t: float, celsius: float | None) -> Warmth:
+        """Return it at t (s) and a reading, degC, None without a thermometer."""
+        past = engine.present
+        lagged = None if celsius is None else past.thermometer.lagged(t, celsius)
+        return cls(celsius, lagged, past.charger.at(t))
+
+
+def told_by(
+    name: str, record: CalibrationRecord, sensor: Sensor, t: float, warmth: Warmth
+) -> Iterator[Answer]:
+    """Yield what a calibration tells of a sensor at t (s); nothing without a part."""
+    celsius, lagged, charged = warmth.celsius, warmth.lagged, warmth.charged
     part = record.accelerometer if sensor is ACCEL else record.gyroscope
     if part is None:
         return
-    bias = part.bias + np.atleast_2d(bias_terms(record, sensor, np.array([celsius]), None, lagged))[0]
-    sd = record.bias_uncertainty_at(sensor, t, celsius, lagged)
+    at = None if celsius is None else np.array([celsius])
+    bias = part.bias + np.ravel(bias_terms(record, sensor, at, None, lagged, charged=charged))
+    sd = record.bias_uncertainty_at(sensor, t, celsius, lagged, charged)
     measured = getattr(part, "zeroed_at", record.fitted_at)
     age = np.nan if measured is None else t - measured
     yield Answer(name, sensor, bias, part.scale, _UNKNOWN if sd is None else sd, age)
@@ -187,15 +215,15 @@ def force_error(scale: Array, bias: Array, forward: Array, true_bias: Array) -> 
     return float(np.linalg.norm(told - _FORCE @ rotation.T, axis=1).mean() / MG)
 
 
-def moments(number: int, seed: int, days: float) -> tuple[np.ndarray, str, Cost]:
+def moments(number: int, seed: int, days: float, thermometer: bool = True) -> tuple[np.ndarray, str, Cost]:
     """Live one life with all contenders; return its moments, of dtype MOMENT, and a line on each engine."""
     life, contest, rows = live(number, seed, days), Contest(), []
     for chunk in life.simulation.chunks(EVERY_S):
-        contest.feed(chunk)
+        contest.feed(chunk if thermometer else without_thermometer(chunk))
         assert chunk.accelerometer.temperature is not None
         t, celsius, met = chunk.t_end, float(chunk.accelerometer.temperature[-1]), contest.met
         outside = max(min(met) - celsius, celsius - max(met), 0.0) if met else np.nan
-        for a in contest.answers(t, celsius) if contest.calibrated else ():
+        for a in contest.answers(t, celsius if thermometer else None) if contest.calibrated else ():
             truth = life.bias_at(a.sensor, t)
             if a.sensor is ACCEL:
                 error = force_error(a.scale, a.bias, life.forward(a.sensor), truth)
@@ -283,15 +311,16 @@ def _share_held(rows: np.ndarray) -> float:
 
 
 def measured(
-    phones: int, days: float, seed: int, jobs: int, first: int = 0
+    phones: int, days: float, seed: int, jobs: int, *, first: int = 0, thermometer: bool = True
 ) -> tuple[np.ndarray, list[str], list[Cost]]:
     """Live all lives, `jobs` at once; return the moments, a line for each phone, and what each took."""
     numbers = range(first, first + phones)
     if jobs == 1:
-        answers = [moments(number, seed, days) for number in numbers]
+        answers = [moments(number, seed, days, thermometer) for number in numbers]
     else:
         with ProcessPoolExecutor(jobs) as pool:
-            answers = list(pool.map(moments, numbers, [seed] * phones, [days] * phones))
+            how = ([value] * phones for value in (seed, days, thermometer))
+            answers = list(pool.map(moments, numbers, *how))
     rows, lines, costs = zip(*answers, strict=True)
     return np.concatenate(rows), list(lines), list(costs)
 
@@ -370,6 +399,7 @@ def _costs(costs: list[Cost]) -> Iterator[Row]:
 @click.option("--days", default=3.0, show_default=True)
 @click.option("--seed", default=0, show_default=True)
 @click.option("--jobs", default=1, show_default=True)
+@click.option("--thermometer/--no-thermometer", default=True, help="Withhold the temperatures.")
 @click.option("--npz", help="Keep every moment in this file.")
 def main(**how: Any) -> None:
     """Print the tables."""

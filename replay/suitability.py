@@ -1,13 +1,18 @@
-"""Whether a calibration suits the recording that it is applied to: its temperature, and whether it is raw."""
+"""Whether a calibration suits a recording that it is applied to: temperature, charger, and raw samples."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord
+from stillcal.calib_core.calibration.terms import BY_CHARGING
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.streams.events import Event
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.temperature.charger import Charger
 
 WINDOW = 50
 """Samples whose scatter is looked at together."""
@@ -31,9 +36,11 @@ class Suitability:
         self._record = record
         self._means: list[Array] = []
         self._coldest, self._hottest = np.inf, -np.inf
+        self._charger = Charger()
 
-    def see(self, raw: Samples) -> None:
-        """Take a run of the accelerometer's samples as they are before the calibration is applied."""
+    def see(self, raw: Samples, events: Iterable[Event] = ()) -> None:
+        """Take events, and a run of the accelerometer's samples before the calibration is applied to them."""
+        self._charger = self._charger.with_events(events)
         if raw.temperature is not None and np.isfinite(raw.temperature).any():
             self._coldest = min(self._coldest, float(np.nanmin(raw.temperature)))
             self._hottest = max(self._hottest, float(np.nanmax(raw.temperature)))
@@ -43,7 +50,7 @@ class Suitability:
 
     def warnings(self) -> list[str]:
         """Say what speaks against the calibration, a sentence each."""
-        texts = (self._lacking(), self._temperature(), self._corrected_already())
+        texts = (self._lacking(), self._temperature(), self._charging(), self._corrected_already())
         return [text for text in texts if text]
 
     def _lacking(self) -> str:
@@ -62,6 +69,14 @@ class Suitability:
         return (
             f"the calibration was measured at {measured}, the recording goes from {self._coldest:.1f} to "
             f"{self._hottest:.1f} °C: outside, the calibration is extrapolated"
+        )
+
+    def _charging(self) -> str:
+        if len(self._charger.t) or not any(term.effect == BY_CHARGING for term in self._record.terms):
+            return ""
+        return (
+            "the bias follows the charger, and the recording does not say when the phone was on it "
+            "(charging events): corrected as off the charger"
         )
 
     def _corrected_already(self) -> str:

@@ -30,6 +30,7 @@ from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.samples import warmed
 from stillcal.calib_core.streams.smoothing import smoothed
+from stillcal.calib_core.temperature.charger import Charger
 from stillcal.daemon.store.document import calibration_json
 from stillcal.replay.diagnosis.diagnose import Request
 from stillcal.replay.diagnosis.diagnose import diagnose as find_differences
@@ -256,7 +257,10 @@ def apply(recording: Source, calibration: Calibration | PathLike, *, smooth: boo
     """
     opened = load(recording)
     known = calibration if isinstance(calibration, Calibration) else Calibration.read(calibration)
-    accelerometer, gyroscope = correct_both(known.record, opened.accelerometer, opened.gyroscope)
+    charger = Charger().with_events(opened.events)
+    accelerometer, gyroscope = correct_both(
+        known.record, opened.accelerometer, opened.gyroscope, charger=charger
+    )
     claims = opened.claims.without_counts()
     if smooth:
         accelerometer, claims = smoothed(accelerometer), claims.without_noise()

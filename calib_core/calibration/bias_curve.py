@@ -1,5 +1,8 @@
 """The bias by temperature, learnt from rests and taken up, or dropped, on evidence.
 
+Where there is no thermometer, the charger stands in for one (driver.py): a curve is then a straight line of
+the heat of charging.
+
 Two regressions of the same rests are compared, with a curve of temperature and without. Both predict each
 rest from the rests before it. The curve is taken up where it predicts them better by more than chance, and
 dropped where it predicts the newest of them worse by more than chance, by the sign-flip test of the
@@ -10,22 +13,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.acceptance import beyond_doubt, flipped_share, sums_by_block
 from stillcal.calib_core.calibration.drift_check import QualitySettings
+from stillcal.calib_core.calibration.driver import Driver, by_charger, by_thermometer
 from stillcal.calib_core.calibration.record import (
     CalibrationRecord,
     Evidence,
     Term,
     TermParameter,
 )
-from stillcal.calib_core.calibration.terms import POWER_NAMES, force_terms, lag_of, polynomial
+from stillcal.calib_core.calibration.terms import BY_CHARGING, POWER_NAMES, force_terms, polynomial
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.calib_core.temperature.forecast import Forecast, plausible, thermometer_step
+from stillcal.calib_core.temperature.charger import FULL_K
+from stillcal.calib_core.temperature.forecast import Forecast
 from stillcal.calib_core.temperature.memory import Memory
 from stillcal.calib_core.temperature.regression import (
     ACCELEROMETER,
@@ -34,11 +40,9 @@ from stillcal.calib_core.temperature.regression import (
     Fit,
     Model,
     Observations,
-    Regression,
     Wander,
     learn,
 )
-from stillcal.calib_core.temperature.thermometer import LAGS_S, felt
 
 LEAST_RESTS = 8
 LEAST_SPAN_K = 2.0
@@ -96,17 +100,22 @@ class Learnt:
     def reason(self) -> str:
         """The decision on the curve in a sentence."""
         figures, unit = self.evidence, EFFECTS[self.sensor][1]
+        driver = "charging" if self.forecast.by_charger else "temperature"
         return (
-            f"{self.sensor}: bias by temperature {self.change}: over {figures['hours']} hours, rests "
+            f"{self.sensor}: bias by {driver} {self.change}: over {figures['hours']} hours, rests "
             f"are typically predicted to {figures['typical_with']:.2g} {unit} with it, "
             f"to {figures['typical_without']:.2g} without"
         )
 
 
+def is_thermal(term: Term, sensor: Sensor) -> bool:
+    """Tell whether a term corrects a sensor's bias for temperature, or for the heat of charging."""
+    return term.effect == EFFECTS[sensor][0] or (term.effect == BY_CHARGING and term.sensor == sensor)
+
+
 def held_term(terms: Iterable[Term], sensor: Sensor) -> Term | None:
     """Return the term by which a sensor's bias is corrected for temperature, None for none."""
-    effect, _ = EFFECTS[sensor]
-    return next((term for term in terms if term.effect == effect), None)
+    return next((term for term in terms if is_thermal(term, sensor)), None)
 
 
 def learn_gyroscope(
@@ -121,7 +130,7 @@ def learn_gyroscope(
     level, level_sd = np.ones((len(memory), 1)), np.array([_RATE_SPREAD])
     sd = memory.rate_sd.mean(axis=1)
     seen = Observations(memory.t, memory.celsius, rate - middle, sd, level, level_sd)
-    return _learn(Sensor.GYROSCOPE, seen, memory.lagged, middle=middle, record=record, t=t, settings=settings)
+    return _learn(Sensor.GYROSCOPE, seen, memory, middle=middle, record=record, t=t, settings=settings)
 
 
 def learn_accelerometer(
@@ -147,9 +156,7 @@ def learn_accelerometer(
     value = (memory.gravity - norm)[:, None]
     seen = Observations(memory.t, memory.celsius, value, sd, level, level_sd, towards)
     middle = model.bias
-    return _learn(
-        Sensor.ACCELEROMETER, seen, memory.lagged, middle=middle, record=record, t=t, settings=settings
-    )
+    return _learn(Sensor.ACCELEROMETER, seen, memory, middle=middle, record=record, t=t, settings=settings)
 
 
 _RATE_SPREAD, _FORCE_SPREAD, _SCALE_SPREAD = 0.05, 0.1, 0.01
@@ -172,44 +179,68 @@ def _level_spread(record: CalibrationRecord | None) -> Array:
 def _learn(
     sensor: Sensor,
     seen: Observations,
-    lagged: Array,
+    memory: Memory,
     *,
     middle: Array,
     record: CalibrationRecord | None,
     t: float,
     settings: QualitySettings,
 ) -> Learnt:
+    """Learn by the thermometer, or by the charger where most rests have no temperature.
+
+    A term that follows the charger stays until one that follows the thermometer is taken up, and the other
+    way round a thermometer that fell silent is waited for. middle: (3,) the bias that the observations count
+    from.
+    """
+    thermometer, charger = by_thermometer(memory), by_charger(memory)
+    term = None if record is None else held_term(record.terms, sensor)
+    before = None if record is None else record.forecast.get(str(sensor))
+    learn_by = partial(
+        _learn_by, sensor, seen, term=term, before=before, middle=middle, t=t, settings=settings
+    )
+    if term is not None and charger.drives(term):
+        learnt = learn_by(thermometer) if thermometer.mostly_known else None
+        return learnt if learnt is not None and learnt.change == TAKEN_UP else learn_by(charger)
+    silent = term is None and not thermometer.mostly_known
+    return learn_by(charger if silent and charger.mostly_known else thermometer)
+
+
+def _learn_by(
+    sensor: Sensor,
+    seen: Observations,
+    driver: Driver,
+    *,
+    term: Term | None,
+    before: Forecast | None,
+    middle: Array,
+    t: float,
+    settings: QualitySettings,
+) -> Learnt:
     """Fit with and without a curve, decide which is used, and return what follows.
 
-    lagged: (n, k) degC, as thermometer.py has it. middle: (3,) the bias that the observations count from.
+    term, before: term and forecast in use; they count where they follow the same driver.
     """
-    seen = replace(seen, celsius=plausible(seen.celsius))
-    lagged = np.where(np.isfinite(seen.celsius)[:, None], lagged, np.nan)
-    read = seen.celsius
-    before = None if record is None else record.forecast.get(str(sensor))
-    term = None if record is None else held_term(record.terms, sensor)
-    known = seen.celsius[np.isfinite(seen.celsius)]
-    reference = 25.0 if not known.size else float(np.median(known))
-    if term is not None and "temperature" in term.reference:
-        reference = term.reference["temperature"]
-    model = Model(PRIORS[sensor], reference, with_curve=False)
+    seen = replace(seen, celsius=driver.read)
+    if term is not None and not driver.drives(term):
+        term = None
     start = None if before is None else before.wander
-    if not np.isfinite(seen.celsius[-1]):
-        return _without_temperature(sensor, seen, model, middle=middle, term=term, t=t, start=start)
-    if known.size <= seen.celsius.size / 2 or np.ptp(known) < LEAST_SPAN_K:
-        return _without_evidence(sensor, seen, lagged, model, middle=middle, term=term, t=t, start=start)
+    if before is not None and before.by_charger != driver.by_charger:
+        before = None
+    model = Model(driver.priors(PRIORS[sensor]), driver.reference(term), with_curve=False)
+    if not np.isfinite(driver.read[-1]):
+        return _without_temperature(sensor, seen, driver, model, middle=middle, term=term, t=t, start=start)
+    if not driver.mostly_known or np.ptp(driver.known) < LEAST_SPAN_K:
+        return _without_evidence(sensor, seen, driver, model, middle=middle, term=term, t=t, start=start)
     without = learn(seen, model, t, start)
-    lag, seen, curved = _at_likeliest_lag(
-        _wider(seen, term), lagged, replace(model, with_curve=True), t, before
+    lag, seen, curved = driver.at_likeliest_lag(
+        _wider(seen, term), replace(model, with_curve=True), t, before
     )
     change, evidence = _change(curved, without, seen, term is not None, settings)
     applied = change == TAKEN_UP or (term is not None and change != DROPPED)
-    forecast = _forecast(curved if applied else without, curved, seen.celsius, t)
-    behind = seen.celsius - read
+    behind = seen.celsius - driver.read
     known_behind = behind[np.isfinite(behind) & (behind != 0.0)]
     forecast = replace(
-        forecast,
-        thermometer_sd=thermometer_step(read) / np.sqrt(12.0),
+        _forecast(curved if applied else without, curved, driver, seen.celsius, t),
         lag_s=lag,
         behind_sd=float(np.sqrt(np.mean(known_behind**2))) if known_behind.size else 0.0,
     )
@@ -226,55 +257,6 @@ def _learn(
     )
 
 
-_LIKELIER_LAG = 3.0
-"""nats by which another lag must explain the rests better than the one in use."""
-
-
-def _at_likeliest_lag(
-    seen: Observations, lagged: Array, model: Model, t: float, before: Forecast | None
-) -> tuple[float, Observations, Fit]:
-    """Return the lag, s, that explains the rests best, the observations with it, and their fit.
-
-    before: the forecast in use, whose lag stays unless another one is clearly likelier.
-    """
-    lag_s, start = (0.0, None) if before is None else (before.lag_s, before.wander)
-    known = 0.0 if before is None else float(np.linalg.norm(before.curve[0])) / UNIT_K
-    here = _with_lag(seen, lagged, lag_s, known)
-    fit = learn(here, model, t, start)
-    slope = float(np.linalg.norm(fit.curve[0])) / UNIT_K
-    scores = {}
-    for other in (0.0, *LAGS_S):
-        if other and np.isfinite(lagged[:, LAGS_S.index(other)]).mean() < _ENOUGH_LAGGED:
-            continue
-        tried = _with_lag(seen, lagged, other, slope)
-        scores[other] = Regression(tried, model).fit(t, fit.steps, fit.wander, search=False).log_likelihood
-    best = max(scores, key=lambda lag: scores[lag])
-    if lag_s in scores and scores[best] <= scores[lag_s] + _LIKELIER_LAG:
-        best = lag_s
-    if best == lag_s:
-        return best, here, fit
-    there = _with_lag(seen, lagged, best, slope)
-    return best, there, learn(there, model, t, fit.wander)
-
-
-_ENOUGH_LAGGED = 0.3
-"""Share of rests of known lagged temperature from which on a lag is considered."""
-
-
-def _with_lag(seen: Observations, lagged: Array, lag_s: float, slope: float) -> Observations:
-    """Return observations by the temperature of a sensor that follows with a lag, s.
-
-    slope: change of bias per K, by which rests of unknown lagged temperature are more uncertain.
-    """
-    if not lag_s:
-        return seen
-    own = felt(seen.celsius, lagged, lag_s)
-    late = lagged[:, LAGS_S.index(lag_s)]
-    behind = (late - seen.celsius)[np.isfinite(late)]
-    more = slope * float(np.sqrt(np.mean(behind**2))) if behind.size else 0.0
-    return replace(seen, celsius=own).wider(np.where(np.isfinite(late), 0.0, more))
-
-
 def _wider(seen: Observations, term: Term | None) -> Observations:
     """Return observations whose rests of unknown temperature are as uncertain as the term held is large."""
     missing = ~np.isfinite(seen.celsius)
@@ -287,6 +269,7 @@ def _wider(seen: Observations, term: Term | None) -> Observations:
 def _without_temperature(
     sensor: Sensor,
     seen: Observations,
+    driver: Driver,
     model: Model,
     *,
     middle: Array,
@@ -299,14 +282,14 @@ def _without_temperature(
     A term that is held stays, and is not applied while the temperature is unknown.
     """
     fit = learn(seen, model, t, start)
-    forecast = _forecast(fit, fit, seen.celsius, t)
+    forecast = _forecast(fit, fit, driver, seen.celsius, t)
     return _learnt(sensor, fit, t=seen.t, middle=middle, forecast=forecast, term=term, change="", evidence={})
 
 
 def _without_evidence(
     sensor: Sensor,
     seen: Observations,
-    lagged: Array,
+    driver: Driver,
     model: Model,
     *,
     middle: Array,
@@ -316,10 +299,10 @@ def _without_evidence(
 ) -> Learnt:
     """Return the bias where temperatures are unknown or all alike: a term that is held stays as it is."""
     if term is not None:
-        offset = polynomial(term, felt(seen.celsius, lagged, lag_of(term)))
+        offset = driver.offset(term)
         along = offset if seen.towards is None else (offset * seen.towards).sum(axis=1)[:, None]
         seen = replace(seen, value=seen.value - along)
-    return _without_temperature(sensor, seen, model, middle=middle, term=term, t=t, start=start)
+    return _without_temperature(sensor, seen, driver, model, middle=middle, term=term, t=t, start=start)
 
 
 def _change(
@@ -343,7 +326,7 @@ def _change(
         for name, e in zip(("without", "with"), errors, strict=True)
     }
     at_stated = (errors[0] - errors[1]).sum(axis=1) / (2.0 * without.errors_sd[1:] ** 2)
-    doubtless = beyond_doubt(sums_by_block(block, at_stated))
+    doubtless = beyond_doubt(sums_by_block(block, at_stated)[-NEWEST_HOURS:])
     if by_hour.size < settings.held_out_rests:
         return (TAKEN_UP if doubtless and not held else ""), evidence
     if held:
@@ -392,13 +375,15 @@ def _learnt(
     )
 
 
-def _forecast(fit: Fit, curved: Fit, celsius: Array, t: float) -> Forecast:
-    """Return the uncertainty of a fit's bias, with that of the curve where it is not corrected."""
-    known = celsius[np.isfinite(celsius)]
+def _forecast(fit: Fit, curved: Fit, driver: Driver, celsius: Array, t: float) -> Forecast:
+    """Return the uncertainty of a fit's bias, with that of the curve where it is not corrected.
+
+    celsius: (n,) temperatures of the sensor at the rests.
+    """
     error = np.zeros((4, 3))
     if fit is not curved:
         error = np.vstack((curved.bias - fit.bias, curved.curve))
-    return Forecast(
+    forecast = Forecast(
         at=t,
         reference=fit.model.reference,
         curve=curved.curve,
@@ -407,29 +392,32 @@ def _forecast(fit: Fit, curved: Fit, celsius: Array, t: float) -> Forecast:
         white=fit.wander.white,
         flicker=curved.wander.flicker,
         walk=curved.wander.walk,
-        temperature_min=float(known.min()) if known.size else None,
-        temperature_max=float(known.max()) if known.size else None,
-        thermometer_sd=thermometer_step(celsius) / np.sqrt(12.0),
     )
+    return driver.stated(forecast, celsius)
 
 
 def _term(sensor: Sensor, forecast: Forecast) -> Term:
     """Return the term that corrects a forecast's curve."""
     effect, unit = EFFECTS[sensor]
     sd = np.sqrt(np.diag(forecast.covariance))[3:].reshape(-1, 3)
-    parameters = {}
-    for power, name in enumerate(POWER_NAMES, start=1):
-        by_unit = UNIT_K**-power
-        value, reach = forecast.curve[power - 1] * by_unit, 1.96 * sd[power - 1] * by_unit
+    lag = {"lag_s": forecast.lag_s} if forecast.lag_s else {}
+
+    def parameter(power: int, per: float, unit: str) -> TermParameter:
+        value, reach = forecast.curve[power - 1] * per, 1.96 * sd[power - 1] * per
         ci95 = frozen(np.stack([value - reach, value + reach], axis=1))
-        per = "K" if power == 1 else f"K^{power}"
-        parameters[name] = TermParameter(value=frozen(value), unit=f"{unit}/{per}", ci95=ci95)
+        return TermParameter(value=frozen(value), unit=unit, ci95=ci95)
+
+    if forecast.by_charger:
+        amplitude = parameter(1, FULL_K / UNIT_K, unit)
+        return Term(effect=BY_CHARGING, sensor=sensor, parameters={"amplitude": amplitude}, reference=lag)
+    parameters = {
+        name: parameter(power, UNIT_K**-power, f"{unit}/K" if power == 1 else f"{unit}/K^{power}")
+        for power, name in enumerate(POWER_NAMES, start=1)
+    }
     reference = {"temperature": forecast.reference}
     if forecast.temperature_min is not None and forecast.temperature_max is not None:
         reference |= {
             "temperature_min": forecast.temperature_min,
             "temperature_max": forecast.temperature_max,
         }
-    if forecast.lag_s:
-        reference["lag_s"] = forecast.lag_s
-    return Term(effect=effect, sensor=sensor, parameters=parameters, reference=reference)
+    return Term(effect=effect, sensor=sensor, parameters=parameters, reference=reference | lag)

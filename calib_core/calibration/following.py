@@ -21,7 +21,7 @@ from stillcal.calib_core.calibration.acceptance import (
     flipped_share,
     sums_by_block,
 )
-from stillcal.calib_core.calibration.bias_curve import BLOCK_S, EFFECTS, Learnt, learn_accelerometer
+from stillcal.calib_core.calibration.bias_curve import BLOCK_S, Learnt, is_thermal, learn_accelerometer
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
 from stillcal.calib_core.calibration.record import (
@@ -31,13 +31,12 @@ from stillcal.calib_core.calibration.record import (
     Evidence,
     Validity,
 )
-from stillcal.calib_core.calibration.terms import lag_of, polynomial
+from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms, polynomial
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast
 from stillcal.calib_core.temperature.memory import Memory
 from stillcal.calib_core.temperature.regression import ACCELEROMETER, UNIT_K
-from stillcal.calib_core.temperature.thermometer import felt
 
 STEP_S = 12 * BLOCK_S
 """s: for so long after a step the calibration may be replaced on the evidence of the rests since then."""
@@ -67,7 +66,7 @@ def with_learnt_gyroscope(record: CalibrationRecord, learnt: Learnt, t: float) -
     covariance = part.covariance
     if covariance is not None and covariance.shape == (12, 12):
         wandering = np.array(covariance)
-        wandering[9:, 9:] = np.diag(forecast.bias_uncertainty(t + BLOCK_S, forecast.reference) ** 2)
+        wandering[9:, 9:] = np.diag(forecast.at_reference(t + BLOCK_S) ** 2)
         covariance = frozen(wandering)
     updated = replace(record, gyroscope=replace(part, bias=learnt.bias, covariance=covariance, zeroed_at=t))
     updated = _with_term(updated, learnt)
@@ -175,11 +174,10 @@ def _stepped(
 
 def _residuals(record: CalibrationRecord, part: AccelerometerRecord, memory: Memory) -> Array:
     """Return the calibrated norm of every rest less local gravity, (n,) m/s^2, terms included."""
-    force = memory.force
-    for term in record.terms:
-        if term.effect == EFFECTS[Sensor.ACCELEROMETER][0]:
-            force = force - polynomial(term, felt(memory.celsius, memory.lagged, lag_of(term)))
-    norm = np.linalg.norm(part.model.apply(force), axis=1)
+    offset = bias_terms(
+        record, Sensor.ACCELEROMETER, memory.celsius, None, memory.lagged, charged=memory.charged
+    )
+    norm = np.linalg.norm(part.model.apply(memory.force - offset), axis=1)
     return np.asarray(norm - memory.gravity)
 
 
@@ -188,7 +186,7 @@ def _error_of(record: CalibrationRecord, part: AccelerometerRecord, learnt: Lear
     forecast = learnt.forecast
     error = np.vstack((learnt.bias + forecast.error[0] - part.bias, forecast.curve))
     for term in record.terms:
-        if term.effect == EFFECTS[Sensor.ACCELEROMETER][0]:
+        if is_thermal(term, Sensor.ACCELEROMETER) and (term.effect == BY_CHARGING) == forecast.by_charger:
             u = np.array([-1.0, 0.0, 0.5, 1.0])
             told = polynomial(term, forecast.reference + UNIT_K * u)
             error = error - np.linalg.solve(np.vander(u, 4, increasing=True), told)
@@ -251,7 +249,7 @@ def _part(part: AccelerometerRecord, learnt: Learnt, memory: Memory) -> Accelero
 
 def _with_term(record: CalibrationRecord, learnt: Learnt) -> CalibrationRecord:
     """Return a record with a sensor's curve and forecast as learnt."""
-    others = tuple(term for term in record.terms if term.effect != EFFECTS[learnt.sensor][0])
+    others = tuple(term for term in record.terms if not is_thermal(term, learnt.sensor))
     terms = others if learnt.term is None else (*others, learnt.term)
     return _with_forecast(replace(record, terms=terms), learnt.sensor, learnt.forecast)
 

@@ -337,16 +337,22 @@ class CalibrationRecord:
         return part.model
 
     def bias_uncertainty_at(
-        self, sensor: Sensor, t: float | None, celsius: float | None, lagged: Array | None = None
+        self,
+        sensor: Sensor,
+        t: float | None,
+        celsius: float | None,
+        lagged: Array | None = None,
+        charged: Array | None = None,
     ) -> Array | None:
         """Return the standard uncertainty (3,) of a bias at t (s) and a temperature, degC; None if unknown.
 
-        celsius: None where unknown. lagged: (k,) degC, of sensors that follow the thermometer late. Where no
-        forecast was learnt, it is that of the time of the fit.
+        celsius: None where unknown. lagged: (k,) degC, of sensors that follow the thermometer late. charged:
+        (1 + k,) K, what the charger stands in for. Where no forecast was learnt, it is that of the time of
+        the fit.
         """
         forecast = self.forecast.get(str(sensor))
         if forecast is not None and t is not None:
-            return forecast.bias_uncertainty(t, celsius, lagged)
+            return forecast.bias_uncertainty(t, celsius, lagged, charged)
         part = self.accelerometer if sensor == Sensor.ACCELEROMETER else self.gyroscope
         return None if part is None else part.bias_uncertainty
 

@@ -1,9 +1,11 @@
 """Terms beyond the affine model: taken from a diagnosis into a calibration, and applied to readings.
 
-There are two kinds: a bias that follows the temperature, and a gyroscope's sensitivity to force
+Two kinds come from a diagnosis: a bias that follows the temperature, and a gyroscope's sensitivity to force
 (g-sensitivity). In a diagnosis a slope counts from a temperature of its own. Here it counts from the mean
 temperature of the rests that the calibration was fitted to, because its bias holds there. A temperature term
-that the daemon learnt itself (bias_curve.py) is a polynomial, and knows the span that it was learnt at.
+that the daemon learnt itself (bias_curve.py) is a polynomial, and knows the span that it was learnt at. A
+third kind is learnt where there is no thermometer: a bias that follows the heat of charging, by as much as
+its amplitude once that has come in full.
 
 calibrated = scale @ (raw - bias - slope (T - T_ref) - matrix @ force)
 """
@@ -23,10 +25,12 @@ from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor, warmed
+from stillcal.calib_core.temperature.charger import FULL_K, Charger, followed
 from stillcal.calib_core.temperature.forecast import PLAUSIBLE_K
 from stillcal.calib_core.temperature.thermometer import Thermometer, felt
 
 NO_READINGS = Thermometer()
+NO_CHARGER = Charger()
 
 _KINDS: dict[str, tuple[Sensor, str, tuple[int, ...]]] = {
     "accel_bias_temperature": (Sensor.ACCELEROMETER, "slope", (3,)),
@@ -36,7 +40,10 @@ _KINDS: dict[str, tuple[Sensor, str, tuple[int, ...]]] = {
 """Effect -> its sensor, the name of its parameter and the shape of that."""
 
 APPLIED = tuple(_KINDS)
-"""Effects that `correct` applies; a diagnosis may find others, which cannot be taken over."""
+"""Effects of a diagnosis that `correct` applies; it may find others, which cannot be taken over."""
+
+BY_CHARGING = "thermal_latent"
+"""The effect of a term that follows the charger; of either sensor."""
 
 
 def with_terms(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -> CalibrationRecord:
@@ -64,17 +71,20 @@ def correct(
     samples: Samples,
     force: Array | None = None,
     thermometer: Thermometer = NO_READINGS,
+    charger: Charger = NO_CHARGER,
 ) -> Samples:
-    """Correct a run of samples by the model and by those terms whose temperature or force is known.
+    """Correct a run of samples by the model and by those terms whose temperature, charger or force is known.
 
     force: (n, 3) m/s^2, the calibrated specific force at these samples' times, or None. The temperature comes
-    with the samples; thermometer: its readings before them. Raises NotCalibratedError where the record has no
-    part of their sensor.
+    with the samples; thermometer: its readings before them. charger: its changes up to the last of them.
+    Raises NotCalibratedError where the record has no part of their sensor.
     """
     celsius = samples.temperature
     late = celsius is not None and any(lag_of(term) for term in record.terms)
     lagged = thermometer.course(samples.t, celsius) if late and celsius is not None else None
-    offset = bias_terms(record, samples.sensor, celsius, force, lagged)
+    follows = any(term.effect == BY_CHARGING for term in record.terms)
+    charged = charger.course(samples.t) if follows else None
+    offset = bias_terms(record, samples.sensor, celsius, force, lagged, charged=charged)
     return record.model(samples.sensor).correct(replace(samples, xyz=samples.xyz - offset))
 
 
@@ -83,26 +93,31 @@ def correct_both(
     accelerometer: Samples,
     gyroscope: Samples | None,
     thermometer: Thermometer = NO_READINGS,
+    charger: Charger = NO_CHARGER,
 ) -> tuple[Samples, Samples | None]:
     """Correct both sensors' samples; a sensor that the record holds nothing of stays as it is.
 
     The gyroscope's terms that follow force take it from the corrected accelerometer, interpolated to the
     gyroscope's times; those that follow temperature take the accelerometer's where it has none of its own.
-    thermometer: its readings before them.
+    thermometer: its readings before them. charger: its changes up to the last of them.
     """
-    accel = _corrected(record, accelerometer, None, thermometer)
+    accel = _corrected(record, accelerometer, None, thermometer, charger)
     if gyroscope is None:
         return accel, None
     force = interpolated(accel, gyroscope.t)
-    gyro = _corrected(record, warmed(gyroscope, accelerometer), force, thermometer)
+    gyro = _corrected(record, warmed(gyroscope, accelerometer), force, thermometer, charger)
     return accel, replace(gyro, temperature=gyroscope.temperature)
 
 
 def _corrected(
-    record: CalibrationRecord, samples: Samples, force: Array | None, thermometer: Thermometer
+    record: CalibrationRecord,
+    samples: Samples,
+    force: Array | None,
+    thermometer: Thermometer,
+    charger: Charger,
 ) -> Samples:
     try:
-        return correct(record, samples, force, thermometer)
+        return correct(record, samples, force, thermometer, charger)
     except NotCalibratedError:
         return samples
 
@@ -113,26 +128,31 @@ def bias_terms(
     temperature: Array | None,
     force: Array | None = None,
     lagged: Array | None = None,
+    *,
+    charged: Array | None = None,
 ) -> Array:
     """Return what the terms add to the bias, (n, 3) in raw units, or (3,) zeros where no term applies.
 
     temperature: (n,) degC, NaN where unknown, or None. force: (n, 3) m/s^2, calibrated, or None. lagged:
-    (n, k) degC, of sensors that follow the thermometer late, as thermometer.py has it, or None. Outside the
-    temperatures that the calibration was measured at, a slope is extrapolated as a straight line.
+    (n, k) degC, of sensors that follow the thermometer late, as thermometer.py has it, or None. charged:
+    (n, 1 + k) K, as charger.py has it, or None. Outside the temperatures that the calibration was measured
+    at, a slope is extrapolated as a straight line.
     """
     offset = np.zeros(3)
     for term in record.terms:
-        if term.sensor != sensor or term.effect not in _KINDS:
+        if term.sensor != sensor or term.effect not in (*_KINDS, BY_CHARGING):
             continue
         if "slope" in term.parameters and temperature is not None:
             offset = offset + polynomial(term, felt(temperature, lagged, lag_of(term)))
         elif "matrix" in term.parameters and force is not None:
             offset = offset + force @ term.parameters["matrix"].value.T
+        elif term.effect == BY_CHARGING and charged is not None:
+            offset = offset + polynomial(term, followed(charged, lag_of(term)))
     return offset
 
 
 def lag_of(term: Term) -> float:
-    """Return with what lag (s) a term follows the thermometer; 0 for none."""
+    """Return with what lag (s) a term follows the thermometer or the charger; 0 for none."""
     return term.reference.get("lag_s", 0.0)
 
 
@@ -162,8 +182,11 @@ def polynomial(term: Term, temperature: Array) -> Array:
 
     A term that knows the span of temperatures that it was learnt at is followed beyond them by a quarter of
     the span and 1 K at most; there it stays as it is. Beyond the span by more than the span and 10 K the
-    thermometer is doubted, and the temperature taken for unknown (forecast.plausible).
+    thermometer is doubted, and the temperature taken for unknown (forecast.plausible). For a term that
+    follows the charger they are the readings (n,) K that it stands in for (charger.py).
     """
+    if term.effect == BY_CHARGING:
+        return np.nan_to_num(temperature / FULL_K)[:, None] * term.parameters["amplitude"].value
     low, high = (term.reference.get(f"temperature_{end}") for end in ("min", "max"))
     if low is not None and high is not None:
         reach = high - low + PLAUSIBLE_K
@@ -183,18 +206,19 @@ def compensated(pool: Pool, record: CalibrationRecord) -> Pool:
     The bias of the rests is then that at the terms' reference temperature and without force. Rests of unknown
     temperature keep what depends on it.
     """
-    if not any(term.effect in _KINDS for term in record.terms):
+    if not record.terms:
         return pool
     return replace(pool, held=tuple(replace(h, rest=_compensated(h.rest, record)) for h in pool.held))
 
 
 def _compensated(rest: RestState, record: CalibrationRecord) -> RestState:
     at = None if rest.temperature is None else np.array([rest.temperature])
-    by_temperature = bias_terms(record, Sensor.ACCELEROMETER, at, None, rest.lagged)
+    charged = None if rest.charged is None else rest.charged[None]
+    by_temperature = bias_terms(record, Sensor.ACCELEROMETER, at, None, rest.lagged, charged=charged)
     force = rest.specific_force - np.ravel(by_temperature)
     if rest.rate is None:
         return msgspec.structs.replace(rest, specific_force=frozen(force))
-    by_temperature = bias_terms(record, Sensor.GYROSCOPE, at, None, rest.lagged)
+    by_temperature = bias_terms(record, Sensor.GYROSCOPE, at, None, rest.lagged, charged=charged)
     rate = rest.rate - np.ravel(by_temperature) - force_terms(record, force[None])[0]
     return msgspec.structs.replace(rest, specific_force=frozen(force), rate=frozen(rate))
 

@@ -273,6 +273,7 @@ class Engine:
         event = self._state.events.pop(0)
         if isinstance(event, Charging):
             self._state.charging = event.on
+            self._state.charger = self._state.charger.with_events([event]).of_late()
             self._actions.append(Log(t, Level.INFO, "charging", "plugged in" if event.on else "unplugged"))
             if event.on:
                 self._policy.calibrate(t, Occasion.CHARGING)

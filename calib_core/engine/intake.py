@@ -136,9 +136,10 @@ class Intake:
             state.gyro_tail = state.gyro_tail.between(float(state.gyro_tail.t[-1]) - reach, math.inf)
 
     def _gather(self, rest: RestState) -> None:
-        state = self._state
+        state, middle = self._state, 0.5 * (rest.t_start + rest.t_end)
+        if len(state.charger.t):
+            rest = msgspec.structs.replace(rest, charged=state.charger.at(middle))
         if rest.temperature is not None:
-            middle = 0.5 * (rest.t_start + rest.t_end)
             lagged = state.thermometer.lagged(middle, rest.temperature)
             rest = msgspec.structs.replace(rest, lagged=frozen(lagged))
             self.hear(np.array([middle]), np.array([rest.temperature]))

@@ -19,6 +19,7 @@ from stillcal.calib_core.static.detector import DetectorState
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.events import Event
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.charger import Charger
 from stillcal.calib_core.temperature.memory import Memory
 from stillcal.calib_core.temperature.thermometer import Thermometer
 
@@ -84,16 +85,17 @@ class Trouble:
 class EngineState:
     """All that changes while the engine runs. Times in s; None where something has not happened yet.
 
-    waiting: samples that the detector has not seen yet. events: events whose time has not come. latest: the
-    newest stamp of each stream. began: stamp of the first sample. heard: the clock's last tick. next_check,
-    next_review: the coming deadlines. early_check: when a bias is expected to have wandered too far.
-    check_due: a check waits for a rest. checked, tried: times of the last check and of the last attempt to
-    fit. allowance: the duty-cycle budget. degraded: the calibration failed its check. moves: recent changes
-    of place. memory: the rests that temperature and wander are learnt from. thermometer: its readings of
-    late. attitudes: number of distinct ones in the pool. fresh: rests gathered since the last attempt to fit.
-    gyro_tail: gyroscope samples that the next rotation segment may be cut from. sound_until: when a
-    calibration that now fails last passed a check. refusal: why the last attempt to fit was refused. trouble:
-    None where the last check passed. trials: terms of a diagnosis that are tested on the rests since.
+    waiting: samples that the detector has not seen yet. events: events whose time has not come. latest:
+    the newest stamp of each stream. began: stamp of the first sample. heard: the clock's last tick.
+    next_check, next_review: the coming deadlines. early_check: when a bias is expected to have wandered
+    too far. check_due: a check waits for a rest. checked, tried: times of the last check and of the last
+    attempt to fit. allowance: the duty-cycle budget. degraded: the calibration failed its check. moves:
+    recent changes of place. memory: the rests that temperature and wander are learnt from. thermometer:
+    its readings of late. charger: its changes of late. attitudes: number of distinct ones in the pool.
+    fresh: rests gathered since the last attempt to fit. gyro_tail: gyroscope samples that the next
+    rotation segment may be cut from. sound_until: when a calibration that now fails last passed a check.
+    refusal: why the last attempt to fit was refused. trouble: None where the last check passed. trials:
+    terms of a diagnosis that are tested on the rests since.
     """
 
     detector: DetectorState | None = None
@@ -117,6 +119,7 @@ class EngineState:
     pool: Pool = field(default_factory=Pool)
     memory: Memory = field(default_factory=Memory)
     thermometer: Thermometer = field(default_factory=Thermometer)
+    charger: Charger = field(default_factory=Charger)
     attitudes: int = 0
     fresh: int = 0
     last_rest: RestState | None = None

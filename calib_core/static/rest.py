@@ -31,7 +31,8 @@ class RestState(msgspec.Struct, frozen=True, eq=False, rename={"undetected_rotat
     of gravity would not have shown. undetected_rotation_bound: rad/s, the rotation about the vertical that
     this rest alone cannot tell from gyroscope bias, None where nothing bounds it; saved states call it
     spin_admitted. temperature: degC or None. lagged: (k,) degC, temperatures of sensors that follow the
-    thermometer late (temperature/thermometer.py), NaN where unknown; None where nothing is known.
+    thermometer late (temperature/thermometer.py), NaN where unknown; None where nothing is known. charged:
+    (1 + k,) K, the same of the charger, which stands in for a thermometer (temperature/charger.py).
     """
 
     t_start: float
@@ -49,6 +50,7 @@ class RestState(msgspec.Struct, frozen=True, eq=False, rename={"undetected_rotat
     undetected_rotation_bound: float | None = None
     temperature: float | None = None
     lagged: Array | None = None
+    charged: Array | None = None
 
     @property
     def duration(self) -> float:

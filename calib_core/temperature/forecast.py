@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.temperature.charger import CHARGER_LAGS_S, FULL_K
 from stillcal.calib_core.temperature.regression import Wander, curve_basis
-from stillcal.calib_core.temperature.thermometer import felt
+from stillcal.calib_core.temperature.thermometer import LAGS_S, felt
 
 _LEAST_SPAN_K = 1.0
 
@@ -26,7 +27,8 @@ class Forecast:
     uncertainty of a temperature for the thermometer's steps. lag_s: s, with which the sensor follows the
     thermometer; all temperatures here are the sensor's. behind_sd: K, how far the two were apart in the
     rests, root mean square: what is unknown of the sensor's temperature where only the thermometer's is
-    known.
+    known. by_charger: whether all temperatures here are those that the charger stands in for, in K
+    (charger.py).
     """
 
     at: float
@@ -42,21 +44,31 @@ class Forecast:
     thermometer_sd: float = 0.0
     lag_s: float = 0.0
     behind_sd: float = 0.0
+    by_charger: bool = False
 
     @property
     def wander(self) -> Wander:
         """How the bias wanders."""
         return Wander(self.white, self.flicker, self.walk)
 
-    def bias_uncertainty(self, t: float, celsius: float | None, lagged: Array | None = None) -> Array:
+    def bias_uncertainty(
+        self,
+        t: float,
+        celsius: float | None,
+        lagged: Array | None = None,
+        charged: Array | None = None,
+    ) -> Array:
         """Return the standard uncertainty (3,) of the bias at t (s) and a temperature, degC.
 
-        lagged: (k,) degC, of sensors that follow the thermometer late. Without a temperature, it is taken to
-        be anywhere in the span of the rests.
+        lagged: (k,) degC, of sensors that follow the thermometer late. charged: (1 + k,) K, the readings that
+        the charger stands in for. Without a temperature, it is taken to be anywhere in the span of the rests.
         """
-        grown = self.wander.growth(t - self.at)
+        grown, lags_s = self.wander.growth(t - self.at), LAGS_S
+        if self.by_charger:
+            lags_s = CHARGER_LAGS_S
+            celsius, lagged = (None, None) if charged is None else (float(charged[0]), charged[1:])
         if celsius is not None and np.isfinite(celsius):
-            own = felt(np.array([np.nan]), lagged, self.lag_s)[0] if self.lag_s else celsius
+            own = felt(np.array([np.nan]), lagged, self.lag_s, lags_s)[0] if self.lag_s else celsius
             if np.isfinite(own):
                 return np.sqrt(self._variance(float(own), self.error, self.thermometer_sd) + grown)
             either = float(np.hypot(self.thermometer_sd, self.behind_sd))
@@ -66,7 +78,13 @@ class Forecast:
         total: Array = np.sqrt(np.mean(unknown, axis=0) + grown)
         return total
 
+    def at_reference(self, t: float) -> Array:
+        """Return the standard uncertainty (3,) of the bias at t (s) and the reference temperature."""
+        return self.bias_uncertainty(t, self.reference, charged=np.zeros(1 + len(CHARGER_LAGS_S)))
+
     def _span(self) -> tuple[float, float]:
+        if self.by_charger:
+            return 0.0, FULL_K
         if self.temperature_min is None or self.temperature_max is None:
             return self.reference - _LEAST_SPAN_K, self.reference + _LEAST_SPAN_K
         return self.temperature_min, self.temperature_max

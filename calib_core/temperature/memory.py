@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.temperature.charger import CHARGER_LAGS_S
 from stillcal.calib_core.temperature.thermometer import LAGS_S
 
 MOST_RESTS = 240
@@ -25,6 +26,9 @@ MAX_AGE_S = 14 * 86400.0
 _CELL_K = 1.5
 _CELL_AGE_S = 1800.0
 """Rests are alike within these steps of temperature and age; steps of age double."""
+
+_LIKELY_LAG = 1 + CHARGER_LAGS_S.index(1200.0)
+"""Column of Memory.charged by which rests without a temperature are alike."""
 
 
 def _empty(*shape: int) -> Array:
@@ -38,6 +42,7 @@ class Memory:
     t: (n,) s, middle of the rest. celsius: (n,) degC, NaN where unknown. force, force_sd: (n, 3) raw m/s^2
     and standard uncertainty. rate, rate_sd: (n, 3) raw rad/s, NaN without a gyroscope. gravity: (n,) m/s^2 at
     the place of the rest. lagged: (n, k) degC, of sensors that follow the thermometer with each of LAGS_S.
+    charged: (n, 1 + k) K, the charger's readings, as Charger.course has them.
     """
 
     t: Array = field(default_factory=lambda: _empty(0))
@@ -48,13 +53,15 @@ class Memory:
     rate_sd: Array = field(default_factory=lambda: _empty(0, 3))
     gravity: Array = field(default_factory=lambda: _empty(0))
     lagged: Array = field(default_factory=lambda: _empty(0, len(LAGS_S)))
+    charged: Array = field(default_factory=lambda: _empty(0, 1 + len(CHARGER_LAGS_S)))
 
     def __post_init__(self) -> None:
         for name in ("force", "force_sd", "rate", "rate_sd"):  # an empty table is read back without columns
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name)).reshape(-1, 3)))
-        shape = (len(self.t), len(LAGS_S))
-        if np.shape(self.lagged) != shape:  # a state saved before lags were learnt has none
-            object.__setattr__(self, "lagged", frozen(np.full(shape, np.nan)))
+        for name, k in (("lagged", len(LAGS_S)), ("charged", 1 + len(CHARGER_LAGS_S))):
+            shape = (len(self.t), k)
+            if np.shape(getattr(self, name)) != shape:  # a state saved before these were learnt has none
+                object.__setattr__(self, name, frozen(np.full(shape, np.nan)))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -72,6 +79,7 @@ class Memory:
             rest.rate_uncertainty if has_rate else none,
             gravity,
             np.full(len(LAGS_S), np.nan) if rest.lagged is None else rest.lagged,
+            np.full(1 + len(CHARGER_LAGS_S), np.nan) if rest.charged is None else rest.charged,
         )
         longer = self._of(
             np.concatenate((column, [v])) for column, v in zip(self._columns(), row, strict=True)
@@ -102,7 +110,8 @@ class Memory:
         """Return the oldest rest of those that most others are like."""
         up = self.force / np.linalg.norm(self.force, axis=1, keepdims=True)
         age = np.floor(np.log2(1.0 + (self.t[-1] - self.t) / _CELL_AGE_S))
-        warmth = np.round(np.nan_to_num(self.celsius, nan=-300.0) / _CELL_K)
+        read = np.where(np.isfinite(self.celsius), self.celsius, self.charged[:, _LIKELY_LAG])
+        warmth = np.round(np.nan_to_num(read, nan=-300.0) / _CELL_K)
         cells = np.column_stack((np.round(1.5 * up), age, warmth))
         _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
         return int(np.argmax(count[cell.ravel()]))

@@ -90,15 +90,15 @@ class Thermometer:
         return frozen(celsius[:, None] + behind[own] * np.exp(-past) - rise * answered)
 
 
-def felt(celsius: Array, lagged: Array | None, lag_s: float) -> Array:
+def felt(celsius: Array, lagged: Array | None, lag_s: float, lags_s: tuple[float, ...] = LAGS_S) -> Array:
     """Return the temperatures (n,) degC of a sensor that follows the thermometer with a lag, s.
 
-    celsius: (n,) readings. lagged: (n, k), for each of LAGS_S, None where unknown. Where a lagged temperature
+    celsius: (n,) readings. lagged: (n, k), for each of lags_s, None where unknown. Where a lagged temperature
     is unknown, it is the reading.
     """
-    if lag_s not in LAGS_S or lagged is None:
+    if lag_s not in lags_s or lagged is None:
         return celsius
-    late = np.atleast_2d(lagged)[:, LAGS_S.index(lag_s)]
+    late = np.atleast_2d(lagged)[:, lags_s.index(lag_s)]
     return np.asarray(np.where(np.isfinite(late), late, celsius))
 
 

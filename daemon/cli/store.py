@@ -19,7 +19,7 @@ from rich.table import Table
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord, Term
-from stillcal.calib_core.calibration.terms import with_terms
+from stillcal.calib_core.calibration.terms import BY_CHARGING, lag_of, with_terms
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import OpenGroup, examples
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument, calibration_json, differences, parse
@@ -335,6 +335,8 @@ def _facts(record: CalibrationRecord) -> Iterator[str]:
 def _reference(term: Term) -> str:
     """Return the temperature that a term counts from, and the span that it was learnt at."""
     at = term.reference
+    if term.effect == BY_CHARGING:
+        return f" once charging has warmed the phone, {lag_of(term):.0f} s behind the charger"
     since = f", from {at['temperature']:.1f} degC on" if "temperature" in at else ""
     if not {"temperature_min", "temperature_max"} <= at.keys():
         return since

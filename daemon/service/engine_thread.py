@@ -24,6 +24,7 @@ from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.settings import Ledger, Sense, Sleep
 from stillcal.calib_core.streams.events import End, Event
 from stillcal.calib_core.streams.samples import SampleError, Samples
+from stillcal.calib_core.temperature.charger import Charger
 from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.service.saved_state import SavedState, encode
 from stillcal.daemon.system.clock import Clock
@@ -60,6 +61,7 @@ class View:
     rests_held: int
     pool: Pool
     thermometer: Thermometer = field(default_factory=Thermometer)
+    charger: Charger = field(default_factory=Charger)
     rests_kept: int = 0
     on_trial: tuple[str, ...] = ()
 
@@ -195,6 +197,7 @@ def _view(engine: Engine) -> View:
         rests_held=len(s.pool.held),
         pool=s.pool,
         thermometer=s.thermometer,
+        charger=s.charger,
         rests_kept=len(s.memory),
         on_trial=tuple(trial.term.effect for trial in s.trials),
     )

@@ -14,6 +14,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.calibration.terms import correct, interpolated
 from stillcal.calib_core.streams.samples import Samples, Sensor, warmed
+from stillcal.calib_core.temperature.charger import Charger
 from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.subscribers import Subscriber, Subscribers
@@ -83,17 +84,18 @@ class LiveStream:
         record: CalibrationRecord | None,
         host_s: float,
         thermometer: Thermometer,
+        charger: Charger,
     ) -> None:
         """Correct the samples of one reading, the accelerometer's first, and send them on.
 
-        thermometer: its readings before them.
+        thermometer: its readings before them. charger: its changes of late.
         """
         if not len(self):
             self._force = self._accelerometer = None
             return
         gyroscope_first = list(join_blocks(blocks))
         for block in sorted(gyroscope_first, key=lambda block: block.sensor):
-            corrected = self._corrected(block, record, thermometer)
+            corrected = self._corrected(block, record, thermometer, charger)
             shown, by = (block, None) if corrected is None else (corrected, record)
             for first in range(0, len(shown), BLOCK_ROWS):
                 self._listeners.notify(LiveBlock(shown[first : first + BLOCK_ROWS], by, host_s))
@@ -106,7 +108,7 @@ class LiveStream:
         self._listeners.notify(Interruption(reason))
 
     def _corrected(
-        self, block: Samples, record: CalibrationRecord | None, thermometer: Thermometer
+        self, block: Samples, record: CalibrationRecord | None, thermometer: Thermometer, charger: Charger
     ) -> Samples | None:
         """Return corrected samples; None without a calibration of their sensor."""
         if block.sensor is Sensor.ACCELEROMETER:
@@ -116,9 +118,9 @@ class LiveStream:
         try:
             if block.sensor is Sensor.GYROSCOPE:
                 warm = block if self._accelerometer is None else warmed(block, self._accelerometer)
-                corrected = correct(record, warm, self._force_at(block.t), thermometer)
+                corrected = correct(record, warm, self._force_at(block.t), thermometer, charger)
                 return replace(corrected, temperature=block.temperature)
-            force = correct(record, block, None, thermometer)
+            force = correct(record, block, None, thermometer, charger)
         except NotCalibratedError:
             return None
         bare = Samples(force.sensor, force.t, force.xyz)

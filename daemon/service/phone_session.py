@@ -195,7 +195,7 @@ class PhoneSession:
     def _send_live(self) -> None:
         fresh, self._fresh = self._fresh, []
         view = self._engine_thread.view
-        self._live.take(fresh, view.record, self._clock(), view.thermometer)
+        self._live.take(fresh, view.record, self._clock(), view.thermometer, view.charger)
 
     def _interrupt_live(self, reason: str) -> None:
         self._send_live()

@@ -24,9 +24,10 @@ class SensorCalibration:
     this moment, by what was learnt of temperature and of the wander of this phone's bias; where no
     temperature is told the uncertainty is larger. learnt_min_c, learnt_max_c: the span of temperatures
     learnt from; beyond it the uncertainty grows. follows_temperature: whether a term for temperature is in
-    use. lag_s: how late the sensor follows the thermometer while the phone warms up. wander_per_day: standard
-    deviation by which the bias changes within a day at one temperature. with_prior: the attitudes do not show
-    all parameters yet, and what is known of sound phones stands in for the rest.
+    use. follows_charging: the same for the heat of charging, which stands in where there is no
+    thermometer. lag_s: how late the sensor follows the thermometer, or the charger. wander_per_day:
+    standard deviation by which the bias changes within a day at one temperature. with_prior: the
+    attitudes do not show all parameters yet, and what is known of sound phones stands in for the rest.
     """
 
     scale: list[list[float]]
@@ -46,6 +47,7 @@ class SensorCalibration:
     learnt_min_c: float | None = None
     learnt_max_c: float | None = None
     follows_temperature: bool = False
+    follows_charging: bool = False
     lag_s: float | None = None
     wander_per_day: float | None = None
     with_prior: bool = False

@@ -15,7 +15,7 @@ from stillcal._version import __version__
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord, SensorRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest
-from stillcal.calib_core.calibration.terms import bias_terms
+from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms
 from stillcal.calib_core.static.settings import Label, Sense
 from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -83,13 +83,16 @@ def _at_present(
         return None
     now, at = daemon.now, None if temperature_c is None else np.array([temperature_c])
     late = _lagged(daemon, temperature_c)
-    bias = np.array(part.bias) + np.ravel(bias_terms(record, sensor, at, None, late))
+    charged = None if now is None else daemon.view.charger.at(now)
+    offset = bias_terms(record, sensor, at, None, late, charged=charged)
+    bias = np.array(part.bias) + np.ravel(offset)
     forecast = record.forecast.get(str(sensor))
     told = dataclasses.replace(
         part,
         bias_now=_finite(bias),
-        bias_uncertainty_now=_finite(record.bias_uncertainty_at(sensor, now, temperature_c, late)),
+        bias_uncertainty_now=_finite(record.bias_uncertainty_at(sensor, now, temperature_c, late, charged)),
         follows_temperature=any("slope" in t.parameters and t.sensor == sensor for t in record.terms),
+        follows_charging=any(t.effect == BY_CHARGING and t.sensor == sensor for t in record.terms),
     )
     if forecast is None:
         return told
@@ -134,7 +137,8 @@ def corrected(
     if forces is not None and forces.shape != raw.shape:
         raise ValueError(f"force has {len(forces)} rows, the samples have {len(raw)}")
     temperatures = None if temperature_c is None else np.full(len(raw), temperature_c)
-    offset = bias_terms(record, sensor, temperatures, forces, _lagged(daemon, temperature_c))
+    charged = None if daemon.now is None else daemon.view.charger.at(daemon.now)
+    offset = bias_terms(record, sensor, temperatures, forces, _lagged(daemon, temperature_c), charged=charged)
     return record.apply(raw - offset, sensor)
 
 

@@ -20,6 +20,7 @@ from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.streams.smoothing import RollingMean
+from stillcal.calib_core.temperature.charger import Charger
 from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
@@ -166,7 +167,7 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
         _writer(opened, out, record, means) as write,
     ):
         for chunk in opened.chunks():
-            suits.see(chunk.accelerometer)
+            suits.see(chunk.accelerometer, chunk.events)
             write(chunk)
             step(opened.bytes_read)
     show_notes(opened.notes, quiet)
@@ -206,12 +207,13 @@ def _writer(
         arrival=first.accelerometer.t_arrival is not None,
         claims=claims.without_noise() if means else claims,
     ) as writer:
-        thermometer = Thermometer()
+        thermometer, charger = Thermometer(), Charger()
 
         def write(chunk: Chunk) -> None:
-            nonlocal thermometer
+            nonlocal thermometer, charger
+            charger = charger.with_events(chunk.events)
             gyroscope = chunk.gyroscope if opened.has_gyroscope else None
-            accel, gyro = correct_both(record, chunk.accelerometer, gyroscope, thermometer)
+            accel, gyro = correct_both(record, chunk.accelerometer, gyroscope, thermometer, charger)
             if len(accel) and accel.temperature is not None:
                 thermometer = thermometer.with_readings(accel.t, accel.temperature)
             if means:

@@ -22,6 +22,7 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.charger import Charger
 from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.cli.store import store_group
 from stillcal.daemon.service.live_stream import LiveBlock, LiveStream
@@ -213,7 +214,7 @@ def test_a_gyroscope_without_a_thermometer_takes_the_accelerometers(record: Cali
     np.testing.assert_allclose(corrected.xyz, 0.0, atol=1e-12)
     live = LiveStream()
     listener, _ = live.subscribe(0.0)
-    live.take([rate, force], known, 0.0, Thermometer())
+    live.take([rate, force], known, 0.0, Thermometer(), Charger())
     sent = [listener.queue.get_nowait() for _ in range(2)][-1]
     assert isinstance(sent, LiveBlock)
     np.testing.assert_allclose(sent.samples.xyz, 0.0, atol=1e-12)

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from stillcal.calib_core.calibration.record import Validity
+from stillcal.calib_core.calibration.record import Term, TermParameter, Validity
+from stillcal.calib_core.calibration.terms import BY_CHARGING
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.store.store import Store
 from stillcal.replay.commands.replay import apply_command
@@ -85,3 +87,14 @@ def test_a_calibration_of_the_gyroscope_alone_says_what_it_leaves(record: Any) -
     (said,) = warned(replace(record, accelerometer=None), samples)
     assert "stay as they are" in said
     assert warned(record, samples) == []
+
+
+def test_a_bias_that_follows_the_charger_needs_to_know_when_it_was_plugged_in(record: Any) -> None:
+    amplitude = TermParameter(value=np.full(3, 0.03), unit="m/s^2")
+    term = Term(effect=BY_CHARGING, sensor=Sensor.ACCELEROMETER, parameters={"amplitude": amplitude})
+    follows, samples = replace(record, terms=(term,)), resting(record, corrected=False)
+    (said,) = warned(follows, samples)
+    assert "off the charger" in said
+    told = Suitability(follows)
+    told.see(samples, [Charging(0.0, True)])
+    assert told.warnings() == []
