@@ -54,8 +54,9 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
     settings are wrong, or the store or the socket cannot be used; 75 after a passing fault of the machine
     (disk, memory, descriptors) or while another process holds the store: start it again.
     """
-    quit_when_interrupted()  # until the service listens itself
     require("stillcal run", DAEMON)
+    quit_when_interrupted()  # until the service listens itself
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # systemd would take it for a clean end
     from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has
 
     options = LaunchOptions(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from stillcal.daemon.cli.store import store_group
 from stillcal.daemon.store.document import StoreDocument, differences
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.systemd import Notifier
+from tests.daemon.service.test_process import heard
 from tests.support.living import given_in
 
 MEMORY = 2**30
@@ -296,6 +298,17 @@ def test_an_interruption_at_any_moment_of_the_start_is_one_line_and_130(tmp_path
     assert ran.returncode == 130, ran.stderr
     said = [line for line in ran.stderr.splitlines() if " INFO " not in line]
     assert said == ["stillcal: interrupted; nothing half-written"] and not (tmp_path / "socket").exists()
+
+
+def test_a_reload_asked_for_while_it_starts_does_not_end_it(tmp_path: Path) -> None:
+    moment = CALLED.format("stillcal.daemon.store.store", "Store", "recover").replace("SIGINT", "SIGHUP")
+    script = f"import sys, signal\n{moment}from stillcal.daemon.cli.entry import main; main()\n"
+    more = ["--port", "none", "--store", tmp_path / "store.json", "--socket", tmp_path / "socket"]
+    command = [sys.executable, "-c", script, "run", *map(str, more)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as daemon:
+        heard(daemon, "ready")
+        daemon.send_signal(signal.SIGTERM)
+        assert daemon.wait(30) == 0
 
 
 def test_the_console_script_is_that_entry() -> None:
