@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regress
 DRIVER = "rate of turn, axis by axis"
 SENSORS = ("accel", "gyro")
 ALIKE = 1e-3
-"""s, standard deviation by which axes of a sound sensor may be apart: they are read one after another."""
+"""s, standard deviation by which a sound phone's delays differ: from axis to axis, or while it records."""
 
 UNLIKELY = 0.01
 """Chance of axes being as far apart, below which they have no common delay."""

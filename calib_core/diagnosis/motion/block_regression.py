@@ -20,6 +20,9 @@ PARTS = 40
 TAPERED = 1.5
 """Rows of a spectrum by a Hann window that share one independent value (its noise bandwidth)."""
 
+LEAST = 1e-12
+"""Part of a piece's power below which what is left of it is rounding."""
+
 
 def of_arm(t: Array, rate: Array) -> Array:
     """Return what an arm r (3,) m does at times t (n,), (n, 3, 3): rate x (rate x r) + d rate/dt x r."""
@@ -86,22 +89,25 @@ class Regression:
         return self.fitted(), covariance, explained / float(self.power.sum())
 
     def held_out(self, free: Array | None = None) -> HeldOut:
-        """Predict pieces left out with the others' parameters, and with those of `free` (k,) bool alone."""
-        fold, gain = blocks(len(self.power)), 0.0
-        kept = np.zeros(self.target.shape[1], dtype=bool) if free is None else free
-        before, after = np.empty(len(self.power)), np.empty(len(self.power))
+        """Predict pieces left out with the others' parameters, and with those of `free` (k,) bool alone.
+
+        A piece's own level of noise is unknown: with it integrated out under 1 / level, n independent values
+        have a likelihood of what is left, as a sum of squares, to the power of -n / 2.
+        """
+        fold, every = blocks(len(self.power)), np.ones(self.target.shape[1], dtype=bool)
+        chosen = ~every if free is None else free
+        after, before = np.empty(len(self.power)), np.empty(len(self.power))
         for k in np.unique(fold):
-            train, test = fold != k, fold == k
-            own, null = self._spread(train, ~np.zeros_like(kept)), self._spread(train, kept)
-            independent = self.count[test].sum() / TAPERED
-            after[test], before[test] = own[1][test], null[1][test]
-            ratios = before[test].sum() / null[0] - after[test].sum() / own[0]
-            gain += float(1.5 * independent * (np.log(null[0] / own[0]) + ratios / self.count[test].sum()))
-        level = [np.sqrt(np.maximum(x, 0.0) / self.count) for x in (before, after)]
+            test = fold == k
+            after[test], before[test] = (
+                self._predicted(~test, every)[test],
+                self._predicted(~test, chosen)[test],
+            )
+        gain = 1.5 / TAPERED * float(self.count @ np.log(before / after))
+        level = [np.sqrt(x / self.count) for x in (before, after)]
         return HeldOut(gain, rms(level[0]), rms(level[1]))
 
-    def _spread(self, train: Array, use: Array) -> tuple[float, Array]:
-        """Return what parameters `use` leave: power a sample in `train`, and the sums (K,) of all."""
+    def _predicted(self, train: Array, use: Array) -> Array:
+        """Return the sums of squares (K,) that parameters `use` leave, fitted to `train`."""
         chosen = self.only(use)
-        left = chosen.left(chosen.fitted(train))
-        return float(left[train].sum() / self.count[train].sum()), left
+        return np.maximum(chosen.left(chosen.fitted(train)), LEAST * self.power)

@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding, of_chance
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
-from stillcal.calib_core.diagnosis.motion.axis_delays import UNLIKELY
+from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE, UNLIKELY
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
 
 DRIVER = "rate of turn, with time"
@@ -27,7 +27,7 @@ class DelayTrend:
         from scipy.stats import t  # noqa: PLC0415 - the daemon stays light
 
         fitted, covariance, _ = sums.jackknifed(PARTS)
-        error = float(np.sqrt(covariance[-1, -1] + apart**2))
+        error = float(np.sqrt(covariance[-1, -1] + apart**2 + ALIKE**2))
         self.growth = Measured(float(fitted[-1]), error)
         free = min(PARTS, len(sums.power)) - 1
         self.log_chance = float(np.log(2.0) + t.logsf(abs(self.growth.value) / error, free))

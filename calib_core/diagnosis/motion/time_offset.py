@@ -2,7 +2,7 @@
 
 Over some seconds of motion the gyroscope carries gravity: turned back by it, specific force stays where it
 was, but for a hand's acceleration. A gyroscope that is late carries gravity late. Windows are compared in
-frequency, each frequency as sure as what hands do there is small.
+frequency, each frequency of each window as sure as what the hand does there is small.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def motion_findings(
     interval = sample_period(gyroscope.t)
     fit = motion.fitted()
     where = Where(*motion.span(), (0.1, 0.5 / interval), "rate of turn")
-    error = float(np.hypot(np.sqrt(fit.last.jackknifed(PARTS)[1][3, 3]), fit.delay_apart))
+    error = float(np.hypot(np.sqrt(fit.last.sums.jackknifed(PARTS)[1][3, 3]), fit.delay_apart))
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
     delay = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
     late, axes, trend = (
@@ -91,7 +91,7 @@ def motion_findings(
         late = trend.finding(where, fit.delay, surely) if by_time else axes.finding(where, surely)
     found = [
         late,
-        lever_arm(fit.last.only(ARM), fit.arm_apart, where),
+        lever_arm(fit.last.sums.only(ARM), fit.arm_apart, where),
     ]
     return [f for f in found if f]
 
@@ -113,9 +113,9 @@ def power_over_delays(
     if len(motion.windows) < LEAST_WINDOWS:
         return None
     motion = replace(motion, windows=motion.windows[:: -(-len(motion.windows) // DRAWN)])
-    weight = motion.fitted().weight
+    weight = motion.fitted().last.weight
     highest = SLOW / sample_period(accelerometer.t)
-    weight = np.where(np.arange(weight.size) / WINDOW <= highest, weight, 0.0)
+    weight = np.where(np.arange(weight.shape[1]) / WINDOW <= highest, weight, 0.0)
     left = []
     for delay in delays:
         arm = _summed(*motion.equations(float(delay)), weight).only(ARM)
@@ -125,20 +125,24 @@ def power_over_delays(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """A delay, s, and the normal equations about no delay (`first`) and about it (`last`).
-
-    delay_apart, arm_apart: errors that windows that disagree make; weight: of each frequency; effects, still:
-    the equations about it.
-    """
+    """A delay, s, the normal equations about no delay (`first`) and about it (`last`), and its spectra."""
 
     delay: float
     first: Regression
-    last: Regression
-    delay_apart: float
-    arm_apart: float
-    weight: Array
+    last: _Weighed
     effects: list[Spectrum]
     still: list[Spectrum]
+
+    @property
+    def delay_apart(self) -> float:
+        """The delay's error, s, that windows that disagree make."""
+        return self.last.apart([e[:, :, 3] for e in self.effects])
+
+    @property
+    def arm_apart(self) -> float:
+        """The arm's, as a part of it."""
+        arm = self.last.sums.fitted()[:3]
+        return self.last.apart([e[:, :, :3] @ arm for e in self.effects])
 
     def axes(self, motion: _Motion) -> AxisDelays:
         """Return what sets the delays of single axes apart."""
@@ -154,12 +158,8 @@ class _Fit:
     def _beside(self, more: Sequence[Spectrum]) -> tuple[Regression, list[float]]:
         """Return the equations with further columns, spectra (f, 3, k) a window, and how parts disagree."""
         every = [np.concatenate(pair, axis=2) for pair in zip(self.effects, more, strict=True)]
-        sums = _summed(every, self.still, self.weight)
-        x, frequency = sums.fitted(), np.arange(self.weight.size) / WINDOW
-        scale = self.weight[:, None]
-        left = np.array([(y - e @ x) * scale for e, y in zip(every, self.still, strict=True)])
-        terms = [np.array([e[:, :, k] * scale for e in every]) for k in range(-more[0].shape[2], 0)]
-        return sums, [disagreement(term, left, frequency) for term in terms]
+        beside = _Weighed.of(every, self.still)
+        return beside.sums, [beside.apart([m[:, :, k] for m in more]) for k in range(more[0].shape[2])]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,10 +216,10 @@ class _Motion:
         total, first = 0.0, None
         for _ in range(LINEARISED):
             effects, still = self.equations(total)
-            sums, apart, arm_apart, weight = _weighed(effects, still)
-            first = first or sums
-            total = float(np.clip(total + sums.fitted()[3], -LONGEST, LONGEST))
-        return _Fit(total, first or sums, sums, apart, arm_apart, weight, effects, still)
+            last = _Weighed.of(effects, still)
+            first = first or last.sums
+            total = float(np.clip(total + last.sums.fitted()[3], -LONGEST, LONGEST))
+        return _Fit(total, first or last.sums, last, effects, still)
 
 
 def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
@@ -285,26 +285,45 @@ def _spectrum(values: Array) -> Spectrum:
 
 
 def _summed(effects: list[Spectrum], still: list[Spectrum], weight: Array) -> Regression:
-    return Regression.of([_parts(e, weight) for e in effects], [_parts(y, weight) for y in still])
+    """Return the normal equations of windows weighed by (K, f)."""
+    designs, lefts = (
+        [_parts(x, w) for x, w in zip(every, weight, strict=True)] for every in (effects, still)
+    )
+    return Regression.of(designs, lefts)
 
 
-def _weighed(effects: list[Spectrum], still: list[Spectrum]) -> tuple[Regression, float, float, Array]:
-    """Return normal equations with each frequency weighed by the power of what is left there.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighed:
+    """Normal equations of K windows, each frequency weighed by the power of what is left there.
 
-    Maximum likelihood of a stationary noise of unknown spectrum (Whittle, 1953). With them go the errors that
-    parts that disagree make: of the delay, s, and of the arm, a part of it; and the weights (f,).
+    That is maximum likelihood of a noise of unknown spectrum (Whittle, 1953), each window's own: a hand's
+    power is some hundred times as much in one as in another. weight: (K, f); left: (K, f, 3), weighed.
     """
-    x = np.zeros(effects[0].shape[2])
-    for _ in range(REWEIGHTED):
-        left = np.array([y - e @ x for e, y in zip(effects, still, strict=True)])
-        weight = 1.0 / np.sqrt(_smooth((np.abs(left) ** 2).mean(axis=(0, 2))))
-        sums = _summed(effects, still, weight)
-        x = sums.fitted()
-    frequency = np.arange(weight.size) / WINDOW
-    left = np.array([(y - e @ x) * weight[:, None] for e, y in zip(effects, still, strict=True)], complex)
-    arm, late = np.append(x[:3], 0.0), np.array([0.0, 0.0, 0.0, 1.0])
-    terms = [np.array([e @ term * weight[:, None] for e in effects], complex) for term in (late, arm)]
-    return sums, disagreement(terms[0], left, frequency), disagreement(terms[1], left, frequency), weight
+
+    sums: Regression
+    weight: Array
+    left: Spectrum
+
+    @classmethod
+    def of(cls, effects: list[Spectrum], still: list[Spectrum]) -> _Weighed:
+        """Weigh anew by what each fit leaves."""
+        x = np.zeros(effects[0].shape[2])
+        for _ in range(REWEIGHTED):
+            power = (np.abs(_left(effects, still, x)) ** 2).mean(axis=2)
+            weight = 1.0 / np.sqrt([_smooth(own) for own in power])
+            sums = _summed(effects, still, weight)
+            x = sums.fitted()
+        return cls(sums, weight, _left(effects, still, x) * weight[:, :, None])
+
+    def apart(self, terms: Sequence[Spectrum]) -> float:
+        """Return the standard error of a term's size that its scatter makes; terms: (f, 3) a window."""
+        frequency, term = np.arange(self.weight.shape[1]) / WINDOW, np.array(terms)
+        return disagreement(term * self.weight[:, :, None], self.left, frequency)
+
+
+def _left(effects: list[Spectrum], still: list[Spectrum], x: Array) -> Spectrum:
+    """Return what parameters (k,) leave of K windows' spectra, (K, f, 3)."""
+    return np.array([y - e @ x for e, y in zip(effects, still, strict=True)], complex)
 
 
 def _smooth(power: Array) -> Array:

@@ -19,9 +19,16 @@ RATE, G = 50.0, 9.80665
 
 
 def played(
-    seed: int, delay: float = 0.0, arm: tuple[float, float, float] = (0.0, 0.0, 0.0), stop: float = np.inf
+    seed: int,
+    delay: float = 0.0,
+    arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    stop: float = np.inf,
+    moods: float = 0.0,
 ) -> tuple[Samples, Samples]:
-    """Play ten minutes, a turn of 4 s in every 20; the accelerometer's file ends at `stop`, s."""
+    """Play ten minutes, a turn of 4 s in every 20; the accelerometer's file ends at `stop`, s.
+
+    moods: standard deviation of how much the hand shakes in a turn, natural logarithms.
+    """
     rng = np.random.default_rng(seed)
     n = int(600 * RATE)
     t = np.arange(n) / RATE
@@ -34,7 +41,7 @@ def played(
         )
         rate[rows] = 2.5 * swell[:, None] * wobble
         shaken = lfilter([1.0], [1.0, -0.9], rng.normal(0, 0.1, (200, 3)), axis=0)
-        hand[rows] = swell[:, None] * shaken
+        hand[rows] = swell[:, None] * shaken * np.exp(rng.normal(0, moods) if moods else 0.0)
     up = ups(Rotation.random(random_state=seed), rate, RATE)
     about = np.cross(rate, np.cross(rate, arm)) + np.cross(np.gradient(rate, 1 / RATE, axis=0), arm)
     force = G * up + hand + about + rng.normal(0, 0.008, (n, 3))
@@ -45,10 +52,14 @@ def played(
 
 
 def diagnosed(
-    seed: int, delay: float = 0.0, arm: tuple[float, float, float] = (0.0, 0.0, 0.0), stop: float = np.inf
+    seed: int,
+    delay: float = 0.0,
+    arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    stop: float = np.inf,
+    moods: float = 0.0,
 ) -> list[Finding]:
     """Look at the motion alone."""
-    accelerometer, gyroscope = played(seed, delay, arm, stop)
+    accelerometer, gyroscope = played(seed, delay, arm, stop, moods)
     bins = cut(accelerometer, gyroscope)
     return motion_findings(
         accelerometer, gyroscope, aligned(gyroscope, bins, G), G, sound_phones()["time_offset"]
@@ -74,6 +85,12 @@ def test_a_late_gyroscope_is_timed(delay: float) -> None:
     assert found.effect == "accel_gyro_time_offset" and low < delay < high and high - low < 0.02
     assert found.evidence.heldout_log_score_gain > 0.0
     assert found.alternatives == []  # a filter that delays as much would show in the noise
+
+
+def test_the_quiet_turns_of_a_lively_hand_time_a_gyroscope() -> None:
+    (found,) = diagnosed(11, delay=0.015, moods=2.0)
+    low, high = found.parameters["delay"].ci95
+    assert low < 0.015 < high and high - low < 0.01
 
 
 def test_least_power_is_left_at_the_delay() -> None:
