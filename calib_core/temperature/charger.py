@@ -86,7 +86,10 @@ class Charger:
 def followed(charged: Array, lag_s: float) -> Array:
     """Return the readings (n,) K of a sensor that follows the stand-in with a lag, s.
 
-    charged: (n, 1 + k) K, as `Charger.course` has it.
+    charged: (n, 1 + k) K, as `Charger.course` has it. A lag that is none of CHARGER_LAGS_S, which another
+    version may have learnt, gives NaN.
     """
     charged = np.atleast_2d(charged)
+    if lag_s not in (0.0, *CHARGER_LAGS_S):
+        return np.full(len(charged), np.nan)
     return felt(charged[:, 0], charged[:, 1:], lag_s, CHARGER_LAGS_S)

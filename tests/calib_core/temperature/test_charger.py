@@ -54,3 +54,4 @@ def test_after_a_loose_plug_the_slow_lags_are_unknown() -> None:
     soon = flapping.at(1010.0)
     assert np.isfinite(soon[0]) and np.isnan(soon[1:]).all()
     assert followed(soon, CHARGER_LAGS_S[0]).tolist() == [soon[0]]
+    assert np.isnan(followed(flapping.at(1010.0), 900.0)).all()  # another version's lag

@@ -15,9 +15,17 @@ import numpy as np
 import pytest
 import varlink
 
+from stillcal.calib_core.calibration.record import Term, TermParameter
+from stillcal.calib_core.calibration.terms import BY_CHARGING
 from stillcal.calib_core.engine.actions import Publish, Reject
+from stillcal.calib_core.engine.state import EngineState
+from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.streams.smoothing import RollingMean
+from stillcal.calib_core.temperature.charger import Charger
+from stillcal.daemon.service import saved_state
+from stillcal.daemon.service.phone_clock import PhoneClock
+from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.store.store import Store
 from stillcal.replay.trials.faults.kill import example
 from tests.support.asking import NAME, STILLCAL, asked, client, stored
@@ -241,5 +249,30 @@ def test_who_may_asks_for_a_calibration_and_for_zeroing(folder: Path) -> None:
                 await asked(folder, lambda c: c.ZeroNow())  # rests without a gyroscope
             status = (await asked(folder, lambda c: c.GetStatus()))["status"]
             assert status["failed_checks"] == 0 and status["diagnosis"] == ""
+
+    within_reason(test())
+
+
+def test_answers_follow_the_charger_where_there_is_no_thermometer(folder: Path, make_record: Any) -> None:
+    """It was plugged in 4000 s before: a sensor 2400 s behind it has warmed up in part."""
+    record, full = make_record(3), np.array([0.001, -0.002, 0.003])
+    amplitude = {"amplitude": TermParameter(value=full, unit="rad/s")}
+    term = Term(
+        effect=BY_CHARGING, sensor=Sensor.GYROSCOPE, parameters=amplitude, reference={"lag_s": 2400.0}
+    )
+    record = dataclasses.replace(record, terms=(term,))
+    stored(folder, record)
+    charger = Charger().with_events([Charging(-1e5, False), Charging(1000.0, True)])
+    saved = SavedState(EngineState(charger=charger, record=record), PhoneClock(newest=5000.0))
+    saved_state.save(saved_state.state_path(folder / "store.json"), saved_state.encode(saved))
+    bias = record.gyroscope.bias + full * (1.0 - np.exp(-4000.0 / 2400.0))
+
+    async def test() -> None:
+        async with answering(folder):
+            found = (await asked(folder, lambda c: c.GetCalibration()))["calibration"]["gyroscope"]
+            assert found["follows_charging"] and not found["follows_temperature"]
+            assert found["bias_now"] == pytest.approx(bias)
+            told = await asked(folder, lambda c: c.Correct("gyroscope", [bias.tolist()]))
+            assert np.ravel(told["samples"]) == pytest.approx(np.zeros(3), abs=1e-12)
 
     within_reason(test())
