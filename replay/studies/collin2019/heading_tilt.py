@@ -24,14 +24,13 @@ from stillcal.replay.studies.claim import (
     table,
 )
 from stillcal.replay.studies.collin2019.pedestrian_tables import DEG, walk
-from stillcal.replay.studies.har.data import RATE_HZ, read_rates, without_recordings
+from stillcal.replay.studies.har.data import MOVING, RATE_HZ, read_rates, without_recordings
 
 NAME, TITLE, WORK, WHERE = "heading-tilt", "Tilt of the heading gyroscope", "Collin 2019", "3.4"
 TILTS_DEG = (1.0, 2.0, 3.0, 5.0)
 COUPLE_DEG = 2.0
 """The paper's "couple of degrees"."""
 AZIMUTHS = 12
-MOVING = ("walk", "stairs up", "stairs down")
 PAPER = (
     (WORK, WHERE, "a tilt of a couple of degrees introduces a scaling error to the heading", "scaling error"),
 )

@@ -18,11 +18,11 @@ from stillcal.replay.phone import Scenario, load_phone, simulate
 from stillcal.replay.phone.activities.resting import Rest
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import Claim, Evidence, Progress, Study, agreement, holds, picture, table
+from stillcal.replay.studies.collin2019.grades import GRADES
 from stillcal.replay.studies.collin2019.pedestrian_tables import walk
 from stillcal.replay.studies.methods.navigation import direction_cosines, strapdown
 
 WORK = "Collin 2019"
-GRADES = ("navigation", "tactical", "consumer")
 NAUTICAL_MILE = 1852.0
 G, EARTH_M = 9.80665, 6.371e6
 DEG_H = math.radians(1.0) / 3600.0

@@ -29,13 +29,13 @@ from stillcal.replay.studies.claim import (
     picture,
     table,
 )
+from stillcal.replay.studies.collin2019.grades import GRADES
 from stillcal.replay.studies.methods.navigation import dead_reckoning, headings, step_headings
 from stillcal.replay.studies.methods.steps import PATTERNS, Steps, detect_steps, patterns, vertical_only
 
 WORK = "Collin 2019"
 STEP_M, STEPS_HZ = 0.75, 2.0
 DEG = math.radians(1.0)
-GRADES = ("navigation", "tactical", "consumer")
 BIAS_DEG_H = (0.0035, 1.0, 25.0)
 SCALE_PERCENT = (0.001, 0.015, 1.0)
 MINUTE, HOUR, DAY = 60.0, 3600.0, 86400.0

@@ -30,13 +30,12 @@ from stillcal.replay.studies.claim import (
     table,
 )
 from stillcal.replay.studies.drawing import BLUE, GREEN, GREY, RED, panels, save
-from stillcal.replay.studies.har.data import DATA, RATE_HZ, Windows, read_windows, without_recordings
+from stillcal.replay.studies.har.data import DATA, MOVING, RATE_HZ, Windows, read_windows, without_recordings
 from stillcal.replay.studies.har.devices import CARRIED, Device, read_devices
 from stillcal.replay.studies.har.recordings import FOLDER
 from stillcal.replay.studies.methods.device_faces import calibrate_devices
 
 NAME, TITLE, WORK = "homogeneity", "Are calibrated traces more alike? (Tables 4 and 5)", "Grammenos 2018"
-MOVING = ("walk", "stairs up", "stairs down")
 TABLE_4 = {
     ("walk", "stairs up"): 0.219290,
     ("walk", "stairs down"): 0.178262,

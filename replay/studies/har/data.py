@@ -17,6 +17,8 @@ RATE_HZ = 50.0
 ACTIVITIES = ("walk", "stairs up", "stairs down", "sit", "stand", "lie")
 """By the data's own numbers, 1 to 6."""
 
+MOVING = ACTIVITIES[:3]
+
 DATA = "ucihar: 3350 windows of 2.56 s, 30 people, one Galaxy S II at the waist"
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.studies.claim import Cause, Claim, Evidence, Progress, Study, holds, picture, table
 from stillcal.replay.studies.drawing import COLOURS, panels, save
-from stillcal.replay.studies.har.data import ACTIVITIES, DATA, RATE_HZ, read_rates, without_recordings
+from stillcal.replay.studies.har.data import ACTIVITIES, DATA, MOVING, RATE_HZ, read_rates, without_recordings
 from stillcal.replay.studies.har.features import FAMILIES, SECONDS
 from stillcal.replay.studies.har.scoring import (
     INDEPENDENT,
@@ -32,7 +32,6 @@ EACH, FOLDS = 40, 10
 """Windows of each person; folds by people."""
 
 SENSORS = ("accelerometer", "gyroscope", "both")
-MOVING = ("walk", "stairs up", "stairs down")
 PAPER = {
     "order": ("4.2, Figure 8", "the accelerometer scores slightly higher than the gyroscope", "slightly"),
     "moving": (
