@@ -16,15 +16,13 @@ from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
 from stillcal.replay.diagnosis.words.correction_code import to_paste
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import statement
 
 SCHEMA = 2
-
-NORMAL_95 = 1.96
-"""Half the width of a 95 % interval of a normal distribution, in standard deviations."""
 
 _OF_TIME = {"tau_s", "period_s", "frequency", "cutoff", "highest_rate", "lowest_rate"}
 SCALE_BY_AXIS = Part("scale", "1", 3)
