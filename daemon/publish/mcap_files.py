@@ -33,6 +33,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service.live_stream import Interruption, Live, LiveBlock
 from stillcal.daemon.settings import SettingsError
 from stillcal.daemon.system.clock import Clock, host_time
+from stillcal.daemon.system.files import RESERVE_BYTES
 
 FILE_BYTES = 64 * 2**20
 FILES = 8
@@ -40,8 +41,6 @@ MOST_FILES = 1000
 """Files that are kept however small they are."""
 
 FLUSH_S = 5.0
-RESERVE_BYTES = 64 * 2**20
-"""Free room that is left on the disk: the daemon's own files need some."""
 
 SLEW, LEAP_S = 0.01, 10.0
 """The times of day follow the sensor's own clock, and this computer's by so much of the time that has passed,
@@ -136,7 +135,7 @@ class McapFiles:
         """Raise OSError where the disk is nearly full; nothing is deleted then."""
         room = os.statvfs(self._path.parent)
         if room.f_bavail * room.f_frsize < RESERVE_BYTES:
-            raise OSError(errno.ENOSPC, "less than 64 MiB are left on the disk")
+            raise OSError(errno.ENOSPC, f"less than {RESERVE_BYTES // 2**20} MiB are left on the disk")
 
     # Messages
 

@@ -29,6 +29,9 @@ WRONG_NAME = frozenset(
 )
 """Errors that trying again does not mend: the name is wrong, or what lies there is not ours."""
 
+RESERVE_BYTES = 64 * 2**20
+"""Free room that a recording leaves on the disk: the daemon's own files need some."""
+
 
 def flags(*names: str) -> int:
     """Return the flags of os.open of these names together; one that this system lacks counts nothing."""

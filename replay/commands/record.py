@@ -15,12 +15,10 @@ from stillcal.daemon.cli.exits import BAD_INPUT, NO_DAEMON, REFUSED, TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option, socket_option
 from stillcal.daemon.cli.query import NoDaemonError, replies
+from stillcal.daemon.system.files import RESERVE_BYTES
 from stillcal.daemon.varlink.address import NAME, answering_path
 from stillcal.replay.commands.outputs import new_recording_files, refuse_collisions
 from stillcal.replay.formats.conversion.live_recording import LiveRecording, Parts
-
-RESERVE_BYTES = 64 * 2**20
-"""Free room that a recording leaves on the disk: the daemon's own files need some."""
 
 CHECK_EVERY = 50
 """Blocks of samples between two looks at the disk: some five seconds of a phone in real time."""
