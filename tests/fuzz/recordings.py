@@ -187,6 +187,28 @@ def _feed_member(files: dict[str, str], member: str, data: bytes) -> None:
     _feed_zip({name: content.encode() for name, content in files.items()} | {member: data})
 
 
+def _betaflight(unit_force: str = "", unit_rate: str = "", head: str = "") -> bytes:
+    """Return a blackbox log as CSV, in counts where no units are given."""
+    names = [f"gyroADC[{i}]{unit_rate}" for i in range(3)] + [f"accSmooth[{i}]{unit_force}" for i in range(3)]
+    count = 9.80665 if unit_force else 9.80665 / 2048
+    values = np.column_stack([np.round(1e6 * T), np.round(np.degrees(RATE)), np.round(FORCE / count)])
+    lines = [",".join(map(str, [i, *row])) for i, row in enumerate(values.astype(int).tolist())]
+    return "\n".join([head + ",".join(["loopIteration", "time (us)", *names]), *lines, ""]).encode()
+
+
+_EXPLORER = '"Product","Blackbox flight data recorder"\n"acc_1G",2048\n"gyroScale",1.7453292519943296e-8\n'
+_HEADERS = b"fieldname,fieldvalue\nacc_1G,2048\ngyro_scale,0x3f800000\nblackbox_high_resolution,1\n"
+
+
+def _feed_headers(data: bytes) -> None:
+    """Feed the headers that stand beside a log in counts."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.csv"
+        path.write_bytes(_betaflight())
+        path.with_name("log.headers.csv").write_bytes(data)
+        _read(path)
+
+
 def _zips() -> list[bytes]:
     exports = (log_files.phyphox_files(DATA), log_files.sensor_logger_files(data=DATA))
     return [
@@ -222,6 +244,15 @@ TARGETS = {
     "gnss-logger": Target(
         lambda: _made(lambda folder: log_files.gnss_logger(folder, DATA)),
         functools.partial(_feed, "log.txt", None),
+    ),
+    "betaflight": any_of(
+        [
+            Target(
+                lambda: [_betaflight(" (g)", " (deg/s)"), _betaflight(head=_EXPLORER)],
+                functools.partial(_feed, "log.csv", None),
+            ),
+            Target(lambda: [_HEADERS], _feed_headers),
+        ]
     ),
     "ulog": Target(lambda: [log_files.ulog(DATA)], functools.partial(_feed, "log.ulg", None)),
     "dataflash": Target(lambda: [log_files.dataflash(data=DATA)], functools.partial(_feed, "log.bin", None)),

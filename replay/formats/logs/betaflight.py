@@ -10,6 +10,7 @@ units, blackbox_decode names them behind the columns and writes two decimals (bl
 from __future__ import annotations
 
 import csv
+import math
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -80,20 +81,22 @@ def _sensor_map(
 
 
 def _count(facts: dict[str, str], sensor: Sensor) -> float | None:
-    """Return the SI value of one count, None where the facts do not tell."""
+    """Return the SI value of one count, None where the facts do not tell a size."""
     try:
-        if sensor is Sensor.ACCELEROMETER:
-            return STANDARD / float(facts["acc_1G"])
-        fine = 10.0 if float(facts.get("blackbox_high_resolution") or 0) else 1.0
-        if "gyroScale" in facts:
-            return float(facts["gyroScale"]) * 1e6 / fine
-        scale = facts["gyro_scale"]
-        (degrees,) = (
-            struct.unpack(">f", int(scale, 16).to_bytes(4, "big")) if "x" in scale else [float(scale)]
-        )
-        return float(degrees) * _DEGREE / fine or None
+        one = STANDARD / float(facts["acc_1G"]) if sensor is Sensor.ACCELEROMETER else _rate(facts)
+        return one if 0.0 < 1.0 / one < math.inf else None
     except (KeyError, ValueError, OverflowError, ZeroDivisionError):
         return None
+
+
+def _rate(facts: dict[str, str]) -> float:
+    """Return one count of the gyroscope, rad/s. Raises KeyError, ValueError, OverflowError."""
+    fine = 10.0 if float(facts.get("blackbox_high_resolution") or 0) else 1.0
+    if "gyroScale" in facts:
+        return float(facts["gyroScale"]) * 1e6 / fine
+    scale = facts["gyro_scale"]
+    (degrees,) = struct.unpack(">f", int(scale, 16).to_bytes(4, "big")) if "x" in scale else [float(scale)]
+    return float(degrees) * _DEGREE / fine
 
 
 def _facts(source: Source, lines_before: int) -> dict[str, str]:
