@@ -274,7 +274,7 @@ def _stated(fit: _Fit, measured: Levels, sensor: str, rate: float) -> Finding | 
     ratio, (start, end) = float(np.exp(fit.change)), fit.course.span
     by_axis = np.log(measured.pieces)
     changes = np.median(by_axis[fit.high], axis=0) - np.median(by_axis[~fit.high], axis=0)
-    axes = [a for a in range(3) if abs(changes[a]) > 0.5 * fit.change]
+    axes = [a for a in range(3) if abs(changes[a]) > 0.5 * np.abs(changes).max()]
     if fit.course.driver == "time":
         inside = fit.course.design[:, 1] > 0.5
         ratio = ratio if (inside == fit.high).all() else 1.0 / ratio

@@ -64,7 +64,7 @@ def test_even_noise_is_silent(seed: int) -> None:
 def test_noise_that_follows_temperature(slope: float) -> None:
     """The weaker one changes by a third from coldest to warmest, between two halves by a fifth."""
     seen = found(noise(1) * np.exp(slope * (WARM - 25.0))[:, None])
-    assert seen is not None and seen.where.driver == "temperature"
+    assert seen is not None and seen.where.driver == "temperature" and seen.axes == ["x", "y", "z"]
     assert seen.parameters["ratio"].value == pytest.approx(np.exp(slope * np.ptp(WARM)), rel=0.1)
 
 
