@@ -23,7 +23,7 @@ from stillcal import calib_core, config, daemon, replay
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.formats.trace import read_all
-from stillcal.replay.phone.phone import load_phone
+from stillcal.replay.phone.phone import dump_phone, load_phone
 
 SOLVERS = ("diagnosis", "affine_coloured_bic", "sparse_regression")
 """The solvers by name."""
@@ -84,25 +84,19 @@ def _simulation_judged(folder: Path, name: str) -> dict[str, Any]:
 
 
 def _phone_written_back(folder: Path, name: str) -> dict[str, Any]:
-    """Return the answer to a fresh day and the phone file that the first day's diagnosis wrote back.
+    """Return the answer to a fresh day and the phone file as the first day's diagnosis corrects it.
 
-    Its field `first` is the answer to the first day and the phone file as it was given. A first day whose
-    diagnosis writes no phone file leaves the phone as it was.
+    Its field `first` is the answer to the first day and the phone file as it was given.
     """
     from stillcal.replay.diagnosis.diagnose import Request, diagnose  # noqa: PLC0415 - baselines do without it
+    from stillcal.replay.export.fix.fixers import fixed_for  # noqa: PLC0415
+    from stillcal.replay.export.fix.phone import phone_from  # noqa: PLC0415
 
     given = load_phone(folder / f"{name}{PHONE}")
-    first = diagnose(
-        read_all(folder / f"{name}.csv"), Request(phone=given, phone_name="given", phone_file=True)
-    )
-    better = given
-    if first.phone_text is not None:
-        with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as written:
-            written.write(first.phone_text)
-            written.flush()
-            better = load_phone(written.name)
+    first = diagnose(read_all(folder / f"{name}.csv"), Request(phone=given, phone_name="given")).judged.answer
+    better = phone_from(fixed_for("phone", dump_phone(given), first).text)
     fresh = diagnose(read_all(folder / f"{name}{FRESH}"), Request(phone=better, phone_name="written back"))
-    return fresh.judged.answer | {"first": first.judged.answer}
+    return fresh.judged.answer | {"first": first}
 
 
 def _without_findings(name: str, verdict: str, error: Exception) -> dict[str, Any]:

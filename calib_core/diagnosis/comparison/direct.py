@@ -37,12 +37,8 @@ MEASURED_ELSEWHERE = (
 Key = tuple[str, str]
 """Effect and sensor."""
 
-ALIKE_STAMPS = 0.3 * float(np.log(10.0))
-"""What jitter and shares of samples of one phone differ by from recording to recording (ln): 0.26 to 0.36 of
-log10, rms within the devices of the still experiment of Stisen et al. 2015."""
-
 ALIKE = 0.05
-"""Relative difference of a limit, a step, a frequency or a fraction that is none."""
+"""Relative difference of jitter, a share of samples, a limit, a step, a frequency or a fraction that is none."""
 
 
 def direct_statements(exam: Examination) -> list[Finding]:
@@ -104,7 +100,7 @@ def _logarithm(key: Key, part: Part, measured: Measured, floor: float, samples: 
         error = max(error, float(np.log(value / floor)))
     return Quantity(
         *key, (part,), np.array([np.log(value)]), np.array([[error**2]]),
-        np.array([TIMES]), np.array([ALIKE_STAMPS]), np.array([-1]), logarithmic=True,
+        np.array([TIMES]), np.array([ALIKE]), np.array([-1]), logarithmic=True,
         where=Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "time stamps"),
         none=measured.value <= floor,
     )  # fmt: skip

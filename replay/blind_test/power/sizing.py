@@ -110,10 +110,15 @@ def _unit(stage: Stage, effect: str) -> tuple[dict[str, Any], str]:
 
 
 def _walk(stage: Stage, sensor: str, d: float) -> Drawn:
-    allowed, white = ALLOWED_WALK[sensor], stage.sigma(sensor) / math.sqrt(stage.phone.clock.rate_hz / 2.0)
+    allowed = ALLOWED_WALK[sensor]
+    return {"density": [allowed * math.exp(d / d_of_walks(stage, sensor, 2.0 * allowed))] * 3}, d
+
+
+def d_of_walks(stage: Stage, sensor: str, density: float) -> float:
+    """Return d' of random walks whose densities, about this one, are a factor of e apart."""
+    white = stage.sigma(sensor) / math.sqrt(stage.phone.clock.rate_hz / 2.0)
     spacing = stage.world.duration / len(stage.world.rests)
-    unit = power.walk_d_prime(math.e, 2.0 * allowed, white, stage.world.duration, spacing)
-    return {"density": [allowed * math.exp(d / unit)] * 3}, d
+    return power.walk_d_prime(math.e, density, white, stage.world.duration, spacing)
 
 
 def _clipped(stage: Stage, sensor: str, d: float) -> Drawn:

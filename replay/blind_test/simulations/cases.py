@@ -14,7 +14,7 @@ from stillcal.replay.blind_test.case import Case
 from stillcal.replay.blind_test.designs import Design
 from stillcal.replay.blind_test.keys import Key, TrueEffect
 from stillcal.replay.blind_test.power import detectability as power
-from stillcal.replay.blind_test.power.sizing import Stage, put_in
+from stillcal.replay.blind_test.power.sizing import Stage, d_of_walks, put_in
 from stillcal.replay.blind_test.simulations.scaled import CONSTANTS, drawn, scaled, with_constant, without_own
 from stillcal.replay.blind_test.world import phones
 from stillcal.replay.blind_test.world.day import binned, over_bins
@@ -84,7 +84,12 @@ def _can_tell(sizes: list[float], shares: tuple[float, float]) -> bool:
 
 
 def _d_prime(stage: Stage, effect: TrueEffect) -> float:
-    """Return d' of an effect in a day; where rests do not tell it, that which it was drawn for, or enough."""
+    """Return d' of an effect in a day; where rests do not tell it, that which it was drawn for, or enough.
+
+    Of a random walk it is that of one stronger by a factor of e: how strong it is, a day tells roughly.
+    """
+    if effect.effect.endswith("_random_walk"):
+        return d_of_walks(stage, effect.sensor, float(effect.parameters["density"][0]))
     if effect.effect not in FORWARD:
         return effect.d_prime or 1e3
     delta = over_bins(stage.world, stage.bins, played(stage.world, effect.effect, effect.parameters))
