@@ -38,7 +38,7 @@ Key = tuple[str, str]
 """Effect and sensor."""
 
 ALIKE = 0.05
-"""Relative difference of jitter, a share of samples, a limit, a step, a frequency or a fraction that is none."""
+"""Relative difference of jitter, a share, a limit, a step or a frequency that is none."""
 
 
 def direct_statements(exam: Examination) -> list[Finding]:

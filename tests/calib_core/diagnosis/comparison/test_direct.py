@@ -81,6 +81,14 @@ def test_jitter_is_lacking_where_the_simulation_has_none_and_not_too_small() -> 
     assert jitter_apart(np.arange(6000) / 100.0, scattered).relation() == "superfluous"
 
 
+@pytest.mark.parametrize(("share", "relation"), [(0.5, "too_small"), (1.5, "too_large")])
+def test_jitter_of_another_size_is_a_difference(share: float, relation: str) -> None:
+    scatter = np.random.default_rng(1).normal(0.0, 5e-4, (2, EVEN.size))
+    found = jitter_apart(EVEN + scatter[0], EVEN + share * scatter[1])
+    assert found.relation() == relation and posterior(found.log_bayes_factor, 30) > 0.95
+    assert posterior(jitter_apart(EVEN + scatter[0], EVEN + scatter[1]).log_bayes_factor, 30) < 0.05
+
+
 def test_a_phone_that_is_never_at_rest_is_not_said_to_have_steps_that_hide_its_noise() -> None:
     t = np.arange(0.0, 60.0, 0.01)
     rng = np.random.default_rng(2)
