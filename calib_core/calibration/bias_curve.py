@@ -227,10 +227,9 @@ def _learn_by(
     if before is not None and before.by_charger != driver.by_charger:
         before = None
     model = Model(driver.priors(PRIORS[sensor]), driver.reference(term), with_curve=False)
-    if not np.isfinite(driver.read[-1]):
-        return _without_temperature(sensor, seen, driver, model, middle=middle, term=term, t=t, start=start)
-    if not driver.mostly_known or np.ptp(driver.known) < LEAST_SPAN_K:
-        return _without_evidence(sensor, seen, driver, model, middle=middle, term=term, t=t, start=start)
+    known_now = np.isfinite(driver.read[-1])
+    if not known_now or not driver.mostly_known or np.ptp(driver.known) < LEAST_SPAN_K:
+        return _undecided(sensor, seen, driver, model, middle=middle, term=term, t=t, start=start)
     without = learn(seen, model, t, start)
     lag, seen, curved = driver.at_likeliest_lag(
         _wider(seen, term), replace(model, with_curve=True), t, before
@@ -266,7 +265,7 @@ def _wider(seen: Observations, term: Term | None) -> Observations:
     return seen.wider(np.where(missing, 0.5 * rise, 0.0))
 
 
-def _without_temperature(
+def _undecided(
     sensor: Sensor,
     seen: Observations,
     driver: Driver,
@@ -277,32 +276,18 @@ def _without_temperature(
     t: float,
     start: Wander | None,
 ) -> Learnt:
-    """Return the bias where the newest rest's temperature is unknown: as it is now, whatever that may be.
+    """Return the bias where the rests' temperatures decide nothing: a term that is held stays as it is.
 
-    A term that is held stays, and is not applied while the temperature is unknown.
+    Where the newest rest's temperature is unknown, the term is not applied: the bias is that of now, whatever
+    the temperature may be.
     """
-    fit = learn(seen, model, t, start)
-    forecast = _forecast(fit, fit, driver, seen.celsius, t)
-    return _learnt(sensor, fit, t=seen.t, middle=middle, forecast=forecast, term=term, change="", evidence={})
-
-
-def _without_evidence(
-    sensor: Sensor,
-    seen: Observations,
-    driver: Driver,
-    model: Model,
-    *,
-    middle: Array,
-    term: Term | None,
-    t: float,
-    start: Wander | None,
-) -> Learnt:
-    """Return the bias where temperatures are unknown or all alike: a term that is held stays as it is."""
-    if term is not None:
+    if term is not None and np.isfinite(driver.read[-1]):
         offset = driver.offset(term)
         along = offset if seen.towards is None else (offset * seen.towards).sum(axis=1)[:, None]
         seen = replace(seen, value=seen.value - along)
-    return _without_temperature(sensor, seen, driver, model, middle=middle, term=term, t=t, start=start)
+    fit = learn(seen, model, t, start)
+    forecast = _forecast(fit, fit, driver, seen.celsius, t)
+    return _learnt(sensor, fit, t=seen.t, middle=middle, forecast=forecast, term=term, change="", evidence={})
 
 
 def _change(
