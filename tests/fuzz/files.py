@@ -18,14 +18,17 @@ from stillcal.daemon.cli.store import _findings
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.settings import SettingsError, parse_settings
 from stillcal.daemon.store.document import StoreDocument, StoreFormatError, parse, render
+from stillcal.replay.export.fix.fixers import FIXERS, fixed_for
 from stillcal.replay.export.imu import of_record
 from stillcal.replay.export.stored import record_of
+from stillcal.replay.export.target import text_of
 from stillcal.replay.export.targets import INVERTIBLE, target_named
 from stillcal.replay.formats.columns import builtin_formats, parse_map
 from stillcal.replay.phone.phone import dump_phone, load_phone
 from stillcal.replay.phone.scenario import load_scenario
 from tests.fuzz.protocols import example_record
-from tests.fuzz.target import Target
+from tests.fuzz.target import Target, any_of
+from tests.replay.export.test_fix import ALL, PHONE, SDF
 
 
 def _store_seeds() -> list[bytes]:
@@ -127,6 +130,23 @@ def _feed_tool(tool: str, data: bytes) -> None:
         render(StoreDocument(current=record))
 
 
+def _simulation_seeds(tool: str) -> list[bytes]:
+    texts = {"phone": [PHONE], "gazebo": [SDF]}.get(tool, [])
+    return [text.encode() for text in [*texts, fixed_for(tool, None, {"findings": ALL}).text]]
+
+
+def _feed_simulation(tool: str, data: bytes) -> None:
+    """Correct a simulation's configuration; what comes of it must be one of the same tool."""
+    with contextlib.suppress(UserError):
+        text = text_of(data)
+        fixed_for(tool, text, {"findings": []})
+        fixed = fixed_for(tool, text, {"findings": ALL})
+        try:
+            fixed_for(tool, fixed.text, {"findings": []})
+        except UserError as error:
+            raise AssertionError(f"{tool} no longer reads what was written: {error}") from error
+
+
 TARGETS = {
     "store": Target(_store_seeds, _feed_store),
     "state": Target(_state_seeds, _feed_state),
@@ -139,4 +159,10 @@ TARGETS = {
         f"import-{tool}": Target(functools.partial(_tool_seeds, tool), functools.partial(_feed_tool, tool))
         for tool in INVERTIBLE
     },
+    "fix-for": any_of(
+        [
+            Target(functools.partial(_simulation_seeds, tool), functools.partial(_feed_simulation, tool))
+            for tool in FIXERS
+        ]
+    ),
 }

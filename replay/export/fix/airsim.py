@@ -7,6 +7,7 @@ AirSim's own value. JSON has no comments; the order of members stays, the spaces
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -93,7 +94,9 @@ def _imus(settings: dict[str, Any]) -> Iterator[dict[str, Any]]:
     found = [s for g in groups for s in g.values() if isinstance(s, dict) and s.get("SensorType") == IMU]
     if not found:
         for vehicle in vehicles.values():
-            sensors = vehicle.setdefault("Sensors", {})
+            sensors = vehicle.setdefault("Sensors", {}) if isinstance(vehicle, dict) else None
+            if not isinstance(sensors, dict):
+                raise UserError("Vehicles: expected JSON objects with Sensors, which is one")
             sensors["Imu"] = {"SensorType": IMU, "Enabled": True}
             found.append(sensors["Imu"])
     yield from found
@@ -101,8 +104,8 @@ def _imus(settings: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 def _get(imu: dict[str, Any], key: str) -> float:
     value = imu.get(key, OWN[key])
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise UserError(f"{key}: expected a number")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < sys.float_info.max:
+        raise UserError(f"{key}: expected a finite number")
     return float(value)
 
 

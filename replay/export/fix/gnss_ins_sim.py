@@ -103,7 +103,13 @@ def _get(fixed: Fixed, key: str) -> Array:
     entries = _entries(fixed.text)
     if key not in entries:
         raise CannotHold(f"its dictionary has no {key}")
-    return np.broadcast_to(_evaluated(entries[key], key), 3).copy()
+    try:
+        values = np.broadcast_to(_evaluated(entries[key], key), 3).astype(np.float64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise CannotHold(f"{key} is not three numbers") from error
+    if not np.isfinite(values).all():
+        raise CannotHold(f"{key} is not three finite numbers")
+    return values
 
 
 def _set(fixed: Fixed, key: str, values: Array) -> None:

@@ -57,8 +57,6 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
 
     def scale(finding: Finding) -> None:
         before = _get(fixed, finding, "AxesMisalignment", PERCENT * np.eye(3))
-        if before.shape != (3, 3):
-            raise CannotHold("AxesMisalignment is not a matrix of 3 by 3 in it")
         _set(fixed, finding, "AxesMisalignment", before, PERCENT * gain_after(finding, before / PERCENT))
 
     def scale_slope(finding: Finding) -> None:
@@ -101,6 +99,7 @@ def _line(fixed: Fixed, finding: Finding, key: str) -> re.Match[str] | None:
 
 
 def _get(fixed: Fixed, finding: Finding, key: str, default: Array) -> Array:
+    """Return a property, `default` where it is not set. Raises CannotHold where its shape is another one."""
     match = _line(fixed, finding, key)
     if match is None:
         return default
@@ -110,7 +109,11 @@ def _get(fixed: Fixed, finding: Finding, key: str, default: Array) -> Array:
     except ValueError as error:
         raise CannotHold(f"{key} is {match[2].strip()[:40]}, which is not made of plain numbers") from error
     values = values[0] if len(values) == 1 else values
-    return np.full(3, values[0]) if values.shape == (1,) else values
+    values = np.full(3, values[0]) if values.shape == (1,) else values
+    if values.shape != default.shape or not np.isfinite(values).all():
+        wanted = " by ".join(map(str, default.shape))
+        raise CannotHold(f"{key} is {match[2].strip()[:40]}, which is not {wanted} numbers")
+    return values
 
 
 def _add(fixed: Fixed, finding: Finding, key: str, delta: Array) -> None:
@@ -137,6 +140,10 @@ def _sample_rate(fixed: Fixed, factor: float) -> None:
     match = re.search(r"('SampleRate'\s*,\s*|SampleRate\s*=\s*)([0-9.eE+-]+)", fixed.text)
     if match is None:
         raise CannotHold("there is no SampleRate in it")
-    after = float(f"{float(match[2]) * factor:.6g}")
+    try:
+        before = float(match[2])
+    except ValueError as error:
+        raise CannotHold(f"SampleRate is {match[2]}, which is no number") from error
+    after = float(f"{before * factor:.6g}")
     fixed.text = f"{fixed.text[: match.start()]}{match[1]}{after!r}{fixed.text[match.end() :]}"
-    note_change(fixed, "SampleRate, Hz", float(match[2]), after)
+    note_change(fixed, "SampleRate, Hz", before, after)
