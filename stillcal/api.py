@@ -8,6 +8,9 @@ force: at rest it reads +g on the axis that points up.
 Errors: `UserError` (a ValueError) for input that cannot be used, in one line that names the place and the
 remedy; its subclass `NotSupported` where there is too little data, with `reason` and `missing`, which says
 what to record.
+
+Set `OPENBLAS_NUM_THREADS=1` before numpy is imported, as the command line does: the matrices here are small,
+and on a busy machine numpy's threads wait for each other.
 """
 
 from __future__ import annotations
