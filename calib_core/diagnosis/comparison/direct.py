@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.direct import noise_level, quantities, smallest
 from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_SHARE as LEAST_HELD
-from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Measured
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
@@ -195,7 +195,7 @@ def _interval(parameter: Parameter) -> Array | None:
     ci = np.asarray(parameter.ci95, dtype=np.float64).reshape(-1, 2)
     if ci.shape[0] != value.size:
         return None
-    error = (ci[:, 1] - ci[:, 0]) / (2.0 * 1.96)
+    error = (ci[:, 1] - ci[:, 0]) / (2.0 * NORMAL_95)
     return error if bool((error > 0.0).all()) else None
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
 from stillcal.calib_core.diagnosis.model.records import Where
 
 Relation = Literal["lacking", "too_small", "too_large", "superfluous"]
@@ -127,10 +128,6 @@ class Difference:
         needed = np.log(CERTAIN / (1.0 - CERTAIN) * comparisons)
         z = np.sqrt((2.0 * needed + np.log1p(ratio)) * (1.0 + 1.0 / ratio))
         return np.asarray((z + NINE_IN_TEN) * np.sqrt(variance))
-
-
-NINE_IN_TEN = 1.2816
-"""Standard deviations that nine tenths of a normal distribution lie above, below its mean."""
 
 
 def _of_logarithms(ratio: Array) -> Relation:

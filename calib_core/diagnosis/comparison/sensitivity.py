@@ -14,7 +14,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear import kind_of
-from stillcal.calib_core.diagnosis.comparison.quantity import INFORMED, NINE_IN_TEN, Difference
+from stillcal.calib_core.diagnosis.comparison.quantity import INFORMED, Difference
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.inference.likelihood import (
@@ -28,6 +28,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
 from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_scene
 
 SMALLEST, LARGEST, HALVINGS = 1e-9, 4.0, 12

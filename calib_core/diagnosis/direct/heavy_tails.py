@@ -16,6 +16,7 @@ from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
 from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import (
+    NORMAL_95,
     HeldOut,
     Measured,
     Seen,
@@ -146,7 +147,7 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
         "fraction": fit.fraction.parameter("1"),
         "excess_kurtosis": Parameter(
             [k.value for k in kurtosis],
-            [[k.value - 1.96 * k.error, k.value + 1.96 * k.error] for k in kurtosis],
+            [[k.value - NORMAL_95 * k.error, k.value + NORMAL_95 * k.error] for k in kurtosis],
             "1",
         ),
     }

@@ -13,16 +13,13 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.direct import quantities
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
-from stillcal.calib_core.diagnosis.model.measurement import Measured, of_measured, share_of
+from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN, Measured, of_measured, share_of
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stamps import clock
 from stillcal.calib_core.diagnosis.stamps import timestamps as stamps
 from stillcal.calib_core.diagnosis.stamps.rate_changes import stretches
 from stillcal.calib_core.streams.samples import Samples
-
-NINE_IN_TEN = 1.2816
-"""Standard deviations that nine tenths of a normal distribution lie above, below its mean."""
 
 TRIED = 400
 """Numbers that are tried, evenly over the range of faults."""

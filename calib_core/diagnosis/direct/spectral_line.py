@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.direct.steady_segments import (
 )
 from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
 from stillcal.calib_core.diagnosis.model.measurement import (
+    NORMAL_95,
     HeldOut,
     Index,
     Seen,
@@ -253,7 +254,7 @@ def _stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding |
     ]
     axes = axes or [int(np.argmax(amplitude))]
     evidence = _seen(line, noise, seen.f.size)
-    half = 1.96 * error
+    half = NORMAL_95 * error
     parameters = {
         "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),
         "amplitude": vector(amplitude, scatter, UNIT[sensor]),

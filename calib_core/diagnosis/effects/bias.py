@@ -9,7 +9,6 @@ from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, on_axes
 from stillcal.calib_core.diagnosis.model.moments import Moments
 from stillcal.calib_core.diagnosis.model.records import NAME
 
-UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 SIZE = {"accel": 0.3, "gyro": 0.02}
 """Prior standard deviation of a bias that comes and goes, m/s^2 and rad/s: 30 mg and 1 deg/s, what shocks and
 the heat of the phone do at most (BMI270 and LSM6DSO zero-level offsets)."""

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.effects.bias import SIZE, UNIT, BiasEffect
+from stillcal.calib_core.diagnosis.effects.bias import SIZE, BiasEffect
 from stillcal.calib_core.diagnosis.model.effect import Grid, Linear
 from stillcal.calib_core.diagnosis.model.moments import Moments, moves
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 
 class CovariateBias(BiasEffect):

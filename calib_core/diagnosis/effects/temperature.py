@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.effects.bias import UNIT, BiasEffect
+from stillcal.calib_core.diagnosis.effects.bias import BiasEffect
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_axes
 from stillcal.calib_core.diagnosis.model.moments import Moments, moves
 from stillcal.calib_core.diagnosis.model.records import NAME
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 LEAST_SPAN = 0.3
 """K that temperature must change by: thermometers of phones read in steps of 0.1 K or more."""

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.effects.bias import SIZE, UNIT, BiasEffect
+from stillcal.calib_core.diagnosis.effects.bias import SIZE, BiasEffect
 from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS, Dictionary, Grid, Linear
 from stillcal.calib_core.diagnosis.model.moments import Moments, moves
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 DRIFT_PENALTY = 1.5
 """A ramp is what a random walk looks like: steady drift must be thirty times less likely by chance."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects import curves
-from stillcal.calib_core.diagnosis.effects.bias import SIZE, UNIT
+from stillcal.calib_core.diagnosis.effects.bias import SIZE
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, seen_in
 from stillcal.calib_core.diagnosis.effects.by_rate import TURN_PENALTY
 from stillcal.calib_core.diagnosis.effects.temperature import known
@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.model.effect import (
     on_axes,
 )
 from stillcal.calib_core.diagnosis.model.moments import Moments
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 COSINES = 6
 MARGIN = 1.2

@@ -8,9 +8,10 @@ from itertools import product
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.effects.bias import SIZE, UNIT, BiasEffect
+from stillcal.calib_core.diagnosis.effects.bias import SIZE, BiasEffect
 from stillcal.calib_core.diagnosis.model.effect import Grid, Linear, on_axes
 from stillcal.calib_core.diagnosis.model.moments import Moments, moves
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 TAUS = (60.0, 120.0, 240.0, 480.0, 960.0, 1920.0)
 """s: phones warm up within 2 to 20 minutes."""

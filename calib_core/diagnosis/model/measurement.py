@@ -40,6 +40,9 @@ FOLDS = 5
 NORMAL_95 = 1.96
 """Half the width of a 95 % interval of a normal distribution, in standard deviations."""
 
+NINE_IN_TEN = 1.2816
+"""Standard deviations that nine tenths of a normal distribution lie above, below its mean."""
+
 
 @dataclass(frozen=True, slots=True)
 class Measured:

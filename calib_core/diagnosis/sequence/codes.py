@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.missing_codes import ON_GRID
 from stillcal.calib_core.diagnosis.model.measurement import (
     Index,
     Seen,
@@ -33,9 +34,6 @@ BITS = 8
 
 WIDEST = 1 << 17
 """Codes that values may go through: 16 bits, and one more where signs are apart."""
-
-ON_GRID = 0.25
-"""Steps that a value may be off the grid."""
 
 NEARLY_ALL = 0.99
 """Part of the values that has one lowest bit where the grid is really twice as coarse."""

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.effects.bias import UNIT
 from stillcal.calib_core.diagnosis.inference.bayes_factor import of_probabilities
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import (
     AXES,
     NAME,
@@ -27,6 +27,7 @@ from stillcal.calib_core.diagnosis.model.records import (
     Where,
 )
 from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import Scored
 
 DRIVER = "the rest it lies in"
@@ -95,7 +96,7 @@ def finding(scene: Scene, found: Jumps) -> Finding:
     """State the jumps: they have no name, for many a cause may have them."""
     sure, size, freedom = (np.broadcast_to(x, 3) for x in (found.sure, found.size, found.freedom))
     axes = [a for a, p in zip(AXES, sure, strict=True) if p >= thresholds.CERTAIN_JUMP]
-    spread = 1.96 / np.sqrt(2.0 * freedom)
+    spread = NORMAL_95 / np.sqrt(2.0 * freedom)
     ci = np.stack([size * np.exp(-spread), size * np.exp(spread)], axis=1)
     say = (
         f"The {NAME[scene.sensor]}'s bias changes from rest to rest by {size.max():.2g} {UNIT[scene.sensor]}"

@@ -14,6 +14,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.likelihood import Fit, fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Parameter
 from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_scene
 
@@ -105,14 +106,14 @@ def parameters(found: Estimate) -> dict[str, Parameter]:
     for name, (value, low, high) in found.grid.items():
         if name in GRID_PARAMETERS:
             # Half-widths of the logarithm, and of what the model is off by, add up as squares.
-            down, up = (np.hypot(np.log(x / value), 1.96 * effect.rough) for x in (low, high))
+            down, up = (np.hypot(np.log(x / value), NORMAL_95 * effect.rough) for x in (low, high))
             interval = [float(value * np.exp(-down)), float(value * np.exp(up))]
             out[name] = Parameter(value, interval, effect.grid_units[name])
     return out
 
 
 def _linear(value: Array, sigma: Array, unit: str) -> Parameter:
-    ci = np.stack([value - 1.96 * sigma, value + 1.96 * sigma], axis=-1)
+    ci = np.stack([value - NORMAL_95 * sigma, value + NORMAL_95 * sigma], axis=-1)
     if value.size == 9:
         return Parameter(value.reshape(3, 3).tolist(), ci.reshape(3, 3, 2).tolist(), unit)
     return Parameter(value.tolist(), ci.tolist(), unit)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.effects.bias import UNIT
 from stillcal.calib_core.diagnosis.inference.bayes_factor import LEAST_PROBABILITY
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import (
     AXES,
     NAME,
@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.model.records import (
     Parameter,
     Where,
 )
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 BOUNDED = 2.0
 """How far beyond what a walk may have a slow Gauss-Markov process must begin to be called a walk."""
@@ -80,8 +81,8 @@ class Walk:
         spread = float(np.hypot(np.sqrt(share @ (logs - middle) ** 2), LEAST_SPREAD))
         return (
             float(np.exp(middle)),
-            float(np.exp(middle - 1.96 * spread)),
-            float(np.exp(middle + 1.96 * spread)),
+            float(np.exp(middle - NORMAL_95 * spread)),
+            float(np.exp(middle + NORMAL_95 * spread)),
         )
 
 
