@@ -13,7 +13,8 @@ from tests.support.forked import Forked
 
 PAGE = Path(__file__).parents[3] / "docs" / "tutorial.md"
 BLOCK = re.compile(r"^```console\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
-
+NAME_OF_SET = re.compile(r"(?<=json as )[0-9a-f]{12}")
+"""A stored set's name is made of every digit of its numbers, and a processor may round the last one otherwise."""
 
 TERMINAL = {"COLUMNS": "90", "LANG": "C.UTF-8"}
 
@@ -53,4 +54,5 @@ def test_every_command_says_what_the_page_says(data_dir: Path, tmp_path: Path) -
     shown = [pair for block in BLOCK.findall(PAGE.read_text()) for pair in commands(block)]
     assert len(shown) >= 10
     for command, said in shown:
-        assert ran(command, tmp_path) == said, f"docs/tutorial.md: {command}"
+        answer = NAME_OF_SET.sub("its name", ran(command, tmp_path))
+        assert answer == NAME_OF_SET.sub("its name", said), f"docs/tutorial.md: {command}"
