@@ -14,7 +14,7 @@ from tests.support.forked import Forked
 PAGE = Path(__file__).parents[3] / "docs" / "tutorial.md"
 BLOCK = re.compile(r"^```console\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 NAME_OF_SET = re.compile(r"(?<=json as )[0-9a-f]{12}")
-"""A stored set's name is made of every digit of its numbers, and a processor may round the last one otherwise."""
+"""The name is made of every digit of the numbers, and a processor may round the last one otherwise."""
 
 TERMINAL = {"COLUMNS": "90", "LANG": "C.UTF-8"}
 
