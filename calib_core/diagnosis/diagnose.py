@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct import halves
+from stillcal.calib_core.diagnosis.direct import dead_zone, halves, missing_codes
 from stillcal.calib_core.diagnosis.direct import low_pass as spectrum
 from stillcal.calib_core.diagnosis.direct import noise_level as noise
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, outside
 from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, Spectra, bandwidth, quiet
-from stillcal.calib_core.diagnosis.direct.missing_codes import beside, dead_bits, dead_zone
 from stillcal.calib_core.diagnosis.direct.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, steps
 from stillcal.calib_core.diagnosis.direct.quantities import of_noise
@@ -290,8 +289,10 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
         found.append(tone(samples, sensor))
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor, sound)
-    lost = [dead_bits(samples, sensor), dead_zone(samples, sensor)]
-    return beside([f for f in found if f is not None], lost)
+    known = missing_codes.beside(
+        [f for f in found if f is not None], missing_codes.dead_bits(samples, sensor)
+    )
+    return dead_zone.beside(known, dead_zone.dead_zone(samples, sensor))
 
 
 def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) -> list[Finding | None]:

@@ -1,33 +1,24 @@
-"""Values that an axis never gives: those of a bit that never changes, and those about its zero.
+"""Values that an axis never gives because one bit of its converter never changes.
 
 On the grid of its steps an axis with a dead bit k leaves out every other run of 2^k codes, over the whole
 range that motion took it through. A sound one that was seen in m such pairs of runs is in one half of each by
-chance, 2^-m. In a dead zone an axis reads one value where a sound one, that came within twice the width n
-times, would have been met in it as often: not once by chance, e^-n.
+chance, 2^-m.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index, Seen, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Number, Where
-from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
+from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.streams.samples import Samples
 
 BITS = 14
 """Bits that are looked at: those of a 16-bit converter but the lowest and the sign."""
 
 SPOILED = ("noise_heavy_tailed", "noise_unequal_axes", "accel_quantisation", "gyro_quantisation")
-LEAST_VALUES = 8
-"""Different values that occur just beyond a dead zone, which is wider than steps then."""
-
-LEAST_VISITS = 5
-"""Visits to the surroundings of a dead zone, on either side."""
 
 ON_GRID = 0.25
 """Steps that a value may be off the grid."""
@@ -88,53 +79,8 @@ def _half(codes: Index, run: int) -> int | None:
     return int(seen[(widest + 1) % seen.size]) if gaps[widest] > run else None
 
 
-def dead_zone(samples: Samples, sensor: str) -> Finding | None:
-    """Find axes that read one value in place of all about it."""
-    zones = {a: z for a in range(3) if (z := _zone(samples.xyz[:, a])) is not None}
-    if not zones:
-        return None
-    axes = list(zones)
-    width = float(np.median([width for width, _ in zones.values()]))
-    named, size = ", ".join(AXES[a] for a in axes), f"{width:.2g} {UNIT[sensor]}"
-    say = f"Dead zone: the {NAME[sensor]} reads one constant value on {named} for inputs within {size} of it."
-    visits = float(min(visits for _, visits in zones.values()))
-    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")
-    sizes = sized({"width": (width, UNIT[sensor]), "visits": (visits, "1")})
-    # A sound axis would have been met in the zone as often as beside it: never, by chance e^-visits.
-    seen = Seen(of_chance(-max(float(v) for _, v in zones.values()), 6.0))
-    return direct_finding("missing_codes", sensor, axes, where, sizes, statement=say, seen=seen)
-
-
-def _zone(values: Array) -> tuple[float, int] | None:
-    """Return half the width of the gap about the value that occurs most, and the visits to its surroundings.
-
-    None where it has no gap on both sides, or one that steps or chance would leave.
-    """
-    distinct, count = np.unique(values, return_counts=True)
-    k = int(np.argmax(count))
-    if not 0 < k < distinct.size - 1:
-        return None
-    beyond = []
-    for side in (1.0, -1.0):
-        away = side * (values - distinct[k])
-        gap = float(away[away > 0.0].min())
-        near = (away > 0.0) & (away <= 2.0 * gap)
-        beyond.append((gap, near))
-    visits = [_visits(near) for _, near in beyond]
-    rich = all(np.unique(values[near]).size >= LEAST_VALUES for _, near in beyond)
-    replaced = _visits(values == distinct[k]) >= 0.5 * min(visits)
-    if not rich or not replaced or min(visits) < LEAST_VISITS:
-        return None
-    return min(gap for gap, _ in beyond), sum(visits)
-
-
-def _visits(there: NDArray[np.bool_]) -> int:
-    """Return how many runs of True begin in (n,) bool."""
-    return int((there[1:] & ~there[:-1]).sum())
-
-
-def beside(found: list[Finding], lost: Sequence[Finding | None]) -> list[Finding]:
+def beside(found: list[Finding], lost: Finding | None) -> list[Finding]:
     """Return one sensor's findings and the values lost, without what these do to the noise of their axes."""
-    known = [f for f in lost if f is not None]
-    axes = {axis for f in known for axis in f.axes}
-    return [*known, *(f for f in found if f.effect not in SPOILED or not set(f.axes) <= axes)]
+    if lost is None:
+        return found
+    return [lost, *(f for f in found if f.effect not in SPOILED or not set(f.axes) <= set(lost.axes))]

@@ -13,11 +13,11 @@ from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
 
-SIZE = 0.1
-"""m: prior standard deviation of an arm on each axis, half a phone and what holds it."""
+SIZES = (0.1, 0.03, 0.01)
+"""m: prior standard deviations of an arm on each axis: of what holds a phone, half of it, a chip's place."""
 
-LEAST_ARM = 3e-3
-"""m, per axis: hands and joints turn about no point that is fixed to less."""
+LEAST_ARM = 1.5e-3
+"""m, per axis: half of the usual package (3 mm), in which the two sensors are anywhere."""
 
 ALIKE = 0.4
 """Standard error, as a part of the arm, by which frequencies and directions may disagree."""
@@ -39,7 +39,8 @@ def lever_arm(sums: Regression, apart: float, where: Where) -> Finding | None:
     text = ", ".join(f"{100.0 * x:.1f}" for x in arm)
     say = f"The accelerometer is {text} cm (x, y, z) away from the point about which the phone turns."
     parameters = {"position": vector(arm, error, "m")}
-    seen = Seen(of_vector(arm, within, SIZE), sums.held_out())
+    nats = [of_vector(arm, within, size) - np.log(len(SIZES)) for size in SIZES]
+    seen = Seen(float(np.logaddexp.reduce(nats)), sums.held_out())
     return direct_finding("lever_arm", "accel", axes, where, parameters, statement=say, seen=seen)
 
 

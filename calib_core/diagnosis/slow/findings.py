@@ -99,9 +99,9 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
-    what the parts that took no part in the fit do not speak for, a name that was worth it in a pair only;
-    names are then weighed anew. Where nothing is left, structure without a name that the first name was
-    preferred to is tried.
+    what the parts that took no part in the fit do not speak for, the last one first, for it was found beside
+    the others; names are then weighed anew. Where nothing is left, structure that was a rival of the first
+    name is tried.
     """
     first = steps[0] if steps else None
     while kept := adequate(steps):
@@ -119,11 +119,17 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         gains = [_supported(f) for f in made]
         if min(gains) > 0.0:
             return each_driver_once([Stated(f, h, scene) for f, h in zip(made, found, strict=True)])
-        steps = _without(steps, kept[int(np.argmin(gains))])
-    passed_over = first.others[0] if first and first.others else None
-    if first is None or passed_over is None or passed_over.score <= first.winner.score:
-        return []
-    return statements_of(scene, [Step(passed_over, ())])
+        weak = [step for step, gain in zip(kept, gains, strict=True) if gain <= 0.0]
+        steps = _without(steps, weak[-1])
+    rival = _rival(first) if first else None
+    return statements_of(scene, [Step(rival, ())]) if rival else []
+
+
+def _rival(first: Step) -> Scored | None:
+    """Return what is tried if a first step does not stand: what scored more, or the best without a name."""
+    scored_more = [s for s in first.others[:1] if s.score > first.winner.score]
+    nameless = [s for s in _best_nameless(first) if s.score >= thresholds.SCORE]
+    return next(iter([*scored_more, *nameless]), None)
 
 
 def each_driver_once(stated: Sequence[Stated]) -> list[Stated]:

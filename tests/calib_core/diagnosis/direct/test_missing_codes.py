@@ -1,11 +1,11 @@
-"""A dead bit and a dead zone are found with their axes; sound, still, coarse or printed values are silent."""
+"""A dead bit is found with its axes; sound, still, coarse or printed values are silent."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.direct.missing_codes import beside, dead_bits, dead_zone
+from stillcal.calib_core.diagnosis.direct.missing_codes import beside, dead_bits
 from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -58,44 +58,6 @@ def test_noise_of_an_axis_with_a_dead_bit_is_not_judged() -> None:
     codes = counts(1).astype(int)
     codes[:, 2] &= ~8
     bit = said(codes * STEP)
-    assert beside([heavy([2])], [bit]) == [bit]
-    assert len(beside([heavy([0, 2])], [bit, None])) == 2
-    assert len(beside([heavy([2])], [None])) == 1
-
-
-def zoned(values: np.ndarray, zero: float, width: float) -> np.ndarray:
-    return np.where(np.abs(values - zero) < width, zero, values)
-
-
-def swing(seed: int) -> np.ndarray:
-    """Thirty rests of 300 samples at 0.002 and turns of 100 at up to 2: (n, 3), in steps or not."""
-    rng = np.random.default_rng(seed)
-    slow = np.repeat(rng.normal(0.0, 0.7, (31, 3)), 400, axis=0)
-    turning = np.sin(np.pi * np.clip(np.arange(len(slow)) % 400 - 300, 0, 100) / 100.0)[:, None]
-    return np.asarray(0.002 + slow * turning + rng.normal(0.0, 1e-3, slow.shape))
-
-
-@pytest.mark.parametrize("step", [0.0, 5e-4])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_dead_zone_is_found_with_its_width(seed: int, step: float) -> None:
-    values = swing(seed)
-    values = np.rint(values / step) * step if step else values
-    found = dead_zone(Samples.checked(Sensor.GYROSCOPE, np.arange(len(values)) / 50.0, values), "gyro")
-    assert found is None
-    values = zoned(values, 0.0019, 0.018)
-    found = dead_zone(Samples.checked(Sensor.GYROSCOPE, np.arange(len(values)) / 50.0, values), "gyro")
-    assert found is not None and found.effect == "missing_codes" and found.axes == ["x", "y", "z"]
-    assert found.parameters["width"].value == pytest.approx(0.018, rel=0.15)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_coarse_steps_dead_bits_limits_and_an_axis_that_reads_nothing_at_first_are_no_dead_zone(
-    seed: int,
-) -> None:
-    fine = swing(seed)
-    coarse, started = np.rint(fine / 0.02) * 0.02, fine + 9.8
-    started[:500] = 0.0
-    bit = (np.rint(fine / 5e-4).astype(int) & ~8) * 5e-4
-    for values in (coarse, bit, started, np.clip(fine, -0.3, 0.3)):
-        samples = Samples.checked(Sensor.GYROSCOPE, np.arange(len(values)) / 50.0, values)
-        assert dead_zone(samples, "gyro") is None
+    assert beside([heavy([2])], bit) == [bit]
+    assert len(beside([heavy([0, 2])], bit)) == 2
+    assert len(beside([heavy([2])], None)) == 1
