@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
 
 import numpy as np
 
@@ -112,8 +111,9 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         others = [[f for f in found if f is not own] for own in found]
         estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
         chances = [e.chance() for e in estimates]
-        if len(kept) >= 2 and max(chances) >= CHANCE:
-            steps = _without(steps, kept[int(np.argmax(chances))])
+        by_chance = [step for step, chance in zip(kept, chances, strict=True) if chance >= CHANCE]
+        if len(kept) >= 2 and by_chance:
+            steps = _without(steps, by_chance[-1])
             continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
         gains = [_supported(f) for f in made]
@@ -176,8 +176,8 @@ def _passed_over(step: Step) -> list[Step]:
 
 
 def _without(steps: Sequence[Step], weak: Step) -> list[Step]:
-    """Return the steps before one and not those after it, which were taken beside it."""
-    return list(takewhile(lambda s: s.winner.fit is not weak.winner.fit, steps))
+    """Return the steps but one. Those after it were found beside it, and score no less without it."""
+    return [s for s in steps if s.winner.fit is not weak.winner.fit]
 
 
 def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:

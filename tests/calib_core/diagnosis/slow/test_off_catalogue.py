@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -209,4 +211,16 @@ def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_with
     drift = proposals(scene, [e for e in effects_of("gyro") if e.name == "gyro_bias_drift"])[0]
     name = Scored(drift, fit_hypothesis(reduce_scene(scene, [drift]), 0), 5.0, 10.0)
     assert [f.effect for f in findings_of(scene, [Step(name, (period,))])] == ["unknown"]
+    preferred = replace(name, score=period.score + 1.0)
+    assert [f.effect for f in findings_of(scene, [Step(preferred, (period,))])] == ["unknown"]
     assert findings_of(scene, [Step(name, ())]) == []
+
+
+def test_what_does_not_stand_beside_a_name_does_not_take_it_away() -> None:
+    _, day = day_of(7)
+    scene, _ = gyro_of(7, np.outer(1.0 - np.exp(-day.t / 300.0), [5e-4, 0.0, -2.5e-4]))
+    warmup = ranking(scene, effects_of("gyro"))[0]
+    beside = ranking(scene, effects_of("gyro"), [warmup.hypothesis])
+    settling = next(s for s in beside if isinstance(s.hypothesis.effect, Settling))
+    nearly = replace(settling, score=5.0, gain=10.0)
+    assert [f.effect for f in findings_of(scene, [Step(warmup, ()), Step(nearly, ())])] == ["gyro_warmup"]
