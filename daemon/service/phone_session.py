@@ -279,6 +279,7 @@ class PhoneSession:
         self._fed_at = self._clock()
         if items:
             reply = await self._engine_thread.feed(items)
+            self._saved.clock.caught_up()
             self._account_for_engine()
             for reason in reply.refused:
                 self.refused += 1

@@ -51,6 +51,7 @@ def through_clock(
         items = [i for i in (chunk.gyroscope, chunk.accelerometer, *chunk.events) if i is not None]
         mapped = (clock.mapped(_shifted(item, now.shift), chunk.t_end) for item in items)
         yield chunk, [item for item in mapped if item is not None]
+        clock.caught_up()
 
 
 def _shifted(item: Samples | Event, by: float) -> Samples | Event:

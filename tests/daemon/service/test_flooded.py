@@ -19,6 +19,7 @@ from stillcal.calib_core.streams.events import Charging, End, Location
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.cli.query import query_command
 from stillcal.daemon.cli.watch.snapshot import snapshot
+from stillcal.daemon.service.phone_clock import GAPS_S, LEAP_S
 from stillcal.daemon.service.phone_session import DEVICE_CHARACTERS
 from stillcal.daemon.system import log
 from stillcal.daemon.system.log import BURST, MAX_KINDS, REFILL_S, Quota, say
@@ -168,3 +169,26 @@ def test_hellos_in_turn_under_two_names_write_little(tmp_path: Path, written: Ca
 
     within_reason(test())
     assert len(written().splitlines()) < 5 * BURST
+
+
+def test_a_block_of_stamps_a_day_apart_does_not_hold_up_the_engine(tmp_path: Path) -> None:
+    """A day without samples takes the engine 0.2 s; blocks of 100 such days would take 20 s each."""
+    encoder = WireEncoder(WireSettings(form=Form.BINARY))
+
+    def days(first: int) -> Samples:
+        t = LEAP_S * (first + np.arange(100.0))
+        return Samples.checked(Sensor.ACCELEROMETER, t, np.full((100, 3), 5.6))
+
+    async def test() -> None:
+        async with answering(tmp_path) as service:
+            device = Device(tmp_path / "tty")
+            await until(lambda: service.source.connected)
+            for number in range(2):
+                before = service.saved.clock.disordered
+                device.write(encoder.encode(days(100 * number)))
+                await until(lambda before=before: service.saved.clock.disordered > before)
+                await until(lambda: not service.saved.clock._gaps)
+            device.unplug()
+            assert GAPS_S < service.saved.clock.newest <= 2 * GAPS_S + LEAP_S
+
+    within_reason(test())

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillcal.calib_core.streams.events import Charging, Tick
+from stillcal.calib_core.streams.events import Charging, Event, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.daemon.service.phone_clock import LEAP_S, PhoneClock
+from stillcal.daemon.service.phone_clock import GAP_S, GAPS_S, LEAP_S, PhoneClock
 
 A, G = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
 
@@ -82,6 +83,35 @@ def test_a_gap_that_the_host_lived_through_stays():
     mapped(clock, [0.0], 1000.0)
     assert mapped(clock, [3 * LEAP_S], 1000.0 + 3 * LEAP_S) == [3 * LEAP_S]
     assert clock.leaps == 0
+
+
+@pytest.mark.parametrize("pause", [2 * GAP_S, 0.9 * LEAP_S, LEAP_S, 50 * LEAP_S])
+def test_pauses_within_a_block_are_bounded_until_the_engine_caught_up(pause: float):
+    clock, counted = PhoneClock(), min(pause, LEAP_S)
+    most = int(GAPS_S // counted)
+    stamps = [i * pause for i in range(most + 10)]
+    assert mapped(clock, stamps, 0.0) == stamps[: most + 1]
+    assert (clock.disordered, clock.leaps) == (9, 0)
+    assert mapped(clock, [stamps[-1], stamps[-1] + 1.0], 0.0) == [stamps[most] + 1.0, stamps[most] + 2.0]
+    assert clock.leaps == 1
+    clock.caught_up()
+    late = stamps[-1] + 1.0 + counted
+    assert mapped(clock, [late], 0.0) == [stamps[most] + 2.0 + counted]
+    assert clock.leaps == 1
+
+
+@pytest.mark.parametrize("kind", [Tick, lambda t: Charging(t, True)])
+def test_pauses_between_events_are_bounded_too(kind: Callable[[float], Event]):
+    clock = PhoneClock()
+    times = [clock.mapped(kind(i * LEAP_S), 0.0).t for i in range(100)]
+    assert times[14] == 14 * LEAP_S
+    assert times[-1] == 14 * LEAP_S + 85.0
+
+
+def test_short_pauses_are_not_counted():
+    clock = PhoneClock()
+    stamps = [i * GAP_S for i in range(100_000)]
+    assert mapped(clock, stamps, 0.0) == stamps
 
 
 def test_the_time_between_samples_is_the_hosts():
