@@ -135,7 +135,7 @@ def _arguments(parameters: Sequence[str]) -> dict[str, Any]:
 def _object(text: str) -> dict[str, Any]:
     try:
         arguments = msgspec.json.decode(text)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, RecursionError) as error:
         raise click.UsageError(f"the parameters are not JSON: {error}") from error
     if not isinstance(arguments, dict):
         raise click.UsageError(
@@ -148,7 +148,7 @@ def _value(text: str) -> Any:
     """Return what a VALUE stands for: JSON, else the text itself."""
     try:
         return msgspec.json.decode(text)
-    except msgspec.MsgspecError:
+    except (msgspec.MsgspecError, RecursionError):
         return text
 
 

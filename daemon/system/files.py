@@ -66,6 +66,8 @@ def read_regular(path: Path, limit: int) -> bytes:
             raise TooLargeError(errno.EFBIG, f"larger than {limit} bytes", str(path))
         with os.fdopen(fd, "rb", closefd=False) as file:
             data = file.read(limit + 1)
+            if data is None:  # a file of /proc that has nothing to read now
+                raise NotRegularError(errno.EINVAL, "not a regular file", str(path))
     finally:
         os.close(fd)
     if len(data) > limit:

@@ -32,6 +32,11 @@ from stillcal.daemon.varlink.daemon import Daemon
 from stillcal.daemon.varlink.interface import CalibrationInterface
 from stillcal.daemon.varlink.socket import opened
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 TURN_S = 0.01
 """How long clients are answered before the event loop serves everything else, s."""
 
@@ -46,6 +51,9 @@ LOOK_S = 10.0
 
 RETRY_S = 1.0
 """Pause before clients are accepted again after the process ran out of descriptors, s."""
+
+OWN_DESCRIPTORS = 32
+"""Descriptors that clients leave to the daemon itself, twice what it has open."""
 
 
 class Server:
@@ -97,7 +105,7 @@ class Server:
         The client that has been idle longest is disconnected first, then the one subscribed longest, but
         never one whose request is being answered.
         """
-        while len(self._clients) >= self.settings.connections:
+        while len(self._clients) >= places(self.settings.connections):
             idle = next((c for c in self._clients if not c.answering), None)
             leaving = idle or next((c for c in self._clients if c.listening), None)
             if leaving is None:
@@ -159,6 +167,16 @@ class Server:
         self._serving = bool(self._queue or self._arrived)
         if self._serving:
             asyncio.get_running_loop().call_soon(self._serve)
+
+
+def places(connections: int) -> int:
+    """Return how many clients there is room for, by the setting and by the descriptors of this process."""
+    if resource is None:
+        return connections
+    descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if descriptors == resource.RLIM_INFINITY:
+        return connections
+    return max(1, min(connections, descriptors - OWN_DESCRIPTORS))
 
 
 @contextlib.asynccontextmanager

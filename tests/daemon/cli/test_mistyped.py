@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import io
 import os
 import signal
 import socket
@@ -22,10 +23,11 @@ from click.testing import CliRunner, Result
 from stillcal.calib_core.errors import UserError
 from stillcal.daemon.app import Service
 from stillcal.daemon.cli.install import files, install_command
-from stillcal.daemon.cli.query import NoDaemonError, replies
+from stillcal.daemon.cli.query import NoDaemonError, query_command, replies
 from stillcal.daemon.cli.store import store_group
 from stillcal.daemon.store.document import StoreDocument, differences
 from stillcal.daemon.store.store import Store
+from stillcal.daemon.system.files import NotRegularError, read_regular
 from stillcal.daemon.system.systemd import Notifier
 from tests.daemon.service.test_process import heard
 from tests.support.living import given_in
@@ -77,6 +79,25 @@ def test_a_device_or_a_fifo_is_no_file_to_read(path: Path, make: Callable[[Path]
     ran = limited(*arguments[what])
     assert ran.returncode == 2
     assert "not a regular file" in ran.stderr and len(ran.stderr.splitlines()) == 1
+
+
+def test_a_file_that_has_nothing_to_read_now_is_no_file_to_read(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """/proc/kmsg says that it is a regular file, and a read of it that does not wait gives nothing."""
+    monkeypatch.setattr("stillcal.daemon.system.files.os.fdopen", lambda *_, **__: NothingNow())
+    with pytest.raises(NotRegularError):
+        read_regular(path, MEMORY)
+
+
+class NothingNow(io.BytesIO):
+    def read(self, size: int | None = -1) -> bytes:
+        return None  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "limit=" + "[" * 100_000])
+def test_a_question_of_brackets_is_no_question(text: str) -> None:
+    assert CliRunner().invoke(query_command, ["GetHistory", text, "--socket", "none"]).exit_code in (2, 4)
 
 
 def test_a_replay_replaces_no_file_that_is_no_store(tmp_path: Path) -> None:

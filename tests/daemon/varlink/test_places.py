@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from stillcal.daemon.settings import SocketSettings
+from stillcal.daemon.varlink.server import OWN_DESCRIPTORS, places
 from tests.support.asking import NAME, STILLCAL, Line, ask, connected
 from tests.support.living import answering, until, within_reason
 
@@ -99,6 +100,27 @@ def test_idle_clients_go_before_listeners(folder: Path) -> None:
             assert len(service.subscribers) == len(listeners)
 
     within_reason(test())
+
+
+def test_more_places_than_descriptors_lock_nobody_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit = OWN_DESCRIPTORS + 8
+    monkeypatch.setattr("resource.getrlimit", lambda _: (limit, limit))
+    assert (places(4), places(8), places(4096)) == (4, 8, 8)
+
+    async def test() -> None:
+        async with answering(folder, "[socket]\nconnections = 4096\n") as service:
+            idle = [await connected(folder) for _ in range(24)]
+            assert "parameters" in await ask(idle[-1], "GetStatus")
+            assert [await line[0].read() for line in idle[:16]] == [b""] * 16
+            assert len(service.subscribers) == 0
+
+    within_reason(test())
+
+
+@pytest.mark.parametrize(("limit", "room"), [(1, 1), (24, 1), (OWN_DESCRIPTORS + 2, 2), (-1, 4096)])
+def test_there_is_always_a_place(limit: int, room: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("resource.getrlimit", lambda _: (limit, limit))
+    assert places(4096) == room  # -1: no limit
 
 
 def test_query_monitor_and_ctrl_c_lock_nobody_out(folder: Path) -> None:
