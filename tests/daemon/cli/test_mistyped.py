@@ -30,6 +30,7 @@ from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import NotRegularError, read_regular
 from stillcal.daemon.system.systemd import Notifier
 from tests.daemon.service.test_process import heard
+from tests.support.asking import STILLCAL
 from tests.support.living import given_in
 
 MEMORY = 2**30
@@ -98,6 +99,22 @@ class NothingNow(io.BytesIO):
 @pytest.mark.parametrize("text", ["[" * 100_000, "limit=" + "[" * 100_000])
 def test_a_question_of_brackets_is_no_question(text: str) -> None:
     assert CliRunner().invoke(query_command, ["GetHistory", text, "--socket", "none"]).exit_code in (2, 4)
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_streams_are_no_numbers_for_files(path: Path, closed: str) -> None:
+    """With standard error closed, what is said at Ctrl-C had gone into the first file that was opened."""
+    script = (
+        "from stillcal.daemon.cli import entry; entry.open_standard_streams()\n"
+        f"import os, sys; file = open({str(path)!r}, 'rb')\n"
+        "print('out'); print('err', file=sys.stderr); sys.exit(file.fileno() < 3)"
+    )
+    command = f'{sys.executable} -c "$0" {closed}'
+    assert subprocess.run(["sh", "-c", command, script], check=False, timeout=60).returncode == 0
+    shown = subprocess.run(
+        ["sh", "-c", f'"$0" store show "$1" {closed}', STILLCAL, path], check=False, timeout=60
+    )
+    assert shown.returncode == 0
 
 
 def test_a_replay_replaces_no_file_that_is_no_store(tmp_path: Path) -> None:
