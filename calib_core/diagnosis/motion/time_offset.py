@@ -150,7 +150,7 @@ class _Fit:
 
     def trend(self, motion: _Motion) -> DelayTrend:
         """Return by how much the delay grows from the first window to the last."""
-        middle = np.array([t.mean() for t, _ in motion.windows])
+        middle = np.array([w.t.mean() for w in motion.windows])
         age = (middle - middle.mean()) / float(np.ptp(middle))
         sums, (apart,) = self._beside([e[:, :, 3:] * x for e, x in zip(self.effects, age, strict=True)])
         return DelayTrend(sums, apart)
@@ -163,12 +163,47 @@ class _Fit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Window:
+    """Some seconds in which a phone turns: stamps t (n,) s and calibrated rate (n, 3), rad/s.
+
+    back: (n, 3, 3), turns the body to where it was at first. arm: what an arm does, turned back, (f, 3, 3).
+    """
+
+    t: Array
+    rate: Array
+    back: Array
+    arm: Spectrum
+
+    @classmethod
+    def of(cls, t: Array, rate: Array) -> _Window:
+        """Carry the attitude through the window."""
+        back = matrix(attitudes(t, rate))
+        return cls(t, rate, back, _spectrum(back @ of_arm(t, rate)))
+
+    def felt(self, force: Array) -> tuple[Array, Array]:
+        """Return force (n, 3) turned back, and its mean direction (3,), up."""
+        still = np.einsum("nij,nj->ni", self.back, force)
+        mean = still.mean(axis=0)
+        return still, np.asarray(mean / np.linalg.norm(mean))
+
+    def equations(self, force: Array, gravity: float) -> tuple[Spectrum, Spectrum]:
+        """Return what an arm and a delay do (f, 3, 4) and what there is to explain (f, 3), as spectra.
+
+        Both are turned back to the window's start, and free of gravity and of what grows steadily.
+        """
+        still, up = self.felt(force)
+        late = -gravity * np.cross(self.rate, np.einsum("nji,j->ni", self.back, up))
+        turned = _spectrum(np.einsum("nij,nj->ni", self.back, late))
+        return np.concatenate([self.arm, turned[:, :, None]], axis=2), _spectrum(still)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Motion:
-    """The windows in which a phone turns: stamps (n,) s and calibrated rate (n, 3), with what it felt."""
+    """The windows in which a phone turns, with what it felt."""
 
     accelerometer: Samples
     baseline: Baseline | None
-    windows: Sequence[tuple[Array, Array]]
+    windows: Sequence[_Window]
     gravity: float
 
     @classmethod
@@ -186,29 +221,28 @@ class _Motion:
             for p in turning_windows(gyroscope, affine)
             if _covered(p[0], accelerometer.t) and all(_apart(p[0], s) for s in spoiled)
         ]
-        if affine is None:
-            return cls(accelerometer, None, cut, gravity)
-        parts = [(t, rate @ affine.mapping.T) for t, rate in cut]
-        return cls(accelerometer, affine.baseline, parts, gravity)
+        mapping = np.eye(3) if affine is None else affine.mapping
+        parts = [_Window.of(t, rate @ mapping.T) for t, rate in cut]
+        return cls(accelerometer, None if affine is None else affine.baseline, parts, gravity)
 
     def span(self) -> tuple[float, float]:
         """Return when the first window starts and the last one ends, s."""
-        return float(self.windows[0][0][0]), float(self.windows[-1][0][-1])
+        return float(self.windows[0].t[0]), float(self.windows[-1].t[-1])
 
     def equations(self, delay: float) -> tuple[list[Spectrum], list[Spectrum]]:
-        """Return `_equations` of all windows, the accelerometer read earlier by the delay, s."""
+        """Return the equations of all windows, the accelerometer read earlier by the delay, s."""
         made = [
-            _equations(_force(self.accelerometer, self.baseline, t - delay), t, w, self.gravity)
-            for t, w in self.windows
+            w.equations(_force(self.accelerometer, self.baseline, w.t - delay), self.gravity)
+            for w in self.windows
         ]
         return [x for x, _ in made], [y for _, y in made]
 
     def of_axes(self) -> list[Spectrum]:
         """Return what delays of single axes do, as spectra (f, 3, 4) a window."""
         made = []
-        for t, rate in self.windows:
-            back, _, up = _turned_back(_force(self.accelerometer, self.baseline, t), t, rate)
-            made.append(_spectrum(axis_columns(t, back, rate, up, self.gravity)))
+        for w in self.windows:
+            _, up = w.felt(_force(self.accelerometer, self.baseline, w.t))
+            made.append(_spectrum(axis_columns(w.t, w.back, w.rate, up, self.gravity)))
         return made
 
     def fitted(self) -> _Fit:
@@ -254,25 +288,6 @@ def _force(samples: Samples, baseline: Baseline | None, t: Array) -> Array:
     """Return calibrated specific force (n, 3) at times t (n,)."""
     raw = interpolate(t, samples.t, samples.xyz)
     return raw if baseline is None else np.asarray((raw - baseline.bias) @ baseline.scale.T)
-
-
-def _equations(force: Array, t: Array, rate: Array, gravity: float) -> tuple[Spectrum, Spectrum]:
-    """Return what an arm and a delay do (f, 3, 4) and what there is to explain (f, 3), as spectra.
-
-    Both are turned back to the window's start, and free of gravity and of what grows steadily.
-    """
-    back, still, up = _turned_back(force, t, rate)
-    late = -gravity * np.cross(rate, np.einsum("nji,j->ni", back, up))
-    effects = back @ np.concatenate([of_arm(t, rate), late[:, :, None]], axis=2)
-    return _spectrum(effects), _spectrum(still)
-
-
-def _turned_back(force: Array, t: Array, rate: Array) -> tuple[Array, Array, Array]:
-    """Return what turns the body to where it was at first (n, 3, 3), the force (n, 3) there, and up (3,)."""
-    back = matrix(attitudes(t, rate))
-    still = np.einsum("nij,nj->ni", back, force)
-    mean = still.mean(axis=0)
-    return back, still, np.asarray(mean / np.linalg.norm(mean))
 
 
 def _spectrum(values: Array) -> Spectrum:
