@@ -7,7 +7,7 @@ baseline and the search is repeated.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -31,6 +31,9 @@ from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, di
 from stillcal.calib_core.diagnosis.slow.screen import screened
 
 LN10 = float(np.log(10.0))
+TOGETHER = 32
+"""Hypotheses that are reduced together: all of a day's would take 300 MB."""
+
 ACROSS = 13.8
 """Chi-squared of two components that chance exceeds once in 1000."""
 
@@ -89,20 +92,23 @@ def proposals(scene: Scene, effects: Sequence[Effect]) -> list[Hypothesis]:
     return [h for effect in effects for h in scene.hypotheses(effect)]
 
 
-def compete(
-    scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()
-) -> tuple[list[Scored], list[Reduced]]:
+def compete(scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()) -> list[Scored]:
     """Score every hypothesis with baseline and `found` projected out; best of each effect, best first."""
-    reduced = reduce_scene(scene, hypotheses, found, parts=True)
-    null = null_log_likelihood(reduced)
     grids = Counter(id(h.effect) for h in hypotheses)
     scored: dict[int, list[Scored]] = {}
-    for index, h in enumerate(hypotheses):
-        one = _judged(reduced, index, h, null, h.multiplicity or grids[id(h.effect)])
-        if one is not None:
-            scored.setdefault(id(h.effect), []).append(one)
+    for some in _batches(hypotheses):
+        reduced = reduce_scene(scene, some, found, parts=True)
+        null = null_log_likelihood(reduced)
+        for index, h in enumerate(some):
+            one = _judged(reduced, index, h, null, h.multiplicity or grids[id(h.effect)])
+            if one is not None:
+                scored.setdefault(id(h.effect), []).append(one)
     best = (max(group, key=lambda s: s.score) for group in scored.values())
-    return sorted(best, key=lambda s: -s.score), reduced
+    return sorted(best, key=lambda s: -s.score)
+
+
+def _batches(hypotheses: Sequence[Hypothesis]) -> Iterator[Sequence[Hypothesis]]:
+    return (hypotheses[i : i + TOGETHER] for i in range(0, len(hypotheses), TOGETHER))
 
 
 def _judged(
@@ -258,7 +264,7 @@ def ranking(scene: Scene, effects: Sequence[Effect], found: Sequence[Hypothesis]
     """Return the best hypothesis of every effect with `found` projected out, best first."""
     empty = reduce_scene(scene, [nothing(scene)], found)
     hypotheses = [*proposals(scene, effects), *screened(scene, effects, empty, found)]
-    return compete(scene, hypotheses, found)[0] if hypotheses else []
+    return compete(scene, hypotheses, found)
 
 
 def _spent(effect: Effect, winner: Effect) -> bool:
@@ -317,7 +323,7 @@ def sharpened(scene: Scene, one: Scored, before: Sequence[Hypothesis]) -> Scored
     if fine is own:
         return one
     tried = own.multiplicity or len(scene.hypotheses(own.effect))
-    again = compete(scene, [replace(fine, multiplicity=tried)], before)[0]
+    again = compete(scene, [replace(fine, multiplicity=tried)], before)
     return max([one, *again], key=lambda s: s.score)
 
 

@@ -64,7 +64,7 @@ def test_what_settles_as_no_first_order_system_does_is_no_warmup(
     _, day = day_of(6)
     curve = sum(1.0 - np.exp(-day.t / tau) for tau in taus)
     scene, _ = gyro_of(6, np.outer(curve, [1e-2, 0.0, -5e-3]))
-    first, *others = compete(scene, proposals(scene, [Warmup("gyro"), Settling("gyro")]))[0]
+    first, *others = compete(scene, proposals(scene, [Warmup("gyro"), Settling("gyro")]))
     step = prefer_named(scene, Step(first, tuple(others)), [])
     assert first.score > 3.0 * thresholds.SCORE
     assert (step.winner.hypothesis.effect.name == "gyro_warmup") == named
@@ -78,7 +78,7 @@ def test_a_gain_that_differs_by_sign_is_no_square_of_the_force(power: float, nam
     day.up[:] = nulls.random_attitudes(rng, 41)[day.rest]
     error = 0.03 * np.abs(day.up) ** power * [1.0, 0.7, -0.8]
     scene = scenes(nulls.bins_of(rng, day, QUIET, error), nulls.G)[0]
-    first, *others = compete(scene, proposals(scene, [ForceNonlinearity(2), ForceCurve()]))[0]
+    first, *others = compete(scene, proposals(scene, [ForceNonlinearity(2), ForceCurve()]))
     step = prefer_named(scene, Step(first, tuple(others)), [])
     assert first.score > 3.0 * thresholds.SCORE
     assert (step.winner.hypothesis.effect.name == "accel_nonlinearity") == named
