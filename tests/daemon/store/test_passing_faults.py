@@ -18,9 +18,11 @@ from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.errors import TryAgainError
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.service.storage import Storage
+from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.store.files import StoreError, StoreLockedError
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import make_folder
+from stillcal.daemon.varlink.socket import opened
 from stillcal.replay.trials.faults.calls import CALLS, PASSING, failing_call, surviving
 from tests.support.asking import STILLCAL
 
@@ -174,6 +176,15 @@ def test_folders_are_made_for_nobody_else_to_write_whatever_the_umask(
     with umask(mask):
         make_folder(tmp_path / "a" / "b", 0o750)
     assert [p.stat().st_mode & 0o777 for p in (tmp_path / "a", tmp_path / "a" / "b")] == [mode, mode]
+
+
+def test_the_folders_of_store_and_socket_are_for_nobody_else_to_write(tmp_path: Path) -> None:
+    store, socket = tmp_path / "kept" / "here" / "store.json", tmp_path / "run" / "here" / "socket"
+    with umask(0o000):
+        Storage(Store(store), lambda note: None).open()
+        with opened(SocketSettings(str(socket)), ()):
+            modes = [p.stat().st_mode & 0o777 for p in (*store.parents[:2], *socket.parents[:2])]
+    assert modes == [0o750, 0o750, 0o755, 0o755]
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["fifo", "zero"])
