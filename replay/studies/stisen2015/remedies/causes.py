@@ -34,6 +34,7 @@ MOST, HALVES = 400, 2
 """Rows that a recogniser is trained on at most; groups of windows of which one is not trained on."""
 
 OUT, DEVICE, WITHIN = "model out", "device out", "device out, within cluster"
+USER = "user out"
 ByWay = dict[str, float]
 """Points by way: of a mode that keeps people, and of its `other_windows`."""
 
@@ -59,7 +60,8 @@ class Causes:
     magnitudes: what interpolation gains on frequency features that are magnitudes.
     nine: the SVM on frequency features, nine people and nobody lying, F1 in percent as shares and as
     magnitudes, raw and linear, by draw of people, (DRAWS, 2, 2).
-    uncounted: gained by each of METHODS, a model out, on time features `without_counts`.
+    uncounted: gained by each of METHODS, a model out, on time features `without_counts`. uncounted_p:
+    McNemar's, on these, by test, method and learner, (4, 4), negative where it judges fewer rightly.
     same_rate: (3, devices), gained by training on the other devices of one rate instead of on all.
     within: gained by linear interpolation among devices of one rate, frequency features. mixed: Hz,
     lowest and highest rate within the cluster that mixes them most.
@@ -73,6 +75,7 @@ class Causes:
     same_rate: dict[str, Array]
     within: ByWay
     mixed: tuple[float, float]
+    uncounted_p: dict[str, Array]
 
 
 def tried(carried: Carried, rows: dict[str, Rows], windows: Windows) -> Causes:
@@ -95,17 +98,28 @@ class OfRows(NamedTuple):
     same_rate: dict[str, Array]
     mixed: tuple[float, float]
     within: ByWay
+    uncounted_p: dict[str, Array]
 
 
 def of_rows(rows: dict[str, Rows], rates: list[float], seed: int) -> OfRows:
     """Return what rows tell, by way. rates: Hz, of the devices."""
-    out = halves(rows["raw"], OUT, seed)
-    plain = judge(_uncounted(rows["raw"]), out, seed, most=MOST)
+    plain = {way: _without_counts(rows[way], seed) for way in ("raw", *METHODS)}
+    raw = plain["raw"]
     alike = {way: replace(rows[way], cluster=by_rate(rows[way].device, rates)) for way in ("raw", "linear")}
     anywhere = judge(alike["raw"], halves(alike["raw"], DEVICE, seed), seed, most=MOST)
     inside = {way: judge(own, halves(own, WITHIN, seed), seed, most=MOST) for way, own in alike.items()}
     return OfRows(
-        uncounted={m: gained(judge(_uncounted(rows[m]), out, seed, most=MOST), plain) for m in METHODS},
+        uncounted={
+            m: {
+                test: float((plain[m][test].mean - raw[test].mean).mean())
+                for test in (OUT, other_windows(OUT))
+            }
+            for m in METHODS
+        },
+        uncounted_p={
+            test: np.stack([signed_mcnemar(plain[m][test].right, raw[test].right)[0] for m in METHODS])
+            for test in raw
+        },
         same_rate={
             WITHIN: (by_device(inside["raw"][WITHIN]) - by_device(anywhere[DEVICE])).mean(axis=1),
             other_windows(WITHIN): (
@@ -166,8 +180,12 @@ def of_family(rows: Rows, family: str) -> Rows:
     return replace(rows, features={family: rows.features[family]})
 
 
-def _uncounted(rows: Rows) -> Rows:
-    return replace(rows, features={"time": without_counts(rows.features["time"])})
+def _without_counts(rows: Rows, seed: int) -> dict[str, Judged]:
+    """Judge the rows on time features `without_counts` in the modes of Figures 14 and 15, by way."""
+    own = replace(rows, features={"time": without_counts(rows.features["time"])})
+    found = judge(own, halves(own, OUT, seed), seed, most=MOST)
+    found |= judge(own, halves(own, WITHIN, seed), seed, most=MOST)
+    return found | judge(own, list(splits(own, USER, seed)), seed, most=MOST)
 
 
 def _most_mixed(rows: Rows, rates: Array) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from stillcal.replay.studies.stisen2015.remedies.causes import (
     DEVICE,
     MOST,
     OUT,
+    USER,
     WITHIN,
     Causes,
     by_device,
@@ -24,7 +25,6 @@ from stillcal.replay.studies.stisen2015.remedies.causes import (
 )
 from stillcal.replay.studies.stisen2015.remedies.treated import WAYS, Carried
 
-USER = "user out"
 UNKNOWN = (OUT, other_windows(OUT))
 """A model out, tested on windows that were trained on through other devices, and on others."""
 
