@@ -9,11 +9,11 @@ import pytest
 
 from stillcal.replay.studies.claim import Verdict
 from stillcal.replay.studies.har.data import Windows
-from stillcal.replay.studies.har.features import FAMILIES, time_features, without_counts
+from stillcal.replay.studies.har.features import BINS, FAMILIES, time_features, without_counts
 from stillcal.replay.studies.har.scoring import LEARNERS
 from stillcal.replay.studies.stisen2015 import families, gyroscope, heterogeneity
 from stillcal.replay.studies.stisen2015.modes.rows import Rows, other_windows
-from stillcal.replay.studies.stisen2015.recorded import by_rate
+from stillcal.replay.studies.stisen2015.recorded import METHODS, by_rate
 from stillcal.replay.studies.stisen2015.remedies import causes as remedy_causes
 
 RNG = np.random.default_rng(0)
@@ -141,7 +141,7 @@ def test_both_sensors_must_be_ahead_by_people_and_by_little(both: float, good: b
     """Of each person's windows 80 % are judged rightly; with both sensors 71, 81 or 94 %."""
     whole = some_scores(79.9, 60.0, both)
     without = {name: (some_scores(65.0), whole) for name in ("six activities", "in motion")}
-    fusion = gyroscope._claims(whole, whole, without)[2]
+    fusion = gyroscope._claims(whole, whole, without, whole)[2]
     assert (fusion.verdict is Verdict.REPRODUCED) is good
 
 
@@ -152,7 +152,7 @@ def test_sensors_are_held_against_each_other_by_recogniser() -> None:
     right[0, 0, 0], right[1, 0, 0] = True, False
     whole = replace(whole, right=right)
     without = {name: (some_scores(65.0), some_scores(80.0, 79.0)) for name in ("six activities", "in motion")}
-    order = gyroscope._claims(whole, whole, without)[0]
+    order = gyroscope._claims(whole, whole, without, whole)[0]
     assert "better in 1, worse in 0 of 12 recognisers at p < 0.01" in order.because
 
 
@@ -160,13 +160,33 @@ def test_attitude_is_the_part_of_the_difference_that_goes_with_the_mean_force() 
     """Of 20 points 5 are left without it, of 10 all."""
     whole, moving = some_scores(80.0, 60.0, 81.0), some_scores(75.0, 65.0, 76.0)
     without = {"six activities": (some_scores(65.0), whole), "in motion": (some_scores(75.0), moving)}
-    order, motion, _, _ = gyroscope._claims(whole, moving, without)
+    order, motion, _, _ = gyroscope._claims(whole, moving, without, moving)
     assert order.verdict is Verdict.DIFFERS
     assert "65.0 against 60.0 %, +5.0" in order.why_it_differs
     assert "attitude is 75% of the difference" in order.why_it_differs
     assert "attitude is 0% of the difference" in motion.why_it_differs
     assert order.explained
     assert not motion.explained
+
+
+@pytest.mark.parametrize("gyro, shown", [(71.0, True), (69.0, False)])
+def test_the_norm_is_a_cause_where_nine_people_differ_by_little_on_each_axis(
+    gyro: float, shown: bool
+) -> None:
+    """With frequency features of each axis 75 % is right by forces, and by rates 71 or 69 %."""
+    whole, moving = some_scores(80.0, 60.0, 81.0), some_scores(75.0, 65.0, 76.0)
+    without = {"six activities": (some_scores(65.0), whole), "in motion": (some_scores(75.0), moving)}
+    motion = gyroscope._claims(whole, moving, without, some_scores(75.0, gyro))[1]
+    assert motion.verdict is Verdict.DIFFERS
+    assert motion.explained is shown
+
+
+def test_the_norm_of_a_turn_to_and_fro_has_twice_its_frequency() -> None:
+    """1 Hz about one axis: the norm's peak is at 2 Hz, that of the axis at 1."""
+    t = np.arange(100) / 50.0
+    turning = np.stack([np.sin(2 * np.pi * t), 0.0 * t, 0.0 * t], axis=1)[None]
+    norm, x, _, _ = gyroscope.BY_AXIS["frequency"](turning)[0].reshape(4, -1)
+    assert (norm[BINS + 1], x[BINS + 1]) == (2.0, 1.0)
 
 
 @pytest.mark.slow
@@ -195,6 +215,10 @@ def test_supposed_causes_are_found_where_they_are_and_not_elsewhere() -> None:
     still = Windows(np.tile([0.0, 0.0, 9.8], (40, 128, 1)), label[:40], person[:40])
     found = remedy_causes.of_rows(ways, [50.0, 52.0, 198.0, 200.0], 0)
     assert all(min(gain.values()) > 30.0 for gain in found.uncounted.values())
+    ways = (remedy_causes.OUT, remedy_causes.USER, remedy_causes.WITHIN)
+    for own in (found.uncounted_p[way] for way in ways):
+        assert own.shape == (len(METHODS), len(LEARNERS))
+        assert ((own > 0.0) & (own < 1e-3)).all()
     assert min(found.within.values()) > 10.0
     assert min(gain[2].mean() for gain in found.same_rate.values()) > 10.0
     within = remedy_causes.WITHIN
