@@ -88,20 +88,21 @@ class Regression:
         covariance = (n - 1) / n * away.T @ away + 1e-12 * np.eye(others.shape[1])
         return self.fitted(), covariance, explained / float(self.power.sum())
 
-    def held_out(self, free: Array | None = None) -> HeldOut:
+    def held_out(self, free: Array | None = None, without: Regression | None = None) -> HeldOut:
         """Predict pieces left out with the others' parameters, and with those of `free` (k,) bool alone.
 
-        A piece's own level of noise is unknown: with it integrated out under 1 / level, n independent values
-        have a likelihood of what is left, as a sum of squares, to the power of -n / 2.
+        without: the equations that these alone are fitted in, by default the same. A piece's own level of
+        noise is unknown: with it integrated out under 1 / level, n independent values have a likelihood of
+        what is left, as a sum of squares, to the power of -n / 2.
         """
         fold, every = blocks(len(self.power)), np.ones(self.target.shape[1], dtype=bool)
-        chosen = ~every if free is None else free
+        chosen, other = ~every if free is None else free, without or self
         after, before = np.empty(len(self.power)), np.empty(len(self.power))
         for k in np.unique(fold):
             test = fold == k
             after[test], before[test] = (
                 self._predicted(~test, every)[test],
-                self._predicted(~test, chosen)[test],
+                other._predicted(~test, chosen)[test],
             )
         gain = 1.5 / TAPERED * float(self.count @ np.log(before / after))
         level = [np.sqrt(x / self.count) for x in (before, after)]

@@ -39,12 +39,23 @@ LEAST_RATE, LIVELY_RATE = 0.2, 0.5
 WANTED = 20
 LEAST_WINDOWS = 12
 DRAWN = 40
+"""Windows from which a figure is made, and the delay is found roughly."""
+
 SLOW = 0.05
-"""Windows and part of the sample rate that a figure is made of."""
+"""Part of the sample rate that a figure is made of."""
 
 LONGEST = 0.2
-LINEARISED = 4
-"""Times that the model is taken about the delay found before."""
+SLOWEST = 1.0
+"""Hz: about 1 / (2 pi `LONGEST`), so that the phase of no delay goes round."""
+
+HIGHEST = 0.3
+"""Part of the sample rate that is looked at."""
+
+USUAL = 0.05
+"""s: standard deviation of a delay before motion tells it."""
+
+LINEARISED = 3
+"""Times that the model is taken about the delay found before, at all frequencies."""
 
 REWEIGHTED = 3
 SMOOTHED = 1.25
@@ -81,7 +92,7 @@ def motion_findings(
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
     delay = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
     late, axes, trend = (
-        _delayed(delay, fit.first, usual, where, interval),
+        _delayed(delay, fit, usual, where, interval),
         fit.axes(motion),
         fit.trend(motion),
     )
@@ -112,7 +123,7 @@ def power_over_delays(
     motion = _Motion.of(accelerometer, gyroscope, affine, gravity, ())
     if len(motion.windows) < LEAST_WINDOWS:
         return None
-    motion = replace(motion, windows=motion.windows[:: -(-len(motion.windows) // DRAWN)])
+    motion = replace(motion, windows=drawn(motion.windows))
     weight = motion.fitted().last.weight
     highest = SLOW / sample_period(accelerometer.t)
     weight = np.where(np.arange(weight.shape[1]) / WINDOW <= highest, weight, 0.0)
@@ -125,7 +136,10 @@ def power_over_delays(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """A delay, s, the normal equations about no delay (`first`) and about it (`last`), and its spectra."""
+    """A delay, s, the normal equations about no delay (`first`) and about it (`last`), and its spectra.
+
+    Both are weighed alike, by what is left about the delay.
+    """
 
     delay: float
     first: Regression
@@ -247,13 +261,34 @@ class _Motion:
 
     def fitted(self) -> _Fit:
         """Fit delay and arm, the model taken anew about each delay found."""
-        total, first = 0.0, None
+        total = replace(self, windows=drawn(self.windows)).by_octaves()
         for _ in range(LINEARISED):
             effects, still = self.equations(total)
             last = _Weighed.of(effects, still)
-            first = first or last.sums
-            total = float(np.clip(total + last.sums.fitted()[3], -LONGEST, LONGEST))
-        return _Fit(total, first or last.sums, last, effects, still)
+            total = _within(total + float(last.sums.fitted()[3]))
+        return _Fit(total, _summed(*self.equations(0.0), last.weight), last, effects, still)
+
+    def by_octaves(self) -> float:
+        """Return about which delay, s, the model is linear in it at all frequencies.
+
+        Below `SLOWEST` it is linear for every delay. Each octave more is fitted about the delay that the
+        slower ones tell, which is small beforehand where they tell nothing.
+        """
+        delay, top = 0.0, round(SLOWEST * WINDOW)
+        while top < len(self.windows[0].arm):
+            effects, still = self.equations(delay)
+            slow = _Weighed.of([e[:top] for e in effects], [y[:top] for y in still])
+            delay, top = _within(delay + slow.likely_step(delay)), 2 * top
+        return delay
+
+
+def drawn(windows: Sequence[_Window]) -> Sequence[_Window]:
+    """Return `DRAWN` windows at most, from all of the recording."""
+    return windows[:: -(-len(windows) // DRAWN)]
+
+
+def _within(delay: float) -> float:
+    return float(np.clip(delay, -LONGEST, LONGEST))
 
 
 def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
@@ -291,12 +326,15 @@ def _force(samples: Samples, baseline: Baseline | None, t: Array) -> Array:
 
 
 def _spectrum(values: Array) -> Spectrum:
-    """Return the spectrum (f, ...) of values (n, ...) under a Hann window, free of what grows steadily."""
+    """Return the spectrum (f, ...) of values (n, ...) under a Hann window, free of what grows steadily.
+
+    It ends at `HIGHEST`: beyond, samples between two others are not known.
+    """
     n = len(values)
     slow = np.linalg.qr(np.linspace(-1.0, 1.0, n)[:, None] ** np.arange(2.0))[0]
     flat = values.reshape(n, -1)
     free = (flat - slow @ (slow.T @ flat)) * np.hanning(n + 2)[1:-1, None]
-    return np.asarray(np.fft.rfft(free, axis=0).reshape(-1, *values.shape[1:]))
+    return np.asarray(np.fft.rfft(free, axis=0)[: round(HIGHEST * n)].reshape(-1, *values.shape[1:]))
 
 
 def _summed(effects: list[Spectrum], still: list[Spectrum], weight: Array) -> Regression:
@@ -330,6 +368,12 @@ class _Weighed:
             x = sums.fitted()
         return cls(sums, weight, _left(effects, still, x) * weight[:, :, None])
 
+    def likely_step(self, delay: float) -> float:
+        """Return by how much more, s, than `delay` the gyroscope is late, that a delay is `USUAL` given."""
+        before = np.diag([0.0, 0.0, 0.0, USUAL**-2.0])
+        target = self.sums.target.sum(axis=0) - before @ np.array([0.0, 0.0, 0.0, delay])
+        return float(np.linalg.solve(self.sums.information.sum(axis=0) + before, target)[3])
+
     def apart(self, terms: Sequence[Spectrum]) -> float:
         """Return the standard error of a term's size that its scatter makes; terms: (f, 3) a window."""
         frequency, term = np.arange(self.weight.shape[1]) / WINDOW, np.array(terms)
@@ -356,15 +400,13 @@ def _parts(values: Spectrum, weight: Array) -> Array:
     return np.concatenate([shaped.real, shaped.imag])
 
 
-def _delayed(
-    delay: Measured, sums: Regression, usual: Usual, where: Where, interval: float
-) -> Finding | None:
+def _delayed(delay: Measured, fit: _Fit, usual: Usual, where: Where, interval: float) -> Finding | None:
     """State a delay that no sound phone has; interval: of samples, s."""
     if abs(delay.value) >= LONGEST:
         return None
     side = "behind" if delay.value > 0 else "ahead of"
     say = f"The gyroscope is {abs(delay.value) * 1e3:.1f} ms {side} the accelerometer; shift its time stamps."
-    seen = of_measured(delay, usual, sums.held_out(ARM))
+    seen = of_measured(delay, usual, fit.last.sums.held_out(ARM, without=fit.first))
     # A second-order low-pass of this cutoff delays as much; beyond the band no noise would show it.
     cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))
     hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / interval)

@@ -24,10 +24,12 @@ def played(
     arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
     stop: float = np.inf,
     moods: float = 0.0,
+    tremor: float = 0.0,
 ) -> tuple[Samples, Samples]:
     """Play ten minutes, a turn of 4 s in every 20; the accelerometer's file ends at `stop`, s.
 
-    moods: standard deviation of how much the hand shakes in a turn, natural logarithms.
+    moods: standard deviation of how much the hand shakes in a turn, natural logarithms. tremor: what a hand
+    turns to and fro at up to 12 Hz, rad/s.
     """
     rng = np.random.default_rng(seed)
     n = int(600 * RATE)
@@ -40,6 +42,9 @@ def played(
             2 * np.pi * np.outer(np.arange(200) / 200, rng.uniform(0.5, 2.5, 3)) + rng.uniform(0, 6, 3)
         )
         rate[rows] = 2.5 * swell[:, None] * wobble
+        if tremor:
+            shaking = 2 * np.pi * np.outer(np.arange(200) / RATE, rng.uniform(4.0, 12.0, 3))
+            rate[rows] += tremor * swell[:, None] * np.sin(shaking + rng.uniform(0, 6, 3))
         shaken = lfilter([1.0], [1.0, -0.9], rng.normal(0, 0.1, (200, 3)), axis=0)
         hand[rows] = swell[:, None] * shaken * np.exp(rng.normal(0, moods) if moods else 0.0)
     up = ups(Rotation.random(random_state=seed), rate, RATE)
@@ -57,9 +62,10 @@ def diagnosed(
     arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
     stop: float = np.inf,
     moods: float = 0.0,
+    tremor: float = 0.0,
 ) -> list[Finding]:
     """Look at the motion alone."""
-    accelerometer, gyroscope = played(seed, delay, arm, stop, moods)
+    accelerometer, gyroscope = played(seed, delay, arm, stop, moods, tremor)
     bins = cut(accelerometer, gyroscope)
     return motion_findings(
         accelerometer, gyroscope, aligned(gyroscope, bins, G), G, sound_phones()["time_offset"]
@@ -91,6 +97,13 @@ def test_the_quiet_turns_of_a_lively_hand_time_a_gyroscope() -> None:
     (found,) = diagnosed(11, delay=0.015, moods=2.0)
     low, high = found.parameters["delay"].ci95
     assert low < 0.015 < high and high - low < 0.01
+
+
+@pytest.mark.parametrize("delay", [-0.15, 0.04, 0.1])
+def test_a_delay_of_several_samples_is_found_though_its_phase_goes_round(delay: float) -> None:
+    (found,) = diagnosed(3, delay=delay, tremor=1.5)
+    low, high = found.parameters["delay"].ci95
+    assert low < delay < high and high - low < 0.01
 
 
 def test_least_power_is_left_at_the_delay() -> None:
