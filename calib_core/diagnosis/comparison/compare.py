@@ -181,9 +181,9 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     sole = [_sole(finding, gain, of_recording, count) for finding, gain, of_recording in more]
     found += [d for d in sole if d.probability >= CERTAIN]
     asked = {(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted}
-    agreed = [d for d in pairs if d.probability <= 1.0 - CERTAIN and _worth_telling(d, asked)]
+    agreed = [d for d in pairs if d.agrees and _worth_telling(d, asked)]
     missing += unseen
-    undecided = [_undecided(d, names) for d in pairs if 1.0 - CERTAIN < d.probability < CERTAIN]
+    undecided = [_undecided(d, names) for d in pairs if not d.agrees and not _differs(d)]
     evidence = [(d.recorded.effect, d.log_bayes_factor) for d in pairs]
     evidence += [(finding.effect, gain) for finding, gain, _ in more]
     found.sort(key=lambda d: -d.log_bayes_factor)

@@ -85,8 +85,9 @@ def _common(exam: Examination, found: set[str]) -> list[Common]:
         more, of = population.at_least(measured.value), population.devices.size
         if effect not in found and of and measured.value > population.middle and not quantity.none:
             what = "one of them shows" if more == 1 else f"{more} of them show"
-            note = f"within what {of} real devices show; {what} as much"
-            out.append(Common(quantity, note))
+            within = f"within what {of} real devices show; {what} as much"
+            beyond = f"more than any of {of} real devices shows, and not by so much that it is a fault"
+            out.append(Common(quantity, within if more else beyond))
     return out + _two_sided(exam, found)
 
 

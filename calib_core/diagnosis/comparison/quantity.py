@@ -2,8 +2,9 @@
 
 Both recordings are described by the same parameters, so that rate, length and motion need not agree. Whether
 a parameter differs is a choice between two models: one value for both recordings, or a difference drawn from
-a normal prior of stated size. The Bayes factor of the two is in closed form (Kass and Raftery, J. Am. Stat.
-Assoc. 90, 1995, eq. 1, with normal densities).
+normal priors of a stated size and of parts of it, down to a thousandth: with the largest one alone, data that
+plainly speak for a small difference would speak against any (Lindley, Biometrika 44, 1957). The Bayes factor
+of the two is in closed form (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995, eq. 1, with normal densities).
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
+from stillcal.calib_core.diagnosis.inference.likelihood import log_sum
 from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
 from stillcal.calib_core.diagnosis.model.records import Where
 
@@ -24,11 +27,17 @@ Relation = Literal["lacking", "too_small", "too_large", "superfluous"]
 CERTAIN = 0.95
 """Posterior probability from which a difference is stated, and one minus it from which agreement is."""
 
+EVEN = 0.5
+"""Posterior probability of any difference from which there is no agreement."""
+
 NONE_BEYOND = 0.01
 """Probability of a value as far from nothing, if nothing is there, below which a recording has an effect."""
 
 INFORMED = 0.5
 """Part of the prior's size that a standard deviation must be below, for a recording to show a parameter."""
+
+MOST_SIGMA, FINE = 60.0, 3001
+"""Standard deviations of a difference that are tried, and how many of them: to 0.02."""
 
 HUNDREDFOLD = float(np.log(100.0))
 """Logarithm of a ratio from which the smaller of two positive quantities is as good as absent."""
@@ -89,14 +98,20 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Difference:
-    """Recorded less simulated. log_bayes_factor: nats for a difference; value: (k,); covariance: (k, k)."""
+    """Recorded less simulated. value: (k,); covariance: (k, k).
+
+    log_bayes_factor: nats for a difference; of_usual_size: for one as large as a simulation may be off.
+    probability: of a difference; agrees: whether one of the usual size is none, and a smaller one not likely.
+    """
 
     recorded: Quantity
     simulated: Quantity
     value: Array
     covariance: Array
     log_bayes_factor: float
+    of_usual_size: float
     probability: float = 0.0
+    agrees: bool = False
 
     @property
     def sigma(self) -> Array:
@@ -120,13 +135,16 @@ class Difference:
     def visible_from(self, comparisons: int) -> Array:
         """Return the differences (k,), each by itself, that would be stated nine times in ten.
 
-        With one number, the log Bayes factor of a difference of z standard deviations is
-        (z^2 shrunk - ln(1 + s^2 / c)) / 2, with prior size s and variance c.
+        With one number, the Bayes factor of a difference of z standard deviations is the mean over sizes s of
+        exp(z^2 shrunk / 2) / sqrt(1 + s^2 / c), with variance c.
         """
         variance = self.covariance.diagonal() + self.recorded.tolerance**2
-        ratio = self.recorded.size**2 / variance
+        ratio = (self.recorded.size[:, None] * SIZES) ** 2 / variance[:, None]
         needed = np.log(CERTAIN / (1.0 - CERTAIN) * comparisons)
-        z = np.sqrt((2.0 * needed + np.log1p(ratio)) * (1.0 + 1.0 / ratio))
+        tried = np.linspace(0.0, MOST_SIGMA, FINE)
+        shrunk = 0.5 * tried**2 * (ratio / (1.0 + ratio))[:, :, None] - 0.5 * np.log1p(ratio)[:, :, None]
+        seen = np.logaddexp.reduce(shrunk, axis=1) - np.log(SIZES.size) >= needed
+        z = np.where(seen.any(axis=1), tried[seen.argmax(axis=1)], np.inf)
         return np.asarray((z + NINE_IN_TEN) * np.sqrt(variance))
 
 
@@ -151,16 +169,23 @@ def subtract(recorded: Quantity, simulated: Quantity) -> Difference:
         cases += [(recorded.axis_of == a, 0.5 / len(axes)) for a in axes]
     else:
         cases = [(cases[0][0], 1.0)]
-    terms = [_log_bayes_factor(value, noise, recorded.size * chosen) + np.log(w) for chosen, w in cases]
-    return Difference(recorded, simulated, value, covariance, float(np.logaddexp.reduce(terms)))
+    mixed, usual = (
+        float(
+            np.logaddexp.reduce(
+                [_log_bayes_factor(value, noise, recorded.size * on, parts) + np.log(w) for on, w in cases]
+            )
+        )
+        for parts in (SIZES, SIZES[:1])
+    )
+    return Difference(recorded, simulated, value, covariance, mixed, usual)
 
 
-def _log_bayes_factor(value: Array, noise: Array, size: Array) -> float:
-    """Return log N(value; 0, noise + diag(size^2)) - log N(value; 0, noise)."""
-    both = noise + np.diag(size**2)
+def _log_bayes_factor(value: Array, noise: Array, size: Array, parts: Array) -> float:
+    """Return the log of the mean of N(value; 0, noise + s^2) / N(value; 0, noise) over s = size `parts`."""
+    both = noise + (parts[:, None, None] * np.diag(size)) ** 2
     room = np.linalg.slogdet(noise)[1] - np.linalg.slogdet(both)[1]
-    gain = value @ np.linalg.solve(noise, value) - value @ np.linalg.solve(both, value)
-    return float(0.5 * (room + gain))
+    gain = value @ np.linalg.solve(noise, value) - np.linalg.solve(both, value) @ value
+    return log_sum(0.5 * (room + gain)) - float(np.log(parts.size))
 
 
 def weighed(differences: Sequence[Difference], comparisons: int) -> list[Difference]:
@@ -169,7 +194,13 @@ def weighed(differences: Sequence[Difference], comparisons: int) -> list[Differe
     Before the data one of `comparisons` quantities is expected to differ, so each has prior odds of one to
     `comparisons`: looking at many is paid for once, here.
     """
-    return [replace(d, probability=posterior(d.log_bayes_factor, comparisons)) for d in differences]
+    return [_weighed(d, comparisons) for d in differences]
+
+
+def _weighed(difference: Difference, comparisons: int) -> Difference:
+    probability = posterior(difference.log_bayes_factor, comparisons)
+    none = posterior(difference.of_usual_size, comparisons) <= 1.0 - CERTAIN
+    return replace(difference, probability=probability, agrees=none and probability < EVEN)
 
 
 def posterior(log_bayes_factor: float, comparisons: int) -> float:

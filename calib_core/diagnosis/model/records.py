@@ -11,6 +11,9 @@ AXES = ("x", "y", "z")
 NAME = {"accel": "accelerometer", "gyro": "gyroscope"}
 """What a person calls a sensor."""
 
+FARTHER = 1.1
+"""Ratio of held-out errors, rms, from which they have grown: two standard errors of 200 bins."""
+
 SLOW_BAND = (0.0, 0.05)
 """Frequencies that means over bins of 10 s and more can show, Hz."""
 
@@ -68,8 +71,15 @@ class Evidence:
 
     @property
     def contradicted(self) -> bool:
-        """Whether what was left out of the fit is predicted no better with the effect than without it."""
-        return self.heldout_log_score_gain is not None and self.heldout_log_score_gain <= 0.0
+        """Whether what was left out of the fit is predicted no better with the effect than without it.
+
+        That is, if it is no likelier or plainly farther from what is predicted: a score in which the noise is
+        fitted anew may rise though an effect misses, for it then has larger noise to miss with.
+        """
+        if self.heldout_log_score_gain is None:
+            return False
+        before, after = self.heldout_rmse_before or 0.0, self.heldout_rmse_after or 0.0
+        return self.heldout_log_score_gain <= 0.0 or after > FARTHER * before
 
 
 @dataclass(frozen=True, slots=True)

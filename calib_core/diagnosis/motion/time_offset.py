@@ -36,6 +36,9 @@ WINDOW = 8.0
 LEAST_RATE, LIVELY_RATE = 0.2, 0.5
 """rad/s, rms, in a window that is looked at: the lively ones, where they are few the liveliest `WANTED`."""
 
+SOME = 50
+"""Intervals that are averaged where some may be missing."""
+
 WANTED = 20
 LEAST_WINDOWS = 12
 DRAWN = 40
@@ -297,7 +300,7 @@ def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Ar
     Slow turns of a hand tell little, and its own acceleration is the louder beside them.
     """
     bias = np.zeros(3) if affine is None else affine.bias
-    n = round(WINDOW / sample_period(gyroscope.t))
+    n = round(WINDOW / _interval(gyroscope.t))
     found, size = [], []
     for first in range(0, len(gyroscope) - n, n):
         t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
@@ -307,6 +310,12 @@ def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Ar
             size.append(rms)
     least = min(LIVELY_RATE, sorted(size)[-min(WANTED, len(size))]) if size else 0.0
     return [w for w, x in zip(found, size, strict=True) if x >= least]
+
+
+def _interval(t: Array) -> float:
+    """Return the usual interval of stamps (n,), s, those that are missing here and there counted in."""
+    some = min(SOME, len(t) - 1)
+    return float(np.median(t[some:] - t[:-some])) / some
 
 
 def _covered(t: Array, stamps: Array) -> bool:

@@ -161,7 +161,8 @@ def _supported(finding: Finding) -> float:
     evidence = finding.evidence
     chosen = finding.effect == "unknown" or (evidence.named_in_folds or 0) > FOLDS // 2
     likelier = evidence.log_bayes_factor > 0.0
-    return (evidence.heldout_log_score_gain or 0.0) if chosen and likelier else 0.0
+    stands = chosen and likelier and not evidence.contradicted
+    return (evidence.heldout_log_score_gain or 0.0) if stands else 0.0
 
 
 def _stands_alone(found: Scored) -> bool:

@@ -18,6 +18,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     weighed,
 )
 from stillcal.calib_core.diagnosis.comparison.sensitivity import of_difference
+from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 
 Floats = NDArray[np.float64]
 
@@ -49,9 +50,11 @@ def quantity(
 def test_the_bayes_factor_is_the_ratio_of_the_two_integrals(apart: float) -> None:
     found = subtract(quantity([apart], 0.8, 5.0, tolerance=0.3), quantity([0.0], 1.1, 5.0, tolerance=0.3))
     noise = np.sqrt(0.8**2 + 1.1**2 + 0.3**2)
-    different, _ = quad(
+    different = np.mean([norm.pdf(apart, 0.0, np.hypot(noise, 5.0 * part)) for part in SIZES])
+    largest, _ = quad(
         lambda d: norm.pdf(apart, d, noise) * norm.pdf(d, 0.0, 5.0), -60.0, 60.0, points=[0.0, apart]
     )
+    assert largest == pytest.approx(norm.pdf(apart, 0.0, np.hypot(noise, 5.0)), rel=1e-6)
     assert found.log_bayes_factor == pytest.approx(np.log(different / norm.pdf(apart, 0.0, noise)), rel=1e-6)
 
 
@@ -114,15 +117,25 @@ def test_probabilities_of_differences_are_calibrated() -> None:
     said, true = [], []
     for _ in range(20_000):
         differs = rng.random() < 1.0 / (1.0 + compared)
-        apart = rng.normal(0.0, 10.0) * differs
+        apart = rng.normal(0.0, 10.0 * rng.choice(SIZES)) * differs
         found = subtract(quantity([apart + rng.normal()]), quantity([rng.normal()]))
         said.append(posterior(found.log_bayes_factor, compared))
         true.append(differs)
     share, hits = np.array(said), np.array(true)
-    for low, high in ((0.0, 0.05), (0.05, 0.5), (0.5, 0.95), (0.95, 1.0)):
+    for low, high in ((0.0, 0.1), (0.1, 0.5), (0.5, 0.95), (0.95, 1.0)):
         inside = (share >= low) & (share <= high)
         error = np.sqrt(share[inside] @ (1.0 - share[inside])) / inside.sum()
         assert abs(hits[inside].mean() - share[inside].mean()) < 3.5 * error
+
+
+def test_a_small_difference_that_is_plain_is_not_called_agreement() -> None:
+    """Nine numbers that may be a thousand of their errors; a difference of two errors in each is one."""
+    value = 2.15 * np.tile([1.0, -1.0, 1.0], 3)
+    found = subtract(quantity(list(value), size=1e3), quantity([0.0] * 9, 1e-6, 1e3))
+    (found,) = weighed([found], 10)
+    assert found.of_usual_size < -10.0 and found.probability > 0.5 and not found.agrees
+    (none,) = weighed([subtract(quantity([1.0], size=1e3), quantity([0.0], size=1e3))], 10)
+    assert none.agrees
 
 
 def test_the_smallest_visible_difference_is_seen_nine_times_in_ten() -> None:
