@@ -22,13 +22,13 @@ class DelayTrend:
     growth: s, with its error; log_chance: of a delay that stays being seen to grow so much.
     """
 
-    def __init__(self, sums: Regression, apart: float) -> None:
-        """Estimate it by the last column of a regression; apart: s, how parts disagree about it."""
+    def __init__(self, sums: Regression, apart: float, about: float) -> None:
+        """Estimate it by the last column of a regression about `about`, s; apart: s, how parts disagree."""
         from scipy.stats import t  # noqa: PLC0415 - the daemon stays light
 
         fitted, covariance, _ = sums.jackknifed(PARTS)
         error = float(np.sqrt(covariance[-1, -1] + apart**2 + ALIKE**2))
-        self.growth = Measured(float(fitted[-1]), error)
+        self.growth = Measured(about + float(fitted[-1]), error)
         free = min(PARTS, len(sums.power)) - 1
         self.log_chance = float(np.log(2.0) + t.logsf(abs(self.growth.value) / error, free))
 

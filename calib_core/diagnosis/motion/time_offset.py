@@ -141,10 +141,11 @@ def power_over_delays(
 class _Fit:
     """A delay, s, the normal equations about no delay (`first`) and about it (`last`), and its spectra.
 
-    Both are weighed alike, by what is left about the delay.
+    Both are weighed alike, by what is left about the delay. growth: about how much it grows, s.
     """
 
     delay: float
+    growth: float
     first: Regression
     last: _Weighed
     effects: list[Spectrum]
@@ -167,10 +168,10 @@ class _Fit:
 
     def trend(self, motion: _Motion) -> DelayTrend:
         """Return by how much the delay grows from the first window to the last."""
-        middle = np.array([w.t.mean() for w in motion.windows])
-        age = (middle - middle.mean()) / float(np.ptp(middle))
-        sums, (apart,) = self._beside([e[:, :, 3:] * x for e, x in zip(self.effects, age, strict=True)])
-        return DelayTrend(sums, apart)
+        effects, still = motion.equations(self.delay, self.growth)
+        about = replace(self, effects=effects, still=still)
+        sums, (apart,) = about._beside(_growing(effects, motion.age()))
+        return DelayTrend(sums, apart, self.growth)
 
     def _beside(self, more: Sequence[Spectrum]) -> tuple[Regression, list[float]]:
         """Return the equations with further columns, spectra (f, 3, k) a window, and how parts disagree."""
@@ -246,11 +247,16 @@ class _Motion:
         """Return when the first window starts and the last one ends, s."""
         return float(self.windows[0].t[0]), float(self.windows[-1].t[-1])
 
-    def equations(self, delay: float) -> tuple[list[Spectrum], list[Spectrum]]:
-        """Return the equations of all windows, the accelerometer read earlier by the delay, s."""
+    def age(self) -> Array:
+        """Return when windows are, (K,), 1 from the first to the last, 0 in the mean."""
+        middle = np.array([w.t.mean() for w in self.windows])
+        return np.asarray((middle - middle.mean()) / float(np.ptp(middle)))
+
+    def equations(self, delay: float, growth: float = 0.0) -> tuple[list[Spectrum], list[Spectrum]]:
+        """Return the equations of all windows, the accelerometer read earlier by a delay that grows, s."""
         made = [
-            w.equations(_force(self.accelerometer, self.baseline, w.t - delay), self.gravity)
-            for w in self.windows
+            w.equations(_force(self.accelerometer, self.baseline, w.t - each), self.gravity)
+            for w, each in zip(self.windows, delay + growth * self.age(), strict=True)
         ]
         return [x for x, _ in made], [y for _, y in made]
 
@@ -264,25 +270,35 @@ class _Motion:
 
     def fitted(self) -> _Fit:
         """Fit delay and arm, the model taken anew about each delay found."""
-        total = replace(self, windows=drawn(self.windows)).by_octaves()
+        total, growth = replace(self, windows=drawn(self.windows)).by_octaves()
         for _ in range(LINEARISED):
             effects, still = self.equations(total)
             last = _Weighed.of(effects, still)
             total = _within(total + float(last.sums.fitted()[3]))
-        return _Fit(total, _summed(*self.equations(0.0), last.weight), last, effects, still)
+        first = _summed(*self.equations(0.0), last.weight)
+        return _Fit(total, growth, first, last, effects, still)
 
-    def by_octaves(self) -> float:
-        """Return about which delay, s, the model is linear in it at all frequencies.
+    def by_octaves(self) -> tuple[float, float]:
+        """Return about which delay and growth of it, s, the model is linear in both at all frequencies.
 
-        Below `SLOWEST` it is linear for every delay. Each octave more is fitted about the delay that the
-        slower ones tell, which is small beforehand where they tell nothing.
+        Below `SLOWEST` it is linear for every delay. Each octave more is fitted about what the slower ones
+        tell, which is small beforehand where they tell nothing.
         """
-        delay, top = 0.0, round(SLOWEST * WINDOW)
+        delay, growth, top = 0.0, 0.0, round(SLOWEST * WINDOW)
         while top < len(self.windows[0].arm):
-            effects, still = self.equations(delay)
-            slow = _Weighed.of([e[:top] for e in effects], [y[:top] for y in still])
-            delay, top = _within(delay + slow.likely_step(delay)), 2 * top
-        return delay
+            effects, still = self.equations(delay, growth)
+            both = [
+                np.concatenate(x, axis=2) for x in zip(effects, _growing(effects, self.age()), strict=True)
+            ]
+            slow = _Weighed.of([x[:top] for x in both], [y[:top] for y in still])
+            more = slow.likely_step(np.array([delay, growth]))
+            delay, growth, top = _within(delay + more[0]), _within(growth + more[1]), 2 * top
+        return delay, growth
+
+
+def _growing(effects: Sequence[Spectrum], age: Array) -> list[Spectrum]:
+    """Return what a delay does that grows with age (K,), spectra (f, 3, 1) a window."""
+    return [x[:, :, 3:] * a for x, a in zip(effects, age, strict=True)]
 
 
 def drawn(windows: Sequence[_Window]) -> Sequence[_Window]:
@@ -291,6 +307,7 @@ def drawn(windows: Sequence[_Window]) -> Sequence[_Window]:
 
 
 def _within(delay: float) -> float:
+    """Return a delay or its growth, s, that is no longer than is looked for."""
     return float(np.clip(delay, -LONGEST, LONGEST))
 
 
@@ -377,11 +394,14 @@ class _Weighed:
             x = sums.fitted()
         return cls(sums, weight, _left(effects, still, x) * weight[:, :, None])
 
-    def likely_step(self, delay: float) -> float:
-        """Return by how much more, s, than `delay` the gyroscope is late, that a delay is `USUAL` given."""
-        before = np.diag([0.0, 0.0, 0.0, USUAL**-2.0])
-        target = self.sums.target.sum(axis=0) - before @ np.array([0.0, 0.0, 0.0, delay])
-        return float(np.linalg.solve(self.sums.information.sum(axis=0) + before, target)[3])
+    def likely_step(self, delays: Array) -> Array:
+        """Return by how much more than `delays` (k,), s, the last k parameters are, as `USUAL` ones are."""
+        held = np.zeros(self.sums.target.shape[1])
+        held[-delays.size :] = USUAL**-2.0
+        target = self.sums.target.sum(axis=0)
+        target[-delays.size :] -= USUAL**-2.0 * delays
+        information = self.sums.information.sum(axis=0) + np.diag(held)
+        return np.asarray(np.linalg.solve(information, target)[-delays.size :])
 
     def apart(self, terms: Sequence[Spectrum]) -> float:
         """Return the standard error of a term's size that its scatter makes; terms: (f, 3) a window."""

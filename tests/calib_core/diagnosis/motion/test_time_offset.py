@@ -137,14 +137,18 @@ def test_an_axis_that_is_late_by_itself_is_no_delay_of_the_sensor() -> None:
     assert axis.parameters["delay"].value[1] == pytest.approx(0.04 * 2 / 3, abs=0.01)
 
 
-def test_a_delay_that_grows_is_no_one_delay() -> None:
-    accelerometer, gyroscope = played(11)
+@pytest.mark.parametrize(("growth", "tremor"), [(0.06, 0.0), (0.18, 1.5)])
+def test_a_delay_that_grows_is_no_one_delay(growth: float, tremor: float) -> None:
+    accelerometer, gyroscope = played(11, tremor=tremor)
     t = gyroscope.t
-    rate = np.stack([np.interp(t - 0.06 * t / t[-1], t, axis) for axis in gyroscope.xyz.T], axis=1)
+    rate = np.stack([np.interp(t - growth * t / t[-1], t, axis) for axis in gyroscope.xyz.T], axis=1)
     late = Samples.checked(Sensor.GYROSCOPE, t, rate)
     (found,) = motion_findings(
         accelerometer, late, aligned(late, cut(accelerometer, late), G), G, sound_phones()["time_offset"]
     )
     low, high = found.parameters["growth"].ci95
     assert (found.effect, found.where.driver) == ("unknown", "rate of turn, with time")
-    assert low < 0.06 < high and low > 0.0
+    between = (
+        found.where.t_end - found.where.t_start - 8.0
+    )  # s from the middle of the first window to the last's
+    assert low < growth * between / t[-1] < high and low > 0.0
