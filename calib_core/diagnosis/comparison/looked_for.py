@@ -27,7 +27,8 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.moments import moves
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
-from stillcal.calib_core.diagnosis.motion.time_offset import LEAST_WINDOWS, WINDOW, turning_windows
+from stillcal.calib_core.diagnosis.motion.time_offset import LEAST_WINDOWS
+from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, turning_windows
 from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN
 
 OF_TIME = ("warmup", "bias_drift", "bias_step", "bias_random_walk", "charging_bias", "thermal_latent")

@@ -1,0 +1,177 @@
+"""Windows of some seconds in which a phone turns: what turns it back, and what it felt there.
+
+Over some seconds of motion the gyroscope carries gravity: turned back by it, specific force stays where it
+was, but for a hand's acceleration. A gyroscope that is late carries gravity late.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.diagnosis.model.residuals import Baseline
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
+from stillcal.calib_core.diagnosis.motion.axis_delays import axis_columns
+from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
+from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum
+from stillcal.calib_core.maths.rotation import attitudes, matrix
+from stillcal.calib_core.streams.resample import interpolate
+from stillcal.calib_core.streams.samples import Samples
+
+WINDOW = 8.0
+"""s over which gravity is carried; what the gyroscope's scale does meanwhile is nearly steady in time."""
+
+LEAST_RATE, LIVELY_RATE = 0.2, 0.5
+"""rad/s, rms, in a window that is looked at: the lively ones, where they are few the liveliest `WANTED`."""
+
+WANTED = 20
+SOME = 50
+"""Intervals that are averaged where some may be missing."""
+
+HIGHEST = 0.3
+"""Part of the sample rate that is looked at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Some seconds in which a phone turns: stamps t (n,) s and calibrated rate (n, 3), rad/s.
+
+    back: (n, 3, 3), turns the body to where it was at first. arm: what an arm does, turned back, (f, 3, 3).
+    """
+
+    t: Array
+    rate: Array
+    back: Array
+    arm: Spectrum
+
+    @classmethod
+    def of(cls, t: Array, rate: Array) -> Window:
+        """Carry the attitude through the window."""
+        back = matrix(attitudes(t, rate))
+        return cls(t, rate, back, spectrum(back @ of_arm(t, rate)))
+
+    def felt(self, force: Array) -> tuple[Array, Array]:
+        """Return force (n, 3) turned back, and its mean direction (3,), up."""
+        still = np.einsum("nij,nj->ni", self.back, force)
+        mean = still.mean(axis=0)
+        return still, np.asarray(mean / np.linalg.norm(mean))
+
+    def equations(self, force: Array, gravity: float) -> tuple[Spectrum, Spectrum]:
+        """Return what an arm and a delay do (f, 3, 4) and what there is to explain (f, 3), as spectra.
+
+        Both are turned back to the window's start, and free of gravity and of what grows steadily.
+        """
+        still, up = self.felt(force)
+        late = -gravity * np.cross(self.rate, np.einsum("nji,j->ni", self.back, up))
+        turned = spectrum(np.einsum("nij,nj->ni", self.back, late))
+        return np.concatenate([self.arm, turned[:, :, None]], axis=2), spectrum(still)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """The windows in which a phone turns, with what it felt."""
+
+    accelerometer: Samples
+    baseline: Baseline | None
+    windows: Sequence[Window]
+    gravity: float
+
+    @classmethod
+    def of(
+        cls,
+        accelerometer: Samples,
+        gyroscope: Samples,
+        affine: Aligned | None,
+        gravity: float,
+        spoiled: Sequence[Where],
+    ) -> Motion:
+        """Cut the windows in which both sensors were recorded; spoiled: when not to look."""
+        cut = [
+            p
+            for p in turning_windows(gyroscope, affine)
+            if _covered(p[0], accelerometer.t) and all(_apart(p[0], s) for s in spoiled)
+        ]
+        mapping = np.eye(3) if affine is None else affine.mapping
+        parts = [Window.of(t, rate @ mapping.T) for t, rate in cut]
+        return cls(accelerometer, None if affine is None else affine.baseline, parts, gravity)
+
+    def span(self) -> tuple[float, float]:
+        """Return when the first window starts and the last one ends, s."""
+        return float(self.windows[0].t[0]), float(self.windows[-1].t[-1])
+
+    def age(self) -> Array:
+        """Return when windows are, (K,), 1 from the first to the last, 0 in the mean."""
+        middle = np.array([w.t.mean() for w in self.windows])
+        return np.asarray((middle - middle.mean()) / float(np.ptp(middle)))
+
+    def equations(self, delay: float, growth: float = 0.0) -> tuple[list[Spectrum], list[Spectrum]]:
+        """Return the equations of all windows, the accelerometer read earlier by a delay that grows, s."""
+        made = [
+            w.equations(force_at(self.accelerometer, self.baseline, w.t - each), self.gravity)
+            for w, each in zip(self.windows, delay + growth * self.age(), strict=True)
+        ]
+        return [x for x, _ in made], [y for _, y in made]
+
+    def of_axes(self) -> list[Spectrum]:
+        """Return what delays of single axes do, as spectra (f, 3, 4) a window."""
+        made = []
+        for w in self.windows:
+            _, up = w.felt(force_at(self.accelerometer, self.baseline, w.t))
+            made.append(spectrum(axis_columns(w.t, w.back, w.rate, up, self.gravity)))
+        return made
+
+
+def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
+    """Return stamps (n,), all different, and rate (n, 3) of unbroken windows of turning, the lively ones.
+
+    Slow turns of a hand tell little, and its own acceleration is the louder beside them.
+    """
+    bias = np.zeros(3) if affine is None else affine.bias
+    n = round(WINDOW / _interval(gyroscope.t))
+    found, size = [], []
+    for first in range(0, len(gyroscope) - n, n):
+        t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
+        rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
+        if t[-1] - t[0] < 1.5 * WINDOW and np.diff(t).min() > 0.0 and rms > LEAST_RATE:
+            found.append((t, rate))
+            size.append(rms)
+    least = min(LIVELY_RATE, sorted(size)[-min(WANTED, len(size))]) if size else 0.0
+    return [w for w, x in zip(found, size, strict=True) if x >= least]
+
+
+def _interval(t: Array) -> float:
+    """Return the usual interval of stamps (n,), s, those that are missing here and there counted in."""
+    some = min(SOME, len(t) - 1)
+    return float(np.median(t[some:] - t[:-some])) / some
+
+
+def _covered(t: Array, stamps: Array) -> bool:
+    """Whether the accelerometer, sampled at `stamps`, has no pause in window t: two files may end apart."""
+    within = stamps[np.searchsorted(stamps, t[0]) : np.searchsorted(stamps, t[-1])]
+    return bool(np.diff(np.concatenate([t[:1], within, t[-1:]])).max() < 0.5 * WINDOW)
+
+
+def _apart(t: Array, spoiled: Where) -> bool:
+    return bool(t[-1] < spoiled.t_start or t[0] > spoiled.t_end)
+
+
+def force_at(samples: Samples, baseline: Baseline | None, t: Array) -> Array:
+    """Return calibrated specific force (n, 3) at times t (n,)."""
+    raw = interpolate(t, samples.t, samples.xyz)
+    return raw if baseline is None else np.asarray((raw - baseline.bias) @ baseline.scale.T)
+
+
+def spectrum(values: Array) -> Spectrum:
+    """Return the spectrum (f, ...) of values (n, ...) under a Hann window, free of what grows steadily.
+
+    It ends at `HIGHEST`: beyond, samples between two others are not known.
+    """
+    n = len(values)
+    slow = np.linalg.qr(np.linspace(-1.0, 1.0, n)[:, None] ** np.arange(2.0))[0]
+    flat = values.reshape(n, -1)
+    free = (flat - slow @ (slow.T @ flat)) * np.hanning(n + 2)[1:-1, None]
+    return np.asarray(np.fft.rfft(free, axis=0)[: round(HIGHEST * n)].reshape(-1, *values.shape[1:]))
