@@ -27,6 +27,13 @@ from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.varlink.interface import MAX_ENTRIES
 from stillcal.daemon.varlink.rows import MAX_ROWS
+from stillcal.daemon.wire.encoder import WireEncoder
+from stillcal.daemon.wire.messages import Hello
+from stillcal.replay.phone import simulate
+from stillcal.replay.phone.activities.resting import Poses
+from stillcal.replay.phone.scenario import Scenario
+from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
+from stillcal.replay.trials.demo.tour import phone_at
 from stillcal.replay.trials.faults.fit import gathered
 from stillcal.replay.trials.faults.hostile import runs
 from stillcal.replay.trials.faults.kill import example
@@ -45,6 +52,13 @@ FULLEST = 48, 24
 """Attitudes of the fullest pool, and rests in each."""
 
 BYTES_AT_ONCE = 4096
+
+GOOD, GOOD_POSES, GOOD_RATE_HZ, GOOD_SPEED = "a good phone", 12, 25.0, 50.0
+"""The phone that comes after hostile ones: its name, its attitudes, its rate, and s of its time in a s."""
+
+SERVED_S = 60.0
+"""Within which it must have been heard to its end and calibrated, s."""
+
 SETTLED_S = 10.0
 LOG_BYTES = 200_000
 """What a trial may make the daemon write to its log."""
@@ -54,7 +68,7 @@ RUN = "from stillcal.daemon.cli.entry import main; main()"
 
 @dataclass(slots=True)
 class Trial:
-    """A daemon on trial, and what was measured. line: the phone's end of its terminal."""
+    """A daemon on trial, and what was measured. line: the phone's end of its terminal, -1 once closed."""
 
     target: Target
     line: int
@@ -113,7 +127,8 @@ async def on_trial(
         trial.exit_code = await asyncio.wait_for(process.wait(), START_S)
         trial.stopped_s = time.monotonic() - began
         trial.log_bytes = (folder / "log").stat().st_size
-        os.close(master)
+        if trial.line >= 0:
+            os.close(trial.line)
         os.close(slave)
 
 
@@ -135,29 +150,66 @@ async def _asking(trial: Trial) -> None:
 
 
 def hostile_messages(number: int, seed: int, folder: Path) -> Figures:
-    """Send so many well-formed messages with any values in their fields; the daemon must answer on."""
+    """Send so many well-formed messages with any values in their fields.
+
+    The daemon must answer on, and then serve a good phone.
+    """
     return asyncio.run(_sent(f"{number} hostile well-formed messages", list(runs(number, seed)), folder))
 
 
-def hostile_bytes(number: int, seed: int, folder: Path) -> Figures:
-    """Send so many random bytes over the line."""
+def hostile_bytes(
+    number: int, seed: int, folder: Path, run: str = RUN, served_s: float = SERVED_S
+) -> Figures:
+    """Send so many random bytes over the line. run: the program; served_s: how long a good phone may take."""
     rng = np.random.default_rng(seed)
     pieces = [rng.bytes(min(BYTES_AT_ONCE, number - at)) for at in range(0, number, BYTES_AT_ONCE)]
-    return asyncio.run(_sent(f"{number} random bytes over the line", pieces, folder))
+    return asyncio.run(_sent(f"{number} random bytes over the line", pieces, folder, run, served_s))
 
 
-async def _sent(name: str, pieces: Iterable[bytes], folder: Path) -> Figures:
+async def _sent(
+    name: str, pieces: Iterable[bytes], folder: Path, run: str = RUN, served_s: float = SERVED_S
+) -> Figures:
     count = size = 0
-    async with on_trial(folder) as trial:
+    async with on_trial(folder, run) as trial:
         for piece in pieces:
             await write(trial.line, piece)
             count, size = count + 1, size + len(piece)
         async with asyncio.timeout(START_S):
             while (wire := (await status(trial.target))["wire"])["bytes"] < size:
                 await asyncio.sleep(0.05)
+        served = await _served_afterwards(trial, folder, served_s)
     counts = {"pieces": count, "bytes": size, "samples taken": wire["samples"]}
-    counts |= {"bad frames": wire["bad_frames"], "bad lines": wire["bad_lines"]}
-    return trial.figures(name, counts, Store(folder / "store.json").verify().whole)
+    counts |= {"bad frames": wire["bad_frames"], "bad lines": wire["bad_lines"], **served}
+    holds = all(served.values()) and Store(folder / "store.json").verify().whole
+    return trial.figures(name, counts, holds)
+
+
+async def _served_afterwards(trial: Trial, folder: Path, seconds: float) -> dict[str, int]:
+    """Count what becomes of good phones: one on the hostile one's line, and one that is plugged in instead.
+
+    Each count is 0 where it is not served within so many seconds.
+    """
+    calibrations = (await status(trial.target))["counts"]["calibrations"]
+    known = False
+    same = f"{GOOD} on the same line"
+    await write(trial.line, b"\0" + WireEncoder().encode(Hello(session=1, claims={"device": same})))
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            while not (known := (await status(trial.target))["phone"] == same):
+                await asyncio.sleep(0.05)
+    os.close(trial.line)
+    trial.line = -1
+    scenario = Scenario(segments=(Poses(count=GOOD_POSES, rest_s=(8.0, 12.0), charging=True),))
+    chunks = simulate(scenario, phone_at(GOOD_RATE_HZ), 1).chunks()
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            await serve_phone(chunks, {"device": GOOD}, LinkSettings(speed=GOOD_SPEED), folder / "tty")
+    now = await status(trial.target)
+    return {
+        "a good phone is known then": int(known),
+        "rests of another one": now["rests_held"] if now["phone"] == GOOD else 0,
+        "its calibrations": now["counts"]["calibrations"] - calibrations,
+    }
 
 
 async def write(line: int, data: bytes) -> None:

@@ -26,7 +26,14 @@ from stillcal.daemon.store.store import Store
 from stillcal.replay.phone import load_phone, load_scenario, simulate
 from stillcal.replay.trials.faults import __main__ as faults
 from stillcal.replay.trials.faults.disk import failing_disks
-from stillcal.replay.trials.faults.endure import hostile_bytes, hostile_messages, leavers, tables
+from stillcal.replay.trials.faults.endure import (
+    GOOD_POSES,
+    RUN,
+    hostile_bytes,
+    hostile_messages,
+    leavers,
+    tables,
+)
 from stillcal.replay.trials.faults.fit import calibrating
 from stillcal.replay.trials.faults.hangs import hangs
 from stillcal.replay.trials.faults.kill import example, killed
@@ -97,6 +104,20 @@ def judged(found: Figures) -> Figures:
 def test_whatever_a_phone_sends_the_daemon_answers_on_and_ends() -> None:
     assert judged(faults.in_folder(lambda f: hostile_messages(120, 2, f))).counts["pieces"] == 120
     assert judged(faults.in_folder(lambda f: hostile_bytes(20_000, 2, f))).counts["bytes"] == 20_000
+
+
+def test_a_good_phone_is_served_after_hostile_ones_and_one_that_is_not_is_counted() -> None:
+    found = judged(faults.in_folder(lambda f: hostile_messages(300, 3, f)))
+    assert found.counts["a good phone is known then"] == 1
+    assert found.counts["rests of another one"] == GOOD_POSES and found.counts["its calibrations"] >= 1
+    ignores = (
+        "from stillcal.daemon.service.phone_session import PhoneSession\n"
+        "async def ignore(self, hello): pass\n"
+        "PhoneSession._on_hello = ignore\n"
+    )
+    found = faults.in_folder(lambda f: hostile_bytes(2000, 3, f, ignores + RUN, 1.0))
+    assert found.counts["a good phone is known then"] == found.counts["rests of another one"] == 0
+    assert not found.holds
 
 
 def test_whatever_hangs_it_answers_on_and_ends_without_a_half_saved_state() -> None:
