@@ -6,6 +6,7 @@ Task and outcome are plain values, so that both can be sent to another process o
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -72,7 +73,8 @@ def content(recording: FoundRecording) -> str:
     digest = hashlib.blake2b(digest_size=16)
     for file in recording.files:
         with file.open("rb") as opened:
-            while block := opened.read(1 << 20):
+            sized = os.fstat(opened.fileno()).st_size > 0  # a file of /proc has no size, and may wait
+            while sized and (block := opened.read(1 << 20)):
                 digest.update(block)
         digest.update(b"\0")
     return digest.hexdigest()

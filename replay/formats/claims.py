@@ -12,7 +12,11 @@ import msgspec
 from stillcal.calib_core.gravity import STANDARD, LocationError, given
 from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import NotRegularError, read_regular
 from stillcal.replay.formats.errors import TraceError
+
+MOST_BYTES = 1 << 30
+"""Longest file beside a recording that is read."""
 
 PerAxis: TypeAlias = float | tuple[float, float, float]
 
@@ -141,9 +145,11 @@ def _event(file: Path, number: int, line: bytes) -> Event | None:
 
 def _bytes_of(file: Path) -> bytes | None:
     try:
-        return file.read_bytes()
+        return read_regular(file, MOST_BYTES)
     except FileNotFoundError:
         return None
+    except NotRegularError:
+        raise TraceError(file, "is no regular file", "replace or remove it") from None
     except OSError as error:
         raise TraceError(
             file, f"cannot be read ({error.strerror or error})", "check its permissions"

@@ -16,6 +16,7 @@ import msgspec
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.sources import source_of
 
 Column = str | Annotated[int, msgspec.Meta(ge=0)]
 """A column by its name in the header, or by its place counted from 0."""
@@ -163,13 +164,12 @@ def load_map(name: str | Path) -> ColumnMap:
     if str(name) in builtin_formats():
         inside = resources.files("stillcal.config").joinpath("formats", f"{name}.toml")
         return parse_map(inside.read_bytes(), Path(f"{name}.toml"))
-    try:
-        return parse_map(Path(name).read_bytes(), Path(name))
-    except OSError:
+    path = Path(name)
+    if not path.exists():
         known = ", ".join(builtin_formats())
-        raise TraceError(
-            name, "no such format", f"name one of {known}, or the path of a column map (TOML)"
-        ) from None
+        raise TraceError(name, "no such format", f"name one of {known}, or the path of a column map (TOML)")
+    with source_of(path).open() as file:
+        return parse_map(file.read(), path)
 
 
 def parse_map(text: bytes, path: Path) -> ColumnMap:

@@ -23,6 +23,8 @@ def read_covariates(path: Path, names: Sequence[str]) -> dict[str, Course]:
 
     Raises TraceError where the file is no CSV with these columns, or a cell is no finite number.
     """
+    if not path.is_file():
+        raise TraceError(path, "--covariate needs a CSV file, to read it again", "save it as a file first")
     try:
         with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as lines:
             return _columns(path, csv.reader(lines), names)

@@ -18,7 +18,7 @@ _HALF = 0.5
 
 def is_daemon_state(path: Path) -> bool:
     """Whether a file is a daemon's state, by its first bytes."""
-    if not path.is_file():
+    if not path.is_file() or path.stat().st_size < len(HEAD):  # a file of /proc has no size, and may wait
         return False
     with path.open("rb") as file:
         return file.read(len(HEAD)) == HEAD

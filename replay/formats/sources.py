@@ -22,6 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from stillcal.daemon.system.files import flags
 from stillcal.replay.formats.errors import TraceError
 
 STANDARD_INPUT, STANDARD_INPUT_NAME = "-", "standard input"
@@ -102,7 +103,7 @@ def source_of(path: Path | str, check: Check = Source.head) -> Source:
     """Return the bytes at `path`; "-" and the name of a pipe are read to their end first.
 
     check: is called on the beginning of what a pipe gives, before the rest is waited for. Raises TraceError
-    where there is no such file, or it is a folder, a device or a socket.
+    where there is no such file, or it is a folder, a device, a socket or one of the kernel's own files.
     """
     if str(path) == STANDARD_INPUT:
         return _standard_input(check)
@@ -121,6 +122,8 @@ def source_of(path: Path | str, check: Check = Source.head) -> Source:
         except OSError as error:
             raise cannot_open(path, error) from None
     _refuse_special(path, info.st_mode)
+    if info.st_size == 0:
+        _refuse_unsized(path)
     return Source(path, info.st_size, lambda: path.open("rb"), path)
 
 
@@ -139,6 +142,26 @@ def _refuse_special(path: Path, mode: int) -> None:
     if not stat.S_ISREG(mode):
         what = "is a device" if stat.S_ISCHR(mode) or stat.S_ISBLK(mode) else "is a socket"
         raise TraceError(path, f"{what}, not a recording", "give a file")
+
+
+def _refuse_unsized(path: Path) -> None:
+    """Refuse a file of size 0 that holds something: one of the kernel's own, such as /proc/kmsg.
+
+    Reading one may wait for ever. Raises TraceError.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC"))
+        try:
+            empty = not os.read(descriptor, 1)
+        except BlockingIOError:
+            empty = False
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise cannot_open(path, error) from None
+    if not empty:
+        what = "is one of the system's own files, which has no size, and not a recording"
+        raise TraceError(path, what, "give a file on a disk")
 
 
 def _spooled(path: Path, descriptor: int, check: Check) -> Source:

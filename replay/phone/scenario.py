@@ -9,11 +9,15 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from stillcal.daemon.system.files import NotRegularError, read_regular
 from stillcal.replay.phone.activities.carried import Drive, Hand, Pocket, Stairs, Walk
 from stillcal.replay.phone.activities.resting import Desk, Mattress, Place, Poses, Rest, Table, Washer
 from stillcal.replay.phone.settings import Settings, require
 
 T = TypeVar("T")
+
+MOST_BYTES = 1 << 24
+"""Longest settings file that is read."""
 
 Segment = Rest | Table | Poses | Desk | Washer | Mattress | Hand | Pocket | Walk | Stairs | Drive
 
@@ -50,7 +54,8 @@ def read_settings(name: str | Path, folder: str, kind: type[T]) -> T:
     if path.suffix != ".toml":
         source = files("stillcal.config") / folder / f"{name}.toml"
     try:
-        table = tomllib.loads(source.read_text(encoding="utf-8"))
+        text = read_regular(path, MOST_BYTES) if source is path else source.read_bytes()
+        table = tomllib.loads(text.decode())
         return msgspec.convert(table, type=kind)
     except FileNotFoundError as error:
         if path.exists():
@@ -59,6 +64,8 @@ def read_settings(name: str | Path, folder: str, kind: type[T]) -> T:
             p.name[:-5] for p in (files("stillcal.config") / folder).iterdir() if p.name.endswith(".toml")
         )
         raise ValueError(f"{name}: no such file, and not one of {', '.join(known)}") from error
+    except NotRegularError as error:
+        raise ValueError(f"{source}: is no regular file; give TOML as docs/phone.md has it") from error
     except UnicodeDecodeError as error:
         raise ValueError(f"{source}: is not a text file; give TOML as docs/phone.md has it") from error
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
