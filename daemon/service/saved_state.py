@@ -7,6 +7,7 @@ Losing it costs rests, never a calibration; so what cannot be read is set aside 
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -107,4 +108,4 @@ def save(path: Path, data: bytes) -> None:
 
 def _free(path: Path) -> Path:
     names = [path.with_name(f"{path.name}.bad-{n}") for n in range(1, ASIDE + 1)]
-    return next((name for name in names if not name.exists()), names[-1])
+    return next((name for name in names if not os.path.lexists(name)), names[-1])

@@ -15,7 +15,7 @@ import errno
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
@@ -179,17 +179,23 @@ class Store:
                     f"{self.path} is not a stillcal store ({verification.store.problem}): "
                     "give another path, or move it away to begin anew"
                 )
-            if not verification.last_good.regular:
-                self._set_aside(self.last_good_path, "unreadable")
-                self.last_good_path.unlink(missing_ok=True)  # a FIFO or a link, which has two names now
-                verification = self.verify()
-            if verification.store.problem is not None:
-                return self._replace_damaged(verification)
-            if verification.store.document is None:
-                return Outcome(StoreDocument())
-            if verification.store.schema != SCHEMA:
-                return self._migrate(verification.store.document, verification.store.schema)
-            return self._copied(verification.store.document, verification.last_good)
+            if verification.last_good.regular:
+                return self._recovered(verification)
+            aside = self._set_aside(self.last_good_path, "unreadable")
+            self.last_good_path.unlink(missing_ok=True)  # a FIFO or a link, which has two names now
+            note = f"{self.last_good_path} was {verification.last_good.problem}; set aside as {aside}"
+            outcome = self._recovered(self.verify())
+            return replace(outcome, notes=(note, *outcome.notes))
+
+    def _recovered(self, verification: Verification) -> Outcome:
+        """Make the store usable where only regular files lie at its names."""
+        if verification.store.problem is not None:
+            return self._replace_damaged(verification)
+        if verification.store.document is None:
+            return Outcome(StoreDocument())
+        if verification.store.schema != SCHEMA:
+            return self._migrate(verification.store.document, verification.store.schema)
+        return self._copied(verification.store.document, verification.last_good)
 
     def save(self, document: StoreDocument) -> None:
         """Replace the store's contents.

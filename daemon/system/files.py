@@ -57,7 +57,12 @@ def read_regular(path: Path, limit: int) -> bytes:
 
     Raises NotRegularError, without waiting for a FIFO's writer, TooLargeError, and other OSError.
     """
-    fd = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+    try:
+        fd = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise NotRegularError(errno.ELOOP, "its links lead in a circle", str(path)) from None
+        raise
     try:
         found = os.fstat(fd)
         if not stat.S_ISREG(found.st_mode):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
 import stat
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,12 +18,14 @@ import pytest
 
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.errors import TryAgainError
+from stillcal.daemon.cli.query import NoDaemonError, replies
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.service.storage import Storage
 from stillcal.daemon.settings import SocketSettings
 from stillcal.daemon.store.files import StoreError, StoreLockedError
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import make_folder
+from stillcal.daemon.varlink.address import NAME
 from stillcal.daemon.varlink.socket import opened
 from stillcal.replay.trials.faults.calls import CALLS, PASSING, failing_call, surviving
 from tests.support.asking import STILLCAL
@@ -111,8 +115,16 @@ def test_a_loop_of_links_is_refused_in_one_line(tmp_path: Path) -> None:
     assert len(ran.stderr.splitlines()) == 1 and "circle" in ran.stderr
 
 
+def loop(path: Path) -> None:
+    """Make a name a link to a link to itself."""
+    path.symlink_to(f"{path.name}.other")
+    path.with_name(f"{path.name}.other").symlink_to(path.name)
+
+
 @pytest.mark.parametrize(
-    "make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["folder", "fifo", "zero"]
+    "make",
+    [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/zero"), loop],
+    ids=["folder", "fifo", "zero", "loop"],
 )
 def test_what_is_no_file_in_the_place_of_the_last_good_copy_is_set_aside(
     path: Path, make_record: Any, make: Callable[[Path], None]
@@ -187,11 +199,51 @@ def test_the_folders_of_store_and_socket_are_for_nobody_else_to_write(tmp_path: 
     assert modes == [0o750, 0o750, 0o755, 0o755]
 
 
-@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["fifo", "zero"])
-def test_a_state_that_is_no_file_is_set_aside(path: Path, make: Callable[[Path], None]) -> None:
+@pytest.mark.parametrize(
+    ("make", "what"),
+    [
+        (os.mkfifo, "not a regular file"),
+        (lambda path: path.symlink_to("/dev/zero"), "not a regular file"),
+        (loop, "its links lead in a circle"),
+    ],
+    ids=["fifo", "zero", "loop"],
+)
+def test_a_state_that_is_no_file_is_set_aside(path: Path, make: Callable[[Path], None], what: str) -> None:
     state = saved_state.state_path(path)
-    state.unlink()
-    make(state)
-    loaded = Storage(Store(path), lambda note: None).open()
-    assert loaded.state is None and "not a regular file" in loaded.note
-    assert not os.path.lexists(state) and os.path.lexists(state.with_name("store.state.bad-1"))
+    for number in (1, 2):
+        state.unlink(missing_ok=True)
+        for link in state.parent.glob("*.other"):
+            link.unlink()
+        make(state)
+        storage = Storage(Store(path), lambda note: None)
+        loaded = storage.open()
+        storage.close()
+        assert loaded.state is None and what in loaded.note
+        assert not os.path.lexists(state) and os.path.lexists(state.with_name(f"store.state.bad-{number}"))
+
+
+@pytest.mark.parametrize("name", ["store.json.last-good", "store.state"])
+def test_a_daemon_starts_beside_a_loop_of_links(path: Path, name: str, tmp_path: Path) -> None:
+    """It serves what the store holds, writes the name anew as it ends, and says in its log what was there."""
+    path.with_name(name).unlink()
+    loop(path.with_name(name))
+    (tmp_path / "stillcal.toml").write_text("")
+    where = ("--config", tmp_path / "stillcal.toml", "--store", path, "--socket", tmp_path / "socket")
+    command = [STILLCAL, "run", "--port", "none", *map(str, where)]
+    daemon = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        while daemon.poll() is None and not asks(tmp_path / "socket"):
+            time.sleep(0.05)
+    finally:
+        daemon.terminate()
+        said = daemon.communicate(timeout=60)[1]
+    assert daemon.returncode == 0, said
+    assert "its links lead in a circle" in said
+    assert path.with_name(name).is_file() and not path.with_name(name).is_symlink()
+
+
+def asks(socket: Path) -> bool:
+    with contextlib.suppress(NoDaemonError):
+        (reply,) = replies(socket, {"method": f"{NAME}.GetCalibration"})
+        return reply["parameters"]["calibration"]["fitted_at_s"] == 2.0
+    return False
