@@ -58,8 +58,8 @@ JUMP = {"accel": 5e-4, "gyro": 7.3e-5}
 """Standard deviation of a bias that is another in every rest, m/s^2 and rad/s, that is no finding: 50 ug, and
 the Earth's own rate, of whose latitude and heading nothing is known."""
 
-CERTAIN_JUMP = 0.999
-"""Posterior probability of jumps beyond that which makes them a finding."""
+CERTAIN_NAMELESS = 0.999
+"""Posterior probability of jumps or wander beyond what is allowed that makes them a finding with no name."""
 
 BANDWIDTH_LIMIT = 0.38
 """Part of the sample rate below which a low-pass is a finding: parts come with 0.40 to 0.44 (BMI270)."""

@@ -1,30 +1,36 @@
-"""Samples that stand in the wrong order: two exchanged, or a stretch of some that runs backwards.
+"""Samples in the wrong order: two exchanged, a stretch that runs backwards, or two stretches exchanged.
 
-Turned round, they follow their neighbours again on all axes. An order that is right has no reason to look
-better turned round: the power that neighbours leave about such a place has six independent numbers and more,
+Put back, they follow their neighbours again on all axes. An order that is right has no reason to look
+better in another: the power that neighbours leave about such a place has six independent numbers and more,
 and it takes all of them to fall together by chance. At rest every order is alike, so motion tells.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
-from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, residual, spread
+from stillcal.calib_core.diagnosis.sequence.neighbours import LEAST_SPREAD, REACH, WEIGHTS, residual, spread
 from stillcal.calib_core.streams.samples import Samples
 
 DRIVER = "order of the samples"
-INDEPENDENT = 6
-"""Residuals that an exchange of two samples changes on one axis.
+EXCHANGED = 6
+"""Residuals that an exchange of two samples changes on one axis."""
 
-All axes count as one: what moves a phone may go along one line."""
+ACROSS = len(WEIGHTS) - 1
+"""Residuals on one axis that span the border between two samples."""
 
 LONGEST = 64
-"""Samples in a stretch that runs backwards, at most: what FIFOs of phones hold at once."""
+"""Samples of a place in the wrong order, at most: what FIFOs of phones hold at once."""
+
+NEXT = 6
+"""Ends after a first one among which the next one is looked for, where two stretches are exchanged."""
 
 CLEAR = 30.0
 """Times the power of noise, and of the residuals about it, that the ends of a stretch stand out by."""
@@ -37,8 +43,8 @@ MOST_ENDS = 400
 
 
 @dataclass(frozen=True, slots=True)
-class Turned:
-    """Rows `first` to `last` (not included), which follow their neighbours when turned round; nats for it."""
+class Misplaced:
+    """Rows `first` to `last` (not included), which follow their neighbours in another order; nats for it."""
 
     first: int
     last: int
@@ -49,7 +55,7 @@ def wrong_order(samples: Samples, sensor: str) -> Finding | None:
     """Find samples of one sensor that follow their neighbours only in another order."""
     if len(samples) < 2 * NEARBY:
         return None
-    found = turned(samples.xyz)
+    found = misplaced(samples.xyz)
     if not found:
         return None
     t, count = samples.t, float(sum(one.last - one.first for one in found))
@@ -57,7 +63,7 @@ def wrong_order(samples: Samples, sensor: str) -> Finding | None:
     where = Where(float(t[found[0].first]), float(t[found[-1].last - 1]), (0.0, 0.0), DRIVER)
     say = (
         f"Samples of the {NAME[sensor]} are in the wrong order at {len(found)} places of motion, up to"
-        f" {longest} at a time: turned round, they follow their neighbours."
+        f" {longest} at a time: put back, they follow their neighbours."
     )
     sizes = sized(
         {"places": (float(len(found)), "1"), "samples": (count, "1"), "longest": (float(longest), "1")}
@@ -66,10 +72,12 @@ def wrong_order(samples: Samples, sensor: str) -> Finding | None:
     return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=say, seen=seen)
 
 
-def turned(xyz: Array) -> list[Turned]:
-    """Return the stretches of values (n, 3) that are better turned round, in order, each worth its tries."""
-    moved = xyz / spread(residual(xyz))
-    every = sorted([*_exchanged(moved), *_backwards(moved)], key=lambda one: -one.nats)
+def misplaced(xyz: Array) -> list[Misplaced]:
+    """Return the places of values (n, 3) that are better in another order; each is worth its tries."""
+    moved = xyz / _unit(residual(xyz))
+    ends = _ends(moved)
+    tried = [*_exchanged(moved), *_backwards(moved, ends), *_exchanged_stretches(moved, ends)]
+    every = sorted(tried, key=lambda one: -one.nats)
     taken = np.zeros(len(xyz), dtype=np.bool_)
     kept = []
     for one in every:
@@ -80,35 +88,47 @@ def turned(xyz: Array) -> list[Turned]:
     return sorted(kept, key=lambda one: one.first)
 
 
-def _nats(before: Array, after: Array, count: float, tries: float) -> Array:
-    """Return nats for an order by the power left before and after, of `count` noises of power one each."""
-    ratio = (before + count) / (np.maximum(after, 0.0) + count)
-    return np.asarray(0.5 * INDEPENDENT * np.log(ratio) - np.log(tries))
+def _unit(left: Array) -> Array:
+    """Return the spread (k,) of residuals (n, k), of those that are not nothing.
+
+    Where values are the same for long, the others tell the steps of the code, which are noise here.
+    """
+    moving = [axis[np.abs(axis) > LEAST_SPREAD] for axis in left.T]
+    return np.array([spread(axis[:, None])[0] if axis.size else LEAST_SPREAD for axis in moving])
 
 
-def _exchanged(moved: Array) -> list[Turned]:
+def _nats(before: Array, after: Array, axes: int, changed: int, tries: float) -> Array:
+    """Return nats for an order by the power before and after of the residuals that it changes.
+
+    changed: how many, on each axis. All axes count as one: what moves a phone may go along one line.
+    """
+    noise = float(axes * changed)
+    ratio = (before + noise) / (np.maximum(after, 0.0) + noise)
+    return np.asarray(0.5 * changed * np.log(ratio) - np.log(tries))
+
+
+def _exchanged(moved: Array) -> list[Misplaced]:
     """Return all pairs of neighbours that are better exchanged; moved: (n, 3) in units of noise."""
     left = residual(moved)
-    n = len(left) - INDEPENDENT + 1
+    n = len(left) - EXCHANGED + 1
     if n < 1:
         return []
     # Row 4 + i and the one after are exchanged: residuals that know either change by `change` times the step.
     change = residual(np.array([0, 0, 0, 0, 1, -1, 0, 0, 0, 0], dtype=np.float64)[:, None])[:, 0]
     step = np.diff(moved, axis=0)[2 * REACH : 2 * REACH + n]
-    rows = [left[i : i + n] for i in range(INDEPENDENT)]
+    rows = [left[i : i + n] for i in range(EXCHANGED)]
     before = np.asarray(sum((r**2).sum(axis=1) for r in rows))
     along = np.asarray(sum((step * r).sum(axis=1) * c for r, c in zip(rows, change, strict=True)))
     after = before + 2.0 * along + (step**2).sum(axis=1) * float(change @ change)
-    nats = _nats(before, after, float(INDEPENDENT * moved.shape[1]), 2.0 * len(moved))
-    return [Turned(int(i) + 4, int(i) + 6, float(nats[i])) for i in np.flatnonzero(nats > 0.0)]
+    nats = _nats(before, after, moved.shape[1], EXCHANGED, 2.0 * len(moved))
+    return [Misplaced(int(i) + 4, int(i) + 6, float(nats[i])) for i in np.flatnonzero(nats > 0.0)]
 
 
-def _backwards(moved: Array) -> list[Turned]:
+def _backwards(moved: Array, ends: Array) -> list[Misplaced]:
     """Return stretches of three samples and more that are better turned round.
 
     They begin and end where residuals stand out of those nearby: within, a smooth motion is as smooth turned.
     """
-    ends = _ends(moved)
     tries = 2.0 * len(moved) * LONGEST
     found = []
     for i, begin in enumerate(ends):
@@ -116,20 +136,51 @@ def _backwards(moved: Array) -> list[Turned]:
             length = int(end - begin)
             if length > LONGEST + 1:
                 break
-            for first, last in ((begin, end), (begin, end + 1), (begin + 1, end), (begin + 1, end + 1)):
-                if last - first < 3 or first < 2 * REACH or last + 2 * REACH > len(moved):
-                    continue
-                found += _tried(moved, int(first), int(last), tries)
+            for first, last in product((begin, begin + 1), (end, end + 1)):
+                if last - first >= 3:
+                    found += _tried(moved, int(first), [np.arange(last - first)[::-1]], tries)
     return found
 
 
-def _tried(moved: Array, first: int, last: int, tries: float) -> list[Turned]:
+def _exchanged_stretches(moved: Array, ends: Array) -> list[Misplaced]:
+    """Return places where a stretch follows the one after it, as halves of a buffer that are read crosswise.
+
+    All three ends of two such stretches stand out.
+    """
+    borders = np.unique(np.concatenate([ends, ends + 1]))
+    tries = 2.0 * len(moved) * LONGEST**2
+    found = []
+    for i, first in enumerate(borders):
+        for j in range(i + 1, min(i + 1 + NEXT, borders.size)):
+            for last in borders[j + 1 : j + 1 + NEXT]:
+                length, half = int(last - first), int(borders[j] - first)
+                if 3 <= length <= LONGEST:
+                    found += _tried(moved, int(first), [np.arange(half, length), np.arange(half)], tries)
+    return found
+
+
+def _tried(moved: Array, first: int, pieces: list[NDArray[np.int64]], tries: float) -> list[Misplaced]:
+    """Return the place from row `first` on if its samples are better in this order, and nothing if not.
+
+    pieces: rows of the place, from 0, in that order; power is compared where residuals span an end of one.
+    """
+    order = np.concatenate(pieces)
+    last = first + order.size
+    if first < 2 * REACH or last + 2 * REACH > len(moved):
+        return []
     part = moved[first - 2 * REACH : last + 2 * REACH]
     other = part.copy()
-    other[2 * REACH : -2 * REACH] = part[2 * REACH : -2 * REACH][::-1]
-    before, after = residual(part) ** 2, residual(other) ** 2
-    nats = float(_nats(before.sum(), after.sum(), float(before.size), tries))
-    return [Turned(first, last, nats)] if nats > 0.0 else []
+    other[2 * REACH : -2 * REACH] = part[2 * REACH : -2 * REACH][order]
+    ends_before = _across([*(int(piece.min()) for piece in pieces), order.size])
+    ends_after = _across([0, *np.cumsum([piece.size for piece in pieces]).tolist()])
+    before, after = residual(part)[ends_before], residual(other)[ends_after]
+    nats = float(_nats((before**2).sum(), (after**2).sum(), moved.shape[1], len(before), tries))
+    return [Misplaced(first, last, nats)] if nats > 0.0 else []
+
+
+def _across(ends: list[int]) -> NDArray[np.int64]:
+    """Return which residuals of a part span one of these ends of pieces."""
+    return np.unique(np.add.outer(np.array(ends), np.arange(ACROSS)))
 
 
 def _ends(moved: Array) -> Array:

@@ -67,7 +67,7 @@ def jumps(scene: Scene, explained: Sequence[Hypothesis], reduced: Sequence[Reduc
             (float(weight[above].sum()), prior, *_scatter(view, [h.columns[i][0] for h in explained]))
         )
     sure, prior, size, freedom = np.array(told).T
-    return Jumps(sure, prior, size, freedom) if sure.max() >= thresholds.CERTAIN_JUMP else None
+    return Jumps(sure, prior, size, freedom) if sure.max() >= thresholds.CERTAIN_NAMELESS else None
 
 
 def _scatter(view: View, explained: list[Array]) -> tuple[float, float]:
@@ -95,7 +95,7 @@ def stands(scene: Scene, one: Scored, found: Jumps) -> bool:
 def finding(scene: Scene, found: Jumps) -> Finding:
     """State the jumps: they have no name, for many a cause may have them."""
     sure, size, freedom = (np.broadcast_to(x, 3) for x in (found.sure, found.size, found.freedom))
-    axes = [a for a, p in zip(AXES, sure, strict=True) if p >= thresholds.CERTAIN_JUMP]
+    axes = [a for a, p in zip(AXES, sure, strict=True) if p >= thresholds.CERTAIN_NAMELESS]
     spread = NORMAL_95 / np.sqrt(2.0 * freedom)
     ci = np.stack([size * np.exp(-spread), size * np.exp(spread)], axis=1)
     say = (

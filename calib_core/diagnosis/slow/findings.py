@@ -18,9 +18,9 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
-from stillcal.calib_core.diagnosis.slow.random_walk import random_walk
 from stillcal.calib_core.diagnosis.slow.search import LN10, Scored, Step, adequate, forward, reduce_scene
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
+from stillcal.calib_core.diagnosis.slow.wander import wander
 
 CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
@@ -49,8 +49,8 @@ def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
 def slow_statements(scene: Scene, without: Collection[str] = ()) -> list[Stated]:
     """Return what the still bins of one sensor show, in the order it was found.
 
-    without: effects that are left out of the catalogue. What jumps from rest to rest leaves is not called a
-    random walk besides.
+    without: effects that are left out of the catalogue. What jumps from rest to rest leaves is not called
+    wander besides. Where nothing stands, nothing is explained, and wander is all that there is.
     """
     if len(scene.bins) < thresholds.LEAST_BINS:
         return []
@@ -59,9 +59,13 @@ def slow_statements(scene: Scene, without: Collection[str] = ()) -> list[Stated]
     if found:
         steps = [step for step in adequate(steps) if jumps.stands(scene, step.winner, found)]
         found, left = _jumps(scene, steps)
-    beside = [jumps.finding(scene, found)] if found else random_walk(scene, left)
+    stated = statements_of(scene, steps)
+    if found:
+        beside = [jumps.finding(scene, found)]
+    else:
+        beside = wander(scene, left if stated else reduce_scene(scene, [nothing(scene)]))
     return [
-        *statements_of(scene, steps),
+        *stated,
         *(Stated(replace(f, effect="unknown") if f.effect in without else f) for f in beside),
     ]
 

@@ -48,6 +48,11 @@ def backwards(x: np.ndarray, rng: np.random.Generator) -> None:
         x[i : i + 8] = x[i : i + 8][::-1].copy()
 
 
+def crosswise(x: np.ndarray, rng: np.random.Generator) -> None:
+    for i in np.flatnonzero(rng.random(len(x) // 8) < 0.1) * 8:
+        x[i : i + 8] = np.roll(x[i : i + 8], 4, axis=0)
+
+
 def again(x: np.ndarray, rng: np.random.Generator) -> None:
     for i in rng.integers(100, len(x) - 100, 3):
         x[i : i + 12] = x[i - 40 : i - 28]
@@ -73,6 +78,7 @@ def mixed(x: np.ndarray, rng: np.random.Generator) -> None:
     [
         (exchanged, "order of the samples"),
         (backwards, "order of the samples"),
+        (crosswise, "order of the samples"),
         (again, "values delivered before"),
         (stale, "axes read before they are new"),
         (torn, "own code"),

@@ -1,16 +1,17 @@
-"""A bias random walk beyond what a phone may have is sure, though other strong wander is like it."""
+"""Wander beyond what a phone may have is found; it is a random walk only where it surely is one."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene, nothing
 from stillcal.calib_core.diagnosis.model.scenes import scenes
-from stillcal.calib_core.diagnosis.slow.random_walk import Walk, random_walk, walks_of
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.wander import Wander, wander, wanders_of
 from tests.support.diagnosis import nulls
 
 LIMIT = thresholds.RANDOM_WALK["gyro"]
@@ -21,13 +22,20 @@ def reduced(density: float, family: str = "white") -> tuple[Scene, list[Reduced]
     rng = np.random.default_rng(5)
     day = nulls.schedule(rng)
     steps = rng.standard_normal((day.t.size, 3)) * np.sqrt(np.gradient(day.t))[:, None]
-    bins = nulls.bins_of(rng, day, family, gyro_error=density * np.cumsum(steps, axis=0))
+    return with_error(day, rng, density * np.cumsum(steps, axis=0), family)
+
+
+def with_error(
+    day: nulls.Day, rng: np.random.Generator, error: Array, family: str
+) -> tuple[Scene, list[Reduced]]:
+    """Return a gyroscope's scene with this error (n, 3) of its bias, rad/s, with its sums."""
+    bins = nulls.bins_of(rng, day, family, gyro_error=error)
     scene = next(s for s in scenes(bins, nulls.G) if s.sensor == "gyro")
     return scene, reduce_scene(scene, [nothing(scene)])
 
 
 def test_a_walk_of_ten_times_what_is_allowed_is_sure_and_its_density_is_right() -> None:
-    (finding,) = random_walk(*reduced(10.0 * LIMIT))
+    (finding,) = wander(*reduced(10.0 * LIMIT))
     assert finding.effect == "gyro_bias_random_walk" and finding.axes == ["x", "y", "z"]
     assert finding.evidence.log_bayes_factor > 12.0, "no wander of a sound phone moves a bias as far"
     for low, high in finding.parameters["density"].ci95:  # type: ignore[union-attr]
@@ -37,14 +45,28 @@ def test_a_walk_of_ten_times_what_is_allowed_is_sure_and_its_density_is_right() 
 @pytest.mark.parametrize("family", ["white", "flicker", "gm300", "walk_strong"])
 def test_what_is_allowed_is_no_finding(family: str) -> None:
     scene, sums = reduced(0.1 * LIMIT, family)
-    assert random_walk(scene, sums) == []
-    assert max(w.log_bayes_factor(LIMIT) for w in walks_of(sums)) < 3.0
+    assert wander(scene, sums) == []
+    assert max(w.log_bayes_factor(LIMIT) for w in wanders_of(sums)) < 3.0
+
+
+def test_strong_wander_that_is_no_walk_has_no_name() -> None:
+    """A bias that comes back within a minute, by 40 limits in the square root of one."""
+    rng = np.random.default_rng(6)
+    day = nulls.schedule(rng)
+    size, tau = 40.0 * LIMIT * np.sqrt(60.0), 60.0
+    error = nulls.Wander(gm=((tau, size),)).series(rng, day.t.size)
+    (finding,) = wander(*with_error(day, rng, error, "white"))
+    assert finding.effect == "unknown" and finding.axes == ["x", "y", "z"]
+    assert finding.evidence.log_bayes_factor > 12.0, "no sound phone's bias moves as far"
+    for low, high in finding.parameters["size"].ci95:  # type: ignore[union-attr]
+        assert low < size < high < 3.0 * low
 
 
 def test_other_strong_wander_speaks_against_the_name_and_not_for_a_sound_phone() -> None:
     """Shapes: a sound wander, a strong flicker, a strong walk; the data rule out the first alone."""
     plain = np.zeros(3, dtype=bool)
     weight, alike = np.array([1e-9, 0.007, 0.993]), np.array([0.5, 9.0, 10.0])
-    walk = Walk(weight, np.array([0.4, 0.2, 0.4]), np.array([0.0, 0.0, 10.0]), alike, plain, plain)
-    assert walk.beyond(1.0) == pytest.approx(0.993)
-    assert walk.log_bayes_factor(1.0) == pytest.approx(np.log(0.993 / 1e-9))
+    walk = Wander(weight, np.array([0.4, 0.2, 0.4]), np.array([0.0, 0.0, 10.0]), alike, alike, plain, plain)
+    assert walk.walks_beyond(1.0) == pytest.approx(0.993)
+    assert walk.log_bayes_factor_of_walk(1.0) == pytest.approx(np.log(0.993 / 1e-9))
+    assert walk.beyond(1.0) == pytest.approx(1.0) and walk.log_bayes_factor(1.0) > np.log(1e9 / 2.0)
