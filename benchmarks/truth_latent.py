@@ -19,6 +19,7 @@ import numpy as np
 from truth_phones import live
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths.rms import rms
 
 STEP_S, DAY_S = 30.0, 86400.0
 LAGS_S = (120.0, 300.0, 600.0, 1200.0, 2400.0)
@@ -54,7 +55,7 @@ def errors(number: int, seed: int, days: float) -> dict[str, float]:
         for lag_s in LAGS_S:
             columns = np.column_stack([np.ones(t.size), *(lagged(d, lag_s) for d in slow), *plain])
             error = celsius - columns @ np.linalg.lstsq(columns[first], celsius[first], rcond=None)[0]
-            tried.append([float(np.sqrt(np.mean(error[rows] ** 2))) for rows in (first, ~first)])
+            tried.append([rms(error[rows]) for rows in (first, ~first)])
         found[name] = min(tried)[1]
     return found
 

@@ -12,6 +12,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.gravity import STANDARD, Gravity
+from stillcal.calib_core.maths.rms import rms
 from stillcal.daemon.store.files import StoreError
 from stillcal.daemon.store.store import Store, StoreSettings
 from stillcal.replay.runner import Outcome
@@ -141,7 +142,7 @@ def _accelerometer(record: CalibrationRecord, part: AccelerometerRecord) -> list
 
 def _raw_rms(record: CalibrationRecord, gravity: float) -> float:
     norms = np.array([np.linalg.norm(s.specific_force) for s in record.states])
-    return float(np.sqrt(np.mean((norms - gravity) ** 2))) if norms.size else float("nan")
+    return rms(norms - gravity) if norms.size else float("nan")
 
 
 def _gyroscope(part: GyroscopeRecord) -> list[tuple[str, str]]:

@@ -10,6 +10,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.terms import BY_CHARGING
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.events import Event
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.calib_core.temperature.charger import Charger
@@ -86,8 +87,7 @@ class Suitability:
             return ""
         means = np.array(self._means)
         before, after = (
-            float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - part.gravity) ** 2)))
-            for force in (means, part.model.apply(means))
+            rms(np.linalg.norm(force, axis=1) - part.gravity) for force in (means, part.model.apply(means))
         )
         if after <= WORSE * before or after <= STILL:
             return ""

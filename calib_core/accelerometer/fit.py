@@ -26,6 +26,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths import random_effects
 from stillcal.calib_core.maths.levenberg_marquardt import Damping
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.maths.student_t import quantile
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.ranges import check_ranges
@@ -272,7 +273,7 @@ def _fit_with_prior(task: Task, prior: FleetPrior) -> AccelerometerFit | None:
         degrees_of_freedom=float("inf"),
         coverage=observability.coverage(task.norms.directions(), 9),
         residuals=fitted.residuals,
-        rms_residual=float(np.sqrt(np.mean(fitted.residuals**2))),
+        rms_residual=rms(fitted.residuals),
         dropped=(),
         n_rests=len(raw),
         n_states=states,
@@ -402,7 +403,7 @@ def _result(task: Task, solution: Solution, used: NDArray[np.bool_]) -> Accelero
         degrees_of_freedom=_degrees_of_freedom(solution, len(fitted.raw), states),
         coverage=observability.coverage(fitted.directions(), task.parameters, task.form),
         residuals=frozen(residuals),
-        rms_residual=float(np.sqrt(np.mean(residuals**2))),
+        rms_residual=rms(residuals),
         dropped=_dropped(residuals, used),
         n_rests=len(used),
         n_states=states,

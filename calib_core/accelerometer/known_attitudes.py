@@ -22,6 +22,7 @@ from stillcal.calib_core.accelerometer.fit import AccelerometerSettings
 from stillcal.calib_core.accelerometer.observability import describe
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import directions
 
@@ -186,9 +187,7 @@ def calibrate_faces(
     else:
         model, method = _six_parameters(forces[face], uncertainties[face], gravity), Method.SIX_PARAMETERS
     norms = np.linalg.norm(model.apply(forces[face]), axis=1)
-    return FaceCalibration(
-        model, method, int(face.sum()), tilt, float(np.sqrt(np.mean((norms - gravity) ** 2)))
-    )
+    return FaceCalibration(model, method, int(face.sum()), tilt, rms(norms - gravity))
 
 
 def _six_parameters(forces: Array, uncertainties: Array, gravity: float) -> SensorModel:

@@ -22,6 +22,7 @@ from stillcal.calib_core.accelerometer.known_attitudes import (
 )
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.maths.student_t import quantile
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.ranges import check_ranges
@@ -68,7 +69,7 @@ class SixFaces:
     @property
     def rms_residual(self) -> float:
         """Root mean square of the norms' residuals, m/s^2."""
-        return float(np.sqrt(np.mean(self.residuals**2)))
+        return rms(self.residuals)
 
 
 _DEFAULT = SixFacesSettings()

@@ -26,6 +26,7 @@ from stillcal.calib_core.calibration.record import (
 )
 from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.model import SensorModel
 
 _ALL_SIGN_PATTERNS = 12
@@ -185,7 +186,7 @@ def compare_residuals(old: Array, new: Array, sd: Array, settings: QualitySettin
     gains = (old**2 - new**2) / (2 * sd**2)
     n = gains.size
     chance = flipped_share(gains) if n else 1.0
-    rms_old, rms_new = (float(np.sqrt(np.mean(r**2))) if n else 0.0 for r in (old, new))
+    rms_old, rms_new = (rms(r) if n else 0.0 for r in (old, new))
     better = n >= settings.held_out_rests and chance <= settings.chance
     worse = flipped_share(-gains) if n else 1.0
     return Comparison(n, float(gains.mean()) if n else 0.0, chance, rms_old, rms_new, better, worse)

@@ -28,6 +28,7 @@ from stillcal.calib_core.calibration.record import (
     TermParameter,
 )
 from stillcal.calib_core.calibration.terms import BY_CHARGING, POWER_NAMES, force_terms, polynomial
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.charger import FULL_K
@@ -241,7 +242,7 @@ def _learn_by(
     forecast = replace(
         _forecast(curved if applied else without, curved, driver, seen.celsius, t),
         lag_s=lag,
-        behind_sd=float(np.sqrt(np.mean(known_behind**2))) if known_behind.size else 0.0,
+        behind_sd=rms(known_behind),
     )
     held = _term(sensor, forecast) if applied else None
     return _learnt(

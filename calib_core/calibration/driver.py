@@ -9,6 +9,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import Term
 from stillcal.calib_core.calibration.terms import BY_CHARGING, lag_of, polynomial
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.temperature.charger import CHARGER_LAGS_S
 from stillcal.calib_core.temperature.forecast import Forecast, plausible, thermometer_step
 from stillcal.calib_core.temperature.memory import Memory
@@ -125,7 +126,7 @@ class Driver:
             return seen
         late = self._late(lag_s)
         behind = (late - seen.celsius)[np.isfinite(late)]
-        more = slope * float(np.sqrt(np.mean(behind**2))) if behind.size else 0.0
+        more = slope * rms(behind)
         own = felt(seen.celsius, self.lagged, lag_s, self.lags_s)
         return replace(seen, celsius=own).wider(np.where(np.isfinite(late), 0.0, more))
 

@@ -32,6 +32,7 @@ from stillcal.calib_core.calibration.record import (
     Validity,
 )
 from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms, polynomial
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast
@@ -133,7 +134,7 @@ def _accepted(
     enough = by_hour.size >= (_FEW_HOURS if part.with_prior else settings.held_out_rests)
     if not enough and not doubtless:
         return "", {}
-    rms_old, rms_new = (float(np.sqrt(np.mean(values**2))) for values in (old, new))
+    rms_old, rms_new = (rms(values) for values in (old, new))
     chance = flipped_share(by_hour)
     evidence: Evidence = {"hours": by_hour.size, "chance": chance, "rms_old": rms_old, "rms_new": rms_new}
     figures = f"held-out rms {rms_new:.2g} after {rms_old:.2g} m/s^2 over {by_hour.size} hours"
@@ -236,7 +237,7 @@ def _part(part: AccelerometerRecord, learnt: Learnt, memory: Memory) -> Accelero
         parameters=9,
         names=names(9),
         covariance=learnt.covariance,
-        rms_residual=float(np.sqrt(np.mean(newest**2))),
+        rms_residual=rms(newest),
         n_rests=len(memory),
         n_states=int(labels.max()) + 1,
         observability=part.observability if nine else None,

@@ -31,6 +31,7 @@ from stillcal.calib_core.gyroscope.solver import (
     nominal,
     solve,
 )
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
 
@@ -184,7 +185,7 @@ def _result(
     before = problem.along(NOMINAL).at(NOMINAL, 0.0).propagated.angle
     after = problem.at(solution.theta, 0.0).propagated.angle
     used = solution.used
-    rms_before, rms_after = (float(np.sqrt(np.mean(a[used] ** 2))) for a in (before, after))
+    rms_before, rms_after = (rms(a[used]) for a in (before, after))
     return GyroscopeFit(
         model=SensorModel.of(scale, bias.bias),
         parameters=choice,

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.maths.rms import rms
 from stillcal.daemon.store.document import pretty
-from stillcal.replay.export.imu import ImuParameters, root_mean_square
+from stillcal.replay.export.imu import ImuParameters
 from stillcal.replay.export.target import Target, one_number
 
 DEG_PER_HOUR = float(np.deg2rad(1.0) / 3600.0)
@@ -55,8 +56,8 @@ class AirSim(Target):
         for name, part in imu.parts():
             if part.noise is not None:
                 white, white_unit, *_ = KEYS[name]
-                sensor[white] = root_mean_square(part.noise.two_sided) / white_unit
-                sensor |= stability(name, root_mean_square(part.noise.walk_alike()))
+                sensor[white] = rms(part.noise.two_sided) / white_unit
+                sensor |= stability(name, rms(part.noise.walk_alike()))
         vehicle = {"VehicleType": "SimpleFlight", "Sensors": {"Imu": sensor}}
         out = {"Comment": list(remarks), "SettingsVersion": 1.2, "SimMode": "Multirotor"}
         return (pretty(out | {"Vehicles": {"Drone1": vehicle}}) + "\n").encode()

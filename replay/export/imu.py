@@ -282,11 +282,6 @@ def limits_of(low: float | None, high: float | None, wide: tuple[float, float]) 
     return None if low is None or high is None or (low, high) == wide or low >= high else (low, high)
 
 
-def root_mean_square(values: Array) -> float:
-    """Return the one number of the same power as three axes."""
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
 def spread(values: Array) -> bool:
     """Whether three densities are too different for one number to stand for them."""
     return bool(np.ptp(values) > ALIKE * np.max(np.abs(values), initial=0.0))

@@ -22,7 +22,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import UserError
-from stillcal.replay.export.imu import ImuParameters, SensorPart, root_mean_square
+from stillcal.calib_core.maths.rms import rms
+from stillcal.replay.export.imu import ImuParameters, SensorPart
 from stillcal.replay.export.target import Target, commented, finite, one_number, text_of
 
 MODEL = "scale-misalignment"
@@ -80,9 +81,9 @@ def _noise(imu: ImuParameters) -> Iterator[tuple[str, Any]]:
     yield "update_rate", imu.rate_hz
     for name, part in imu.parts():
         if part.noise is not None:
-            yield f"{name}_noise_density", root_mean_square(part.noise.two_sided)
+            yield f"{name}_noise_density", rms(part.noise.two_sided)
             if part.noise.slow:
-                yield f"{name}_random_walk", root_mean_square(part.noise.walk_alike())
+                yield f"{name}_random_walk", rms(part.noise.walk_alike())
 
 
 def _intrinsics(imu: ImuParameters) -> dict[str, Any]:

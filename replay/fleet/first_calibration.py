@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from stillcal.calib_core.accelerometer import prior as fleet_prior
 from stillcal.calib_core.accelerometer.prior import FleetPrior, PriorFit
 from stillcal.calib_core.calibration.candidate import validity_of
@@ -18,6 +16,7 @@ from stillcal.calib_core.calibration.record import (
 )
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import (
     ATTITUDE_ANGLE,
@@ -70,7 +69,7 @@ def record_of(
         parameters=9,
         names=prior.names,
         covariance=fit.covariance,
-        rms_residual=float(np.sqrt(np.mean(fit.residuals**2))),
+        rms_residual=rms(fit.residuals),
         n_rests=len(rests),
         n_states=int(labels.max()) + 1,
         gravity=fit.gravity,
@@ -103,7 +102,7 @@ def document(fit: PriorFit, rests: list[RestState], prior: FleetPrior) -> dict[s
         "parameters": 9,
         "names": list(prior.names),
         "covariance": fit.covariance.tolist(),
-        "rms_residual": float(np.sqrt(np.mean(fit.residuals**2))) if rests else None,
+        "rms_residual": rms(fit.residuals) if rests else None,
         "n_rests": len(rests),
         "n_states": int(labels.max(initial=-1)) + 1,
         "worst_norm_uncertainty": fit.worst_norm_uncertainty,

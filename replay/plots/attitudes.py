@@ -9,6 +9,7 @@ import numpy as np
 
 from stillcal.calib_core.accelerometer.observability import most_helpful_attitude
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 from stillcal.replay.palette import BLUE, ORANGE
 from stillcal.replay.plots.inputs import Material
@@ -44,12 +45,12 @@ def draw(part: FigureBase, material: Material) -> None:
         side = (up[:, 2] >= 0) == upper
         xy = flat(up[side])
         if rests.calibrated:
-            rms = np.array([np.sqrt(np.mean(rests.after[g] ** 2)) for g in groups])[side]
-            top = MILLI_G * float(np.sqrt(np.mean(rests.after**2)))
+            sizes = np.array([rms(rests.after[g]) for g in groups])[side]
+            top = MILLI_G * rms(rests.after)
             drawn = axis.scatter(
                 *xy.T,
                 s=40 + 12 * counts[side],
-                c=MILLI_G * rms,
+                c=MILLI_G * sizes,
                 cmap="viridis",
                 vmin=0,
                 vmax=2 * top,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.palette import BLUE, RED
 from stillcal.replay.plots.inputs import Material
 from stillcal.replay.plots.style import GREY, MILLI_G, NORMAL_95, within
@@ -31,8 +32,7 @@ def draw(part: FigureBase, material: Material) -> None:
             number, MILLI_G * values, bars, fmt="o", ms=4, color=colour, ecolor=GREY, elinewidth=1, zorder=3
         )
         axis.axhline(0, color=GREY, lw=1)
-        rms = MILLI_G * float(np.sqrt(np.mean(values**2)))
-        axis.set_title(f"{title}: {rms:.3g} mg rms", fontsize="medium")
+        axis.set_title(f"{title}: {MILLI_G * rms(values):.3g} mg rms", fontsize="medium")
         axis.set_xlabel("rest")
     before.set_ylabel("|force| - g at rest, mg")
     part.suptitle("bars: 95 % of the rest's own mean", fontsize="small", color=GREY)

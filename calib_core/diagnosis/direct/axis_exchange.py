@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import cuts
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples
 
@@ -161,7 +162,7 @@ def _stated(
         for a in axes
     )
     say = f"From {start:.0f} to {end:.0f} s the {NAME[sensor]}'s axes are exchanged: {told}."
-    before = float(np.sqrt(np.mean(size[inside] ** 2)))
+    before = rms(size[inside])
     where = Where(start, end, (0.0, 10.0), "rate of turn")
     sizes = sized({"miss": (before, "rad"), "exchange": (change.tolist(), "1")})
     return direct_finding("axis_exchange", sensor, axes, where, sizes, statement=say, seen=seen)

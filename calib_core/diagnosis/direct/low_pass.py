@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import HeldOut, Measured, direct_finding, of_measured
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples
 
 SEGMENT = 256

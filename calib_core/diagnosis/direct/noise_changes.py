@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Spectra
 from stillcal.calib_core.diagnosis.direct.noise_level import Levels
-from stillcal.calib_core.diagnosis.inference.left_out import rms
 from stillcal.calib_core.diagnosis.model.measurement import (
     FOLDS,
     HeldOut,
@@ -29,6 +28,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.maths.rms import rms
 
 LEAST_PIECES = 5
 LEAST_CHANGE = 0.22

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Measured,
@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.value_grid import COMB_SAMPLES, UNIT, comb_step
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples
 
 FINEST, COARSEST = 0.01, 100.0

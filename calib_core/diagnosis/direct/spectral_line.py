@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.direct.steady_segments import (
     Stretches,
     stretches,
 )
-from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import (
     NORMAL_95,
     HeldOut,
@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples
 
 BRIEF, SHORT, LONG = 8.0, 20.0, 60.0

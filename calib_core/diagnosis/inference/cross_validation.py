@@ -25,6 +25,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, log_sum,
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.maths.rms import rms
 
 FOLDS = 5
 STRETCHES = 4
@@ -103,7 +104,7 @@ def held_out(
             if p.view.name != "tangent"
         ]
     left = np.concatenate(misses)
-    rmse = float(np.sqrt(np.mean(left**2))) if left.size else 0.0
+    rmse = rms(left)
     return HeldOut(score, rmse, tuple(training))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import FOLDS, HeldOut, Index
+from stillcal.calib_core.maths.rms import rms
 
 SHARE_PIECES = 400
 """Pieces that a share of samples is counted in: what lasts for 1 % of a recording is in four of them."""
@@ -25,11 +26,6 @@ def blocks(n: int) -> Index:
 def dealt(n: int) -> Index:
     """Return the fold (n,) of each of n pieces, dealt out by a fixed shuffle: in step with no period."""
     return np.asarray(np.random.default_rng(0).permutation(n) % FOLDS, dtype=np.int64)
-
-
-def rms(values: Array) -> float:
-    """Return the root of the mean square, 0 of nothing."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def of_means(pieces: Array, sound: Array) -> HeldOut:

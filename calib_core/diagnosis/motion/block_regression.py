@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.left_out import blocks, rms
+from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import HeldOut
+from stillcal.calib_core.maths.rms import rms
 
 PARTS = 40
 """Groups of pieces that are left out in turn."""

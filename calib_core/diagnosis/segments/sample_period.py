@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths.rms import rms
 
 HEELS = 0.5
 """Part of the mean interval below which a sample comes on the heels of the one before."""
@@ -40,7 +41,7 @@ def bunched(t: Array) -> bool:
         return False
     waits = steps[steps > 1.5 * middle] / max(middle, 1e-12)
     off = waits - np.rint(waits)
-    return middle <= 0.0 or waits.size == 0 or float(np.sqrt(np.mean(off**2))) > ON_GRID
+    return middle <= 0.0 or waits.size == 0 or rms(off) > ON_GRID
 
 
 def sample_period(t: Array) -> float:

@@ -78,7 +78,7 @@ class Noise:
 def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
     """Find noise at rest that follows the count of the samples, by its size or by its values."""
     size = lines(noise.size)
-    period, batched = batch([size])
+    period, batched = batch([size], tones=True)
     beat, single = _beat(size)
     other, offset = batch([lines(axis) for axis in noise.signed.T], tones=True)
     nats, length, say = max(
@@ -115,7 +115,8 @@ def batch(series: Sequence[Array], *, tones: bool = False) -> tuple[int, float]:
     """Return the likeliest size of a batch and nats for it, all its overtones taken together (Fisher).
 
     series: of lines, as `lines` has them. tones: whether a series may have a line by itself, which is no
-    batch: the clearest of each is left out, and two at least must be left.
+    batch: a weak vibration gives values one, and their size one at twice its frequency. The clearest of each
+    is then left out, and two at least must be left.
     """
     from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
 

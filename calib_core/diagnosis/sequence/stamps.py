@@ -18,6 +18,7 @@ from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.sequence.neighbours import spread
 from stillcal.calib_core.diagnosis.sequence.places import batch, lines
 from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples
 
 LEAP, PATTERN, FEW = "stamps that leap", "count of the samples", "few late stamps"
@@ -126,7 +127,7 @@ def _patterned(found: Finding, grid: Grid) -> Finding | None:
 def _few(found: Finding, grid: Grid) -> Finding | None:
     """Return few stamps that are late among others in time; None where all scatter."""
     most = 1.4826 * float(np.median(np.abs(grid.apart)))
-    every = float(np.sqrt(np.mean(grid.apart**2)))
+    every = rms(grid.apart)
     if max(most, grid.step / 2.0) > TAILED * every:
         return None
     say = "A few time stamps are late by much; the others keep to an even rate."

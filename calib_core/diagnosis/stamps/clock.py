@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.left_out import SHARE_PIECES, blocks, of_shares, rms
+from stillcal.calib_core.diagnosis.inference.left_out import SHARE_PIECES, blocks, of_shares
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Measured,
@@ -21,6 +21,7 @@ from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample
 from stillcal.calib_core.diagnosis.stamps import timestamps as stamps
 from stillcal.calib_core.diagnosis.stamps.clock_wander import wander
 from stillcal.calib_core.diagnosis.stamps.rate_changes import rate_change, stretches
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples
 
 PIECES = 40

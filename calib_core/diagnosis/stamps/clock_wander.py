@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.left_out import rms
 from stillcal.calib_core.diagnosis.model.measurement import (
     FOLDS,
     HeldOut,
@@ -20,6 +19,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.maths.rms import rms
 
 DRIVER = "a clock whose rate is not constant"
 PIECES = 40

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.errors import UserError
+from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.airsim import KEYS, TAUS, stability
 from stillcal.replay.export.fix.findings import (
     SENSORS,
@@ -25,7 +26,6 @@ from stillcal.replay.export.fix.findings import (
     recorded,
     walk_of,
 )
-from stillcal.replay.export.imu import root_mean_square
 
 IMU = 2
 """SensorType of an IMU (AirSim, docs/sensors.md)."""
@@ -47,13 +47,13 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
 
     def white(finding: Finding) -> None:
         key, unit, *_ = KEYS[SENSORS[finding["sensor"]]]
-        own = root_mean_square(recorded(finding, "density")) / float(np.sqrt(2.0)) / unit
+        own = rms(recorded(finding, "density")) / float(np.sqrt(2.0)) / unit
         for imu in imus:
             _set(imu, key, common_level(_get(imu, key), finding, "density", own), fixed)
 
     def slow(finding: Finding) -> None:
         sensor, name = SENSORS[finding["sensor"]], "allan_deviation_100s"
-        walk = root_mean_square(walk_of(recorded(finding, name)))
+        walk = rms(walk_of(recorded(finding, name)))
         for imu in imus:
             key = KEYS[sensor][2]
             own = stability(sensor, walk, imu.get(TAUS[sensor]))[key]

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.errors import UserError
+from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.fix.findings import (
     SENSORS,
     CannotHold,
@@ -23,7 +24,6 @@ from stillcal.replay.export.fix.findings import (
     recorded,
     walk_of,
 )
-from stillcal.replay.export.imu import root_mean_square
 
 
 def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
@@ -52,11 +52,11 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
         change("update_rate", finding, "rate", float(recorded(finding, "rate")))
 
     def white(finding: Finding) -> None:
-        own = root_mean_square(recorded(finding, "density")) / float(np.sqrt(2.0))
+        own = rms(recorded(finding, "density")) / float(np.sqrt(2.0))
         change(f"{SENSORS[finding['sensor']]}_noise_density", finding, "density", own)
 
     def slow(finding: Finding) -> None:
-        own = root_mean_square(walk_of(recorded(finding, "allan_deviation_100s")))
+        own = rms(walk_of(recorded(finding, "allan_deviation_100s")))
         change(f"{SENSORS[finding['sensor']]}_random_walk", finding, "allan_deviation_100s", own)
 
     handlers = {"sample_rate": rate, "noise_level": white, "accel_slow_noise": slow, "gyro_slow_noise": slow}

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.noise.allan import FLOOR, AllanCurve, allan_curve, fit_allan
 from stillcal.replay.phone.noise import Wander, White, flicker_bank, seeded
 from stillcal.replay.studies import drawing
@@ -167,7 +168,7 @@ def _fit_claims(found: Recovered, data: str) -> list[Claim]:
 
 def rms_error(ratios: Array) -> float:
     """Return the rms relative error of ratios to truth."""
-    return float(np.sqrt(np.mean((ratios - 1.0) ** 2)))
+    return rms(ratios - 1.0)
 
 
 def _text(found: Recovered, data: str, file: str, library: str) -> str:

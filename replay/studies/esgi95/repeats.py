@@ -15,6 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS, faces_up, six_faces
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.phone import draw_rests, load_phone
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import (
@@ -63,9 +64,9 @@ class Scatter:
     def groups(self) -> tuple[float, float, float]:
         """Rms of the diagonal of X, of what is off it, and of y in units of g."""
         return (
-            float(np.sqrt(np.mean(np.diag(self.X) ** 2))),
-            float(np.sqrt(np.mean(self.X[OFF] ** 2))),
-            float(np.sqrt(np.mean(self.y**2))) / APPROACH2_GRAVITY,
+            rms(np.diag(self.X)),
+            rms(self.X[OFF]),
+            rms(self.y) / APPROACH2_GRAVITY,
         )
 
 

@@ -15,6 +15,7 @@ from stillcal.calib_core.accelerometer.equations import Norms
 from stillcal.calib_core.accelerometer.parameters import basis
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.maths.levenberg_marquardt import Damping, minimise
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.maths.rotation import exponential, matrix
 from stillcal.replay.studies import drawing
 from stillcal.replay.studies.claim import (
@@ -148,7 +149,7 @@ def norm_error(one: SimulatedSensor, norms: Norms, v: Array) -> float:
     """Return the RMS error of the calibrated norm in attitudes that were not fitted, of gravity."""
     twelve = norms.matrix @ v
     calibrated = (one.others - twelve[:3]) @ twelve[3:].reshape(3, 3).T
-    return float(np.sqrt(np.mean((np.linalg.norm(calibrated, axis=1) - 1.0) ** 2)))
+    return rms(np.linalg.norm(calibrated, axis=1) - 1.0)
 
 
 def tilt_error(one: SimulatedSensor, norms: Norms, v: Array) -> float:

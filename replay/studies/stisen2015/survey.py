@@ -14,6 +14,7 @@ import numpy as np
 from stillcal.calib_core.accelerometer.known_attitudes import FaceCalibration
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.formats.hhar_still import read
 from stillcal.replay.plots.style import AXES
 from stillcal.replay.studies.methods.device_faces import DeviceOutcome, calibrate_devices
@@ -79,7 +80,7 @@ def _calibrated_table(calibrated: list[DeviceOutcome], gravity: float) -> list[s
         assert calibration is not None  # `calibrated` holds only these
         bias = ", ".join(f"{b:+.3f}" for b in calibration.model.bias)
         scale = ", ".join(f"{s:+.2f}" for s in _scale_errors(calibration))
-        before = float(np.sqrt(np.mean((np.linalg.norm(outcome.recordings.means, axis=1) - gravity) ** 2)))
+        before = rms(np.linalg.norm(outcome.recordings.means, axis=1) - gravity)
         after = f"{before:.3f} → {calibration.rms_residual:.3f}"
         method = f"{calibration.method} | {calibration.tilt:.4f}"
         lines.append(f"| {_name(outcome)} | {method} | {bias} | {scale} | {after} |")

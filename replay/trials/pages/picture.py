@@ -13,6 +13,7 @@ import numpy as np
 
 import stillcal
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.maths.rms import rms
 from stillcal.replay import palette
 from stillcal.replay.plots import style
 
@@ -44,8 +45,7 @@ def _draw_rests(axis: Axes, calibration: stillcal.Calibration) -> None:
         (part.model.apply(force), palette.BLUE, "calibrated"),
     ):
         error = MILLI_G * (np.linalg.norm(values, axis=1) - part.gravity)
-        rms = float(np.sqrt(np.mean(error**2)))
-        axis.plot(minutes, error, "o", color=colour, markersize=4, label=f"{label}: {rms:.3g} mg rms")
+        axis.plot(minutes, error, "o", color=colour, markersize=4, label=f"{label}: {rms(error):.3g} mg rms")
     axis.set(title="Accelerometer: |force| - g at rest", xlabel="time, min", ylabel="mg")
     axis.legend(frameon=False, loc="upper center", ncols=2, fontsize=8)
     axis.set_ylim(top=85)

@@ -20,6 +20,7 @@ from stillcal.calib_core.calibration.terms import compensated, correct, correct_
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.temperature.charger import Charger
@@ -76,7 +77,7 @@ def norm_error(record: CalibrationRecord, temperature: bool) -> float:
         temperature=frozen(warmth) if temperature else None,
     )
     norms = np.linalg.norm(correct(record, raw).xyz, axis=1)
-    return float(np.sqrt(np.mean((norms - pool.held[0].gravity.value) ** 2)))
+    return rms(norms - pool.held[0].gravity.value)
 
 
 def test_a_warm_phone_is_corrected_on_rests_never_seen(record: CalibrationRecord) -> None:

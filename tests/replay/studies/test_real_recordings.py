@@ -15,6 +15,7 @@ from msgspec import structs
 
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import forces
 from stillcal.daemon.cli.main import cli
@@ -40,10 +41,6 @@ def residuals(found: dict[str, Any]) -> np.ndarray:
     raw = np.array([s["specific_force"] for s in found["states"]])
     norms = np.linalg.norm((raw - part["bias"]) @ np.array(part["scale"]).T, axis=1)
     return norms - part["gravity"]
-
-
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def test_imu_tk(data_dir: Path, tmp_path: Path) -> None:

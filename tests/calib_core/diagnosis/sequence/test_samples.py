@@ -12,6 +12,7 @@ from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
+from stillcal.calib_core.diagnosis.sequence.places import batch
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.hhar_still import recordings
 
@@ -154,3 +155,14 @@ def test_a_value_that_is_off_in_every_batch_is_no_vibration() -> None:
     assert found.parameters["period_samples"].value == 20.0
     wave = np.rint(turning(6) + 5.0 * np.sin(2.0 * np.pi * np.arange(18000) / 10.0)[:, None])
     assert said(wave) == []
+
+
+def test_one_overtone_alone_is_no_batch() -> None:
+    """A weak vibration gives the size of the noise a line; a batch gives it all the overtones."""
+    size = np.random.default_rng(9).exponential(size=13_001)
+    overtones = np.rint(np.arange(1, 6) * 26_000 / 11).astype(int)
+    size[overtones[2]] = 30.0
+    assert batch([size])[1] > 5.0 > batch([size], tones=True)[1]
+    size[overtones] = 8.0
+    period, nats = batch([size], tones=True)
+    assert period == 11 and nats > 10.0
