@@ -37,7 +37,7 @@ class Day:
 
 @dataclass(slots=True)
 class EnergyLedger:
-    """The days, oldest first, at most KEPT_DAYS. told: the phone's last status."""
+    """The days, oldest first, at most KEPT_DAYS. told: the phone's last status; told_at: engine time of it."""
 
     days: list[Day] = field(default_factory=list)
     began: float | None = None
@@ -45,20 +45,30 @@ class EnergyLedger:
     told: Status | None = None
     asked_s: float = 0.0
     cpu_s: float = 0.0
+    told_at: float | None = None
 
     def samples(self, t: float, count: int) -> None:
         """Count samples that end at t (s)."""
         self._day(t).samples += count
 
-    def status(self, t: float, status: Status) -> None:
-        """Take the phone's own totals, which start at 0 when it restarts."""
+    def status(self, t: float, status: Status) -> float:
+        """Take the phone's own totals, which start at 0 when it restarts.
+
+        Sensors are on for no longer than the time since the last status, or the first record, and for no longer
+        than a day in one day; more is left out. Returns by how much the phone said more, s.
+        """
         last = self.told
         if last is None or status.on_time < last.on_time or status.wakeups < last.wakeups:
             last = Status(0.0, 0.0, False, 0)
         day = self._day(t)
-        day.sensors_on_s += status.on_time - last.on_time
+        since = self.began if self.told_at is None else self.told_at
+        passed = max(self.newest - (self.newest if since is None else since), 0.0)
+        on = min(status.on_time - last.on_time, passed)
+        day.sensors_on_s = min(day.sensors_on_s + on, DAY_S)
         day.wakeups += status.wakeups - last.wakeups
-        self.told = status
+        known = self.told is not None and last is self.told
+        self.told, self.told_at = status, self.newest
+        return status.on_time - last.on_time - passed if known else 0.0
 
     def totals(self, t: float, asked_s: float, cpu_s: float) -> None:
         """Take the engine's asked-for time and this process's processor time, both in s since it began."""

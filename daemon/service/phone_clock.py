@@ -82,6 +82,13 @@ class PhoneClock:
         """Return the engine time at the host's time; None where no stamp has come since the start."""
         return None if self.host is None else self.newest + (host - self.host)
 
+    def looked_at(self, stamp: float, host: float) -> float:
+        """Return the engine time of a stamp that is not taken: it moves nothing, nor leaps ahead."""
+        elapsed = 0.0 if self.host is None else max(host - self.host, 0.0)
+        t = stamp + self.offset
+        leaps = self._anew or t > self.newest + LEAP_S + elapsed
+        return self.newest + elapsed if leaps and math.isfinite(self.newest) else t
+
     def phone(self, t: float) -> float:
         """Return the phone's time for an engine time."""
         return t - self.offset

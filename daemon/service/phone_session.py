@@ -47,6 +47,9 @@ DEVICE_CHARACTERS = 200
 Recorded = Timed | Hello
 """What a recording of the phone is made of."""
 
+IMPOSSIBLE_S = 10.0
+"""Sensor time beyond what has passed that is told in the log, s: two clocks may differ a little."""
+
 SILENCE_S = 10.0
 """A phone that should be sensing is asked to identify itself after this much silence, s."""
 
@@ -208,8 +211,14 @@ class PhoneSession:
         return replace(samples, temperature=frozen(np.full(len(samples), self._celsius)))
 
     def _on_status(self, status: Status) -> None:
-        t = status.t + self._saved.clock.offset
-        self._saved.energy.status(t, status)
+        t = self._saved.clock.looked_at(status.t, self._clock())
+        if (impossible := self._saved.energy.status(t, status)) > IMPOSSIBLE_S:
+            say(
+                "warning",
+                "impossible",
+                f"the phone says that its sensors were on for {impossible:.3g} s more than have passed: "
+                "this is not counted",
+            )
         if status.sensing and self._commands.asleep(t):
             self._commands.forget()
 

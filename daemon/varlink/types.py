@@ -200,7 +200,8 @@ class Stillness:
 class EnergyDay:
     """The cost of one day (86400 s of sensor time from the first sample on; number from 0).
 
-    sensors_on_s, wakeups: as the phone tells; asked_s: what the engine asked for. cpu_s: of the daemon.
+    sensors_on_s, wakeups: as the phone tells, of the first no more than the time that passed meanwhile;
+    asked_s: what the engine asked for. cpu_s: of the daemon.
     """
 
     number: int

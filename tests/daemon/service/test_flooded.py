@@ -25,7 +25,7 @@ from stillcal.daemon.system import log
 from stillcal.daemon.system.log import BURST, MAX_KINDS, REFILL_S, Quota, say
 from stillcal.daemon.system.printable import printable
 from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
-from stillcal.daemon.wire.messages import Hello
+from stillcal.daemon.wire.messages import Hello, Status
 from tests.support.asking import ask, connected
 from tests.support.living import answering, until, within_reason
 from tests.support.serial_line import Device
@@ -139,6 +139,37 @@ def test_a_name_from_the_phone_moves_no_cursor(tmp_path: Path) -> None:
             shown = await asyncio.to_thread(snapshot, tmp_path / "socket")
             assert all(line.isprintable() for line in ran.output.split("\n")), ran.output
             assert shown.status["phone"] == printable(NASTY)
+
+    within_reason(test())
+
+
+def test_sensors_are_not_on_for_longer_than_time_has_passed(
+    tmp_path: Path, written: Callable[[], str]
+) -> None:
+    """A phone says that they were on for 30 years within a second, and then that 30 more have passed."""
+    encoder = WireEncoder(WireSettings(form=Form.TEXT))
+    told = (
+        Hello(session=1),
+        *block(0.0, 10),
+        Status(1.0, 1.0, True, 1),
+        *block(1.0, 10),
+        Status(2.0, 1e9, True, 1),
+        Status(1e9, 2e9, True, 1),
+        *block(2.0, 10),
+        Status(3.0, 2e9 + 0.5, True, 1),
+    )
+
+    async def test() -> None:
+        async with answering(tmp_path) as service:
+            device = Device(tmp_path / "tty")
+            await until(lambda: service.source.connected)
+            device.write(b"".join(encoder.encode(message) for message in told))
+            await until(lambda: service.saved.energy.told == told[-1])
+            line = await connected(tmp_path)
+            (day,) = (await ask(line, "GetEnergy"))["parameters"]["days"]
+            assert 1.5 <= day["sensors_on_s"] <= day["observed_s"] < 60.0
+            assert "sensors were on for 1e+09 s more than have passed" in written()
+            device.unplug()
 
     within_reason(test())
 

@@ -62,9 +62,30 @@ def test_time_goes_to_the_day_it_went_by_in_and_a_day_ends_with_its_last_moment(
 
 def test_a_phone_that_counts_anew_loses_nothing():
     ledger = EnergyLedger()
+    ledger.samples(0.0, 1)
     ledger.status(10.0, Status(10.0, 8.0, True, 5))
     ledger.status(20.0, Status(3.0, 2.0, True, 1))
     assert (ledger.days[0].sensors_on_s, ledger.days[0].wakeups) == (10.0, 6)
+
+
+def test_sensor_time_beyond_what_has_passed_is_left_out_and_returned():
+    ledger = EnergyLedger()
+    assert ledger.status(1000.0, Status(1000.0, 900.0, True, 1)) == 0.0  # before anything was observed
+    assert ledger.days[0].sensors_on_s == 0.0
+    assert ledger.status(1060.0, Status(1060.0, 960.0, True, 1)) == 0.0
+    assert ledger.status(1120.0, Status(1120.0, 1e10, True, 1)) == pytest.approx(1e10 - 960.0 - 60.0)
+    assert ledger.status(1180.0, Status(1180.0, 1e10 + 30.0, True, 1)) == -30.0
+    assert ledger.days[0].sensors_on_s == 60.0 + 60.0 + 30.0
+
+
+@given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(0, 1e10), st.integers(0, 9)), max_size=50))
+def test_no_phone_makes_its_sensors_on_for_longer_than_was_observed(told: list[tuple[float, float, int]]):
+    ledger = EnergyLedger()
+    for t, on_time, wakeups in told:
+        ledger.status(t, Status(t, on_time, True, wakeups))
+    assert all(0.0 <= day.sensors_on_s <= DAY_S for day in ledger.days)
+    passed = 0.0 if ledger.began is None else ledger.newest - ledger.began
+    assert sum(day.sensors_on_s for day in ledger.days) <= passed * (1 + 1e-9)
 
 
 @given(st.lists(st.floats(0, 1e9), min_size=1, max_size=50))
