@@ -37,7 +37,7 @@ class Day:
 
 @dataclass(slots=True)
 class EnergyLedger:
-    """The days, oldest first, at most KEPT_DAYS. told: the phone's last status; told_at: engine time of it."""
+    """The days, oldest first, at most KEPT_DAYS. told: the phone's last status; told_at: its engine time."""
 
     days: list[Day] = field(default_factory=list)
     began: float | None = None
@@ -54,8 +54,8 @@ class EnergyLedger:
     def status(self, t: float, status: Status) -> float:
         """Take the phone's own totals, which start at 0 when it restarts.
 
-        Sensors are on for no longer than the time since the last status, or the first record, and for no longer
-        than a day in one day; more is left out. Returns by how much the phone said more, s.
+        Sensors are on for no longer than the time since the last status, or the first record, and for
+        no longer than a day in one day; more is left out. Returns by how much the phone said more, s.
         """
         last = self.told
         if last is None or status.on_time < last.on_time or status.wakeups < last.wakeups:
