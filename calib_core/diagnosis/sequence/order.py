@@ -7,6 +7,8 @@ and it takes all of them to fall together by chance. At rest every order is alik
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -40,6 +42,10 @@ NEARBY = 33
 
 MOST_ENDS = 400
 """Ends that are tried, the clearest, and ten times as many that may be."""
+
+
+Place = tuple[int, int, int]
+"""First row, rows, and how many of these are the first of two exchanged stretches; 0: they run backwards."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +82,10 @@ def misplaced(xyz: Array) -> list[Misplaced]:
     """Return the places of values (n, 3) that are better in another order; each is worth its tries."""
     moved = xyz / _unit(residual(xyz))
     ends = _ends(moved)
-    tried = [*_exchanged(moved), *_backwards(moved, ends), *_exchanged_stretches(moved, ends)]
-    every = sorted(tried, key=lambda one: -one.nats)
+    tries = 2.0 * len(moved) * LONGEST
+    turned = _better(moved, _backwards(ends), tries)
+    crossed = _better(moved, _exchanged_stretches(ends), tries * LONGEST)
+    every = sorted([*_exchanged(moved), *turned, *crossed], key=lambda one: -one.nats)
     taken = np.zeros(len(xyz), dtype=np.bool_)
     kept = []
     for one in every:
@@ -124,62 +132,70 @@ def _exchanged(moved: Array) -> list[Misplaced]:
     return [Misplaced(int(i) + 4, int(i) + 6, float(nats[i])) for i in np.flatnonzero(nats > 0.0)]
 
 
-def _backwards(moved: Array, ends: Array) -> list[Misplaced]:
-    """Return stretches of three samples and more that are better turned round.
+def _backwards(ends: Array) -> Iterator[Place]:
+    """Propose stretches of three samples and more that may run backwards.
 
     They begin and end where residuals stand out of those nearby: within, a smooth motion is as smooth turned.
     """
-    tries = 2.0 * len(moved) * LONGEST
-    found = []
     for i, begin in enumerate(ends):
         for end in ends[i + 1 :]:
-            length = int(end - begin)
-            if length > LONGEST + 1:
+            if end - begin > LONGEST + 1:
                 break
             for first, last in product((begin, begin + 1), (end, end + 1)):
                 if last - first >= 3:
-                    found += _tried(moved, int(first), [np.arange(last - first)[::-1]], tries)
-    return found
+                    yield int(first), int(last - first), 0
 
 
-def _exchanged_stretches(moved: Array, ends: Array) -> list[Misplaced]:
-    """Return places where a stretch follows the one after it, as halves of a buffer that are read crosswise.
+def _exchanged_stretches(ends: Array) -> Iterator[Place]:
+    """Propose places where a stretch follows the one after it, as halves of a buffer that are read crosswise.
 
     All three ends of two such stretches stand out.
     """
     borders = np.unique(np.concatenate([ends, ends + 1]))
-    tries = 2.0 * len(moved) * LONGEST**2
-    found = []
     for i, first in enumerate(borders):
         for j in range(i + 1, min(i + 1 + NEXT, borders.size)):
             for last in borders[j + 1 : j + 1 + NEXT]:
-                length, half = int(last - first), int(borders[j] - first)
-                if 3 <= length <= LONGEST:
-                    found += _tried(moved, int(first), [np.arange(half, length), np.arange(half)], tries)
+                if 3 <= last - first <= LONGEST:
+                    yield int(first), int(last - first), int(borders[j] - first)
+
+
+def _better(moved: Array, places: Iterable[Place], tries: float) -> list[Misplaced]:
+    """Return the places whose samples are better put back; tries: how many places may be proposed."""
+    alike = defaultdict(list)
+    for first, length, half in places:
+        if 2 * REACH <= first <= len(moved) - length - 2 * REACH:
+            alike[length, half].append(first)
+    found = []
+    for (length, half), rows in alike.items():
+        firsts = np.array(rows)
+        nats = _tried(moved, firsts, length, half, tries)
+        found += [
+            Misplaced(int(i), int(i) + length, float(x)) for i, x in zip(firsts, nats, strict=True) if x > 0.0
+        ]
     return found
 
 
-def _tried(moved: Array, first: int, pieces: list[NDArray[np.int64]], tries: float) -> list[Misplaced]:
-    """Return the place from row `first` on if its samples are better in this order, and nothing if not.
+def _tried(moved: Array, firsts: NDArray[np.int64], length: int, half: int, tries: float) -> Array:
+    """Return nats (m,) for places of one length from rows `firsts` (m,) on being put back.
 
-    pieces: rows of the place, from 0, in that order; power is compared where residuals span an end of one.
+    half: samples of the first of two stretches that are exchanged, 0 where the place runs backwards. Power is
+    compared where residuals span an end of a stretch.
     """
-    order = np.concatenate(pieces)
-    last = first + order.size
-    if first < 2 * REACH or last + 2 * REACH > len(moved):
-        return []
-    part = moved[first - 2 * REACH : last + 2 * REACH]
+    rows = np.arange(length)
+    pieces = [rows[half:], rows[:half]] if half else [rows[::-1]]
+    around = np.arange(-2 * REACH, length + 2 * REACH)
+    part = moved[around[:, None] + firsts]
     other = part.copy()
-    other[2 * REACH : -2 * REACH] = part[2 * REACH : -2 * REACH][order]
-    ends_before = _across([*(int(piece.min()) for piece in pieces), order.size])
-    ends_after = _across([0, *np.cumsum([piece.size for piece in pieces]).tolist()])
+    other[2 * REACH : -2 * REACH] = part[2 * REACH : -2 * REACH][np.concatenate(pieces)]
+    ends_before = _across([0, half, length])
+    ends_after = _across([0, length - half, length])
     before, after = residual(part)[ends_before], residual(other)[ends_after]
-    nats = float(_nats((before**2).sum(), (after**2).sum(), moved.shape[1], len(before), tries))
-    return [Misplaced(first, last, nats)] if nats > 0.0 else []
+    power_before, power_after = ((left**2).sum(axis=(0, 2)) for left in (before, after))
+    return _nats(power_before, power_after, moved.shape[1], len(before), tries)
 
 
 def _across(ends: list[int]) -> NDArray[np.int64]:
-    """Return which residuals of a part span one of these ends of pieces."""
+    """Return which residuals of a part span one of these ends of stretches."""
     return np.unique(np.add.outer(np.array(ends), np.arange(ACROSS)))
 
 
