@@ -4,8 +4,9 @@ A fit takes its parameters for constant. A bias that drifts, that steps, or that
 some time on leaves residuals that follow time. Extra columns for a bias that changes are added to the fit's
 own, and the fall of the residuals is judged by an F test (Draper and Smith 1998, Applied Regression Analysis,
 section 6.1): a trend of the bias, a step of the bias between any two rests, and other parameters altogether
-from some rest on (Chow 1960, Econometrica 28(3)), as another phone has. The scatter that remains is the
-yardstick, so that other errors of the model make a finding less likely, never more.
+from some rest on (Chow 1960, Econometrica 28(3)), as another phone has. Where none of these shows, an
+excursion of the bias is looked for: a step and the same step back. The scatter that remains is the yardstick,
+so that other errors of the model make a finding less likely, never more.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit
 from stillcal.calib_core.accelerometer.parameters import basis
@@ -23,10 +25,10 @@ from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.maths.f_distribution import tail
 from stillcal.calib_core.maths.robust import MAD_TO_SD
-from stillcal.calib_core.static.rest import force_uncertainties, forces
+from stillcal.calib_core.static.rest import RestState, force_uncertainties, forces
 
 LEVEL = 1e-3
-"""Probability of finding a change, of either kind and anywhere, where there is none."""
+"""Probability of finding a change, of any kind, anywhere, where there is none; as much for an excursion."""
 
 LEAST_SIDE = 5
 """Rests on either side of a step: fewer are explained by three extra parameters whatever they say."""
@@ -37,6 +39,9 @@ MOST_SPLITS = 32
 MOST_LEFT_OUT = 200
 """Up to so many rests, a finding must also stand without any single one of them."""
 
+RANK = 1e-9
+"""Share of the largest below which a direction counts as none."""
+
 LATE_FACTOR, LATE_LEAST = 5.0, 0.02
 """Standard deviations by which a rest does not fit; m/s^2 (2 mg, as of a check) for the worst one."""
 
@@ -46,6 +51,7 @@ class Shape(StrEnum):
 
     DRIFT = "drift"
     STEP = "step"
+    EXCURSION = "excursion"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +60,9 @@ class Change:
 
     at: s, when the first rest after a step began, or of a drift the first rest. size: (3,) m/s^2, raw, by how
     much the bias changes: at the step, or from the first rest to the last. shift: (p,), by how much this has
-    shifted the fit's parameters, which took the bias for constant. span_s: s, over which it drifts; 0 for a
-    step. warmth: correlation of a drift with temperature, NaN where that is unknown or constant. p_value: of
-    the F test, for all places tried.
+    shifted the fit's parameters, which took the bias for constant. span_s: s, over which it drifts, or until
+    the first rest after an excursion; 0 for a step. warmth: correlation of a drift with temperature, NaN
+    where that is unknown or constant. p_value: of the F test, for all places tried.
     """
 
     shape: Shape
@@ -87,6 +93,9 @@ class Change:
         largest_mg = self.largest / (STANDARD / 1000)
         if self.shape is Shape.STEP:
             return f"the bias changed by {largest_mg:.2g} mg at {self.at:.0f} s"
+        if self.shape is Shape.EXCURSION:
+            back = self.at + self.span_s
+            return f"the bias changed by {largest_mg:.2g} mg at {self.at:.0f} s and back by {back:.0f} s"
         rate = largest_mg / (self.span_s / 60.0)
         follows = " as the temperature does" if abs(self.warmth) > FOLLOWS else ""
         return f"the bias drifts by {rate:.2g} mg/min{follows}"
@@ -115,8 +124,8 @@ def find_change(fit: AccelerometerFit, held: Sequence[HeldRest]) -> Change | Non
     tests = [_f_test(residuals, design, extra) for _, _, extra in curves]
     best = min(range(len(tests)), key=lambda i: tests[i][0])
     p_value = min(tests[best][0] * len(tests), 1.0)
-    if p_value > LEVEL:
-        return None
+    if p_value > LEVEL:  # nothing that lasts
+        return _excursion(rests, residuals, design, by_bias)
     shape, split, extra = curves[best]
     if not _stands_without_any(residuals, design, extra, LEVEL / len(tests)):
         return None
@@ -126,6 +135,62 @@ def find_change(fit: AccelerometerFit, held: Sequence[HeldRest]) -> Change | Non
     _, solution = tests[best]
     size, shift = frozen(-solution[p : p + 3]), frozen(solution[:p])
     return Change(shape, rests[split].t_start, size, shift, span, warmth, p_value)
+
+
+def _excursion(rests: Sequence[RestState], residuals: Array, design: Array, by_bias: Array) -> Change | None:
+    """Return how the bias steps and steps back among rests in order of time, None where that does not show.
+
+    residuals (n,), design (n, p) and by_bias (n, 3) are in standard deviations.
+    """
+    n, p = design.shape
+    begins, ends = _excursions(n)
+    if not len(begins):
+        return None
+    explained = _explained(residuals, design, by_bias, begins, ends)
+    best = int(np.argmax(explained))
+    begin, end = int(begins[best]), int(ends[best])
+    extra = by_bias * (_after(n, begin) - _after(n, end))
+    p_value, solution = _f_test(residuals, design, extra)
+    p_value = min(p_value * len(begins), 1.0)
+    if p_value > LEVEL or not _stands_without_any(residuals, design, extra, LEVEL / len(begins)):
+        return None
+    at, back = rests[begin].t_start, rests[end].t_start
+    size, shift = frozen(-solution[p : p + 3]), frozen(solution[:p])
+    return Change(Shape.EXCURSION, at, size, shift, back - at, float("nan"), p_value)
+
+
+def _excursions(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rests with which an excursion may begin, and end, among n: LEAST_SIDE at least each way."""
+    places = np.array(list(_splits(n, 1)), dtype=np.intp)
+    begins, ends = (places[i] for i in np.triu_indices(len(places), 1))
+    tried = (ends - begins >= LEAST_SIDE) & (n - (ends - begins) >= LEAST_SIDE)
+    return begins[tried], ends[tried]
+
+
+def _explained(
+    residuals: Array, design: Array, by_bias: Array, begins: NDArray[np.intp], ends: NDArray[np.intp]
+) -> Array:
+    """Return by how much the squares (m,) fall if the bias is another one from begins to ends (m,).
+
+    As a fit with these columns for each would find it; the sums over rests are running ones.
+    """
+    norms = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    base, spread, _ = np.linalg.svd(design / norms, full_matrices=False)
+    base = base[:, spread > RANK * spread[0]]
+    left = residuals - base @ (base.T @ residuals)
+
+    def within(rows: Array) -> Array:
+        running = np.concatenate((np.zeros((1, *rows.shape[1:])), np.cumsum(rows, axis=0)))
+        between: Array = running[ends] - running[begins]
+        return between
+
+    shared = within(base[:, :, None] * by_bias[:, None, :])
+    own = within(by_bias[:, :, None] * by_bias[:, None, :]) - shared.transpose(0, 2, 1) @ shared
+    along = within(left[:, None] * by_bias)
+    values, axes = np.linalg.eigh(own)
+    known = values > RANK * np.maximum(values[:, -1:], 1e-300)
+    turned = np.einsum("mij,mi->mj", axes, along)
+    return np.asarray((np.where(known, turned**2 / np.where(known, values, 1.0), 0.0)).sum(axis=1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +256,7 @@ def _f_test(residuals: Array, design: Array, extra: Array) -> tuple[float, Array
 def _left(residuals: Array, design: Array) -> tuple[float, int, Array]:
     """Return the sum of squares that a least-squares fit leaves, the design's rank, and the solution."""
     norms = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-    solution, _, rank, _ = np.linalg.lstsq(design / norms, residuals, rcond=1e-9)
+    solution, _, rank, _ = np.linalg.lstsq(design / norms, residuals, rcond=RANK)
     rest = residuals - (design / norms) @ solution
     return float(rest @ rest), int(rank), solution / norms
 

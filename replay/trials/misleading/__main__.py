@@ -35,6 +35,9 @@ BEGINS_S, AFTERWARDS_S = 300.0, 430.0
 
 PLUGGED_S = 350.0
 
+AWAY_S = 200.0, 400.0
+"""When a bias goes, and when it comes back."""
+
 FAR, LEAST_MG = 3.0, 0.2
 """Standard uncertainties, and mg, by which a bias is off without being what it is stated to be.
 
@@ -70,11 +73,17 @@ class Case:
     attitudes: int = 24
 
 
+def _between(t: Array, begin: float, end: float) -> Any:
+    return (t >= begin) & (t < end)
+
+
 CASES = (
     Case("nothing happens"),
     Case("the bias drifts by 0.5 mg/min", lambda t: 0.5 * t / 60),
     Case("it steps by 3 mg in the middle", lambda t: 3.0 * (t >= BEGINS_S)),
     Case("it steps by 20 mg in the middle", lambda t: 20.0 * (t >= BEGINS_S)),
+    Case("it steps by 3 mg and back", lambda t: 3.0 * _between(t, *AWAY_S)),
+    Case("it steps by 20 mg and back", lambda t: 20.0 * _between(t, *AWAY_S)),
     Case("it steps by 20 mg near the end", lambda t: 20.0 * (t >= 480.0)),
     Case(
         "it steps by 20 mg after a calibration",

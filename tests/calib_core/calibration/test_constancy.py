@@ -12,7 +12,15 @@ from scipy.stats import f as scipy_f
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
-from stillcal.calib_core.calibration.constancy import LEVEL, Change, Shape, find_change
+from stillcal.calib_core.calibration.constancy import (
+    LEAST_SIDE,
+    LEVEL,
+    Change,
+    Shape,
+    _excursions,
+    _explained,
+    find_change,
+)
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.engine.decisions import FitTask, fit_and_decide
 from stillcal.calib_core.engine.engine import Engine
@@ -145,6 +153,40 @@ def test_a_small_step_keeps_all_rests_and_widens_the_interval() -> None:
     assert outcome.since is None and "widens its interval" in outcome.reason
     for before in (0.0, 1.0):
         assert (np.abs(part.bias - BIAS - before * step) < 2 * part.bias_uncertainty).all()
+
+
+@pytest.mark.parametrize("size_mg", [1.0, 3.0])
+def test_a_step_out_and_back_is_said_and_the_interval_holds_both_biases(size_mg: float) -> None:
+    """Eight of 25 rests are off, for which no single step stands; without it the bias was 10 sd off."""
+    away = np.array([size_mg * MG, 0.0, 0.0])
+    for seed in range(10):
+        rests = pool(25, seed, lambda i, t: away * (8 <= i < 16))
+        candidate = fit_candidate(rests, GRAVITY, 1e4, CalibrateSettings())
+        found, part = candidate.change, candidate.record.accelerometer
+        assert found is not None and found.shape is Shape.EXCURSION
+        assert found.largest == pytest.approx(size_mg * MG, rel=0.25)
+        assert abs(found.at - 8 * 60.0) <= 120.0 and abs(found.at + found.span_s - 16 * 60.0) <= 120.0
+        assert "and back by" in found.words()
+        for bias in (BIAS, BIAS + away):
+            assert np.all(np.abs(part.bias - bias) < 3 * part.bias_uncertainty)
+
+
+def test_the_best_of_many_excursions_is_the_one_that_each_by_itself_would_show() -> None:
+    """The running sums give what a fit with three more columns gives, one place after the other."""
+    rng = np.random.default_rng(1)
+    design, by_bias, residuals = rng.normal(size=(20, 6)), rng.normal(size=(20, 3)), rng.normal(size=20)
+    begins, ends = _excursions(20)
+    assert (begins >= 1).all() and (ends <= 19).all() and (ends - begins).min() == LEAST_SIDE
+    assert (20 - (ends - begins)).min() == LEAST_SIDE
+    fell = _explained(residuals, design, by_bias, begins, ends)
+    rows = np.arange(20)
+    for begin, end, explained in list(zip(begins, ends, fell, strict=True))[::7]:
+        extra = by_bias * ((rows >= begin) & (rows < end))[:, None]
+        squares = [
+            float(np.sum((residuals - d @ np.linalg.lstsq(d, residuals, rcond=None)[0]) ** 2))
+            for d in (design, np.hstack((design, extra)))
+        ]
+        assert explained == pytest.approx(squares[0] - squares[1], rel=1e-9)
 
 
 def test_as_many_attitudes_as_parameters_are_said_to_be_untested_and_one_more_is_not() -> None:

@@ -13,6 +13,8 @@ SAID = {
     "the bias drifts by 0.5 mg/min": "widened",
     "it steps by 3 mg in the middle": "widened",
     "it steps by 20 mg in the middle": "made anew",
+    "it steps by 3 mg and back": "widened",
+    "it steps by 20 mg and back": "refused",
     "it steps by 20 mg near the end": "refused",
     "it steps by 20 mg after a calibration": "degraded",
     "another phone's recording is appended": "made anew",
