@@ -8,7 +8,7 @@ no `from __future__ import annotations` here. connection.py reads and writes the
 
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextvars import ContextVar
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -179,8 +179,8 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
             raise TooSlow()
         raise LastResult(api.Event("ended", "the daemon is stopping"))
 
-    @varlinkmethod(return_parameter="block", delay_generator=False)
-    async def Record(self, *, sparing: bool = False) -> AsyncIterator[api.Block]:
+    @varlinkmethod(return_parameter="block", return_type=api.Block, delay_generator=False)
+    async def Record(self, *, sparing: bool = False) -> AsyncIterator[msgspec.Raw]:
         """Send raw samples and events as they come. Call it with `more`.
 
         The phone's sensors stay on meanwhile, unless `sparing`: then only what the daemon measures for itself
@@ -195,7 +195,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
                     yield block
         if subscriber.overflowed:
             raise TooSlow()
-        raise LastResult(api.Block())
+        raise LastResult(views.last_block())
 
     @varlinkmethod(return_parameter="block", return_type=api.StreamBlock, delay_generator=False)
     async def Stream(
@@ -260,12 +260,14 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
 
 def _with_quick_tables() -> None:
     """Have tables and long answers converted at once (rows.py); the description stays as it is."""
-    for method, name, kind in (
+    tables: list[tuple[Any, str, Any]] = [
         (CalibrationInterface.Stream, "block", api.StreamBlock),
+        (CalibrationInterface.Record, "block", api.Block),
         (CalibrationInterface.GetHistory, "entries", list[api.Entry]),
         (CalibrationInterface.GetStillness, "stillness", api.Stillness),
         (CalibrationInterface.GetEnergy, "days", list[api.EnergyDay]),
-    ):
+    ]
+    for method, name, kind in tables:
         answer = varlinksignature(method)
         assert answer is not None
         answer.return_type = ObjectVarlinkType({name: Encoded(kind)})

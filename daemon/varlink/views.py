@@ -32,6 +32,9 @@ from stillcal.daemon.wire.messages import Hello
 
 DAY_S = 86400.0
 
+RECORD_BLOCKS = 8
+"""Blocks of a recording that are kept as JSON for clients who keep up; the largest are some 1 MB."""
+
 
 @functools.lru_cache(maxsize=128)
 def identity(record: CalibrationRecord) -> str:
@@ -246,33 +249,48 @@ def event(notification: Notification, daemon: Daemon) -> api.Event:
     )
 
 
-def block(item: Recorded) -> api.Block | None:
-    """Return samples or an event as a block of a recording; None for what a recording does not hold."""
+def block(item: Recorded) -> msgspec.Raw | None:
+    """Return samples or an event as JSON of a Block; None for what a recording does not hold."""
+    if isinstance(item, Samples):
+        return _samples_block(item)
     if isinstance(item, Hello):
         return _claims_block(item.claims)
     if isinstance(item, Charging):
-        return api.Block(t_s=item.t, charging=item.on)
+        return _json({"t_s": item.t, "charging": item.on})
     if isinstance(item, Location):
         place = [item.latitude, item.longitude, *([] if item.altitude is None else [item.altitude])]
-        return api.Block(t_s=item.t, location=place)
-    if not isinstance(item, Samples):
-        return None
-    temperature = item.temperature
-    known = temperature is not None and bool(np.isfinite(temperature).all())
-    return api.Block(
-        sensor=item.sensor.value,
-        samples=np.column_stack((item.t, item.xyz)).tolist(),
-        temperature_c=temperature.tolist() if known and temperature is not None else None,
-    )
+        return _json({"t_s": item.t, "location": place})
+    return None
 
 
-def first_block(daemon: Daemon) -> api.Block:
+def first_block(daemon: Daemon) -> msgspec.Raw:
     """Return the first block of a recording, with what the phone's maker claims."""
     return _claims_block(daemon.claims)
 
 
-def _claims_block(claims: Mapping[str, Any]) -> api.Block:
-    return api.Block(claims=msgspec.json.encode(claims).decode())
+def last_block() -> msgspec.Raw:
+    """Return the last block of a recording, which is empty."""
+    return _json({})
+
+
+@functools.lru_cache(maxsize=RECORD_BLOCKS)
+def _samples_block(samples: Samples) -> msgspec.Raw:
+    """Return samples as JSON of a Block, made once for all clients."""
+    content: dict[str, Any] = {
+        "sensor": samples.sensor.value,
+        "samples": np.column_stack((samples.t, samples.xyz)).tolist(),
+    }
+    if samples.temperature is not None and bool(np.isfinite(samples.temperature).all()):
+        content["temperature_c"] = samples.temperature.tolist()
+    return _json(content)
+
+
+def _claims_block(claims: Mapping[str, Any]) -> msgspec.Raw:
+    return _json({"claims": msgspec.json.encode(claims).decode()})
+
+
+def _json(content: Mapping[str, Any]) -> msgspec.Raw:
+    return msgspec.Raw(msgspec.json.encode(content))
 
 
 @functools.lru_cache(maxsize=BACKLOG)
@@ -287,7 +305,7 @@ def stream_block(item: Live) -> msgspec.Raw:
         "host_s": item.host_s,
         "samples": np.column_stack((samples.t, samples.xyz)).tolist(),
     }
-    return msgspec.Raw(msgspec.json.encode(content))
+    return _json(content)
 
 
 def stream_begun() -> msgspec.Raw:
@@ -301,7 +319,7 @@ def stream_ended() -> msgspec.Raw:
 
 
 def _notice(text: str) -> msgspec.Raw:
-    return msgspec.Raw(msgspec.json.encode({"notice": text}))
+    return _json({"notice": text})
 
 
 def standing(daemon: Daemon) -> api.Event:

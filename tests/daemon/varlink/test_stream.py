@@ -17,6 +17,7 @@ from stillcal.calib_core.calibration.record import Term, TermParameter
 from stillcal.calib_core.calibration.terms import correct
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.app import Service
+from stillcal.daemon.varlink import views
 from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
 from tests.support.asking import NAME, Line, ask, connected, stored
 from tests.support.living import answering, until, within_reason
@@ -187,3 +188,38 @@ def test_a_wish_out_of_range_is_refused(folder: Path, batch_s: float) -> None:
             assert len(service.live) == 0
 
     within_reason(test())
+
+
+def test_a_recordings_blocks_are_made_once_for_all_who_take_them(tmp_path: Path, lab: list[Any]) -> None:
+    """Twelve clients of Record: each block becomes JSON once, the same for all, with the samples."""
+    clients, made = 12, views._samples_block
+    made.cache_clear()
+
+    async def taken(line: Line, wanted: int) -> list[bytes]:
+        line[1].write(json.dumps({"method": f"{NAME}.Record", "more": True}).encode() + b"\0")
+        answers: list[bytes] = []
+        while sum(b'"accelerometer"' in answer for answer in answers) < wanted:
+            answers.append((await line[0].readuntil(b"\0"))[:-1])
+        return [answer for answer in answers if b'"samples"' in answer]
+
+    results: list[list[bytes]] = []
+
+    async def test() -> None:
+        async with answering(tmp_path) as service:
+            lines = [await connected(tmp_path) for _ in range(clients)]
+            taking = [asyncio.create_task(taken(line, 3)) for line in lines]
+            await until(lambda: len(service.recorders) == clients)
+            await played(service, tmp_path, lab, 2)
+            results.extend(await asyncio.gather(*taking))
+
+    within_reason(test())
+    first, *others = results
+    assert all(other[:4] == first[:4] for other in others)
+    counts = made.cache_info()
+    assert counts.hits >= (clients - 2) * counts.misses > 0
+    block = next(json.loads(a)["parameters"]["block"] for a in first if b'"accelerometer"' in a)
+    assert list(block) == ["sensor", "samples", "temperature_c"][: len(block)]
+    times = [row[0] for row in block["samples"]]
+    rows = sent(lab, 2, Sensor.ACCELEROMETER)
+    expected = np.column_stack((rows.t, rows.xyz))[np.isin(rows.t, times)]
+    assert block["samples"] == expected.tolist()
