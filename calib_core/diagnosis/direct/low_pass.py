@@ -140,7 +140,7 @@ def _low_pass(
     """Fit A / (1 + (f / fc)^2n) + floor to the typical log spectrum (F, 3); None where flat does as well.
 
     noise: rate Hz, floor of the steps. Only what is above -15 dB counts. A spectrum that no filter fits
-    cleanly is of something else.
+    cleanly is of something else, and so is one that falls all over the band: a bias that walks has such.
     """
     rate, floor = noise
     power = typical.mean(axis=1)
@@ -163,7 +163,8 @@ def _low_pass(
     gain = seen.size * (float(seen.var()) - least) / max(least, 1e-12)
     # A median of spectra on three axes scatters by pi/2 over their number.
     clean = least < CLEAN + 2.0 * np.pi / 2.0 / (3.0 * averages)
-    if cutoffs[k] > thresholds.BANDWIDTH_LIMIT * rate or gain < thresholds.BANDWIDTH_GAIN or not clean:
+    inside = f[band][0] < cutoffs[k] <= thresholds.BANDWIDTH_LIMIT * rate
+    if not inside or gain < thresholds.BANDWIDTH_GAIN or not clean:
         return None
     near = cutoffs[seen.size * (misfit - least) / least < 4.0]
     spread = max(float(np.sqrt(SHARED)) * float(near[-1] - near[0]) / 4.0, MODEL * float(cutoffs[k]))

@@ -45,6 +45,18 @@ def test_an_axis_as_loud_as_in_no_phone_is_named(sensor: str, ratio: tuple[float
     assert "None of" in found[0].statement
 
 
+def test_a_spectrum_that_falls_all_over_the_band_is_no_filtered_noise() -> None:
+    """A bias that walks strongly: its noise has no level, and a declared one is not judged by it."""
+    pieces = np.cumsum(np.random.default_rng(0).normal(size=(20, 500, 3)), axis=1)
+    seen = judged(
+        Quiet(tuple(pieces - pieces.mean(axis=1, keepdims=True)), tuple(20.0 * np.arange(20)), 25.0)
+    )
+    assert seen is not None and seen.low_pass is None
+    levels = noise_level.levels(seen)
+    assert not levels.white and np.isfinite(levels.values()).all()
+    assert noise_level.noise_findings("gyro", levels, 1e-3, sound_phones(), WHERE) == []
+
+
 def test_a_half_that_speaks_against_the_noise_of_the_whole_takes_it_back() -> None:
     found = direct_finding("bandwidth", "accel", [0], WHERE, {}, statement="", seen=Seen(99.0))
     assert found is not None
