@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.direct import low_pass as spectrum
 from stillcal.calib_core.diagnosis.direct import noise_level as noise
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, outside
+from stillcal.calib_core.diagnosis.direct.gathered_noise import gathered_noise, gathered_noise_finding
 from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.direct.noise_changes import by_force, changing
@@ -311,10 +312,15 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
     )
     claim = noise.claimed(sensor, claims)
     claim = None if claim is None else factor * claim
-    found: list[Finding | None] = [other, wide]
+    moving = None
+    if wide is None and other is None and fine and stream.levels.own:
+        moving = gathered_noise_finding(
+            gathered_noise(stream.spectra), sensor, sound["noise_gathered"], where
+        )
+    found: list[Finding | None] = [other, wide, moving]
     if noise.suppressed(stream.levels, claim):
         found.append(bandwidth(stream.spectra, sensor, usual(sound, "bandwidth", claim), where))
-    if wide is None and other is None and fine:
+    if wide is None and other is None and moving is None and fine:
         own, alike = stream.levels, shared_noise(stream.still) if stream.levels.own else None
         if alike is not None:
             shared = shared_noise_finding(alike, sensor, usual(sound, "noise_shared", claim), where)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Quiet, Spectra, judged
@@ -65,11 +66,10 @@ class Levels:
         return np.array([d.error / max(d.value, 1e-300) for d in self.density])
 
 
-def levels(spectrum: Spectra, floor: float = 0.0) -> Levels:
-    """Measure densities where the spectrum is white, lines and slow wander left out.
+def level_part(spectrum: Spectra) -> tuple[Array, NDArray[np.bool_], bool]:
+    """Return the power (P, F, 3) before a low-pass, where (F,) it is level, and whether it is white.
 
-    floor: density^2 of the steps' own noise, taken off. Where rests differ more than chance would have it
-    (people walk by, a road), the quietest tenth of them tells the sensor's own noise.
+    Lines and slow wander are left out; all of the band is taken where they are most of it.
     """
     shape = spectrum.shape()
     flat = spectrum.power / shape[None, :, None]
@@ -78,7 +78,16 @@ def levels(spectrum: Spectra, floor: float = 0.0) -> Levels:
     level = np.median(typical[band], axis=0)
     clean = band & (typical < LINE * level).all(axis=1) & (typical > level / LINE).all(axis=1)
     white = bool(clean.sum() >= WHITE * band.sum())
-    used = clean if white else band
+    return flat, clean if white else band, white
+
+
+def levels(spectrum: Spectra, floor: float = 0.0) -> Levels:
+    """Measure densities where the spectrum is white, lines and slow wander left out.
+
+    floor: density^2 of the steps' own noise, taken off. Where rests differ more than chance would have it
+    (people walk by, a road), the quietest tenth of them tells the sensor's own noise.
+    """
+    flat, used, white = level_part(spectrum)
     power = np.maximum(flat[:, used].mean(axis=1) - floor, 1e-30)
     expected = np.sqrt(SHARED / (spectrum.averages * used.sum()))
     measured = [_of_axis(power[:, a], expected) for a in range(3)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from stillcal.calib_core.diagnosis.direct import (
+    gathered_noise,
     heavy_tails,
     low_pass,
     noise_level,
@@ -63,4 +64,5 @@ def of_noise(
         out |= {f"{sensor}_noise_{k}": v for k, v in noise_level.imbalance(levels).items()}
         shared = shared_noise.shared_noise(still)
         out |= {} if shared is None else {"noise_shared": shared.size()}
+        out["noise_gathered"] = gathered_noise.gathered_noise(spectra).excess
     return out

@@ -101,7 +101,7 @@ class Grid:
         sharp = rough.size == 0 or float(np.mean(rough**2)) < 6.0 * (SHARP * period) ** 2
         factor = _factor(steps, near)
         if sharp:
-            multiples = np.rint(steps / period)
+            multiples = np.where(near, 1.0, np.rint(steps / period))
         else:
             multiples = _placed(t, period) if factor > 2.0 else _peaked(steps / period)
         even = (multiples == 1.0) & (steps < 2.0 * period)

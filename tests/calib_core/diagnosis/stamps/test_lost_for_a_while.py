@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
+from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE, N = 50.0, 60_000
@@ -62,3 +64,15 @@ def test_deliveries_in_bursts_for_a_while_are_found_where_they_are() -> None:
     bursts = found(np.ones(N, dtype=np.bool_), np.maximum.accumulate(arrival))["arrival_bursts"]
     assert 299.0 < bursts.where.t_start < 302.0
     assert 358.0 < bursts.where.t_end < 361.0
+
+
+def test_batches_whose_stamps_were_spread_by_arrival_have_lost_nothing() -> None:
+    """A batch that comes late is stretched, the next one squeezed; each has its ten samples."""
+    rng = np.random.default_rng(7)
+    steps = np.full((600, 10), 0.01)
+    late = 2 * np.flatnonzero(rng.random(300) < 0.1)
+    steps[late], steps[late + 1] = 0.0157, 0.0043
+    t = np.concatenate([[0.0], np.cumsum(steps)])
+    assert Grid.of(t, 0.01).missing().value < 1e-3
+    kept = np.delete(t, np.sort(rng.choice(np.arange(1, t.size - 1), 60, replace=False)))
+    assert Grid.of(kept, 0.01).missing().value == pytest.approx(60 / t.size, rel=0.1)
