@@ -63,11 +63,18 @@ def slow_statements(scene: Scene, without: Collection[str] = ()) -> list[Stated]
     if found:
         beside = [jumps.finding(scene, found)]
     else:
-        beside = wander(scene, left if stated else reduce_scene(scene, [nothing(scene)]))
+        wandering = wander(scene, left if stated else reduce_scene(scene, [nothing(scene)]))
+        beside = not_unknown_twice(stated, wandering)
     return [
         *stated,
         *(Stated(replace(f, effect="unknown") if f.effect in without else f) for f in beside),
     ]
+
+
+def not_unknown_twice(stated: Sequence[Stated], wandering: Sequence[Finding]) -> list[Finding]:
+    """Return the wander without what has no name beside other structure without one, which leaves some."""
+    nameless = any(s.finding.effect == "unknown" for s in stated)
+    return [f for f in wandering if not (nameless and f.effect == "unknown")]
 
 
 def _jumps(scene: Scene, steps: Sequence[Step]) -> tuple[jumps.Jumps | None, list[Reduced]]:

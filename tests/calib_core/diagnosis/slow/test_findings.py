@@ -20,7 +20,12 @@ from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
-from stillcal.calib_core.diagnosis.slow.findings import Stated, each_driver_once, slow_findings
+from stillcal.calib_core.diagnosis.slow.findings import (
+    Stated,
+    each_driver_once,
+    not_unknown_twice,
+    slow_findings,
+)
 from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_scene, score
 from tests.support.diagnosis import nulls
 
@@ -174,3 +179,16 @@ def test_what_has_no_name_is_said_once_for_each_driver() -> None:
     assert each_driver_once([overtones, sine]) == [sine]
     apart = stated("unknown", "a sawtooth", 7.0, 50.0)
     assert each_driver_once([apart, sine]) == [apart, sine]
+
+
+def test_wander_without_a_name_is_not_told_beside_structure_without_one() -> None:
+    """What two levels in time leave is no second cause; a walk is told by its name."""
+    where = Where(0.0, 1.0, (0.0, 0.05), "nothing")
+
+    def made(effect: str) -> Finding:
+        return Finding(effect, "gyro", ["x"], where, {}, Evidence(9.0), [], "")
+
+    unknown, walk, step = made("unknown"), made("gyro_bias_random_walk"), made("gyro_bias_step")
+    assert not_unknown_twice([Stated(step), Stated(unknown)], [unknown]) == []
+    assert not_unknown_twice([Stated(unknown)], [walk]) == [walk]
+    assert not_unknown_twice([Stated(step)], [unknown]) == [unknown]
