@@ -186,7 +186,7 @@ def compare_residuals(old: Array, new: Array, sd: Array, settings: QualitySettin
     gains = (old**2 - new**2) / (2 * sd**2)
     n = gains.size
     chance = flipped_share(gains) if n else 1.0
-    rms_old, rms_new = (rms(r) if n else 0.0 for r in (old, new))
+    rms_old, rms_new = rms(old), rms(new)
     better = n >= settings.held_out_rests and chance <= settings.chance
     worse = flipped_share(-gains) if n else 1.0
     return Comparison(n, float(gains.mean()) if n else 0.0, chance, rms_old, rms_new, better, worse)

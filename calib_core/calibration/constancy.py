@@ -174,8 +174,7 @@ def _explained(
 
     As a fit with these columns for each would find it; the sums over rests are running ones.
     """
-    norms = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-    base, spread, _ = np.linalg.svd(design / norms, full_matrices=False)
+    base, spread, _ = np.linalg.svd(_scaled(design)[0], full_matrices=False)
     base = base[:, spread > RANK * spread[0]]
     left = residuals - base @ (base.T @ residuals)
 
@@ -255,10 +254,16 @@ def _f_test(residuals: Array, design: Array, extra: Array) -> tuple[float, Array
 
 def _left(residuals: Array, design: Array) -> tuple[float, int, Array]:
     """Return the sum of squares that a least-squares fit leaves, the design's rank, and the solution."""
-    norms = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-    solution, _, rank, _ = np.linalg.lstsq(design / norms, residuals, rcond=RANK)
-    rest = residuals - (design / norms) @ solution
+    columns, norms = _scaled(design)
+    solution, _, rank, _ = np.linalg.lstsq(columns, residuals, rcond=RANK)
+    rest = residuals - columns @ solution
     return float(rest @ rest), int(rank), solution / norms
+
+
+def _scaled(design: Array) -> tuple[Array, Array]:
+    """Return the design (n, p) with columns of length one, and the lengths (p,) that they had."""
+    norms = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    return design / norms, norms
 
 
 def _stands_without_any(residuals: Array, design: Array, extra: Array, level: float) -> bool:

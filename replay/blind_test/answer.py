@@ -89,8 +89,8 @@ def _phone_written_back(folder: Path, name: str) -> dict[str, Any]:
     Its field `first` is the answer to the first day and the phone file as it was given.
     """
     from stillcal.replay.diagnosis.diagnose import Request, diagnose  # noqa: PLC0415 - baselines do without it
-    from stillcal.replay.export.fix.fixers import fixed_for  # noqa: PLC0415
-    from stillcal.replay.export.fix.phone import phone_from  # noqa: PLC0415
+    from stillcal.replay.export.fix.fixers import fixed_for  # noqa: PLC0415 - the same
+    from stillcal.replay.export.fix.phone import phone_from  # noqa: PLC0415 - the same
 
     given = load_phone(folder / f"{name}{PHONE}")
     first = diagnose(read_all(folder / f"{name}.csv"), Request(phone=given, phone_name="given")).judged.answer

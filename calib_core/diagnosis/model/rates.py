@@ -12,6 +12,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.earth import RATE, Ground
 from stillcal.calib_core.diagnosis.model.residuals import View, attitudes
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.maths.rms import rms
 
 OF_ATTITUDE = 0.25
 """Part of the Earth's rate that may be linear in `up`, element by element, standard deviation: where a phone
@@ -81,7 +82,7 @@ def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]
     heading, place = 0.25 * RATE**2 * (1.0 - up**2) * lost[:, None], attitudes(up)
     tilting = np.linalg.norm(motion, axis=1)
     seen = tilting > 0.0
-    unseen = np.where(seen, 0.0, np.sqrt(np.mean(tilting[seen] ** 2)) if seen.any() else 0.0)
+    unseen = np.where(seen, 0.0, rms(tilting[seen]))
     linear = OF_ATTITUDE * RATE * up * np.sqrt(lost)[:, None]
     return [
         View(

@@ -63,7 +63,8 @@ def slow_statements(scene: Scene, without: Collection[str] = ()) -> list[Stated]
     if found:
         beside = [jumps.finding(scene, found)]
     else:
-        wandering = wander(scene, left if stated else reduce_scene(scene, [nothing(scene)]))
+        withdrawn = steps and not stated
+        wandering = wander(scene, reduce_scene(scene, [nothing(scene)]) if withdrawn else left)
         beside = not_unknown_twice(stated, wandering)
     return [
         *stated,
