@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from stillcal.daemon.wire.messages import Status
 
 DAY_S = 86400.0
-KEPT_DAYS = 400
-"""Days that are kept: a year and a month."""
+KEPT_DAYS = 92
+"""Days that are kept: a quarter of a year, as long as rotation segments are remembered."""
 MOMENT_S = 1.0
 """Time after the end of a day that still counts to it, s: a stream of one day ends just beyond it."""
 
