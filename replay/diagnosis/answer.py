@@ -6,7 +6,7 @@ docs/comparison.md describes it. A field without a meaning for a finding is abse
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,10 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared
+from stillcal.calib_core.diagnosis.comparison.noise import UNEQUAL, ratios_to_others
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
-from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, vector
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
 from stillcal.replay.diagnosis.words.correction_code import to_paste
 from stillcal.replay.diagnosis.words.names import BUILT_IN
@@ -161,6 +162,8 @@ def _finding(
         "evidence": {"log_bayes_factor": one.log_bayes_factor},
     }
     out |= _of_both(one.difference) if one.difference is not None else _of_one(one, names)
+    if one.effect == UNEQUAL and one.difference is not None:
+        out |= _with_imbalance(out, one.difference, one.axes[0])
     if one.effect.endswith("_temperature") and "reference" not in out and mean_temperature is not None:
         out["reference"] = {"temperature_c": mean_temperature}
     if own is not None and one.relation in ("lacking", "superfluous"):
@@ -178,6 +181,17 @@ def _of_both(difference: Difference) -> dict[str, Any]:
     }
     reference = dict(difference.recorded.reference)
     return out | ({"reference": reference} if reference else {})
+
+
+def _with_imbalance(sides: Mapping[str, Any], difference: Difference, axis: str) -> dict[str, Any]:
+    """Return both sides, and how they differ, with the ratios of densities to that of the two even axes."""
+    one, other = (ratios_to_others(q, axis) for q in (difference.recorded, difference.simulated))
+    apart = one[0] - other[0], np.hypot(one[1], other[1])
+    by_side = {"parameters": one, "simulated": other, "difference": apart}
+    return {
+        side: {**sides[side], "ratio": asdict(vector(value, error, "1"))}
+        for side, (value, error) in by_side.items()
+    }
 
 
 def _of_one(one: Discrepancy, names: tuple[str, str]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference
 from stillcal.calib_core.diagnosis.diagnose import Examination, still_bins
@@ -59,7 +60,7 @@ def correct(
         return corrected
     seconds = _seconds(simulation, simulation.overview)
     changed = _with_added(seconds, discrepancies, biases, seed).recording
-    white = [d for d in discrepancies if d.effect == "noise_level" and d.difference is not None]
+    white = [d for d in discrepancies if d.effect in OF_DENSITY and d.difference is not None]
     power = {d.sensor: _missing(d) / 2.0 for d in white if (_missing(d) >= 0.0).all()}
     known = simulation.overview
     overview = replace(
@@ -160,7 +161,7 @@ def _added(
         return _tone(samples, one.recorded)
     if one.difference is None:
         return None
-    if one.effect == "noise_level":
+    if one.effect in OF_DENSITY:
         return _noise(samples, one, rng)
     kind = one.effect.partition("_")[2]
     if kind == "scale":

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison, compare
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
@@ -20,7 +21,7 @@ from stillcal.replay.formats.trace import Recording
 Correct = Callable[[Comparison, dict[str, Any]], Corrected]
 """Puts what was found into a simulation: the comparison and its answer in plain values are given."""
 
-ON_VALUES = ("noise_level", "saturation")
+ON_VALUES = (*OF_DENSITY, "saturation")
 """Effects, by the end of their names, that change a sensor's noise at rest or its single values."""
 
 

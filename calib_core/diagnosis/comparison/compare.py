@@ -57,9 +57,6 @@ LEAST_JUDGED = 1.0 / 3.0
 LEVEL = 0.01
 """p below which a simulation is rejected."""
 
-AXIS_SIGMA = 2.6
-"""An axis is named where its difference is this many standard deviations from nothing (two-sided 1 %)."""
-
 CROSSING_SPREAD_K = 10.0
 """K: how far from a recording's mean temperature the one lies at which a sensor was trimmed."""
 
@@ -182,6 +179,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     found += [d for d in sole if d.probability >= CERTAIN]
     asked = {(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted}
     agreed = [d for d in pairs if d.agrees and _worth_telling(d, asked)]
+    agreed += [noise.named_unequal(d) for d in agreed if noise.alike_unequal(d)]
     missing += unseen
     undecided = [_undecided(d, names) for d in pairs if not d.agrees and not _differs(d)]
     evidence = [(d.recorded.effect, d.log_bayes_factor) for d in pairs]
@@ -395,14 +393,17 @@ def _undecided(difference: Difference, names: tuple[str, str]) -> NotCompared:
 
 
 def _discrepancy(difference: Difference) -> Discrepancy:
-    recorded = difference.recorded
+    recorded, axes = difference.recorded, axes_of(difference)
     assert recorded.where is not None, "every quantity says where it was measured"
+    effect, relation = recorded.effect, difference.relation()
+    if effect == noise.LEVEL and (unequal := noise.unequal(difference, axes)) is not None:
+        effect, relation = noise.UNEQUAL, unequal
     return Discrepancy(
-        recorded.effect,
+        effect,
         recorded.sensor,
-        axes_of(difference),
+        axes,
         recorded.where,
-        difference.relation(),
+        relation,
         difference.probability,
         difference.log_bayes_factor,
         difference,
@@ -417,7 +418,7 @@ def axes_of(difference: Difference) -> list[str]:
     if (owner < 0).all():
         return []
     by_axis = [float(strength[owner == a].max(initial=0.0)) for a in range(3)]
-    least = min(AXIS_SIGMA, max(by_axis))
+    least = min(thresholds.AXIS_SIGMA, max(by_axis))
     return [AXES[a] for a in range(3) if by_axis[a] >= least]
 
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity, Relation
 from stillcal.calib_core.diagnosis.diagnose import Examination, Stream
+from stillcal.calib_core.diagnosis.direct.noise_level import odd_one_out
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
-from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.model.records import AXES, Where
 from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
@@ -38,6 +42,9 @@ FEWEST_PAIRS = 6
 
 SILENT = 1e-12
 """Density below which samples have no noise at all, only rounding of double precision, as simulations may."""
+
+LEVEL, UNEQUAL = OF_DENSITY = ("noise_level", "noise_unequal_axes")
+"""Names of a difference between two densities of white noise: on any axes, or on one beside the others."""
 
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
 SAME_ATTITUDE = 0.9
@@ -63,7 +70,7 @@ def density(stream: Stream) -> Quantity | None:
         return None
     errors = np.full(3, LEAST_SPREAD) if silent else stream.levels.errors()
     return Quantity(
-        "noise_level",
+        LEVEL,
         stream.sensor,
         (Part("density", f"{UNIT[stream.sensor]}/sqrt(Hz)", 3),),
         np.log(np.maximum(values, SILENT)),
@@ -74,6 +81,57 @@ def density(stream: Stream) -> Quantity | None:
         logarithmic=True,
         where=Where(*_span(stream.samples), (0.0, stream.still.rate / 2.0), "noise at rest"),
     )
+
+
+def imbalance(quantity: Quantity, axis: str) -> Measured:
+    """Return how an axis' density stands to that of the other two, as the logarithm of the ratio."""
+    return odd_one_out(quantity.value, np.hypot(quantity.sigma, quantity.tolerance), AXES.index(axis))
+
+
+def ratios_to_others(quantity: Quantity, axis: str) -> tuple[Array, Array]:
+    """Return densities over the geometric mean of the two axes but this one, and their errors, (3,) each."""
+    others = [a for a in range(3) if AXES[a] != axis]
+    ratios = np.exp(quantity.value - quantity.value[others].mean())
+    common = np.sqrt((quantity.sigma[others] ** 2).sum()) / 2.0
+    return ratios, np.asarray(ratios * np.hypot(quantity.sigma, common))
+
+
+def unequal(difference: Difference, axes: Sequence[str]) -> Relation | None:
+    """Return how the imbalance of a simulation's axes stands to the recording's.
+
+    axes: those on which the densities differ. None where that is not one axis alone, beside the others.
+    """
+    if len(axes) != 1:
+        return None
+    recorded, simulated = (imbalance(q, axes[0]) for q in (difference.recorded, difference.simulated))
+    apart = abs(recorded.value - simulated.value)
+    shown = [abs(m.value) > AXIS_SIGMA * m.error for m in (recorded, simulated)]
+    if apart <= AXIS_SIGMA * np.hypot(recorded.error, simulated.error) or not any(shown):
+        return None
+    if not all(shown):
+        return "lacking" if shown[0] else "superfluous"
+    return "too_small" if abs(simulated.value) < abs(recorded.value) else "too_large"
+
+
+def alike_unequal(difference: Difference) -> bool:
+    """Whether both show one and the same axis of a white noise to stand apart from the other two."""
+    if difference.recorded.effect != LEVEL:
+        return False
+    one, other = (_odd_axis(q) for q in (difference.recorded, difference.simulated))
+    return one is not None and one == other
+
+
+def named_unequal(difference: Difference) -> Difference:
+    """Return a difference of densities under the name of their imbalance."""
+    one, other = (replace(q, effect=UNEQUAL) for q in (difference.recorded, difference.simulated))
+    return replace(difference, recorded=one, simulated=other)
+
+
+def _odd_axis(quantity: Quantity) -> str | None:
+    """Return the axis that stands farthest from the other two, if it does so beyond its error."""
+    ratios = {axis: imbalance(quantity, axis) for axis in AXES}
+    farthest = max(AXES, key=lambda axis: abs(ratios[axis].value))
+    return farthest if abs(ratios[farthest].value) > AXIS_SIGMA * ratios[farthest].error else None
 
 
 def why_no_density(stream: Stream) -> str:

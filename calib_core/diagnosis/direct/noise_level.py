@@ -193,9 +193,11 @@ def imbalance(measured: Levels) -> dict[str, Measured]:
     }
 
 
-def _odd_one_out(measured: Levels, axis: int) -> Measured:
-    """Return the ratio of an axis to the geometric mean of the others, as a natural logarithm."""
-    logs, errors = np.log(np.maximum(measured.values(), 1e-300)), measured.errors()
+def odd_one_out(logs: Array, errors: Array, axis: int) -> Measured:
+    """Return the ratio of an axis to the geometric mean of the others, as a natural logarithm.
+
+    logs, errors: (3,) logarithms of the densities, and their standard errors.
+    """
     weight = np.where(np.arange(3) == axis, 1.0, -0.5)
     return Measured(float(weight @ logs), float(np.sqrt((weight**2) @ errors**2)))
 
@@ -212,7 +214,8 @@ def _unequal(
     common = {name: usual(sound, f"{sensor}_noise_{name}", claim) for name in ratios}
     sound_log = sum(common[name].log_sound(m.value, m.error) for name, m in ratios.items())
     # Of z and one of x and y, the ratio is usual as z over both is.
-    x, y, z = (_odd_one_out(measured, a) for a in range(3))
+    logs = np.log(np.maximum(measured.values(), 1e-300))
+    x, y, z = (odd_one_out(logs, measured.errors(), a) for a in range(3))
     pair = {
         0: (common["upright"], ratios["upright"].value + 0.5 * ratios["plane"].value),
         1: (common["upright"], ratios["upright"].value - 0.5 * ratios["plane"].value),

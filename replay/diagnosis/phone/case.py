@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from stillcal.calib_core.diagnosis.comparison.compare import Comparison
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.replay.diagnosis.phone.phone_effects import WHITE_NOISE_FINDINGS, MappedFinding, map_findings
+from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding, map_findings
 from stillcal.replay.diagnosis.phone.phone_file import phone_of
 from stillcal.replay.diagnosis.phone.resimulate import motion_of, resimulate
 from stillcal.replay.diagnosis.phone.twin import (
@@ -62,9 +63,7 @@ class Case:
     def not_in_phone(self) -> list[str]:
         """Return the effects found that a phone file cannot have."""
         return [
-            m.finding.effect
-            for m in self.mapped
-            if m.effect is None and m.finding.effect not in WHITE_NOISE_FINDINGS
+            m.finding.effect for m in self.mapped if m.effect is None and m.finding.effect not in OF_DENSITY
         ]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.effects.catalogue import foreign_effects
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -18,9 +19,6 @@ from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.effects.other_physics import OtherPhysics
 from stillcal.replay.phone.effects.registry import EFFECTS
 from stillcal.replay.phone.settings import ClockSettings
-
-WHITE_NOISE_FINDINGS = ("noise_level", "noise_unequal_axes")
-"""Findings that a phone's own white noise takes up: its density is measured on the recording."""
 
 WHOLE_RECORDING = 0.9
 """A vibration that is there for this part of the recording is there always."""
@@ -41,7 +39,7 @@ def map_findings(findings: Sequence[Finding], bins: Bins, conditions: Conditions
 
 
 def _map_finding(finding: Finding, bins: Bins, conditions: Conditions) -> MappedFinding:
-    if finding.effect in WHITE_NOISE_FINDINGS:
+    if finding.effect in OF_DENSITY:
         return MappedFinding(finding, None, "included in the white noise of its sensor")
     kind = EFFECTS.get(finding.effect)
     if kind is None:

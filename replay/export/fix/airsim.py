@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.airsim import KEYS, TAUS, stability
@@ -59,7 +60,7 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
             own = stability(sensor, walk, imu.get(TAUS[sensor]))[key]
             _set(imu, key, common_level(_get(imu, key), finding, name, own), fixed)
 
-    handlers = {"noise_level": white, "accel_slow_noise": slow, "gyro_slow_noise": slow}
+    handlers = {"accel_slow_noise": slow, "gyro_slow_noise": slow} | dict.fromkeys(OF_DENSITY, white)
     apply_findings(findings, handlers, fixed)
     fixed.text = json.dumps(settings, indent=2) + "\n"
     return fixed

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.fix.findings import (
     AXES,
@@ -61,7 +62,7 @@ class Gazebo:
             "sample_rate": self._rate,
             "accel_bias": self._bias,
             "gyro_bias": self._bias,
-            "noise_level": self._white,
+            **dict.fromkeys(OF_DENSITY, self._white),
             "accel_slow_noise": self._slow,
             "gyro_slow_noise": self._slow,
         }

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.airsim import DEG_PER_HOUR, DEG_PER_ROOT_HOUR
 from stillcal.replay.export.fix.findings import (
@@ -77,7 +78,7 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     handlers = {
         "accel_bias": bias,
         "gyro_bias": bias,
-        "noise_level": white,
+        **dict.fromkeys(OF_DENSITY, white),
         "accel_slow_noise": slow,
         "gyro_slow_noise": slow,
     }

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.fix.findings import (
     CannotHold,
@@ -81,7 +82,7 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     handlers = {
         f"{s}_{name}": handler for s in SENSORS for name, handler in (both | {"slow_noise": slow}).items()
     }
-    apply_findings(findings, handlers | {"noise_level": white, "sample_rate": rate}, fixed)
+    apply_findings(findings, handlers | dict.fromkeys(OF_DENSITY, white) | {"sample_rate": rate}, fixed)
     return fixed
 
 

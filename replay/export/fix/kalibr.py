@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.fix.findings import (
@@ -59,7 +60,8 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
         own = rms(walk_of(recorded(finding, "allan_deviation_100s")))
         change(f"{SENSORS[finding['sensor']]}_random_walk", finding, "allan_deviation_100s", own)
 
-    handlers = {"sample_rate": rate, "noise_level": white, "accel_slow_noise": slow, "gyro_slow_noise": slow}
+    handlers = {"sample_rate": rate, "accel_slow_noise": slow, "gyro_slow_noise": slow}
+    handlers |= dict.fromkeys(OF_DENSITY, white)
     apply_findings(findings, handlers, fixed)
     return fixed
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.terms import POWER_NAMES
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.replay.export.fix.findings import (
@@ -230,7 +231,8 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     before = Phone() if text is None else phone_from(text)
     fixed = Fixed("")
     work = _Phone(before, fixed)
-    handlers: dict[str, Callable[[Finding], None]] = {"noise_level": work.white, "sample_rate": work.rate}
+    handlers: dict[str, Callable[[Finding], None]] = dict.fromkeys(OF_DENSITY, work.white)
+    handlers["sample_rate"] = work.rate
     for sensor in ("accel", "gyro"):
         handlers |= {
             f"{sensor}_bias": work.bias,

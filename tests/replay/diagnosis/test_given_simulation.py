@@ -138,6 +138,41 @@ def test_constants_and_noise_that_differ_are_told_in_their_own_units() -> None:
     assert found["noise_level"]["difference"]["ratio"]["value"] == pytest.approx([0.5] * 3, rel=0.05)
 
 
+def odd(ratio: float, seed: int, name: str) -> Recording:
+    """A recording of a phone whose y axis has `ratio` times the others' noise."""
+    phone = phone_with()
+    noise = msgspec.structs.replace(phone.accel.noise, white=(0.00147, 0.00147 * ratio, 0.00147))
+    return named(recorded(changed(phone, "accel", noise=noise), seed), name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("ratios", "relation"),
+    [
+        ((2.0, 1.0), "lacking"),
+        ((2.0, 1.4), "too_small"),
+        ((1.4, 2.0), "too_large"),
+        ((1.0, 2.0), "superfluous"),
+        ((0.5, 0.75), "too_small"),
+    ],
+)
+def test_one_axis_that_is_noisier_is_told_as_such(ratios: tuple[float, float], relation: str) -> None:
+    said = answer(odd(ratios[0], 3, "real.csv"), odd(ratios[1], 8, "sim.csv"))
+    finding = only(said)
+    assert (finding["effect"], finding["relation"]) == ("noise_unequal_axes", relation)
+    assert finding["axes"] == ["y"] and said["fit"]["p_before"] < 1e-6
+    for side, ratio in zip(("parameters", "simulated"), ratios, strict=True):
+        assert finding[side]["ratio"]["value"] == pytest.approx([1.0, ratio, 1.0], rel=0.1)
+    assert finding["difference"]["ratio"]["value"][1] == pytest.approx(ratios[0] - ratios[1], abs=0.15)
+
+
+@pytest.mark.slow
+def test_an_axis_that_is_as_noisy_in_both_agrees() -> None:
+    said = answer(odd(2.0, 3, "real.csv"), odd(2.0, 8, "sim.csv"))
+    assert {"noise_level", "noise_unequal_axes"} <= {a["effect"] for a in said["agreed"]}
+    assert said["findings"] == []
+
+
 @pytest.mark.slow
 def test_another_rate_is_one_finding_and_nothing_else() -> None:
     phone = phone_with()

@@ -245,6 +245,13 @@ def test_nothing_found_changes_nothing_and_a_new_file_can_be_read_back(tool: str
     assert tool == "airsim" or again.text == fresh.text
 
 
+@pytest.mark.parametrize("tool", FIXERS)
+def test_noise_of_one_axis_is_put_where_noise_is(tool: str) -> None:
+    odd = finding("noise_unequal_axes", "accel", {"density": ([4e-3] * 3, [2e-3] * 3)}, axes="x")
+    made = [fixed(tool, None, RATE, one) for one in (odd, {**odd, "effect": "noise_level"})]
+    assert made[0].text == made[1].text != fixed(tool, None, RATE).text
+
+
 @pytest.mark.parametrize("tool", [t for t in FIXERS if t != "kalibr"])
 @pytest.mark.parametrize("text", ["", "<a>", "[1]", "a = {", "<sdf/>", "\x00"])
 def test_what_is_not_the_tool_s_is_refused(tool: str, text: str) -> None:
