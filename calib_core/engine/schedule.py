@@ -16,7 +16,7 @@ from stillcal.calib_core.engine.settings import ScheduleSettings, Watch
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.streams.samples import Sensor
 
-_LEAST_EARLY_S = 600.0
+_LEAST_EARLY_S = 300.0
 """s: two checks are at least so far apart."""
 
 _LONGEST_GAP_S = 86400.0

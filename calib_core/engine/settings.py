@@ -55,7 +55,7 @@ class ScheduleSettings:
     diagnose_after_checks: int = 3
     learn_temperature: bool = True
     wanted_force: float = 1e-3
-    wanted_rate: float = 5e-5
+    wanted_rate: float = 2e-5
 
     def __post_init__(self) -> None:
         for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s"):
