@@ -6,6 +6,10 @@ of state, store and log. Each day a client asks and one listens and leaves; each
 and comes back as a new session; each month the settings are read again. What grows shows by the quarters: the
 level of the last must not exceed that of the second by more than SLACK and by more than chance, or the exit
 code is 1. A level is what three days in four keep below: one day with a self-diagnosis at midnight is none.
+
+State and store both hold the rests that the calibration in use was fitted to: 53 of them or 189, as it came,
+and until another calibration is accepted. They are counted by themselves, against the most that the daemon
+gathers, and not in the bytes of state and store.
 """
 
 from __future__ import annotations
@@ -17,15 +21,18 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 import numpy as np
 from numpy.typing import NDArray
 
+from stillcal.calib_core.calibration.rest_pool import PoolSettings
 from stillcal.daemon.cli.query import replies
-from stillcal.daemon.service.saved_state import state_path
+from stillcal.daemon.service.saved_state import decode, state_path
+from stillcal.daemon.store.document import StoreDocument, parse, render
+from stillcal.daemon.store.msgpack_arrays import encoded
 from stillcal.daemon.varlink.address import NAME
 from stillcal.daemon.wire.messages import Hello
 from stillcal.replay.serial_phone.link import LinkSettings, PhoneLink
@@ -69,10 +76,16 @@ PATIENCE_S = 60.0
 MIDNIGHT = np.dtype(
     [
         (name, np.int64)
-        for name in ("day", "memory", "descriptors", "threads", "state", "store", "log", "files")
+        for name in ("day", "memory", "descriptors", "threads", "state", "store", "log", "files", "rests")
     ]
 )
-"""How things stood at a midnight. memory, state, store: bytes; log: of the day; files: in the folder."""
+"""How things stood at a midnight. memory, state, store: bytes; log: of the day; files: in the folder.
+
+rests: those of the calibration in use, whose bytes are not in those of state and store.
+"""
+
+MOST_RESTS = PoolSettings().attitudes * PoolSettings().rests_per_attitude
+"""Rests that the daemon gathers at most, and so the most that a calibration can be fitted to."""
 
 JUDGED = ("memory", "descriptors", "threads", "state", "store", "log", "files")
 
@@ -164,16 +177,31 @@ def _ask(path: Path) -> None:
 def _looked(day: int, pid: int, folder: Path, logged: int) -> tuple[int, ...]:
     status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     store = folder / "store.json"
+    rests, in_store, in_state = _evidence(store)
     return (
         day,
         int(status["VmRSS"].split()[0]) * 1024,
         len(list(Path(f"/proc/{pid}/fd").iterdir())),
         int(status["Threads"]),
-        _size(state_path(store)),
-        _size(store),
+        _size(state_path(store)) - in_state,
+        _size(store) - in_store,
         _size(folder / "log") - logged,
         len(list(folder.iterdir())),
+        rests,
     )
+
+
+def _evidence(store: Path) -> tuple[int, int, int]:
+    """Return how many rests the calibration in use was fitted to, and their bytes in store and state."""
+    document = parse(store.read_bytes())[0] if store.exists() else StoreDocument()
+    known = document.current
+    if known is None:
+        return 0, 0, 0
+    bare = replace(document, current=replace(known, states=()))
+    state = state_path(store)
+    held = decode(state.read_bytes()).engine.record if state.exists() else None
+    in_state = 0 if held is None else len(encoded(held.states))
+    return len(known.states), len(render(document)) - len(render(bare)), in_state
 
 
 def _size(path: Path) -> int:
@@ -181,10 +209,10 @@ def _size(path: Path) -> int:
 
 
 def _line(row: tuple[int, ...]) -> str:
-    day, memory, descriptors, threads, state, store, log, files = row
+    day, memory, descriptors, threads, state, store, log, files, rests = row
     return (
         f"{day:4} {memory / 2**20:8.2f} {descriptors:6} {threads:8} {state / 1024:10.1f}"
-        f" {store / 1024:10.1f} {log:8} {files:6}"
+        f" {store / 1024:10.1f} {log:8} {files:6} {rests:6}"
     )
 
 
@@ -227,7 +255,7 @@ def _chance(before: NDArray[np.int64], after: NDArray[np.int64]) -> float:
 )
 def main(days: int, seed: int, rate: float, often: bool, keep: Path | None) -> None:
     """Let the daemon live for a year of a phone's time; exit code 1 where something grows."""
-    click.echo(" day  RSS MiB  files  threads  state KiB  store KiB  log B/d folder")
+    click.echo(" day  RSS MiB  files  threads  state KiB  store KiB  log B/d folder  rests")
     with tempfile.TemporaryDirectory(prefix="stillcal-") as scratch:
         folder = Path(scratch) if keep is None else keep
         folder.mkdir(parents=True, exist_ok=True)
@@ -237,9 +265,11 @@ def main(days: int, seed: int, rate: float, often: bool, keep: Path | None) -> N
     for g in found:
         judged = "flat" if g.flat else "GROWS"
         click.echo(f"{g.name:12} {g.first_day:12} {g.second:12.0f} {g.last:12.0f} {judged}")
+    rests = int(lived.midnights["rests"].max())
+    click.echo(f"the calibration in use was fitted to {rests} rests at most (can be {MOST_RESTS})")
     counters = lived.status["counts"]
     click.echo(f"exit code {lived.exit_code}; {counters}")
-    sys.exit(not all(g.flat for g in found) or lived.exit_code != 0)
+    sys.exit(not all(g.flat for g in found) or rests > MOST_RESTS or lived.exit_code != 0)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ UNEVEN = RNG.integers(50, 60, 364)
 
 
 def midnights(memory: np.ndarray) -> np.ndarray:
-    return np.array([(day, size, 14, 3, 1000, 2000, 500, 8) for day, size in enumerate(memory)], MIDNIGHT)
+    return np.array([(day, size, 14, 3, 1000, 2000, 500, 8, 50) for day, size in enumerate(memory)], MIDNIGHT)
 
 
 def with_peaks(days: np.ndarray) -> np.ndarray:
