@@ -19,8 +19,6 @@ from stillcal.calib_core.diagnosis.model.records import Parameter
 from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_scene
 
 GRID_PARAMETERS = ("tau_s", "period_s")
-WIDENED = 1.1
-"""Standard errors are widened by this: they know nothing of the search before them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +72,7 @@ def _averaged(fits: list[Fit], weight: Array, sizes: Array) -> tuple[Array, Arra
     mean = weight @ betas
     away = betas - mean
     total = sum(w * (f.covariance + np.outer(a, a)) for w, f, a in zip(weight, fits, away, strict=True))
-    return np.asarray(mean * sizes), np.asarray(np.asarray(total) * np.outer(sizes, sizes) * WIDENED**2)
+    return np.asarray(mean * sizes), np.asarray(np.asarray(total) * np.outer(sizes, sizes))
 
 
 def _quantiles(candidates: list[Hypothesis], name: str, weight: Array) -> tuple[float, float, float]:
