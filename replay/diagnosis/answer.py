@@ -13,7 +13,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.codec import jsonable
-from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared
+from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared, p_of
 from stillcal.calib_core.diagnosis.comparison.noise import UNEQUAL, ratios_to_others
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
@@ -49,12 +49,23 @@ class Fit:
 
     @classmethod
     def of(cls, before: Comparison, after: Comparison | None, not_put_in: Sequence[str] = ()) -> Fit:
-        """Return the fit of two comparisons, both without what has a name and could not be put in."""
+        """Return the fit of two comparisons, both without what has a name and could not be put in.
+
+        What has no name was not put in either, and so differs afterwards as it did before, whether the
+        second comparison sees it or not.
+        """
         known = [effect for effect in not_put_in if effect != "unknown"]
         if after is None:
             return cls(before.p(known), None, not_put_in)
-        left = [(d.effect, d.sensor) for d in after.discrepancies if d.effect not in known]
-        return cls(before.p(known), after.p(known), not_put_in, list(dict.fromkeys(left)))
+        nameless = {"unknown"} & set(not_put_in)
+        left = [d for d in after.discrepancies if d.effect not in not_put_in]
+        left += [d for d in before.discrepancies if d.effect in nameless]
+        still = list(dict.fromkeys((d.effect, d.sensor) for d in left))
+        if all(d.effect in not_put_in for d in before.discrepancies):
+            return cls(before.p(known), before.p(known), not_put_in, still)
+        nats = [n for effect, n in after.evidence if effect not in not_put_in]
+        nats += [n for effect, n in before.evidence if effect in nameless]
+        return cls(before.p(known), p_of(nats), not_put_in, still)
 
     def without_own_constants(self) -> Fit:
         """Return it for a simulation that has the recording's own constants, which cannot differ.

@@ -252,7 +252,7 @@ def _side(finding: Mapping[str, Any], side: str, name: str | None) -> str:
 
 
 def _word(finding: Mapping[str, Any], name: str | None) -> str:
-    """Return how the simulated numbers that are shown stand to the recorded ones, where all stand alike."""
+    """Return how the simulated numbers stand to the recorded ones, where all that are shown stand so."""
     assert name is not None, "what both have, has parameters"
     shown = shown_of(finding, name, finding["axes"])
     recorded, simulated = (
@@ -261,9 +261,9 @@ def _word(finding: Mapping[str, Any], name: str | None) -> str:
     )
     if (recorded * simulated < 0.0).all():
         return "has the opposite sign"
-    if (recorded * simulated >= 0.0).all():
-        if (np.abs(simulated) < np.abs(recorded)).all():
-            return "is too small"
-        if (np.abs(simulated) > np.abs(recorded)).all():
-            return "is too large"
+    same = (recorded * simulated >= 0.0).all()
+    if same and finding["relation"] == "too_small" and (np.abs(simulated) < np.abs(recorded)).all():
+        return "is too small"
+    if same and finding["relation"] == "too_large" and (np.abs(simulated) > np.abs(recorded)).all():
+        return "is too large"
     return "has other values"

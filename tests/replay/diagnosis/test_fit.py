@@ -19,6 +19,18 @@ def test_what_is_unknown_counts_in_both_and_a_rate_that_cannot_be_put_in_in_neit
     assert Fit.of(rate, rate, ["sample_rate"]).p_before == 1.0
 
 
+def test_what_is_unknown_differs_afterwards_though_the_second_comparison_does_not_see_it() -> None:
+    where = Where(0.0, 900.0, (0.0, 0.05), "time")
+    found = [Discrepancy(name, "gyro", [], where, "lacking", 1.0, 20.0) for name in ("unknown", "gyro_bias")]
+    evidence = [("unknown", 20.0), ("gyro_bias", 30.0)]
+    before, after = Comparison(found, evidence=evidence), Comparison(evidence=[("gyro_bias", -3.0)])
+    fit = Fit.of(before, after, ["unknown"])
+    assert fit.p_after == pytest.approx(2.0 * np.exp(-20.0)) and fit.still_different == [("unknown", "gyro")]
+    nothing = Fit.of(Comparison(found[:1], evidence=evidence), after, ["unknown"])
+    assert nothing.p_after == nothing.p_before < 1e-8
+    assert Fit.of(before, after).p_after == 1.0
+
+
 def test_scales_that_share_gravitys_error_are_told_against_their_mean() -> None:
     """The difference of one scale alone was 0.49 +- 0.55 % beside a probability above 0.999."""
     common, own = 0.002**2 * np.ones((6, 6)), 1e-8 * np.eye(6)
