@@ -37,6 +37,7 @@ from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
+from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.errors import NotSupported
@@ -158,7 +159,9 @@ def examine(
     affine, turns = None, None
     if gyroscope is not None:
         most = min(_limits_of("gyro_saturation", direct), default=np.inf)
-        affine = aligned(gyroscope, slow, claims.gravity, most) if len(slow) else None
+        known = Known.among(stated)
+        bare, rates = off_bins(slow, known), OffRates.of(known, accelerometer)
+        affine = aligned(gyroscope, bare, claims.gravity, most, rates) if len(slow) else None
         windows = [f.where for f in gone]
         stated += [
             Stated(f)
@@ -167,7 +170,7 @@ def examine(
             )
         ]
         if affine is not None and spoiled is None:
-            turns = turn_scene(affine, slow, claims.gravity)
+            turns = turn_scene(affine, bare, claims.gravity)
             stated += turn_statements(turns, without) if search else []
     stated = [replace(s, finding=_named(s.finding, without)) for s in _without_delay(stated, claims.gravity)]
     exchanged = spoiled.sensor if spoiled else ""

@@ -10,6 +10,7 @@ that the norm leaves unknown go with the turns, as errors that their covariance 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,7 +96,16 @@ class Turn:
         return np.stack([first, np.cross(self.up, first)])
 
 
-def cuts(gyroscope: Samples, bins: Bins, limit: float = np.inf) -> list[Cut]:
+Rates = Callable[[Samples], Array]
+"""The rate (n, 3) rad/s of some of the gyroscope's samples, what is known of its errors taken off."""
+
+
+def as_read(samples: Samples) -> Array:
+    """Return the rate as it was read: nothing is known of its errors."""
+    return np.asarray(samples.xyz)
+
+
+def cuts(gyroscope: Samples, bins: Bins, limit: float = np.inf, rates: Rates = as_read) -> list[Cut]:
     """Cut the turns between successive rests, each less the bias that its neighbourhood tells best.
 
     Turns in which a rate comes near `limit` (rad/s), where the sensor stops, are left out.
@@ -104,7 +114,7 @@ def cuts(gyroscope: Samples, bins: Bins, limit: float = np.inf) -> list[Cut]:
         return []
     bias = _local_bias(bins.rate)
     last = np.flatnonzero(np.diff(bins.rest) > 0)
-    found = [_cut(gyroscope, bins, bias, int(i)) for i in last]
+    found = [_cut(gyroscope, bins, bias, int(i), rates) for i in last]
     return [c for c in found if c is not None and np.abs(c.rate).max() < SHORT_OF * limit]
 
 
@@ -130,7 +140,7 @@ def _local_bias(rate: Array) -> Array:
     return np.asarray(out)
 
 
-def _cut(gyroscope: Samples, bins: Bins, bias: Array, i: int) -> Cut | None:
+def _cut(gyroscope: Samples, bins: Bins, bias: Array, i: int, rates: Rates) -> Cut | None:
     """Cut the turn from bin i to bin i + 1, of different rests."""
     start = float(bins.t[i] + bins.duration[i] / 2) - MARGIN
     end = float(bins.t[i + 1] - bins.duration[i + 1] / 2) + MARGIN
@@ -139,7 +149,7 @@ def _cut(gyroscope: Samples, bins: Bins, bias: Array, i: int) -> Cut | None:
         return None
     if np.linalg.norm(part.xyz, axis=1).max() * np.median(np.diff(part.t)) > SHARPEST:
         return None
-    rate = part.xyz - bias[i]
+    rate = rates(part) - bias[i]
     if _angle(part.t, rate) < LEAST_ANGLE:
         return None
     warm = 0.0 if bins.temperature is None else float(bins.temperature[i] + bins.temperature[i + 1]) / 2.0
@@ -167,12 +177,15 @@ class Aligned:
     unsure: Array
 
 
-def aligned(gyroscope: Samples, bins: Bins, gravity: float, limit: float = np.inf) -> Aligned:
+def aligned(
+    gyroscope: Samples, bins: Bins, gravity: float, limit: float = np.inf, rates: Rates = as_read
+) -> Aligned:
     """Fit the affine parameters of both sensors to norm and turns; with few turns the norm's stand alone.
 
-    limit: rad/s, the rate that no turn may reach.
+    limit: rad/s, the rate that no turn may reach. rates: takes known errors off the samples of a turn; what
+    is known is off `bins` as well.
     """
-    found = cuts(gyroscope, bins, limit)
+    found = cuts(gyroscope, bins, limit, rates)
     norms = norms_of(bins.force, bins.force_variance, bins.rest, gravity)
     steady = rest_courses(bins.force, bins.rest)
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)

@@ -1,0 +1,97 @@
+"""What was found at rest, taken off the bins and the turns, before the turns are judged.
+
+A turn is compared with gravity before and after it. Gravity's direction there has the accelerometer's error
+in it, and the rate has the gyroscope's, which a sensitivity to acceleration changes while the phone turns.
+Left in, they would be taken for a wrong scale of the gyroscope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
+from stillcal.calib_core.diagnosis.model.moments import Moments
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.streams.resample import interpolate
+from stillcal.calib_core.streams.samples import Samples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """An effect as it was found. moments: the drivers in the bins; value: (k,) its linear parameters, SI."""
+
+    effect: Effect
+    grid: Grid
+    moments: Moments
+    value: Array
+
+    @classmethod
+    def among(cls, stated: Iterable[Stated]) -> list[Known]:
+        """Return the findings that say what the sensor does at any moment: those with a name of rests."""
+        found = []
+        for one in stated:
+            hypothesis, scene = one.hypothesis, one.scene
+            if hypothesis is None or scene is None or scene.turns or one.finding.effect == "unknown":
+                continue
+            effect, moments = hypothesis.effect, scene.moments
+            if not moments.covariates and effect.can_play(moments, hypothesis.grid):
+                sizes = [np.ravel(one.finding.parameters[p.name].value) for p in effect.parameters]
+                found.append(cls(effect, hypothesis.grid, moments, np.concatenate(sizes)))
+        return found
+
+    def error(self, moments: Moments) -> Array:
+        """Return what the effect adds (n, 3) to the sensor's output at some moments, SI."""
+        return np.asarray(self.effect.response(moments, self.grid) @ self.value)
+
+
+def off_bins(bins: Bins, known: Sequence[Known]) -> Bins:
+    """Return the bins with the sensors' means as they would be without what is known."""
+    force, rate = bins.force, bins.rate
+    for one in known:
+        if one.effect.sensor == "accel":
+            force = force - one.error(one.moments)
+        elif rate is not None:
+            rate = rate - one.error(one.moments)
+    return replace(bins, force=force, rate=rate)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OffRates:
+    """What is known of the gyroscope, taken off its samples. accelerometer: its samples, for the force."""
+
+    known: Sequence[Known]
+    accelerometer: Samples
+
+    @classmethod
+    def of(cls, known: Sequence[Known], accelerometer: Samples) -> OffRates:
+        """Return that of the gyroscope's effects alone."""
+        return cls([k for k in known if k.effect.sensor == "gyro"], accelerometer)
+
+    def __call__(self, samples: Samples) -> Array:
+        """Return the rate (n, 3) of some of the gyroscope's samples, rad/s."""
+        rate = np.asarray(samples.xyz)
+        for one in self.known:
+            rate = rate - one.error(self._during(one.moments, samples))
+        return rate
+
+    def _during(self, bins: Moments, samples: Samples) -> Moments:
+        """Return the drivers at the samples; temperature and charging as interpolated between bins."""
+        t, accel = samples.t, self.accelerometer
+        warm, plugged = (
+            None if column is None else np.interp(t, bins.t, column)
+            for column in (bins.temperature, bins.charging)
+        )
+        return Moments(
+            t,
+            np.zeros(t.size),
+            bins.history,
+            interpolate(t, accel.t, accel.xyz),
+            samples.xyz,
+            warm,
+            plugged,
+        )

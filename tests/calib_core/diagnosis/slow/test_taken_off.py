@@ -1,0 +1,48 @@
+"""The gyroscope's scale by turns is not changed by what another effect does while the phone turns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.slow.taken_off import Known, off_bins
+from stillcal.replay.diagnosis.judged import examined
+from tests.support.report_days import phone_with, recorded
+
+TRUE = np.linalg.inv(np.asarray(phone_with().gyro.scale, dtype=np.float64))
+"""The mapping from the rate as read to the true one."""
+
+FARTHEST = 1e-3
+"""A tenth of a per cent: three times what turns of half an hour leave uncertain without any other effect."""
+
+SENSITIVITY = {"name": "gyro_g_sensitivity", "matrix": np.diag([3e-4, 0.0, -3e-4]).tolist()}
+WARMUP = {"name": "accel_warmup", "amplitude": [0.1, 0.0, 0.1], "tau_s": 300.0}
+
+
+def exam_with(effect: dict[str, Any]) -> Examination:
+    return examined(recorded(phone_with(effect), 3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", [SENSITIVITY, WARMUP])
+def test_what_was_found_at_rest_does_not_turn_into_a_scale(effect: dict[str, Any]) -> None:
+    exam = exam_with(effect)
+    assert [s.finding.effect for s in exam.statements] == [effect["name"]]
+    assert exam.aligned is not None and exam.gyroscope is not None
+    as_read = aligned(exam.gyroscope, exam.bins, exam.claims.gravity)
+    assert np.abs(exam.aligned.mapping - TRUE).max() < FARTHEST < np.abs(as_read.mapping - TRUE).max()
+
+
+@pytest.mark.slow
+def test_bins_without_what_is_known_are_those_of_a_phone_without_it() -> None:
+    exam = exam_with(WARMUP)
+    bare = off_bins(exam.bins, Known.among(exam.statements))
+    added = exam.bins.force - bare.force
+    true = -np.exp(-(exam.bins.t - exam.bins.span[0]) / WARMUP["tau_s"])[:, None] * WARMUP["amplitude"]
+    # A constant goes with the bias.
+    assert np.abs(np.ptp(added - true, axis=0)).max() < 0.15 * np.ptp(true)
+    assert bare.rate is exam.bins.rate
