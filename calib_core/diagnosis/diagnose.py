@@ -397,7 +397,9 @@ def without_group_delay(found: list[Finding], gravity: float) -> list[Finding]:
     def explained(one: Finding) -> bool:
         if one.effect == "lever_arm":
             return bool(np.linalg.norm(one.parameters["position"].value) < gravity * late**2)
-        # Fast motion, which a low-pass keeps out, is delayed less.
+        # Fast motion, which a low-pass keeps out, is delayed less: the delay goes with what motion there is.
+        if one.sensor == "timing" and "growth" in one.parameters:
+            return bool(abs(np.asarray(one.parameters["growth"].value)) < 3.0 * late)
         delayed = one.effect == "accel_gyro_time_offset"
         return delayed and bool(0.0 < sign * np.asarray(one.parameters["delay"].value) / late < 3.0)
 

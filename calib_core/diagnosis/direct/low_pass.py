@@ -125,12 +125,15 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
 
 
 def _shapes(f: Array, cutoffs: Array, rate: float) -> list[tuple[int, Array]]:
-    """Return (order, shapes (C, F)) of analogue filters and bilinear ones of cutoffs (C,) Hz."""
-    nyquist = np.pi * np.minimum(f, 0.4999 * rate) / rate
-    axes = (f, cutoffs), (np.tan(nyquist), np.tan(np.pi * cutoffs / rate))
+    """Return (order, shapes (C, F)) of analogue filters, bilinear ones and averages of cutoffs (C,) Hz.
+
+    An exponential average, y[n] = (1 - a) x[n] + a y[n - 1], is of the first order and goes as the sine.
+    """
+    half = np.pi * np.minimum(f, 0.4999 * rate) / rate, np.pi * cutoffs / rate
+    analogue, bilinear = (f, cutoffs), (np.tan(half[0]), np.tan(half[1]))
+    kinds = [*product((analogue, bilinear), ORDERS), ((np.sin(half[0]), np.sin(half[1])), 1)]
     return [
-        (order, 1.0 / (1.0 + (at[None, :] / cutoff[:, None]) ** (2 * order)))
-        for (at, cutoff), order in product(axes, ORDERS)
+        (order, 1.0 / (1.0 + (at[None, :] / cutoff[:, None]) ** (2 * order))) for (at, cutoff), order in kinds
     ]
 
 
