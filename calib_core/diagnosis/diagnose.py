@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisatio
 from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.shared_noise import shared_noise, shared_noise_finding
-from stillcal.calib_core.diagnosis.direct.spectral_line import tone
+from stillcal.calib_core.diagnosis.direct.spectral_line import tones
 from stillcal.calib_core.diagnosis.direct.step_changes import step_change
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
@@ -51,6 +51,9 @@ LEAST_SAMPLES = 200
 LEAST_SECONDS = 10.0
 CLEAR = 4.0
 """Standard deviations of the noise that a mean must be below a limit."""
+
+SAME_HZ = 0.05
+"""Difference of two sensors' lines that is none: what a stretch of 20 s tells apart."""
 
 MEASURED, SEARCHED = 0.15, 0.9
 """Share of the work that is done once single samples are judged, and once slow effects are searched for; on
@@ -272,7 +275,7 @@ def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhone
     for stream in streams:
         if len(stream.samples) >= LEAST_SAMPLES:
             found += _of_stream(stream, claims, factor, sound)
-    return _one_tone(found)
+    return _without_echoes(found)
 
 
 def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) -> list[Finding]:
@@ -290,7 +293,7 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
     cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
     found = [held, comb, cut_off, step_change(samples, sensor)]
     if not stream.steps.hides_noise():
-        found.append(tone(samples, sensor))
+        found += tones(samples, sensor)
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor, sound)
     known = missing_codes.beside(
@@ -336,16 +339,19 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
     return [f for f in found if f is None or halves.borne_out(f, parts, sound, claim)]
 
 
-def _one_tone(found: list[Finding]) -> list[Finding]:
-    """Keep one of two lines at one frequency.
+def _without_echoes(found: list[Finding]) -> list[Finding]:
+    """Leave out a gyroscope's line at the frequency of one of the accelerometer's.
 
     A vibration of the phone that both sensors feel is the force's.
     """
     tones = [f for f in found if f.effect == "vibration_tone"]
-    if len(tones) != 2:
-        return found
-    a, b = (float(np.mean(f.where.band_hz)) for f in tones)
-    return [f for f in found if f is not tones[1]] if abs(a - b) < 0.05 else found
+    felt = [_middle_hz(f) for f in tones if f.sensor == "accel"]
+    echoes = [f for f in tones if f.sensor == "gyro" and any(abs(_middle_hz(f) - x) < SAME_HZ for x in felt)]
+    return [f for f in found if not any(f is echo for echo in echoes)]
+
+
+def _middle_hz(found: Finding) -> float:
+    return float(np.mean(found.where.band_hz))
 
 
 def _limits_of(effect: str, found: Sequence[Finding | None]) -> list[float]:

@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     MEASURED_ELSEWHERE,
     direct_statements,
     named,
-    pair_of,
+    partner,
     quantities_of,
     stamp_quantities,
     why_not_shown,
@@ -445,7 +445,7 @@ def _direct(
         (sides[1], sides[0], 0, names[0], False),
     ):
         for finding in own:
-            pair = pair_of(finding, others)
+            pair = partner(finding, own, others)
             if pair is not None:
                 both += _paired(finding, pair) if of_recording else []
                 continue

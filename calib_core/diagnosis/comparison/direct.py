@@ -37,6 +37,9 @@ MEASURED_ELSEWHERE = (
 Key = tuple[str, str]
 """Effect and sensor."""
 
+LINE = "frequency"
+"""Parameter that tells two lines of one sensor apart."""
+
 ALIKE = 0.05
 """Relative difference of jitter, a share, a limit, a step or a frequency that is none."""
 
@@ -131,12 +134,31 @@ def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:
     """Return the finding of another recording that is of the same cause; None without one.
 
     Effect and sensor are the same; so is the driver of what has no name, and a line's frequency or a period,
-    for two lines are two vibrations.
+    for two lines are two vibrations. Of several lines it is the nearest in frequency.
     """
     same = [o for o in others if (o.effect, o.sensor) == (finding.effect, finding.sensor)]
     same = [o for o in same if o.effect != "unknown" or o.where.driver == finding.where.driver]
-    same = [o for o in same if all(_alike(finding, o, name) for name in ("frequency", "period_s"))]
-    return same[0] if same else None
+    same = [o for o in same if all(_alike(finding, o, name) for name in (LINE, "period_s"))]
+    return min(same, key=lambda o: _octaves(finding, o), default=None)
+
+
+def partner(finding: Finding, own: Sequence[Finding], others: Sequence[Finding]) -> Finding | None:
+    """Return what `pair_of` does, but of a line only one that is nearest to it among `own` lines too.
+
+    A line of the one recording is one line of the other: where this has two near it, one of them is lacking.
+    """
+    pair = pair_of(finding, others)
+    if pair is None or LINE not in finding.parameters:
+        return pair
+    return pair if pair_of(pair, own) is finding else None
+
+
+def _octaves(one: Finding, other: Finding) -> float:
+    """Return how far apart two lines are; nothing where either is none."""
+    if any(LINE not in f.parameters for f in (one, other)):
+        return 0.0
+    numbers = (np.asarray(f.parameters[LINE].value, dtype=np.float64) for f in (one, other))
+    return float(np.abs(np.log2(np.divide(*numbers))).max())
 
 
 def _alike(one: Finding, other: Finding, name: str) -> bool:

@@ -6,7 +6,10 @@ typing or a road do not. Its frequency and amplitude come from the stamps themse
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.steady_segments import (
@@ -39,6 +42,15 @@ than short ones, show faint lines, brief ones are for rests that hold no others.
 PLAIN = 46.0
 """Nats for a line from which short stretches show it well enough (a chance of 1e-20)."""
 
+MOST_LINES = 3
+"""Lines of one sensor that are stated: a vibration with its overtones, or two sidebands of one."""
+
+MOST_TRIED = 12
+"""Frequencies that are looked at for these, for time: what is no line is passed over."""
+
+NEAR = OWN // 2 + 1
+"""Frequencies about a line, told apart by the shortest stretch, in which nothing else is one."""
+
 LEAST_LINE_HZ = 4.0
 BODY_HZ, SURE = 6.0, 69.0
 """Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far."""
@@ -65,48 +77,81 @@ PACES = (0.6, 3.0)
 CONTRAST = 5.0
 
 
-def tone(samples: Samples, sensor: str) -> Finding | None:
-    """Find the strongest line of one sensor above `LEAST_LINE_HZ`, or None."""
-    found = _of_any_length(samples, sensor)
-    if found is None or found.where.band_hz[0] > BODY_HZ or _nats(found) > SURE:
-        return found
-    return None
+def tones(samples: Samples, sensor: str) -> list[Finding]:
+    """Find the lines of one sensor above `LEAST_LINE_HZ`, the surest first, `MOST_LINES` at most."""
+    found = [f for f in _of_any_length(samples, sensor) if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
+    return sorted(found, key=lambda f: -_nats(f))[:MOST_LINES]
 
 
 def _nats(found: Finding) -> float:
     return found.evidence.log_bayes_factor or 0.0
 
 
-def _of_any_length(samples: Samples, sensor: str) -> Finding | None:
+def _of_any_length(samples: Samples, sensor: str) -> list[Finding]:
     places = Places.of(samples)
     short = stretches(places, sensor, SHORT)
-    found = _tone(sensor, short)
-    if found is not None and _nats(found) > PLAIN:
-        return found
-    found = _tone(sensor, stretches(places, sensor, LONG, SHORT)) or found
-    if found is None and (short is None or float(short.share.sum()) < LEAST_STACK):
-        return _tone(sensor, stretches(places, sensor, BRIEF))
+    found = _lines(sensor, short)
+    plain = [f for f in found if _nats(f) > PLAIN]
+    if len(plain) == MOST_LINES:
+        return plain
+    faint = _lines(sensor, stretches(places, sensor, LONG, SHORT), plain)
+    apart = NEAR / SHORT
+    lines = [*plain, *faint]
+    lines += [f for f in found if all(abs(_hertz(f) - _hertz(other)) > apart for other in lines)]
+    if not lines and (short is None or float(short.share.sum()) < LEAST_STACK):
+        return _lines(sensor, stretches(places, sensor, BRIEF))
+    return lines
+
+
+def _hertz(found: Finding) -> float:
+    return float(np.asarray(found.parameters["frequency"].value))
+
+
+def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -> list[Finding]:
+    """Return the lines of some stretches, one after the other, each without those before; not `known` ones.
+
+    Where the strongest that stands out is none, as it is brief, broad or of a body, it is passed over.
+    """
+    if seen is None:
+        return []
+    apart = NEAR * float(seen.wider.max() * seen.f[1])
+    left = seen
+    for one in known:
+        left = left.without(_hertz(one), max(apart, NEAR / SHORT))
+    passed = (seen.f <= LEAST_LINE_HZ) | (seen.f >= 0.49 * 2.0 * float(seen.f[-1]))
+    found: list[Finding] = []
+    for _ in range(MOST_TRIED):
+        open_ones = np.flatnonzero(left.free & ~passed)
+        k = _line(left.ratio[:, open_ones], left.share) if open_ones.size else None
+        if k is None or len(found) + len(known) == MOST_LINES:
+            break
+        middle = int(open_ones[k])
+        lasting = _lasting(left.ratio[:, middle - 1 : middle + 2].max(axis=(1, 2)))
+        pace = _pace(seen, lasting, middle)
+        line = _judged(sensor, left, lasting, middle) if pace is None else None
+        if line is None:
+            passed |= _of_one_cause(seen, middle, pace)
+        else:
+            found.append(line)
+            left = left.without(_hertz(line), apart)
     return found
 
 
-def _tone(sensor: str, seen: Stretches | None) -> Finding | None:
-    if seen is None:
-        return None
-    rate = 2.0 * float(seen.f[-1])
-    high = np.flatnonzero((seen.f > LEAST_LINE_HZ) & (seen.f < 0.49 * rate))
-    if high.size == 0:
-        return None
-    k = _line(seen.ratio[:, high], seen.share)
-    if k is None:
-        return None
-    middle = int(high[k])
-    near = seen.ratio[:, middle - 1 : middle + 2].max(axis=(1, 2))
-    lasting = _lasting(near)
-    profile = _profile(seen, lasting, middle)
+def _judged(sensor: str, seen: Stretches, lasting: Index, middle: int) -> Finding | None:
+    """State a line that lasts and is narrow; None where it is not."""
     brief = float(seen.share[lasting].sum()) < LEAST_STRETCHES
-    if brief or not _narrow(profile, 3 * lasting.size) or _of_a_body(seen, lasting, middle):
+    if brief or not _narrow(_profile(seen, lasting, middle), 3 * lasting.size):
         return None
     return _stated(sensor, seen, lasting, middle)
+
+
+def _of_one_cause(seen: Stretches, middle: int, pace: float | None) -> NDArray[np.bool_]:
+    """Return where (F,) what was passed over stands: its neighbourhood, a body's other overtones."""
+    k = np.arange(seen.f.size)
+    about = np.abs(k - middle) <= (NEIGHBOURS + OWN) // 2 * seen.wider.max()
+    if pace is None:
+        return np.asarray(about)
+    return np.asarray(about | (np.abs(k - pace * np.rint(k / pace)) <= OWN // 2))
 
 
 def _line(ratio: Array, share: Array) -> int | None:
@@ -193,11 +238,13 @@ def _narrow(profile: Array, count: int) -> bool:
     return float(flank.mean()) - floor - chance < FLANK * (float(profile[away <= 1].mean()) - floor)
 
 
-def _of_a_body(seen: Stretches, rows: Index, middle: int) -> bool:
-    """Whether a line is an overtone of a heart or a step.
+def _pace(seen: Stretches, rows: Index, middle: int) -> float | None:
+    """Return the pace of a heart or of steps, in frequencies, that a line is an overtone of; None without.
 
     Its lower neighbours stand at multiples of one pace.
     """
+    if not rows.size:
+        return None
     power = seen.power[rows].sum(axis=(0, 2))
     floor = np.array([np.median(power[max(k - 20, 1) : k + 21]) for k in range(middle + 3)])
     step, line = float(seen.f[1]), float(power[middle - 1 : middle + 2].max())
@@ -208,8 +255,8 @@ def _of_a_body(seen: Stretches, rows: Index, middle: int) -> bool:
         lower = [round(pace * (n - k)) for k in (1, 2) if n > k]
         tops = [float(power[max(j - 2, 0) : j + 3].max()) for j in lower]
         if all(p > CONTRAST * floor[j] and p > 0.5 * line for p, j in zip(tops, lower, strict=True)):
-            return True
-    return False
+            return pace
+    return None
 
 
 def _amplitudes(seen: Stretches, rows: Index, f: Array) -> Array:

@@ -6,7 +6,7 @@ would shift the phase of every line, gap by gap.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,19 +32,22 @@ LEAST_SAMPLES = 100
 class Stretches:
     """Steady stretches, overlapping by half; a rest too short for the longest is one as long as it holds.
 
-    t: (S, n) s, from each one's middle; tapered: (S, n, 3), no means, under half a sine of its own length,
-    zeros after it; length: (S,) places; span: (S, 2) s, first and last; share: (S,), what of each the next
-    does not hold; to_amplitude: (S,), what makes amplitudes of sums of tapered values; f: (F,) Hz; power,
-    ratio to its neighbours': (S, F, 3).
+    t: (S, n) s, from each one's middle; taper: (S, n), half a sine of its own length, zeros after it and
+    where a sample is missing; tapered: (S, n, 3), no means, under it; length: (S,) places; span: (S, 2) s,
+    first and last; share: (S,), what of each the next does not hold; to_amplitude: (S,), what makes
+    amplitudes of sums of tapered values; f: (F,) Hz; free: (F,), where no known line is; power, ratio to that
+    of the free ones of its neighbours: (S, F, 3).
     """
 
     t: Array
+    taper: Array
     tapered: Array
     length: Index
     span: Array
     share: Array
     to_amplitude: Array
     f: Array
+    free: NDArray[np.bool_]
     power: Array
     ratio: Array
 
@@ -52,6 +55,20 @@ class Stretches:
     def wider(self) -> Array:
         """How many of the frequencies `f` lie between two that a stretch of its length tells apart, (S,)."""
         return np.asarray(self.tapered.shape[1] / self.length, dtype=np.float64)
+
+    def without(self, frequency: float, half: float) -> Stretches:
+        """Return them without the line at a frequency, Hz: a sine fitted to each is taken off.
+
+        What is within `half` Hz of it is no more free: a sine leaves less there than noise.
+        """
+        phase = 2.0 * np.pi * frequency * self.t
+        sine = self.taper[:, :, None] * np.stack([np.cos(phase), np.sin(phase)], axis=2)
+        across = np.swapaxes(sine, 1, 2)
+        tapered = self.tapered - sine @ np.linalg.solve(across @ sine, across @ self.tapered)
+        power = np.asarray(np.abs(np.fft.rfft(tapered, axis=1)) ** 2)
+        free = self.free & (np.abs(self.f - frequency) > half)
+        ratio = _ratios(power, self.wider, free)
+        return replace(self, tapered=tapered, free=free, power=power, ratio=ratio)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,12 +117,13 @@ def stretches(
     first, length, span = first[whole], length[whole], span[whole]
     if first.size < 3:
         return None
-    t, tapered, weight = _tapered(places, first, length, longest)
+    t, taper, tapered = _tapered(places, first, length, longest)
     power = np.asarray(np.abs(np.fft.rfft(tapered, axis=1)) ** 2)
     f = np.asarray(np.fft.rfftfreq(longest, 1.0 / rate), dtype=np.float64)
     share = np.minimum(np.append(np.diff(first), longest) / length, 1.0)
-    ratio = _ratios(power, longest / length)
-    return Stretches(t, tapered, length, span, share, 2.0 / weight, f, power, ratio)
+    free = np.ones(f.size, dtype=np.bool_)
+    ratio = _ratios(power, longest / length, free)
+    return Stretches(t, taper, tapered, length, span, share, 2.0 / taper.sum(axis=1), f, free, power, ratio)
 
 
 def _steady(xyz: Array, second: int, longest: int, shortest: int, most: float) -> tuple[Index, Index]:
@@ -168,31 +186,38 @@ def _taper(n: int) -> Array:
 
 
 def _tapered(places: Places, first: Index, length: Index, longest: int) -> tuple[Array, Array, Array]:
-    """Return times about each one's middle (S, n), tapered values (S, n, 3) and the sum of each one's taper.
+    """Return times about each one's middle, its taper, (S, n) both, and tapered values (S, n, 3).
 
-    Values are zero after its end and where a sample is missing.
+    The taper is zero after its end and where a sample is missing.
     """
-    t, values = np.zeros((first.size, longest)), np.zeros((first.size, longest, 3))
-    weight = np.zeros(first.size)
+    t, taper = np.zeros((first.size, longest)), np.zeros((first.size, longest))
+    values = np.zeros((first.size, longest, 3))
     for i, (a, n) in enumerate(zip(first, length, strict=True)):
-        own, taper = places.xyz[a : a + n], _taper(n) * places.there[a : a + n]
+        own = places.xyz[a : a + n]
+        taper[i, :n] = _taper(n) * places.there[a : a + n]
         t[i, :n] = places.t[a : a + n] - places.t[a : a + n].mean()
-        values[i, :n] = (own - own.mean(axis=0)) * taper[:, None]
-        weight[i] = taper.sum()
-    return t, values, weight
+        values[i, :n] = (own - own.mean(axis=0)) * taper[i, :n, None]
+    return t, taper, values
 
 
-def _ratios(power: Array, wider: Array) -> Array:
-    """Return ratios (S, F, 3) of powers to the mean of `NEIGHBOURS` lines, a line's own apart."""
+def _ratios(power: Array, wider: Array, free: NDArray[np.bool_]) -> Array:
+    """Return ratios (S, F, 3) of powers to the mean of `NEIGHBOURS` lines, a line's own apart.
+
+    free: (F,), which lines count among the neighbours.
+    """
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
 
-    ratio = np.empty_like(power)
+    ratio, counted = np.empty_like(power), free[None, :, None].astype(np.float64)
     for width in np.unique(wider):
         rows = wider == width
         all_of, own = (2 * round(width * (n // 2)) + 1 for n in (NEIGHBOURS + OWN, OWN))
         mine = power[rows]
-        around = all_of * uniform_filter1d(mine, all_of, axis=1) - own * uniform_filter1d(mine, own, axis=1)
+
+        def around(values: Array, all_of: int = all_of, own: int = own) -> Array:
+            wide, near = (n * uniform_filter1d(values, n, axis=1) for n in (all_of, own))
+            return np.asarray(wide - near)
+
         floor = 1e-6 * mine.mean(axis=1, keepdims=True)
-        background = np.maximum(around / (all_of - own), floor)
+        background = np.maximum(around(mine * counted) / np.maximum(around(counted), 1.0), floor)
         ratio[rows] = mine / np.maximum(background, 1e-300)
     return ratio

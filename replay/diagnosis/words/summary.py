@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.compare import LEVEL
+from stillcal.calib_core.diagnosis.comparison.direct import LINE
 from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
 from stillcal.replay.diagnosis.words.relation_text import probability_text, with_interval
 
@@ -75,7 +76,7 @@ def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
         f"  {f['statement']} (probability {probability_text(f['probability'])})" for f in answer["findings"]
     ]
     out += [f"  {text}" for text in [outcome(answer)] if text]
-    agreed = ", ".join(noun(a["effect"], a["sensor"]) for a in answer["agreed"] if "note" not in a)
+    agreed = ", ".join(_with_frequency(a) for a in answer["agreed"] if "note" not in a)
     if agreed:
         out.append(f"  agreed: {agreed}")
     out += [f"  no finding: {_noted(a)}" for a in answer["agreed"] if "note" in a]
@@ -83,6 +84,13 @@ def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
     if len(out) > lines:
         out = [*out[: lines - 1], f"  and {len(out) - lines + 1} more lines in --json and --report"]
     return out
+
+
+def _with_frequency(one: Mapping[str, Any]) -> str:
+    """Return what agrees; a line with its frequency, for another of the same sensor may differ."""
+    name = noun(one["effect"], one["sensor"])
+    hertz = one["parameters"].get(LINE)
+    return name if hertz is None else f"{name}, {with_interval(LINE, hertz, [0])}"
 
 
 def _noted(one: Mapping[str, Any]) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.terms import POWER_NAMES
+from stillcal.calib_core.diagnosis.comparison.direct import ALIKE, LINE
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR
@@ -150,7 +151,7 @@ class _Phone:
         kind = EFFECTS[name]
         own = {"sensor": sensor} if "sensor" in kind.__struct_fields__ and sensor in ("accel", "gyro") else {}
         for index, effect in enumerate(self.phone.effects):
-            if effect.name == name and (not own or getattr(effect, "sensor", sensor) == sensor):
+            if _is_of(effect, finding):
                 before = {k: getattr(effect, k) for k in values}
                 added = {k: to_add(finding, k, before[k]) for k, v in values.items() if np.ndim(v)}
                 after = {k: np.asarray(before[k]) + added[k] if k in added else v for k, v in values.items()}
@@ -180,7 +181,7 @@ class _Phone:
             raise CannotHold(str(error)) from error
 
     def _remove(self, finding: Finding) -> None:
-        kept = [e for e in self.phone.effects if e.name != finding["effect"]]
+        kept = [e for e in self.phone.effects if not _is_of(e, finding)]
         if len(kept) == len(self.phone.effects):
             raise CannotHold("the phone has no effect of this name")
         self._set_effects(kept)
@@ -219,6 +220,20 @@ class _Phone:
         rows = tuple(_vector(row) for row in after)
         self._set_sensor(finding["sensor"], scale=rows)
         note_change(self._fixed, f"{finding['sensor']}.scale", before, after)
+
+
+def _is_of(effect: Effect, finding: Finding) -> bool:
+    """Whether a phone's effect is the finding's: by name, sensor and, of several lines, frequency."""
+    if effect.name != finding["effect"]:
+        return False
+    sensor = finding["sensor"]
+    if sensor in ("accel", "gyro") and getattr(effect, "sensor", sensor) != sensor:
+        return False
+    hertz = getattr(effect, LINE, None)
+    if hertz is None:
+        return True
+    simulated = finding["simulated"].get(LINE, {}).get("value")
+    return simulated is not None and abs(float(np.log(hertz / simulated))) <= ALIKE
 
 
 def _vector(values: Array) -> tuple[float, float, float]:

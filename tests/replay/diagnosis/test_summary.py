@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from stillcal.replay.diagnosis.words.names import BUILT_IN
-from stillcal.replay.diagnosis.words.summary import headline, outcome
+from stillcal.replay.diagnosis.words.summary import headline, outcome, summary
 
 
 def answer(effect: str, verdict: str, **fit: Any) -> dict[str, Any]:
@@ -55,3 +55,16 @@ def test_a_correction_that_fails_names_what_differs_in_spite_of_it() -> None:
     left = [{"effect": "noise_heavy_tailed", "sensor": "accel"}]
     text = outcome(answer("noise_heavy_tailed", "partly_identified", p_after=1e-9, still_different=left))
     assert "still fails" in text and "What differs then: heavy tails of the noise (accelerometer)." in text
+
+
+def test_a_line_that_agrees_has_its_frequency_for_another_may_differ() -> None:
+    line = {"frequency": {"value": 17.3, "ci95": [17.299, 17.301], "unit": "Hz"}}
+    agreed = [
+        {"effect": "vibration_tone", "sensor": "accel", "parameters": line},
+        {"effect": "noise_level", "sensor": "gyro", "parameters": {}},
+    ]
+    rest = {"findings": [], "agreed": agreed, "not_compared": [], "sensitivity": []}
+    text = "\n".join(summary(answer("unknown", "match") | rest))
+    assert (
+        "vibration at one frequency (accelerometer), 17.30000 ± 0.00100 Hz, white noise (gyroscope)" in text
+    )

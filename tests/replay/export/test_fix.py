@@ -147,6 +147,47 @@ def test_what_the_recording_does_not_have_is_taken_out_of_a_phone() -> None:
     assert "# measured in May" in made.text
 
 
+LINES = """[[effect]]
+name = "vibration_tone"
+frequency = 17.3
+amplitude = [0.0, 0.0, 0.004]
+
+[[effect]]
+name = "vibration_tone"
+frequency = 40.0
+amplitude = [0.0, 0.001, 0.0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("relation", "recorded", "simulated", "left"),
+    [
+        ("lacking", (31.7, 0.003), None, {17.3: 0.004, 31.7: 0.003, 40.0: 0.001}),
+        ("too_small", (17.31, 0.006), (17.3, 0.004), {17.31: 0.006, 40.0: 0.001}),
+        ("superfluous", None, (40.0, 0.001), {17.3: 0.004}),
+    ],
+)
+def test_each_line_of_a_phone_is_one_of_its_own(
+    relation: str,
+    recorded: tuple[float, float] | None,
+    simulated: tuple[float, float] | None,
+    left: dict[float, float],
+) -> None:
+    """A second line is put beside the first, not over it, and one that goes leaves the other."""
+    axis = "y" if relation == "superfluous" else "z"
+    frequency, size = zip(recorded or (0.0, 0.0), simulated or (0.0, 0.0), strict=True)
+    amplitudes = tuple([a if x == axis else 0.0 for x in "xyz"] for a in size)
+    values = {"frequency": frequency, "amplitude": amplitudes}
+    found = finding("vibration_tone", "accel", values, relation, axis)
+    absent = {"lacking": ("simulated", "difference"), "superfluous": ("parameters", "difference")}
+    for side in absent.get(relation, ("difference",)):
+        found[side].pop("frequency")
+    found["parameters"] = found["parameters"] if recorded else {}
+    made = fixed("phone", LINES, found)
+    phone = msgspec.convert(tomllib.loads(made.text), type=Phone)
+    assert {e.frequency: max(e.amplitude) for e in phone.effects} == pytest.approx(left)  # type: ignore[attr-defined, union-attr]
+
+
 SDF = """<?xml version="1.0"?>
 <!-- before -->
 <sdf version="1.9"><model name="m"><link name="l">

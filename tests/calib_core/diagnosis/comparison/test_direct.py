@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.direct import pair_of, quantities_of, stamp_quantities
+from stillcal.calib_core.diagnosis.comparison.direct import pair_of, partner, quantities_of, stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.direct.spectral_line import tone
+from stillcal.calib_core.diagnosis.direct.spectral_line import tones
+from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 
@@ -21,6 +22,11 @@ def shaken(amplitude: float, seed: int, hertz: float = 13.7) -> Samples:
     xyz = np.array([0.0, 0.0, 9.81]) + rng.normal(0.0, 0.01, (t.size, 3))
     xyz[:, 2] += amplitude * np.sin(2.0 * np.pi * hertz * t)
     return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
+
+
+def tone(samples: Samples, sensor: str) -> Finding | None:
+    """Return the surest line, None without any."""
+    return next(iter(tones(samples, sensor)), None)
 
 
 def evidence(amplitudes: tuple[float, float], seeds: tuple[int, int]) -> float:
@@ -53,6 +59,17 @@ def test_two_lines_are_two_vibrations_and_no_line_of_the_wrong_frequency(hertz: 
     one, other = tone(shaken(0.06, 0), "accel"), tone(shaken(0.03, 1, hertz), "accel")
     assert one is not None and other is not None
     assert (pair_of(one, [other]) is other) is same
+
+
+@pytest.mark.parametrize("hertz", [14.2, 21.0])
+def test_a_second_line_has_no_partner_in_a_recording_with_one(hertz: float) -> None:
+    """The nearer one is 4 % away: both would be taken for the other recording's one line."""
+    one, alone = shaken(0.06, 0), tones(shaken(0.06, 1), "accel")
+    both = one.xyz + np.outer(np.sin(2.0 * np.pi * hertz * one.t), [0.0, 0.0, 0.06])
+    own = tones(Samples(one.sensor, one.t, frozen(both)), "accel")
+    pairs = {round(float(np.mean(f.where.band_hz)), 1): partner(f, own, alone) for f in own}
+    assert pairs == {13.7: alone[0], hertz: None}
+    assert partner(alone[0], alone, own) is not None
 
 
 EVEN = np.arange(6000.0) / 99.97

@@ -10,7 +10,7 @@ from stillcal.calib_core.diagnosis.direct.heavy_tails import contaminated, tails
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
 from stillcal.calib_core.diagnosis.direct.quantisation import quantisation, steps
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
-from stillcal.calib_core.diagnosis.direct.spectral_line import tone
+from stillcal.calib_core.diagnosis.direct.spectral_line import tones
 from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
@@ -27,6 +27,11 @@ def stream(t: np.ndarray, xyz: np.ndarray | None = None, arrival: np.ndarray | N
     rng = np.random.default_rng(0)
     noise = rng.normal(0, 0.01, (t.size, 3)) + np.array([0, 0, 9.81])
     return Samples.checked(Sensor.ACCELEROMETER, t, noise if xyz is None else xyz, None, arrival)
+
+
+def tone(samples: Samples, sensor: str) -> Finding | None:
+    """Return the surest line, None without any."""
+    return next(iter(tones(samples, sensor)), None)
 
 
 def even(rate: float = 50.0) -> np.ndarray:

@@ -1,0 +1,97 @@
+"""Several lines of one sensor, each a finding by itself, and strong ones that are none beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.direct.spectral_line import tones
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+T = np.arange(0.0, 600.0, 0.01)
+NOISE = 0.01
+
+
+def lying(added: Array, seed: int = 0, sensor: Sensor = Sensor.ACCELEROMETER) -> Samples:
+    """Return ten minutes on a table; added: (n,) along z."""
+    xyz = np.random.default_rng(seed).normal(0.0, NOISE, (T.size, 3))
+    xyz[:, 2] += added + (9.81 if sensor is Sensor.ACCELEROMETER else 0.0)
+    return Samples(sensor, frozen(T), frozen(xyz))
+
+
+def humming(lines: Mapping[float, float]) -> Array:
+    """Return sines (n,) by frequency, Hz, and amplitude."""
+    return np.asarray(sum(a * np.sin(2.0 * np.pi * f * T) for f, a in lines.items()))
+
+
+def heard(added: Array, seed: int = 0) -> list[float]:
+    """Return the frequencies of the lines found, Hz."""
+    found = tones(lying(added, seed), "accel")
+    return sorted(round(float(np.mean(f.where.band_hz)), 1) for f in found)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        {17.3: 0.004, 31.7: 0.004},
+        {17.3: 0.004, 31.7: 0.02, 40.1: 0.002},
+        {21.6: 0.003, 23.0: 0.003},  # the sidebands of a modulation
+        {21.6: 0.003, 22.1: 0.003},  # in each other's neighbourhood
+        {17.3: 1.0, 31.7: 0.004},  # 48 dB apart: the strong one's leakage would drown the other
+        {12.4: 0.004, 24.8: 0.001},  # faint beside a plain one: only long stretches show it
+    ],
+)
+def test_each_of_several_lines_is_found_with_its_own_frequency_and_amplitude(
+    lines: Mapping[float, float],
+) -> None:
+    assert heard(humming(lines)) == sorted(lines)
+    for one in tones(lying(humming(lines)), "accel"):
+        own = lines[round(float(np.mean(one.where.band_hz)), 1)]
+        assert one.parameters["amplitude"].value[2] == pytest.approx(own, rel=0.1)  # type: ignore[index]
+
+
+@pytest.mark.parametrize("amplitude", [0.004, 0.03, 1.0])
+def test_one_line_is_one(amplitude: float) -> None:
+    """What is left of it, its leakage, and what breathes with it are no further lines."""
+    breathing = humming({17.3: amplitude}) * (1.0 + 0.2 * np.sin(2.0 * np.pi * T / 97.0))
+    assert heard(breathing) == [17.3]
+
+
+def test_the_three_surest_are_stated() -> None:
+    assert heard(humming({11.0: 0.02, 17.3: 0.004, 31.7: 0.008, 40.1: 0.016})) == [11.0, 31.7, 40.1]
+
+
+@pytest.mark.parametrize("steady", [True, False])
+def test_a_brief_or_broad_strong_one_hides_no_steady_one(*, steady: bool) -> None:
+    rng = np.random.default_rng(3)
+    brief = 0.2 * np.sin(2.0 * np.pi * 11.0 * T) * (T < 50.0)
+    broad = 0.1 * np.sin(2.0 * np.pi * 20.0 * T + np.cumsum(rng.normal(0.0, 0.2, T.size)))
+    line = humming({31.7: 0.004}) if steady else np.zeros(T.size)
+    for strong in (brief, broad):
+        assert heard(strong + line) == ([31.7] if steady else [])
+
+
+@pytest.mark.parametrize("steady", [True, False])
+def test_overtones_of_a_heart_are_no_lines_and_hide_none(*, steady: bool) -> None:
+    """Nineteen overtones of 1.1 Hz, each weaker than the one before, as of a watch on a wrist."""
+    beats = humming({1.1 * n: 0.03 / n for n in range(1, 20)})
+    assert heard(beats + (humming({31.7: 0.006}) if steady else 0.0)) == ([31.7] if steady else [])
+
+
+def test_a_line_that_both_sensors_feel_is_the_forces_alone() -> None:
+    force = lying(humming({17.3: 0.004, 31.7: 0.004}))
+    rate = lying(humming({31.7: 0.003, 40.1: 0.003, 12.4: 0.003}), 1, Sensor.GYROSCOPE)
+    found = [s.finding for s in examine(force, rate, search=False).statements]
+    by_sensor = {
+        s: sorted(
+            round(float(np.mean(f.where.band_hz)), 1)
+            for f in found
+            if (f.effect, f.sensor) == ("vibration_tone", s)
+        )
+        for s in ("accel", "gyro")
+    }
+    assert by_sensor == {"accel": [17.3, 31.7], "gyro": [12.4, 40.1]}
