@@ -125,6 +125,7 @@ def examine(
     covariates: Mapping[str, Course] | None = None,
     search: bool = True,
     overview: Overview | None = None,
+    delivered_twice: int = 0,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Examination:
     """Measure a recording and find its effects; parameters and errors are those of `diagnose`.
@@ -132,7 +133,7 @@ def examine(
     covariates: further logged columns by name, which a bias may follow. search: whether slow effects are
     searched for, which takes most of the time; a simulation that was made with known ones needs only to be
     measured. overview: every second of the recording, where the samples are only some of it; None where they
-    are all. progress: is called with the share of the work that is done.
+    are all. delivered_twice: samples that came twice and are here once. progress: is called with the share of the work that is done.
     """
     _refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()
@@ -147,7 +148,7 @@ def examine(
     gone = [*lost, spoiled] if spoiled else lost
     clear = _outside(bins, gone)
     streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
-    doubled = repeats.doubled(accelerometer, twice)
+    doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
     nameless = [f for s in streams for f in sequence_findings(s.samples, s.sensor, clear)]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
     direct = [*gone, *([doubled] if doubled else []), *beside_names(nameless, named)]
@@ -180,6 +181,11 @@ def examine(
     return Examination(
         accelerometer, gyroscope, claims, slow, streams, residuals, affine, turns, stated, exchanged=exchanged
     )
+
+
+def _seen_in_all(accelerometer: Samples, overview: Overview | None) -> float:
+    """Return how many samples the recording has, also those that are not held."""
+    return float(len(accelerometer) if overview is None else overview.force.count.sum())
 
 
 def _refuse_too_little(accelerometer: Samples) -> None:

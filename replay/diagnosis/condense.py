@@ -138,6 +138,7 @@ def read_condensed(trace: Trace, path: Path, progress: Callable[[float], None] |
     gyroscope = Samples.empty(Sensor.GYROSCOPE) if trace.has_gyroscope else None
     about = Recording(none, gyroscope, events, trace.claims, trace.notes, trace.name_of(path))
     recording = condenser.recording(about)
+    recording = replace(recording, delivered_twice=trace.delivered_twice(recording.accelerometer))
     if (arrow := sys.modules.get("pyarrow")) is not None:  # keeps what its reader has freed for the next one
         arrow.default_memory_pool().release_unused()
     release_free_pages()

@@ -70,6 +70,7 @@ def examined(
             covariates=recording.covariates,
             search=search,
             overview=overview_of(recording),
+            delivered_twice=recording.delivered_twice,
             progress=lambda done: show_stage(stage, done),
         )
     except NotSupported as refusal:

@@ -96,7 +96,14 @@ def _examine(task: Task, outcome: Examined) -> None:
         began = time.perf_counter()
         gyroscope = whole([c.gyroscope for c in chunks]) if trace.has_gyroscope else None
         accelerometer = whole([c.accelerometer for c in chunks])
-        recording = Recording(accelerometer, gyroscope, trace.events, trace.claims, trace.notes)
+        recording = Recording(
+            accelerometer,
+            gyroscope,
+            trace.events,
+            trace.claims,
+            trace.notes,
+            delivered_twice=trace.delivered_twice(accelerometer),
+        )
         _diagnosis(recording, outcome)
         row["diagnose_s"] = time.perf_counter() - began
 

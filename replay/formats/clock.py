@@ -59,10 +59,11 @@ class Rows:
 
 @dataclass(slots=True)
 class Tally:
-    """Counts of irregularities, for the notes."""
+    """Counts of irregularities, for the notes. twice: s, of rows left out whose readings repeat too."""
 
     samples: int = 0
     repeats: int = 0
+    twice: list[Array] = field(default_factory=list)
     first_repeat: int = 0
     reordered: int = 0
     gaps: int = 0
@@ -72,13 +73,18 @@ class Tally:
 
 @dataclass(slots=True)
 class Clock:
-    """Puts the rows of one file in time order, block by block, holding back at most `reorder` rows."""
+    """Puts the rows of one file in time order, block by block, holding back at most `reorder` rows.
+
+    readings: the columns of values that hold what the sensors read.
+    """
 
     path: Path
     column_map: ColumnMap
+    readings: NDArray[np.int64]
     tally: Tally = field(default_factory=Tally)
     _held_back: Rows | None = None
     _last: float = -np.inf
+    _last_read: Array | None = None
 
     def ordered(self, rows: Rows) -> Rows:
         """Return rows that are surely next in time. Raises TraceError where time runs backwards."""
@@ -112,7 +118,9 @@ class Clock:
         self._last = float(rows.t[-1])
         self.tally.samples += len(rows)
         repeated = step == 0
-        return self._without_repeats(rows, repeated) if repeated.any() else rows
+        kept = self._without_repeats(rows, repeated) if repeated.any() else rows
+        self._last_read = rows.values[-1, self.readings]
+        return kept
 
     def _refuse_backwards(self, rows: Rows, step: Array) -> None:
         backwards = step < 0
@@ -139,7 +147,14 @@ class Clock:
             what = f"{tally.repeats} of {tally.samples} time stamps repeat the one before"
             remedy = "record with finer stamps, or read it by a column map with repeats = 'keep'"
             raise TraceError(self.path, what, remedy, tally.first_repeat)
+        tally.twice.append(rows.t[repeated & self._read_again(rows)])
         return rows.chosen(~repeated)
+
+    def _read_again(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return which rows (n,) read what the one before does; its arrival may be another."""
+        read = rows.values[:, self.readings]
+        first = np.full((1, read.shape[1]), np.nan) if self._last_read is None else self._last_read[None]
+        return np.asarray((read == np.concatenate([first, read[:-1]])).all(axis=1))
 
     def _count_gaps(self, rows: Rows, step: Array) -> None:
         finite = np.isfinite(step)

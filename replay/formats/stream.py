@@ -58,7 +58,9 @@ class SampleFile:
         self._begin()
 
     def _begin(self) -> None:
-        self._clock = Clock(self.path, self._map)
+        columns = np.arange(len(self._layout.wanted))
+        readings = [columns[axes] for axes in self._layout.axes.values()]
+        self._clock = Clock(self.path, self._map, np.concatenate([columns[:0], *readings]))
         self._origin: tuple[float, float] | None = None
         self._scale: float | None = None
         self._by_arrival = False
@@ -95,6 +97,11 @@ class SampleFile:
     def bytes_read(self) -> int:
         """Bytes of the file read so far."""
         return self._table.bytes_read
+
+    @property
+    def delivered_twice(self) -> Array:
+        """Stamps, s, of the rows left out so far that repeat stamp and readings of the one before."""
+        return np.concatenate([np.empty(0), *self._clock.tally.twice])
 
     @property
     def notes(self) -> list[str]:

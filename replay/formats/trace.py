@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -42,6 +44,7 @@ class Recording:
     recording has none. events: charging and location, in time order. claims: what the maker claims of the
     phone. notes: what was tolerated or chosen while reading, a line each. name: what it is called in results.
     covariates: further logged columns by name (`covariates.read_covariates`), which a bias may follow.
+    delivered_twice: how many samples of the accelerometer came twice, of which each is here once.
     """
 
     accelerometer: Samples
@@ -51,6 +54,7 @@ class Recording:
     notes: list[str]
     name: str = ""
     covariates: Mapping[str, Course] = field(default_factory=dict)
+    delivered_twice: int = 0
 
     @property
     def duration(self) -> float:
@@ -207,7 +211,18 @@ class Trace:
         gyroscope = whole([c.gyroscope for c in chunks]) if self.has_gyroscope else None
         accelerometer = whole([c.accelerometer for c in chunks])
         events = [event for chunk in chunks for event in chunk.events]
-        return Recording(accelerometer, gyroscope, events, self.claims, self.notes, name)
+        twice = self.delivered_twice(accelerometer)
+        return Recording(
+            accelerometer, gyroscope, events, self.claims, self.notes, name, delivered_twice=twice
+        )
+
+    def delivered_twice(self, accelerometer: Samples) -> int:
+        """Return how many rows were left out, from the first to the last sample, as they came twice."""
+        files = [f for f in self._files if Sensor.ACCELEROMETER in f.sensors]
+        stamps = np.concatenate([np.empty(0), *(f.delivered_twice for f in files)])
+        if not len(accelerometer):
+            return 0
+        return int(((stamps >= accelerometer.t[0]) & (stamps <= accelerometer.t[-1])).sum())
 
     def name_of(self, asked: Path | str) -> str:
         """Return what the recording is called in results: as its file, or as the sample asked for."""

@@ -48,6 +48,9 @@ LEVELS = 5
 LEAST_VISITS = 3
 """Runs on a value that make it a limit: values that are held for once end there by chance."""
 
+TWICE = "samples delivered twice"
+"""Driver of what is delivered again at once, stamp and all."""
+
 MANY = 0.05
 """Part of the samples held beyond which spectrum and tails are not judged."""
 
@@ -67,11 +70,11 @@ def without_doubles(samples: Samples) -> tuple[Samples, int]:
     return kept, int(same.sum())
 
 
-def doubled(samples: Samples, count: int) -> Finding | None:
-    """State samples that were delivered twice; samples: without them."""
-    total = float(len(samples) + count)
+def doubled(samples: Samples, count: int, once: float) -> Finding | None:
+    """State `count` samples that were delivered twice. samples: without them; once: how many in all."""
+    total = once + count
     share = share_of(float(count), total)
-    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "delivery")
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), TWICE)
     say = f"{share.value:.2%} of the samples were delivered twice, with the same time stamp."
     seen = Seen(of_counts(float(count), total, LEAST_SHARE))
     sizes = {"fraction": share.parameter("1")}

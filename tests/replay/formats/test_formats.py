@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stillcal.replay.diagnosis.condense import read_condensed
 from stillcal.replay.formats.columns import builtin_formats, load_map, parse_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import open_trace, read_all
@@ -262,3 +263,19 @@ def test_repeated_stamps_as_the_map_says(tmp_path: Path, repeats: str) -> None:
     else:
         with pytest.raises(TraceError, match=r"r\.csv:3: the time stamp repeats"):
             read_all(path, format)
+
+
+def test_rows_that_came_twice_are_counted_where_stamp_and_readings_repeat(tmp_path: Path) -> None:
+    """One arrives later than its first, one is cut away; another reading at one stamp is none."""
+    rows = [f"{i / 100:.2f},{i % 9},0,9.8,{i / 100 + 0.001:.4f}\n" for i in range(20_000)]
+    rows[5] += rows[5].replace("0.0510", "0.0530")
+    rows[7] += rows[7].replace(",7,", ",7.5,")
+    for i in range(9_000, 9_300):
+        rows[i] *= 2
+    rows[19_000] *= 2
+    path = tmp_path / "r.csv"
+    path.write_text("t,ax,ay,az,t_arrival\n" + "".join(rows))
+    assert read_all(path).delivered_twice == 302
+    for cut in (open_trace(path, stop=150.0), open_trace(path, start=1.0)):
+        assert cut.recording("r").delivered_twice == 301
+        assert read_condensed(cut, path).delivered_twice == 301

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.direct.repeated_values import held
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.direct.repeated_values import TWICE, doubled, held
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -74,3 +75,26 @@ def test_an_axis_that_is_stuck_is_found_beside_a_limit(value: float) -> None:
     found = stuck(Samples(samples.sensor, samples.t, frozen(values)), "gyro")
     assert found is not None and found.axes == ["y"]
     assert found.where.t_start == pytest.approx(400.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("twice", "stated"), [(7, False), (50, True), (100, True)])
+def test_samples_that_came_twice_are_stated_above_one_in_a_thousand(twice: int, *, stated: bool) -> None:
+    """The watch of HHAR has 7 of 10,000."""
+    lying = recorded(np.random.default_rng(0).normal(0.0, 1e-3, (10_000, 3)))
+    found = doubled(lying, twice, 10_000.0)
+    assert (found is not None) == stated
+    assert found is None or found.parameters["fraction"].value == pytest.approx(twice / 10_000, rel=0.02)
+    if stated:
+        assert doubled(lying, twice, 1e6) is None, "of a recording that is longer than what is held of it"
+
+
+@pytest.mark.parametrize("removed", [True, False])
+def test_it_is_the_same_whether_the_reader_left_them_out_or_not(*, removed: bool) -> None:
+    force = recorded(np.random.default_rng(0).normal(0.0, 0.01, (10_000, 3)) + [0.0, 0.0, 1.0])
+    force = Samples(Sensor.ACCELEROMETER, force.t, force.xyz)
+    again = np.repeat(np.arange(10_000), 1 + (np.arange(10_000) % 100 == 50))
+    twice = Samples(force.sensor, frozen(force.t[again]), frozen(force.xyz[again]))
+    exam = examine(force, None, delivered_twice=100) if removed else examine(twice, None)
+    found = [s.finding for s in exam.statements if s.finding.where.driver == TWICE]
+    assert [f.parameters["fraction"].value for f in found] == pytest.approx([100 / 10_100])
+    assert len(exam.accelerometer) == 10_000
