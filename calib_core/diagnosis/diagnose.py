@@ -133,7 +133,8 @@ def examine(
     covariates: further logged columns by name, which a bias may follow. search: whether slow effects are
     searched for, which takes most of the time; a simulation that was made with known ones needs only to be
     measured. overview: every second of the recording, where the samples are only some of it; None where they
-    are all. delivered_twice: samples that came twice and are here once. progress: is called with the share of the work that is done.
+    are all. delivered_twice: samples that came twice and are here once. progress: is called with the share
+    of the work that is done.
     """
     _refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()

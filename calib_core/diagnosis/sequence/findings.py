@@ -12,6 +12,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.codes import DRIVER as OWN_CODE
 from stillcal.calib_core.diagnosis.sequence.codes import by_code
+from stillcal.calib_core.diagnosis.sequence.dropouts import dropouts
 from stillcal.calib_core.diagnosis.sequence.order import wrong_order
 from stillcal.calib_core.diagnosis.sequence.places import Noise, by_count
 from stillcal.calib_core.diagnosis.sequence.recurrence import STALE, delivered_again, stale_axes
@@ -32,10 +33,12 @@ def sequence_findings(samples: Samples, sensor: str, bins: Bins) -> list[Finding
         return []
     still = still_rows(samples.t, bins)
     noise = Noise.of(samples.xyz, still)
+    drops, dropped = dropouts(samples, sensor)
     found = [
+        drops,
         delivered_again(samples, sensor, still),
         wrong_order(samples, sensor),
-        stale_axes(samples, sensor),
+        stale_axes(samples, sensor, dropped),
         by_code(samples, sensor, noise),
         None if noise is None else by_count(samples, sensor, noise),
     ]

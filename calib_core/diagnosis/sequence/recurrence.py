@@ -151,12 +151,13 @@ def _runs(rows: Index, origin: Index, again: Index) -> list[Stretch]:
     ]
 
 
-def stale_axes(samples: Samples, sensor: str) -> Finding | None:
+def stale_axes(samples: Samples, sensor: str, dropped: Flags) -> Finding | None:
     """Find axes that keep their value in single samples of motion that must have changed it.
 
     How many stay by chance is told by those that change by one or two steps: motion makes as many of each.
+    dropped: (n, 3) values that are none of the sensor's and keep to themselves.
     """
-    free = ~at_limits(samples.xyz)
+    free = ~(at_limits(samples.xyz) | dropped[1:] | dropped[:-1])
     found = {a: stays(samples.xyz, a, free[:, a]) for a in range(3)}
     nats = {a: of_counts(rows.size, of, chance) for a, (rows, of, chance) in found.items() if of > 0.0}
     axes = [a for a in nats if nats[a] > 0.0 and found[a][0].size > found[a][1] * found[a][2]]

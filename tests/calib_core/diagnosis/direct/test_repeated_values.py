@@ -90,7 +90,7 @@ def test_samples_that_came_twice_are_stated_above_one_in_a_thousand(twice: int, 
 
 @pytest.mark.parametrize("removed", [True, False])
 def test_it_is_the_same_whether_the_reader_left_them_out_or_not(*, removed: bool) -> None:
-    force = recorded(np.random.default_rng(0).normal(0.0, 0.01, (10_000, 3)) + [0.0, 0.0, 1.0])
+    force = recorded(np.random.default_rng(0).normal([0.0, 0.0, 1.0], 0.01, (10_000, 3)))
     force = Samples(Sensor.ACCELEROMETER, force.t, force.xyz)
     again = np.repeat(np.arange(10_000), 1 + (np.arange(10_000) % 100 == 50))
     twice = Samples(force.sensor, frozen(force.t[again]), frozen(force.xyz[again]))
