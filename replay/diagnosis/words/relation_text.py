@@ -155,8 +155,8 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
             f"{simulation} lacks the {what} that {recording} shows: {_every(finding, 'parameters')}. Add it."
         )
     if relation == "superfluous":
-        own, article = _every(finding, "simulated"), "an" if what[0] in "aeiou" else "a"
-        return f"{simulation} has {article} {what} of {own} that {recording} does not show. Take it out."
+        own = _every(finding, "simulated")
+        return f"{simulation} has what {recording} does not show: {what}, {own}. Take it out."
     recorded, simulated = (_side(finding, side, name) for side in ("parameters", "simulated"))
     word = _word(finding, name)
     text = f"The {what} {word} in {simulation}: {simulated}, recorded {recorded}."

@@ -77,6 +77,12 @@ def test_intervals_that_overlap_come_with_the_difference() -> None:
     assert "The difference" not in text
 
 
+def test_what_is_superfluous_is_named_in_plain_words() -> None:
+    text = told("held_samples", "superfluous", [], fraction=([0.0], [0.2], "1"))
+    assert text.startswith("sim.csv has what real.csv does not show: samples that repeat the one before, ")
+    assert text.endswith("Take it out.")
+
+
 def test_constants_of_a_pair_are_told_by_how_they_differ() -> None:
     text = told("gyro_bias", "lacking", ["z"], bias=([0.0, 0.0, 0.5], [0.0, 0.0, 0.0], "deg/s"))
     assert (
