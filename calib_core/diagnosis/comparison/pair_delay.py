@@ -18,8 +18,9 @@ from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples
 
-PIECE = 4.0
-"""s that have an offset of their own, which takes out what is slow."""
+PIECES = (4.0, 2.0, 1.0)
+"""s that have an offset of their own, which takes out what is slow: the longest of which enough move. A turn
+in the hand lasts some seconds, and a grid of pieces as long hardly fits it."""
 
 LEAST_PIECES = 12
 """Pieces that move: of fewer, an error that comes from leaving pieces out is itself unknown."""
@@ -66,8 +67,9 @@ def late(own: Samples, true: Samples) -> Late | None:
     Least squares of the difference of the readings on what scale and misalignment do, and on the rate of
     change. The error is that of leaving pieces out.
     """
-    pieces = _moving(true)
-    if len(pieces) < LEAST_PIECES:
+    every = (_moving(true, length) for length in PIECES)
+    pieces = next((pieces for pieces in every if len(pieces) >= LEAST_PIECES), None)
+    if pieces is None:
         return None
     total, error = 0.0, 0.0
     for _ in range(LINEARISED):
@@ -80,10 +82,10 @@ def late(own: Samples, true: Samples) -> Late | None:
     return Late(Measured(total, float(np.hypot(error, LEAST_ERROR))), _equations(own, true, pieces, 0.0))
 
 
-def _moving(true: Samples) -> list[slice]:
-    """Return the unbroken pieces in which the readings change most, `MOST_PIECES` of them at most."""
+def _moving(true: Samples, length: float) -> list[slice]:
+    """Return the unbroken pieces of `length` s in which the readings change most, `MOST_PIECES` at most."""
     period = sample_period(true.t)
-    n = max(round(PIECE / period), 8)
+    n = max(round(length / period), 8)
     every = [slice(i, i + n) for i in range(1, len(true) - n - 1, n)]
     every = [p for p in every if true.t[p.stop] - true.t[p.start] < 1.5 * n * period]
     power = np.array([float((np.diff(true.xyz[p], axis=0) ** 2).mean()) for p in every])

@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.pair_delay import aligned, delay_between, late
+from stillcal.calib_core.diagnosis.comparison.pair_delay import (
+    LEAST_PIECES,
+    PIECES,
+    _moving,
+    aligned,
+    delay_between,
+    late,
+)
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from tests.support.diagnosis.turned_pairs import RATE, turned
 
 T = np.arange(0.0, 240.0, 0.02)
 
@@ -59,3 +67,16 @@ def test_a_sensor_that_is_not_moved_tells_no_delay() -> None:
         rows = noise * np.random.default_rng(4).normal(size=(2, T.size, 3))
         still = [Samples(Sensor.GYROSCOPE, frozen(T), frozen(xyz)) for xyz in rows]
         assert late(*still) is None
+
+
+@pytest.mark.parametrize(("turns", "told"), [(5, True), (1, False)])
+def test_turns_of_some_seconds_tell_a_delay_wherever_they_begin(turns: int, told: bool) -> None:
+    """Five turns hold fewer than twelve pieces of four seconds, and one turn is too little in any case."""
+    true, own = (turned(seed, turns=turns).gyroscope for seed in (1, 2))
+    assert true is not None and own is not None
+    later = Samples(Sensor.GYROSCOPE, own.t, frozen(np.roll(own.xyz, 1, axis=0)))
+    assert len(_moving(true, PIECES[0])) < LEAST_PIECES
+    found = late(later, true)
+    assert (found is not None) is told
+    if found is not None:
+        assert found.delay.value == pytest.approx(1.0 / RATE, abs=3.0 * found.delay.error)
