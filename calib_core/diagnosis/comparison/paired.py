@@ -25,6 +25,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     transferable,
 )
 from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, OF_TURNS
+from stillcal.calib_core.diagnosis.comparison.pair_motion import left_in_motion
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
     Difference,
@@ -34,6 +35,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     weighed,
 )
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.effects.unknown import SHAKEN
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
@@ -45,7 +47,7 @@ from stillcal.calib_core.diagnosis.model.residuals import (
     SCALE_SIZE,
     View,
 )
-from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, shaking
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, in_motion, shaking
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 from stillcal.calib_core.errors import NotSupported
@@ -77,29 +79,32 @@ def pair_scenes(
 
     difference: what the recording reads less what the other does, with the recording's temperature; true:
     what the other reads, which stands for the true input. mismatch: part of what shakes both within a bin by
-    which their means differ. Raises NotSupported where it is too short.
+    which their means differ; where it is 0, they should agree in motion as they do at rest, which is judged
+    where rests suffice. Raises NotSupported where it is too short.
     """
     t = difference.force.t
     span = (float(t[0]), float(t[-1]))
-    left = cut_all(difference.force, difference.rate, events, span)
     moved = cut_all(true.force, true.rate, events, span)
+    moving = in_motion(true.force, true.rate, moved) if mismatch == 0.0 else np.ones(len(moved))
+    judged = moving if np.sum(moving == 0.0) >= thresholds.LEAST_BINS else None
+    left = cut_all(difference.force, difference.rate, events, span, judged)
     if len(left) < thresholds.LEAST_BINS:
         least = thresholds.LEAST_BINS * 4
         raise NotSupported(f"{span[1] - span[0]:.0f} s of the same motion", (f"at least {least} s",))
     bins = replace(left, force=moved.force, rate=moved.rate, vibration=moved.vibration)
     up = moved.force / STANDARD
     shaken = mismatch**2 * shaking(true.force, left)[:, None]
-    views = _views(left, left.force, left.force_variance + shaken, moved.force)
+    views = _views(left, left.force, left.force_variance + shaken, moved.force, judged)
     scenes = [Scene("accel", bins, views, STANDARD, up)]
     if left.rate is not None and left.rate_variance is not None and moved.rate is not None:
         assert true.rate is not None, "it was cut"
         shaken = mismatch**2 * shaking(true.rate, left)[:, None]
-        views = _views(left, left.rate, left.rate_variance + shaken, moved.rate)
+        views = _views(left, left.rate, left.rate_variance + shaken, moved.rate, judged)
         scenes.append(Scene("gyro", bins, views, STANDARD, up))
     return bins, scenes
 
 
-def _views(bins: Bins, left: Array, variance: Array, true: Array) -> tuple[View, ...]:
+def _views(bins: Bins, left: Array, variance: Array, true: Array, moving: Array | None) -> tuple[View, ...]:
     n = len(bins)
     return tuple(
         View(
@@ -114,6 +119,7 @@ def _views(bins: Bins, left: Array, variance: Array, true: Array) -> tuple[View,
             duration=bins.duration,
             rest=bins.rest,
             absorbed=true * GAIN_SIZES[a],
+            moving=moving,
         )
         for a in range(3)
     )
@@ -131,10 +137,38 @@ def examined_in_pair(
     progress: is called with the share of the scenes that is searched.
     """
     slow: list[Stated] = []
+    searched: list[Scene] = []
     for done, scene in enumerate(scenes, start=1):
-        slow += slow_statements(scene)
+        allowed, stated = _searched(scene)
+        searched.append(allowed)
+        slow += stated
         progress(done / len(scenes))
-    return replace(exam, bins=bins, scenes=list(scenes), turns=None, statements=[*direct, *slow])
+    return replace(exam, bins=bins, scenes=searched, turns=None, statements=[*direct, *slow])
+
+
+def _searched(scene: Scene) -> tuple[Scene, list[Stated]]:
+    """Return a scene whose bins in motion have the variance that they show, and what was found in it.
+
+    That variance is estimated before the search, lest what does not fit in motion looks like an effect, and
+    again beside what was found. What is left of it then is a finding itself.
+    """
+    motion = left_in_motion(scene)
+    if motion is None:
+        return scene, slow_statements(scene)
+    stated = slow_statements(motion.allowed(scene))
+    if motion.finding(scene) is not None:
+        stated = [s for s in stated if not _of_shaking(s)]
+    found = [s.hypothesis for s in stated if s.hypothesis is not None]
+    motion = (left_in_motion(scene, found) if found else None) or motion
+    allowed = motion.allowed(scene)
+    stated = [s if s.hypothesis is None else replace(s, scene=allowed) for s in stated]
+    lack = motion.finding(scene)
+    return allowed, [*stated, *([] if lack is None else [Stated(lack, None, allowed)])]
+
+
+def _of_shaking(stated: Stated) -> bool:
+    """Whether a statement has no name and follows what shakes the device: one of motion says it already."""
+    return stated.finding.effect == "unknown" and stated.finding.where.driver == SHAKEN
 
 
 def compare_in_pair(exam: Examination, *, constants: bool, timed: bool = False) -> Comparison:
@@ -146,10 +180,11 @@ def compare_in_pair(exam: Examination, *, constants: bool, timed: bool = False) 
     gyroscope = exam.gyroscope is not None
     found = _only_sought(compare_with_ideal(exam), gyroscope=gyroscope, constants=constants, timed=timed)
     measured = [q for scene in exam.scenes for q in _measured(exam, scene)]
-    own = {(d.effect, d.sensor): d for d in found.discrepancies}
+    named = {(d.effect, d.sensor): d for d in found.discrepancies if d.effect != "unknown"}
     differences = [subtract(q, _none_of(q)) for q in measured]
     fitted = {(d.recorded.effect, d.recorded.sensor): d for d in differences}
-    out = [_sized(d, fitted.get(key)) for key, d in own.items()]
+    out = [_sized(d, fitted.get(key)) for key, d in named.items()]
+    out += [d for d in found.discrepancies if d.effect == "unknown"]
     if not constants:
         return replace(found, discrepancies=out)
     pairs = [d for key, d in fitted.items() if key[0].endswith(("_bias", "_scale"))]
@@ -192,7 +227,7 @@ def without_found(
     names = {(d.effect, d.sensor) for d in found.discrepancies if d.difference is not None}
     left_out = [d.effect for d in found.discrepancies if d.difference is None]
     scenes = [_taken_out(exam, scene, names) for scene in exam.scenes]
-    direct = [s for s in exam.statements if s.hypothesis is None]
+    direct = [s for s in exam.statements if s.hypothesis is None and s.scene is None]
     after = examined_in_pair(exam, exam.bins, scenes, direct)
     return compare_in_pair(after, constants=constants, timed=timed), left_out
 

@@ -38,6 +38,9 @@ MARGIN = 1.2
 LENGTHS = (0.2, 0.6, np.inf)
 """Correlation lengths, as parts of the driver's range; the last leaves a straight line."""
 
+SHAKEN = "vibration power"
+"""What is followed by structure that goes with how much the device is shaken."""
+
 STRETCH_CUTS = 14
 OF_JUMPS = (curves.pulses, curves.switches)
 """Dictionaries whose courses are several jumps."""
@@ -314,7 +317,7 @@ def unknown_effects(sensor: str) -> list[Effect]:
         SmoothCurve(sensor, "temperature's past or bend", curves.warmth, curves.LAGS),
         SmoothCurve(sensor, "rate of heating", curves.heating),
         SmoothCurve(sensor, "the past of charging", curves.plugged, curves.HEATS),
-        SmoothCurve(sensor, "vibration power", curves.shaking),
+        SmoothCurve(sensor, SHAKEN, curves.shaking),
         Settling(sensor),
         AttitudeSquared(sensor),
     ]

@@ -93,7 +93,7 @@ def reduce_view(
     design = np.concatenate([design, always], axis=2)
     blocks, groups = len(view.y), _grouped(columns)
     few = stacked(view, design[:, :, :0], extra)
-    volume = blocks * float(np.log(view.variance).sum())
+    volume = -2.0 * blocks * float(np.linalg.slogdet(made[0].rotation)[1])
     ends = np.cumsum([0, *(len(family.diagonals) for family in made)])
     grams = [np.empty((ends[-1], *own.shape, own.shape[1])) for _, own in groups]
     parts = []

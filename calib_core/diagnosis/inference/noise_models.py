@@ -133,8 +133,8 @@ def _diagonalised(view: View) -> list[Family]:
 
 
 def _base(view: View) -> Array:
-    """White noise, errors that whole rests share, what is absorbed: part of every shape (n, n)."""
-    base = np.diag(view.variance)
+    """White noise, errors of motion, of whole rests, what is absorbed: part of every shape (n, n)."""
+    base = np.diag(view.variance if view.moving is None else view.variance + view.excess * view.moving)
     for group, size in view.shared:
         base = base + (group[:, None] == group[None, :]) * np.outer(size, size)
     if view.absorbed is not None:

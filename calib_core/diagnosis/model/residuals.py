@@ -37,8 +37,9 @@ class View:
     sensor in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,);
     shared: errors that groups of bins share, each the group (n,) of the bins and its sd (n,); absorbed:
     (n, q) what parameters of the baseline do at one standard deviation of what is known of them, None for
-    none; known: degrees of freedom with which `variance` is known; memo: what was computed from this view and
-    is asked for again.
+    none; known: degrees of freedom with which `variance` is known; moving: (n,) 1 for bins in which the
+    device moves, 0 at rest, None where nothing is judged in motion; excess: variance that moving bins have
+    besides; memo: what was computed from this view and is asked for again.
     """
 
     name: str
@@ -54,6 +55,8 @@ class View:
     shared: tuple[tuple[Index, Array], ...] = ()
     absorbed: Array | None = None
     known: float = WITHIN_BINS
+    moving: Array | None = None
+    excess: float = 0.0
     memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property

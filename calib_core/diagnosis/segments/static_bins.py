@@ -273,10 +273,12 @@ def cut_all(
     gyroscope: Samples | None,
     events: Sequence[Charging],
     span: tuple[float, float],
+    moving: Array | None = None,
 ) -> Bins:
     """Cut a whole recording into bins, whether the phone moved or not; all of it counts as one rest.
 
-    span: (start, end) s. A bin is 1/200 of it, and `BRIEFEST_BIN` windows at least.
+    span: (start, end) s. A bin is 1/200 of it, and `BRIEFEST_BIN` windows at least. moving: (n,) 1 for bins
+    whose white noise is that of the bins at rest about them; None where each shows its own.
     """
     force = windows(accelerometer, *span)
     rate = None if gyroscope is None else windows(gyroscope, *span)
@@ -289,12 +291,12 @@ def cut_all(
         rest=np.zeros(first.size, dtype=np.int64),
         pose=None,
         force=_bin_means(force.mean, first, last),
-        force_variance=_near_variances(force.mean, first, last),
+        force_variance=_near_variances(force.mean, first, last, moving),
         vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],
         activity=np.stack([force.t, np.zeros(force.t.size)], axis=1),
         span=span,
         rate=None if rate is None else _bin_means(rate.mean, first, last),
-        rate_variance=None if rate is None else _near_variances(rate.mean, first, last),
+        rate_variance=None if rate is None else _near_variances(rate.mean, first, last, moving),
         temperature=_bin_temperatures(_readings(accelerometer), span[0], first, last),
         **_charging(events, span, first, last),
     )
@@ -328,11 +330,25 @@ def shaking(samples: Samples, bins: Bins) -> Array:
     return np.asarray(_bin_means(power, np.rint(first), np.rint(last))[:, 0])
 
 
-def _near_variances(values: Array, first: Array, last: Array) -> Array:
+def in_motion(force: Samples, rate: Samples | None, bins: Bins) -> Array:
+    """Return 1 for each bin (n,) that is not at rest from its begin to its end, 0 for the others."""
+    turning = None if rate is None else windows(rate, *bins.span)
+    moved = (~_still(windows(force, *bins.span), turning)).astype(np.float64)[:, None]
+    first, last = ((bins.t + side * bins.duration / 2.0 - bins.span[0]) / WINDOW for side in (-1.0, 1.0))
+    return (_bin_means(moved, np.rint(first), np.rint(last))[:, 0] > 0.0).astype(np.float64)
+
+
+def _near_variances(values: Array, first: Array, last: Array, moving: Array | None = None) -> Array:
     """Variance (n, 3) of bin means, from differences of window means inside bins.
 
     It is the median of a bin and its neighbours, or the bin's own where that is louder by more than chance.
+    Bins that are `moving` (n,) take no part in it, and have what lies between the medians at rest about them.
     """
+    if moving is not None:
+        rest, centre = np.flatnonzero(moving == 0.0), (first + last) / 2.0
+        still = _near_variances(values, first[rest], last[rest])
+        between = [np.interp(centre, centre[rest], axis) for axis in still.T]
+        return np.asarray(np.stack(between, axis=1))
     from scipy.special import chdtri  # noqa: PLC0415 - the daemon stays light
 
     half = np.diff(values, axis=0) ** 2 / 2.0

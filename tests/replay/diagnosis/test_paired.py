@@ -21,6 +21,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.paired import MISMATCH, judge_paired, judge_with_witnesses, less, mean_readings
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording, read_all
+from tests.support.diagnosis.turned_pairs import turned
 
 RATE, LENGTH = 20.0, 480.0
 SLOPE = np.array([4e-4, 0.0, -2e-4])
@@ -90,6 +91,22 @@ def test_a_paired_simulation_that_is_right_is_a_match() -> None:
     said = judge_paired(
         recording(1, slope=SLOPE), recording(2, name="sim.csv", slope=SLOPE, noise=0.0)
     ).answer
+    assert (said["verdict"], said["findings"]) == ("match", [])
+
+
+@pytest.mark.slow
+def test_what_fits_no_model_in_motion_is_no_bias_and_no_scale() -> None:
+    """The gyroscope's gain is another for positive rates; at rest, three quarters of the time, nothing is."""
+
+    def uneven(force: Array, rate: Array) -> tuple[Array, Array]:
+        return force, rate + 0.015 * np.maximum(rate, 0.0)
+
+    said = judge_paired(turned(1, uneven), turned(2)).answer
+    assert [(f["effect"], f["sensor"], f["where"]["driver"]) for f in said["findings"]] == [
+        ("unknown", "gyro", "motion")
+    ]
+    assert (said["verdict"], said["fit"]["p_after"] < 1e-6) == ("unidentified", True)
+    said = judge_paired(turned(1), turned(2)).answer
     assert (said["verdict"], said["findings"]) == ("match", [])
 
 

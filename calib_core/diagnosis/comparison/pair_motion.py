@@ -1,0 +1,94 @@
+"""What two sensors' readings differ by where they move, beyond what they differ by at rest.
+
+With bias, scale, misalignment and what was found taken out, bins in motion should scatter as bins at rest do:
+by white noise and slow noise. What they scatter by besides is a component of their variance, estimated by
+likelihood together with the noise. It keeps what fits no model from being taken for a bias or a scale, and
+where a simulation without it is refuted it is a finding: something that follows motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.bayes_factor import ALL_AXES
+from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, null_log_likelihood
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, sized
+from stillcal.calib_core.diagnosis.model.records import NAME, SLOW_BAND, Finding, Where
+from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+
+STRENGTHS = 10.0 ** np.arange(-1.0, 9.0)
+"""Excess variances that are tried, as parts of the bins' median white variance, all equally likely: from what
+no bins show up to what a sensor at the end of its range makes of a quiet one's mean."""
+
+FINER = 10.0 ** np.array([-0.75, -0.5, -0.25, 0.25, 0.5, 0.75])
+"""Steps about the best of these: an excess is then known to a seventh, which is less than its own error."""
+
+UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Variance (3,) that bins in motion have besides, with the evidence (3,) for one on each axis, nats."""
+
+    variance: Array
+    log_bayes_factors: Array
+
+    @property
+    def log_bayes_factor(self) -> float:
+        """The evidence, nats, for an excess on all axes or on one, as an effect's is counted."""
+        one = np.log((1.0 - ALL_AXES) / 3.0) + self.log_bayes_factors
+        return log_sum(np.append(one, np.log(ALL_AXES) + self.log_bayes_factors.sum()))
+
+    def allowed(self, scene: Scene) -> Scene:
+        """Return a scene whose bins in motion have this variance besides."""
+        return with_excess(scene, self.variance)
+
+    def finding(self, scene: Scene) -> Finding | None:
+        """Return what is left in motion as something unknown; None where chance leaves as much."""
+        return direct_finding(
+            "unknown",
+            scene.sensor,
+            [int(a) for a in np.flatnonzero(self.variance > 0.0)],
+            Where(*scene.bins.span, SLOW_BAND, "motion"),
+            sized({"rms": (np.sqrt(self.variance).tolist(), UNIT[scene.sensor])}),
+            statement=f"Unknown effect ({NAME[scene.sensor]}); it follows motion.",
+            seen=Seen(self.log_bayes_factor),
+        )
+
+
+def with_excess(scene: Scene, variance: Array) -> Scene:
+    """Return a scene whose bins in motion have variance (3,) besides, axis by axis."""
+    views = [replace(v, excess=float(x)) for v, x in zip(scene.views, variance, strict=True)]
+    return replace(scene, views=tuple(views))
+
+
+def left_in_motion(scene: Scene, found: Sequence[Hypothesis] = ()) -> Motion | None:
+    """Return the excess of the bins that move, `found` projected out; None where it is not judged.
+
+    An axis has one where it is likelier than none; it is then the likeliest.
+    """
+    moving = scene.views[0].moving
+    if moving is None or not moving.any():
+        return None
+    unit = np.array([float(np.median(v.variance)) for v in scene.views])
+    none = _log_likelihood(scene, np.zeros(3), found)
+    coarse = np.array([_log_likelihood(scene, s * unit, found) for s in STRENGTHS])
+    evidence = np.array([log_sum(axis) for axis in coarse.T]) - np.log(STRENGTHS.size) - none
+    about = STRENGTHS[coarse.argmax(axis=0)]
+    if not (evidence > 0.0).any():
+        return Motion(np.zeros(3), evidence)
+    tried = about * np.append(1.0, FINER)[:, None]
+    fine = np.array([coarse.max(axis=0), *(_log_likelihood(scene, s * unit, found) for s in tried[1:])])
+    best = tried[fine.argmax(axis=0), np.arange(3)] * unit
+    return Motion(np.where(evidence > 0.0, best, 0.0), evidence)
+
+
+def _log_likelihood(scene: Scene, variance: Array, found: Sequence[Hypothesis]) -> Array:
+    """Return the log likelihood (3,) of each axis with an excess variance (3,) of the bins that move."""
+    trial = with_excess(scene, variance)
+    return np.array([null_log_likelihood([view]) for view in reduce_scene(trial, [nothing(trial)], found)])
