@@ -77,6 +77,10 @@ def remote(address: str, timeout: float = _CONNECT_S) -> Iterator[Client]:
         yield client
 
 
+GONE = ("lost", "pending")
+"""States of what was finished and went with its worker before it was fetched: it is computed again."""
+
+
 def run(client: Client, tasks: Sequence[Task], keep: Keep) -> None:
     """Have every task examined; `keep` is handed each outcome as it comes.
 
@@ -95,6 +99,9 @@ def run(client: Client, tasks: Sequence[Task], keep: Keep) -> None:
     try:
         queue = as_completed(list(submitted(room)), raise_errors=False)
         for future in queue:
+            if future.status in GONE:
+                queue.add(future)
+                continue
             task, _ = under_way.pop(future.key)
             keep(task, _outcome(task, future))
             queue.update(list(submitted(1)))

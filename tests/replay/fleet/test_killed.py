@@ -88,7 +88,7 @@ def test_nothing_is_lost_with_a_worker(many: list[Task], tmp_path: Path) -> None
     rows, _ = results.finish()
     assert killed == [-signal.SIGKILL] and left == 1
     assert [row["name"] for row in rows] == [task.recording.name for task in many]
-    assert {row["status"] for row in rows} == {CALIBRATED}
+    assert {(row["status"], row["reason"]) for row in rows} == {(CALIBRATED, None)}
     ours = examine(many[-1]).row
     assert all(rows[-1][k] == ours[k] for k in ours if k not in ("calibrate_s", "missing"))
 
