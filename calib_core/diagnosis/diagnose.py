@@ -13,7 +13,11 @@ from stillcal.calib_core.diagnosis.direct import low_pass as spectrum
 from stillcal.calib_core.diagnosis.direct import noise_level as noise
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, outside
-from stillcal.calib_core.diagnosis.direct.gathered_noise import gathered_noise, gathered_noise_finding
+from stillcal.calib_core.diagnosis.direct.gathered_noise import (
+    gathered_noise,
+    gathered_noise_finding,
+    without_parts,
+)
 from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.direct.noise_changes import by_force, changing
@@ -303,9 +307,8 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
         found += tones(samples, sensor)
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor, sound)
-    known = missing_codes.beside(
-        [f for f in found if f is not None], missing_codes.dead_bits(samples, sensor)
-    )
+    known = without_parts([f for f in found if f is not None])
+    known = missing_codes.beside(known, missing_codes.dead_bits(samples, sensor))
     return dead_zone.beside(known, dead_zone.dead_zone(samples, sensor))
 
 

@@ -8,6 +8,7 @@ Signal Process. 20, 282 (2006)) by robust means.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,3 +68,10 @@ def gathered_noise_finding(found: Gathered, sensor: str, sound: Usual, where: Wh
     parameters = {"ratio": Measured(times, times * found.excess.error).parameter("1")}
     own = Where(where.t_start, where.t_end, where.band_hz, DRIVER)
     return direct_finding("unknown", sensor, [found.axis], own, parameters, statement=say, seen=one_axis)
+
+
+def without_parts(found: Sequence[Finding]) -> list[Finding]:
+    """Leave out steady lines beside lines that change from rest to rest: those that come back are of them."""
+    if not any(f.where.driver == DRIVER for f in found):
+        return list(found)
+    return [f for f in found if f.effect != "vibration_tone"]

@@ -10,6 +10,7 @@ from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.direct.gathered_noise import gathered_noise, gathered_noise_finding
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, judged
 from stillcal.calib_core.diagnosis.direct.noise_level import levels, noise_findings
+from stillcal.calib_core.diagnosis.direct.spectral_line import tones
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -59,3 +60,16 @@ def test_it_is_not_called_the_noise_of_an_axis() -> None:
     found = {(s.finding.effect, s.finding.where.driver) for s in exam.statements}
     assert ("unknown", "frequencies that change from rest to rest") in found
     assert "noise_unequal_axes" not in {effect for effect, _ in found}
+
+
+def test_lines_that_come_back_beside_it_are_not_named_besides() -> None:
+    """A tone that goes with the reading comes back in the attitudes that are taken again."""
+    rate = 1e-3 * np.concatenate(rests(np.resize([12.0, 17.0, 23.0, 29.0, 34.0, 38.0], PIECES), 3.0).pieces)
+    force = np.random.default_rng(5).normal(size=rate.shape) * 0.01 + [0.0, 0.0, 9.81]
+    t = np.arange(len(rate)) / RATE
+    gyroscope = Samples(Sensor.GYROSCOPE, t, rate)
+    assert tones(gyroscope, "gyro"), "by themselves they are lines"
+    exam = examine(Samples(Sensor.ACCELEROMETER, t, force), gyroscope, search=False)
+    found = {(s.finding.effect, s.finding.where.driver) for s in exam.statements}
+    assert ("unknown", "frequencies that change from rest to rest") in found
+    assert "vibration_tone" not in {effect for effect, _ in found}
