@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, null_log
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, SLOW_BAND, Finding, Where
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 
 STRENGTHS = 10.0 ** np.arange(-1.0, 9.0)
@@ -27,8 +28,6 @@ no bins show up to what a sensor at the end of its range makes of a quiet one's 
 
 FINER = 10.0 ** np.array([-0.75, -0.5, -0.25, 0.25, 0.5, 0.75])
 """Steps about the best of these: an excess is then known to a seventh, which is less than its own error."""
-
-UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
