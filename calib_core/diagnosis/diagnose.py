@@ -28,6 +28,7 @@ from stillcal.calib_core.diagnosis.direct.shared_noise import shared_noise, shar
 from stillcal.calib_core.diagnosis.direct.spectral_line import tones
 from stillcal.calib_core.diagnosis.direct.step_changes import step_change
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
+from stillcal.calib_core.diagnosis.group_delay import low_pass_for_delay, without_group_delay
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, Where
@@ -181,7 +182,8 @@ def examine(
         if affine is not None and spoiled is None:
             turns = turn_scene(affine, bare, claims.gravity)
             stated += turn_statements(turns, without) if search else []
-    stated = [replace(s, finding=_named(s.finding, without)) for s in _without_delay(stated, claims.gravity)]
+    stated = _without_delay(stated, streams, claims.gravity)
+    stated = [replace(s, finding=_named(s.finding, without)) for s in stated]
     exchanged = spoiled.sensor if spoiled else ""
     return Examination(
         accelerometer, gyroscope, claims, slow, streams, residuals, affine, turns, stated, exchanged=exchanged
@@ -203,9 +205,13 @@ def _refuse_too_little(accelerometer: Samples) -> None:
         raise NotSupported(f"{span:.4g} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))
 
 
-def _without_delay(stated: list[Stated], gravity: float) -> list[Stated]:
-    kept = without_group_delay([s.finding for s in stated], gravity)
-    return [s for s in stated if any(s.finding is f for f in kept)]
+def _without_delay(stated: list[Stated], streams: Sequence[Stream], gravity: float) -> list[Stated]:
+    """Name the low-pass that causes a delay, and leave out what a low-pass does to motion besides."""
+    spectra = {s.sensor: s.spectra for s in streams if s.spectra is not None}
+    named = low_pass_for_delay([s.finding for s in stated], spectra)
+    kept = without_group_delay(named, gravity)
+    every = [replace(s, finding=f) for s, f in zip(stated, named, strict=True)]
+    return [s for s in every if any(s.finding is f for f in kept)]
 
 
 def still_bins(
@@ -396,27 +402,3 @@ def _shared_error(mean: Array, bins: Bins, seen: Steps) -> Array:
     cells = np.rint(mean / max(seen.largest, 1e-300))
     _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     return np.asarray(seen.mean_error() ** 2 * count[which.ravel()][:, None], dtype=np.float64)
-
-
-def without_group_delay(found: list[Finding], gravity: float) -> list[Finding]:
-    """Drop what a low-pass found on one sensor does to motion: delays, and what looks like a lever arm.
-
-    A second-order filter delays slow motion by sqrt(2) / (2 pi fc), a first-order one by 1 / (2 pi fc). To
-    second order it takes gravity's own curvature for as much of an arm as gravity / (2 pi fc)^2.
-    """
-    cutoffs = [f for f in found if f.effect == "bandwidth"]
-    if len(cutoffs) != 1:
-        return found
-    late = 1.0 / (2.0 * np.pi * np.asarray(cutoffs[0].parameters["cutoff"].value))
-    sign = -1.0 if cutoffs[0].sensor == "accel" else 1.0
-
-    def explained(one: Finding) -> bool:
-        if one.effect == "lever_arm":
-            return bool(np.linalg.norm(one.parameters["position"].value) < gravity * late**2)
-        # Fast motion, which a low-pass keeps out, is delayed less: the delay goes with what motion there is.
-        if one.sensor == "timing" and "growth" in one.parameters:
-            return bool(abs(np.asarray(one.parameters["growth"].value)) < 3.0 * late)
-        delayed = one.effect == "accel_gyro_time_offset"
-        return delayed and bool(0.0 < sign * np.asarray(one.parameters["delay"].value) / late < 3.0)
-
-    return [f for f in found if not explained(f)]

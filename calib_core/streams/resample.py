@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.streams.samples import Samples
 
 
@@ -24,6 +26,18 @@ def interpolate(t: Array, known: Array, values: Array) -> Array:
         near = slice(max(first - 1, 0), int(np.searchsorted(known, t.max(), side="right")) + 1)
         known, values = known[near], values[near]
     return np.stack([np.interp(t, known, values[:, axis]) for axis in range(3)], axis=1)
+
+
+def read_later(samples: Samples, delay: float) -> Samples:
+    """Return samples that read at the same times what was true `delay` s earlier.
+
+    By a cubic spline: a straight line between two samples would take 1 % off a step's fifth overtone.
+    """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - the daemon stays light
+
+    t, first = np.unique(samples.t, return_index=True)
+    when = np.clip(samples.t - delay, t[0], t[-1])
+    return replace(samples, xyz=frozen(CubicSpline(t, samples.xyz[first])(when)))
 
 
 def temperature_at(samples: Samples, t: Array) -> Array | None:

@@ -1,7 +1,8 @@
 """A simulated recording with the differences that were found put into its samples.
 
 What an effect adds is its response in the catalogue, at samples that exist already.
-What cannot be put into samples (another rate, less noise) is left out and named.
+A low-pass filters them, a delay reads them that much later. What cannot be put into samples (another rate,
+less noise) is left out and named.
 """
 
 from __future__ import annotations
@@ -13,24 +14,26 @@ from functools import cached_property
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference
+from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination, still_bins
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
+from stillcal.calib_core.diagnosis.group_delay import DELAY
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.events import Charging
-from stillcal.calib_core.streams.resample import interpolate, temperature_at
+from stillcal.calib_core.streams.resample import interpolate, read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording, overview_of
 from stillcal.replay.diagnosis.judged import charging_events
 from stillcal.replay.formats.trace import Recording
+from stillcal.replay.phone.sensor_chain import LowPass
 
 MATRIX_NUMBERS = 9
 LINE = "vibration_tone"
@@ -59,7 +62,8 @@ def correct(
     if not isinstance(simulation, LongRecording) or simulation.overview is None:
         return corrected
     seconds = _seconds(simulation, simulation.overview)
-    changed = _with_added(seconds, discrepancies, biases, seed).recording
+    slow = [d for d in discrepancies if _delay(d) is None and _cutoff(d) is None]
+    changed = _with_added(seconds, slow, biases, seed).recording
     white = [d for d in discrepancies if d.effect in OF_DENSITY and d.difference is not None]
     power = {d.sensor: _missing(d) / 2.0 for d in white if (_missing(d) >= 0.0).all()}
     known = simulation.overview
@@ -91,7 +95,7 @@ def _seconds(simulation: LongRecording, overview: Overview) -> Recording:
 def _windows(windows: Windows, changed: Samples, samples: Samples, power: Array | None) -> Windows:
     """Return windows with other means. samples: of the recording; power: (3,) of white noise added, None."""
     added = changed.xyz - windows.mean
-    more = 0.0 if power is None else np.maximum(power, 0.0) * float(np.exp(counted_rate(samples).value[0]))
+    more = 0.0 if power is None else np.maximum(power, 0.0) * _rate(samples)
     return replace(
         windows,
         mean=changed.xyz,
@@ -112,7 +116,7 @@ def _with_added(
         "gyro": simulation.gyroscope,
     }
     # A scale acts on what the simulation's sensor read, hence before anything is added to that.
-    linear = [d for d in discrepancies if _limit(d) is None]
+    linear = [d for d in discrepancies if _limit(d) is None and _delay(d) is None and _cutoff(d) is None]
     for one in sorted(linear, key=lambda d: not d.effect.endswith("_scale")):
         samples = streams.get(one.sensor)
         added = None if samples is None else _added(drivers, samples, one, biases, rng)
@@ -120,6 +124,9 @@ def _with_added(
             left_out.append(one.effect)
         else:
             streams[one.sensor] = replace(samples, xyz=frozen(samples.xyz + added))
+    for one in discrepancies:
+        sensor = "gyro" if _delay(one) is not None else one.sensor
+        streams[sensor] = _moved(streams.get(sensor), one)
     for one in discrepancies:
         limit, samples = _limit(one), streams.get(one.sensor)
         if limit is not None and samples is not None:
@@ -169,6 +176,38 @@ def _added(
     if kind == "bias":
         return np.asarray(np.broadcast_to(one.difference.value, samples.xyz.shape))
     return _by_physics(drivers, samples, one.difference)
+
+
+def _moved(samples: Samples | None, one: Discrepancy) -> Samples | None:
+    """Return the samples read later by a delay, or behind a low-pass; as they are if it is neither."""
+    delay, cutoff = _delay(one), _cutoff(one)
+    if samples is None:
+        return None
+    if cutoff is not None:
+        return replace(samples, xyz=frozen(LowPass(cutoff, _rate(samples))(samples.xyz)))
+    return samples if delay is None else read_later(samples, delay)
+
+
+def _delay(one: Discrepancy) -> float | None:
+    """Return by how much later than in the simulation the gyroscope reads, s; None for all else."""
+    if one.effect != DELAY:
+        return None
+    if one.difference is not None:
+        return float(one.difference.value[0])
+    own = one.recorded or one.simulated
+    assert own is not None, "what has no difference was found in one of the two"
+    delay = float(np.ravel(own.parameters["delay"].value)[0])
+    return delay if one.recorded is not None else -delay
+
+
+def _cutoff(one: Discrepancy) -> float | None:
+    """Return the cutoff of a low-pass that the simulation does not have, Hz; None for all else."""
+    lacking = one.effect == "bandwidth" and one.relation == "lacking" and one.recorded is not None
+    return float(np.ravel(one.recorded.parameters["cutoff"].value)[0]) if lacking and one.recorded else None
+
+
+def _rate(samples: Samples) -> float:
+    return float(np.exp(counted_rate(samples).value[0]))
 
 
 def _tone(samples: Samples, found: Finding) -> Array:
@@ -271,8 +310,7 @@ def _noise(samples: Samples, one: Discrepancy, rng: np.random.Generator) -> Arra
     missing = _missing(one)
     if (missing < 0.0).any():
         return None
-    rate = float(np.exp(counted_rate(samples).value[0]))
-    return np.asarray(rng.normal(size=samples.xyz.shape) * np.sqrt(missing * rate / 2.0))
+    return np.asarray(rng.normal(size=samples.xyz.shape) * np.sqrt(missing * _rate(samples) / 2.0))
 
 
 def _missing(one: Discrepancy) -> Array:

@@ -9,8 +9,9 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any
 
-from stillcal.calib_core.diagnosis.comparison.compare import Comparison, compare
+from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
@@ -21,8 +22,8 @@ from stillcal.replay.formats.trace import Recording
 Correct = Callable[[Comparison, dict[str, Any]], Corrected]
 """Puts what was found into a simulation: the comparison and its answer in plain values are given."""
 
-ON_VALUES = (*OF_DENSITY, "saturation")
-"""Effects, by the end of their names, that change a sensor's noise at rest or its single values."""
+ON_VALUES = (*OF_DENSITY, "saturation", "bandwidth", "time_offset")
+"""Effects, by the end of their names, that change a sensor's noise at rest, its single values or its time."""
 
 
 def judge_simulation(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from stillcal.calib_core.diagnosis.comparison.compare import Comparison
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine, still_bins
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins

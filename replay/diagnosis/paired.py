@@ -5,28 +5,34 @@ What the recording reads less what the other reads is judged itself, moved or no
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.direct import pair_of
-from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION
+from stillcal.calib_core.diagnosis.comparison.looked_for import slow_effects
+from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
 from stillcal.calib_core.diagnosis.comparison.pair_delay import aligned, delay_between, late
 from stillcal.calib_core.diagnosis.comparison.paired import (
     Readings,
     compare_in_pair,
     examined_in_pair,
     pair_scenes,
+    without_equation,
     without_found,
 )
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.group_delay import DELAY, without_group_delay
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.errors import UserError
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.resample import interpolate, temperature_at
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.diagnosis.answer import Fit, answer_of
+from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
+from stillcal.replay.diagnosis.corrected import correct
+from stillcal.replay.diagnosis.given_simulation import ON_VALUES, with_own_values
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, charging_events, examined, silent
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.formats.trace import Recording
@@ -38,6 +44,9 @@ MISMATCH = 0.01
 """Part of what shakes a body by which the means of two sensors on it differ: they rectify differently, and
 are not quite at one place and one time. A simulation at the same stamps is."""
 
+READINGS = "comparing the readings of one motion"
+AGAIN = "comparing again, without what was found"
+
 COMMON = 0.5
 """Part of the recording that a witness must have been there for."""
 
@@ -45,18 +54,40 @@ COMMON = 0.5
 def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
     """Judge a recording less a simulation of the same motion at the same stamps.
 
-    Raises UserError where stamps differ, NotSupported on too little data.
+    Values and noise at rest are those of either, and compared as such. Raises UserError where stamps differ,
+    NotSupported on too little data.
     """
     _refuse_itself(recording, [simulation])
     _refuse_other_stamps(recording, simulation)
     recorded = examined(recording, show_stage, search=False)
     simulated = examined(simulation, show_stage, search=False)
-    of_simulation = [s.finding for s in simulated.statements]
-    own = [s for s in recorded.statements if (s.finding.effect, s.finding.sensor) not in MOTION]
-    direct = [s for s in own if pair_of(s.finding, of_simulation) is None]
-    names = (recording.name, simulation.name)
-    judged = _judged(recording, recorded, [simulation], direct, names=names, show_stage=show_stage)
-    return replace(judged, simulated=simulated)
+    exams, names = (recorded, simulated), (recording.name, simulation.name)
+    show_stage(READINGS, 0.0)
+    beside = len(list(slow_effects(recorded)))
+    values = compare_samples(exams, names, beside)
+    own, other = (_limited(one, _limits(exams)) for one in (recording, simulation))
+    true, timed, found = _aligned(own, mean_readings(own, [other]))
+    late = _unexplained(found, values)
+    bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0)
+    exam = examined_in_pair(recorded, bins, scenes, late, lambda done: show_stage(READINGS, done))
+    slow = compare_in_pair(exam, constants=True, timed=timed)
+    before, after, left_out = slow.and_of(values), None, []
+    if before.discrepancies:
+        show_stage(AGAIN, 0.0)
+        played = [*values.discrepancies, *(d for d in slow.discrepancies if d.effect == DELAY)]
+        made = correct(simulation, played, {})
+        measured = examined(made.recording, silent, search=False)
+        changed = {d.sensor for d in played if d.effect.endswith(ON_VALUES)}
+        measured = with_own_values(measured, simulated, changed)
+        _, _, found = _aligned(recording, mean_readings(recording, [made.recording]))
+        after = without_found(exam, slow, _unexplained(found, values), constants=True, timed=timed)
+        after = after.and_of(compare_samples((recorded, measured), names, beside))
+        left_out = [*(e for e in without_equation(slow) if e != DELAY), *made.left_out]
+    stated = findings_stated([s.finding for s in recorded.statements], "recorded")
+    stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
+    fit = Fit.of(before, after or before, left_out)
+    answer = answer_of(before, names, fit, stated, exam.bins.temperature)
+    return Judged(recording, exam, simulated, before, None, None, answer)
 
 
 def judge_with_witnesses(
@@ -70,38 +101,18 @@ def judge_with_witnesses(
     _refuse_itself(recording, witnesses)
     recording = _while_there(recording, witnesses)
     recorded = examined(recording, show_stage, search=False)
-    names = (recording.name, BUILT_IN)
+    show_stage(READINGS, 0.0)
+    true = mean_readings(recording, witnesses)
+    bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), MISMATCH)
     stated = recorded.statements
-    return _judged(recording, recorded, witnesses, stated, names=names, witnessed=True, show_stage=show_stage)
-
-
-def _judged(
-    recording: Recording,
-    recorded: Examination,
-    others: Sequence[Recording],
-    direct: Sequence[Stated],
-    *,
-    names: tuple[str, str],
-    witnessed: bool = False,
-    show_stage: ShowStage,
-) -> Judged:
-    stage = "comparing the readings of one motion"
-    show_stage(stage, 0.0)
-    true = mean_readings(recording, others)
-    timed = False
-    if not witnessed:
-        true, timed, found = _aligned(recording, true)
-        direct = [*direct, *found]
-    mismatch = MISMATCH if witnessed else 0.0
-    bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), mismatch)
-    exam = examined_in_pair(recorded, bins, scenes, direct, lambda done: show_stage(stage, done))
-    before = compare_in_pair(exam, constants=not witnessed, timed=timed)
+    exam = examined_in_pair(recorded, bins, scenes, stated, lambda done: show_stage(READINGS, done))
+    before = compare_in_pair(exam, constants=False)
     fit = Fit.of(before, before)
     if before.discrepancies:
-        show_stage("comparing again, without what was found", 0.0)
-        after, left_out = without_found(exam, before, constants=not witnessed, timed=timed)
-        fit = Fit.of(before, after, left_out)
-    answer = answer_of(before, names, fit, {}, bins.temperature)
+        show_stage(AGAIN, 0.0)
+        after = without_found(exam, before, stated, constants=False)
+        fit = Fit.of(before, after, without_equation(before))
+    answer = answer_of(before, (recording.name, BUILT_IN), fit, {}, exam.bins.temperature)
     return Judged(recording, exam, None, before, None, None, answer)
 
 
@@ -118,6 +129,36 @@ def _aligned(recording: Recording, true: Readings) -> tuple[Readings, bool, list
         return as_late, False, []
     found = delay_between(force, rate, recording.accelerometer)
     return as_late, True, [Stated(found)] if found else []
+
+
+def _unexplained(found: Sequence[Stated], values: Comparison) -> list[Stated]:
+    """Return a delay that was found, unless a low-pass that only the recording has causes it."""
+    filters = [d.recorded for d in values.discrepancies if d.effect == "bandwidth" and d.recorded is not None]
+    left = without_group_delay([*filters, *(s.finding for s in found)], STANDARD)
+    return [s for s in found if any(s.finding is f for f in left)]
+
+
+def _limits(exams: Sequence[Examination]) -> dict[str, float]:
+    """Return by sensor the lowest value at which one of the two saturates."""
+    limits: dict[str, float] = {}
+    for one in (s.finding for exam in exams for s in exam.statements):
+        if one.effect.endswith("_saturation"):
+            here = float(np.min(one.parameters["limit"].value))
+            limits[one.sensor] = min(here, limits.get(one.sensor, np.inf))
+    return limits
+
+
+def _limited(recording: Recording, limits: Mapping[str, float]) -> Recording:
+    """Return a recording that saturates where one of the two does: beyond it their readings say nothing."""
+    streams = [("accel", recording.accelerometer), ("gyro", recording.gyroscope)]
+    force, rate = (
+        samples
+        if samples is None or sensor not in limits
+        else replace(samples, xyz=frozen(np.clip(samples.xyz, -limits[sensor], limits[sensor])))
+        for sensor, samples in streams
+    )
+    assert force is not None, "every recording has an accelerometer"
+    return replace(recording, accelerometer=force, gyroscope=rate)
 
 
 def _refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:

@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from stillcal.calib_core.diagnosis.comparison.compare import (
+from stillcal.calib_core.diagnosis.comparison.direct import measured_directly, smallest_direct
+from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of, slow_checks
+from stillcal.calib_core.diagnosis.comparison.noise import density
+from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Relation, posterior
+from stillcal.calib_core.diagnosis.comparison.records import (
     LEVEL,
     Common,
     Comparison,
     Discrepancy,
     NotCompared,
 )
-from stillcal.calib_core.diagnosis.comparison.direct import measured_directly, smallest_direct
-from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
-from stillcal.calib_core.diagnosis.comparison.noise import density
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.direct.noise_level import TWO_SIDED, claimed, convention
@@ -27,22 +27,27 @@ from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Fin
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
 
 
-def compare_with_ideal(exam: Examination) -> Comparison:
-    """Return what the recording shows beyond an ideal sensor, and what it could not show."""
+def compare_with_ideal(exam: Examination, *, samples: bool = True) -> Comparison:
+    """Return what the recording shows beyond an ideal sensor, and what it could not show.
+
+    samples: whether single samples, stamps and noise at rest are judged, or by something else.
+    """
     found = sought(exam)
     stated = [(s.finding, s.finding.evidence.log_bayes_factor) for s in exam.statements]
-    checks = checks_of(exam, found)
-    judged = [(f, e, posterior(e, max(len(checks), 1))) for f, e in stated]
+    every = checks_of(exam, found)
+    checks = every if samples else slow_checks(exam, found)
+    judged = [(f, e, posterior(e, max(len(every), 1))) for f, e in stated]
     sure = [j for j in judged if j[2] >= CERTAIN and not j[0].evidence.contradicted]
     missing = [NotCompared(c.effect, c.sensor, c.reason) for c in checks if c.reason is not None]
+    slow = [row for one in found for row in one.smallest]
     apart = Comparison(
         discrepancies=[_discrepancy(*one) for one in sorted(sure, key=lambda j: -j[1])],
         not_compared=missing,
         undecided=[_undecided(*one) for one in judged if one not in sure],
         comparisons=len(checks) - len(missing),
         evidence=[*((f.effect, e) for f, e in stated), *_not_stated(found, stated)],
-        common=_common(exam, {f.effect for f, *_ in sure}),
-        smallest=list(each_once([*(row for one in found for row in one.smallest), *smallest_direct(exam)])),
+        common=_common(exam, {f.effect for f, *_ in sure}) if samples else [],
+        smallest=list(each_once([*slow, *(smallest_direct(exam) if samples else [])])),
     )
     rejected = not apart.discrepancies and apart.p() < LEVEL
     return _with_what_differs(apart, exam, found) if rejected else apart

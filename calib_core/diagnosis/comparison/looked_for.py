@@ -55,7 +55,7 @@ Condition = tuple[bool, str]
 
 def checks_of(exam: Examination, found: Sequence[Sought]) -> list[Check]:
     """Return every effect of the catalogue with whether this recording was asked for it."""
-    return [*_direct(exam), *slow_checks(exam, found)]
+    return [*direct_checks(exam), *slow_checks(exam, found)]
 
 
 def slow_checks(exam: Examination, found: Sequence[Sought]) -> list[Check]:
@@ -65,11 +65,11 @@ def slow_checks(exam: Examination, found: Sequence[Sought]) -> list[Check]:
     stated = {(s.finding.effect, s.finding.sensor) for s in exam.statements}
     return [
         Check(effect, sensor, None if (effect, sensor) in stated else _why_slow(exam, effect, sensor, seen))
-        for effect, sensor in _slow_effects(exam)
+        for effect, sensor in slow_effects(exam)
     ]
 
 
-def _slow_effects(exam: Examination) -> Iterator[tuple[str, str]]:
+def slow_effects(exam: Examination) -> Iterator[tuple[str, str]]:
     """Yield every slow effect with its sensor: the catalogue's, those of columns, a bias that walks."""
     named = dict.fromkeys((e.name, e.sensor) for e in named_effects())
     # Where temperature is known, nothing has to stand for it.
@@ -184,8 +184,8 @@ def _of_temperature(exam: Examination) -> Iterator[Condition]:
     yield span < LEAST_SPAN, f"the temperature varies by {shown:.2g} K at rest, {LEAST_SPAN} K are needed"
 
 
-def _direct(exam: Examination) -> Iterator[Check]:
-    """Return what samples, values, stamps and motion show directly."""
+def direct_checks(exam: Examination) -> Iterator[Check]:
+    """Yield what samples, values, stamps and motion show directly."""
     if exam.is_table:
         why = "a table of rests has no samples"
         for sensor in ("accel", "gyro"):

@@ -6,16 +6,16 @@ wrong scale, or like a bias that jumps with the motion, so readings are aligned 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.group_delay import DELAY
 from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding, of_vector
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
-from stillcal.calib_core.streams.resample import interpolate
+from stillcal.calib_core.streams.resample import interpolate, read_later
 from stillcal.calib_core.streams.samples import Samples
 
 PIECES = (4.0, 2.0, 1.0)
@@ -114,17 +114,9 @@ def _equations(own: Samples, true: Samples, pieces: list[slice], delay: float) -
 
 
 def aligned(true: Samples, found: Late | None) -> Samples:
-    """Return what the other reads, as late as the recording reads it where that is sure.
-
-    By a cubic spline: a straight line between two samples would take 1 % off a step's fifth overtone.
-    """
-    if found is None or abs(found.delay.value) < SURE * found.delay.error:
-        return true
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - the daemon stays light
-
-    t, first = np.unique(true.t, return_index=True)
-    when = np.clip(true.t - found.delay.value, t[0], t[-1])
-    return replace(true, xyz=frozen(CubicSpline(t, true.xyz[first])(when)))
+    """Return what the other reads, as late as the recording reads it where that is sure."""
+    sure = found is not None and abs(found.delay.value) >= SURE * found.delay.error
+    return read_later(true, found.delay.value) if found is not None and sure else true
 
 
 def delay_between(force: Late, rate: Late, samples: Samples) -> Finding | None:
@@ -140,7 +132,7 @@ def delay_between(force: Late, rate: Late, samples: Samples) -> Finding | None:
     nats = of_vector(np.array([delay.value]), np.array([[delay.error**2]]), SIZE)
     side = "behind" if delay.value > 0 else "ahead of"
     return direct_finding(
-        "accel_gyro_time_offset",
+        DELAY,
         "timing",
         [],
         Where(*span, (0.1, 0.5 / sample_period(samples.t)), "rate of turn"),

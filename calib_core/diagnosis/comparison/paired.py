@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.compare import Comparison, Discrepancy, NotCompared, axes_of
+from stillcal.calib_core.diagnosis import group_delay
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.linear import (
     ALIKE_BIAS,
@@ -34,6 +34,8 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     subtract,
     weighed,
 )
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
+from stillcal.calib_core.diagnosis.comparison.stated import axes_of
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.unknown import SHAKEN
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
@@ -61,7 +63,7 @@ GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
 
 
 NOT_SOUGHT = "it is not looked for in a pair"
-DELAY = ("accel_gyro_time_offset", "timing")
+DELAY = (group_delay.DELAY, "timing")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,8 +179,8 @@ def compare_in_pair(exam: Examination, *, constants: bool, timed: bool = False) 
     constants: whether bias, scale and misalignment of one against the other are differences, or mounting.
     timed: whether a delay of the one against the other could be measured.
     """
-    gyroscope = exam.gyroscope is not None
-    found = _only_sought(compare_with_ideal(exam), gyroscope=gyroscope, constants=constants, timed=timed)
+    found = compare_with_ideal(exam, samples=not constants)
+    found = _only_sought(found, constants=constants, timed=timed, gyroscope=exam.gyroscope is not None)
     measured = [q for scene in exam.scenes for q in _measured(exam, scene)]
     named = {(d.effect, d.sensor): d for d in found.discrepancies if d.effect != "unknown"}
     differences = [subtract(q, _none_of(q)) for q in measured]
@@ -200,36 +202,39 @@ def compare_in_pair(exam: Examination, *, constants: bool, timed: bool = False) 
     )
 
 
-def _only_sought(found: Comparison, *, gyroscope: bool, constants: bool, timed: bool) -> Comparison:
+def _only_sought(found: Comparison, *, constants: bool, timed: bool, gyroscope: bool) -> Comparison:
     """Leave out what is not looked for in a pair: what turns between rests show, and how the one moves."""
-    unsought = {(effect, "gyro"): NOT_SOUGHT for effect in OF_TURNS if effect != "gyro_scale"}
+    known = {(n.effect, n.sensor): n.reason for n in found.not_compared}
+    of_turns = [(effect, "gyro") for effect in OF_TURNS if effect != "gyro_scale"] if gyroscope else []
+    reasons = known | dict.fromkeys(of_turns, NOT_SOUGHT)
+    count = found.comparisons + len(known) - len(reasons)
     if constants:
-        unsought |= dict.fromkeys(MOTION, NOT_SOUGHT) | {
-            DELAY: "it moves too little in most of the recording"
-        }
-    known = {**{(n.effect, n.sensor): n.reason for n in found.not_compared}, **unsought}
-    if timed:
-        known.pop(DELAY, None)
+        reasons |= {key: NOT_SOUGHT for key in MOTION if key != DELAY}
+        if timed:
+            count += 1
+        else:
+            reasons[DELAY] = "it moves too little in most of the recording" if gyroscope else "no gyroscope"
     return replace(
-        found,
-        not_compared=[NotCompared(*key, why) for key, why in known.items()],
-        comparisons=found.comparisons + len(found.not_compared) - len(known),
+        found, not_compared=[NotCompared(*key, why) for key, why in reasons.items()], comparisons=count
     )
 
 
 def without_found(
-    exam: Examination, found: Comparison, *, constants: bool, timed: bool = False
-) -> tuple[Comparison, list[str]]:
-    """Take what was found out of the difference of readings and judge what is left.
+    exam: Examination, found: Comparison, direct: Sequence[Stated], *, constants: bool, timed: bool = False
+) -> Comparison:
+    """Take what was found out of the difference of readings, by its equations, and judge what is left.
 
-    Returned are that comparison and the effects that no equation takes out.
+    direct: what is stated besides, of the corrected simulation.
     """
     names = {(d.effect, d.sensor) for d in found.discrepancies if d.difference is not None}
-    left_out = [d.effect for d in found.discrepancies if d.difference is None]
     scenes = [_taken_out(exam, scene, names) for scene in exam.scenes]
-    direct = [s for s in exam.statements if s.hypothesis is None and s.scene is None]
     after = examined_in_pair(exam, exam.bins, scenes, direct)
-    return compare_in_pair(after, constants=constants, timed=timed), left_out
+    return compare_in_pair(after, constants=constants, timed=timed)
+
+
+def without_equation(found: Comparison) -> list[str]:
+    """Return the effects that no equation takes out of the difference of readings."""
+    return [d.effect for d in found.discrepancies if d.difference is None]
 
 
 def _constants(scene: Scene) -> Hypothesis:

@@ -5,6 +5,7 @@ Densities are one-sided, by Welch's method (IEEE Trans. Audio Electroacoust. 15,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -14,8 +15,14 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.measurement import HeldOut, Measured, direct_finding, of_measured
-from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.model.measurement import (
+    HeldOut,
+    Measured,
+    Seen,
+    direct_finding,
+    of_measured,
+)
+from stillcal.calib_core.diagnosis.model.records import NAME, Alternative, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -198,10 +205,21 @@ def bandwidth(spectrum: Spectra, sensor: str, usual: Usual, where: Where) -> Fin
     found = spectrum.low_pass
     if found is None:
         return None
-    say = f"The {NAME[sensor]}'s output is low-pass filtered at {found.cutoff.value:.2g} Hz."
     seen = of_measured(relative_cutoff(spectrum), usual, _left_out(spectrum, found))
+    return low_pass_finding(spectrum, sensor, where, seen)
+
+
+def low_pass_finding(
+    spectrum: Spectra, sensor: str, where: Where, seen: Seen, alternatives: Sequence[Alternative] = ()
+) -> Finding | None:
+    """State the low-pass of a spectrum that has one; None where the evidence does not carry it."""
+    found = spectrum.low_pass
+    assert found is not None, "a spectrum that is not flat"
+    say = f"The {NAME[sensor]}'s output is low-pass filtered at {found.cutoff.value:.2g} Hz."
     parameters = {"cutoff": found.cutoff.parameter("Hz")}
-    return direct_finding("bandwidth", sensor, [0, 1, 2], where, parameters, statement=say, seen=seen)
+    return direct_finding(
+        "bandwidth", sensor, [0, 1, 2], where, parameters, statement=say, seen=seen, alternatives=alternatives
+    )
 
 
 def _left_out(spectrum: Spectra, found: LowPass) -> HeldOut:

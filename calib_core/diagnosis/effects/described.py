@@ -74,7 +74,7 @@ DESCRIBED = {
         "record one hour at rest on another support: knocks show in both sensors, noise in one",
     ),
     "bandwidth": Described(
-        "limit of the bandwidth",
+        "low-pass filter",
         "raw = low-pass of the value with -3 dB at cutoff",
         "record at the highest rate available: its noise shows the filter's shape",
     ),

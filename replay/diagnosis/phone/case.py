@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from stillcal.calib_core.diagnosis.comparison.compare import Comparison
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding, map_findings

@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 
-from stillcal.calib_core.diagnosis.comparison.compare import Comparison
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.replay.diagnosis.corrected import Corrected
 from stillcal.replay.diagnosis.given_simulation import judge_examined
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent

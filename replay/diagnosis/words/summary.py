@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.compare import LEVEL
 from stillcal.calib_core.diagnosis.comparison.direct import LINE
+from stillcal.calib_core.diagnosis.comparison.records import LEVEL
 from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
 from stillcal.replay.diagnosis.words.relation_text import probability_text, with_interval
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.comparison.compare import Discrepancy
 from stillcal.calib_core.diagnosis.comparison.direct import why_not_shown
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract
+from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -96,3 +96,27 @@ def test_only_motion_beyond_a_limit_speaks_against_it(most: float, speaks_agains
     exam = examine(made.accelerometer, made.gyroscope, search=False)
     reason = why_not_shown(clipped_at(3.0), exam)
     assert reason == (None if speaks_against else "its motion does not go beyond the limit")
+
+
+def test_a_delay_is_put_in_with_its_sign() -> None:
+    late = Finding(
+        "accel_gyro_time_offset",
+        "timing",
+        [],
+        EVERYWHERE,
+        {"delay": Parameter(0.1, None, "s")},
+        Evidence(50.0),
+        [],
+        "",
+    )
+    made, rate = turned(5.0), turned(5.0).gyroscope
+    assert rate is not None
+    for relation, own, other in (("lacking", late, None), ("superfluous", None, late)):
+        one = Discrepancy(
+            late.effect, "timing", [], EVERYWHERE, relation, 1.0, 50.0, recorded=own, simulated=other
+        )
+        done = correct(made, [one], {})
+        assert done.recording.gyroscope is not None and done.left_out == []
+        shift = 0.1 if own else -0.1
+        expected = 5.0 * np.sin(0.5 * (rate.t[50:-50] - shift))
+        np.testing.assert_allclose(done.recording.gyroscope.xyz[50:-50, 0], expected, atol=1e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +17,13 @@ from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 from stillcal.calib_core.errors import NotSupported, UserError
-from stillcal.calib_core.streams.resample import temperature_at
+from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.paired import MISMATCH, judge_paired, judge_with_witnesses, less, mean_readings
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording, read_all
-from tests.support.diagnosis.turned_pairs import turned
+from tests.support.diagnosis import turned_pairs
+from tests.support.diagnosis.turned_pairs import low_passed, turned
 
 RATE, LENGTH = 20.0, 480.0
 SLOPE = np.array([4e-4, 0.0, -2e-4])
@@ -108,6 +110,74 @@ def test_what_fits_no_model_in_motion_is_no_bias_and_no_scale() -> None:
     assert (said["verdict"], said["fit"]["p_after"] < 1e-6) == ("unidentified", True)
     said = judge_paired(turned(1), turned(2)).answer
     assert (said["verdict"], said["findings"]) == ("match", [])
+
+
+def with_noise(made: Recording, accel: float, gyro: float = 0.0) -> Recording:
+    """Return a recording with more white noise, of these standard deviations."""
+    rng = np.random.default_rng(77)
+    assert made.gyroscope is not None
+    force, rate = made.accelerometer.xyz, made.gyroscope.xyz
+    return replace(
+        made,
+        accelerometer=replace(made.accelerometer, xyz=frozen(force + rng.normal(0.0, accel, force.shape))),
+        gyroscope=replace(made.gyroscope, xyz=frozen(rate + rng.normal(0.0, gyro, rate.shape))),
+    )
+
+
+@pytest.mark.slow
+def test_noise_at_rest_is_compared_as_of_two_recordings() -> None:
+    """Twice the accelerometer's noise; put into the simulation, it differs no longer."""
+    said = judge_paired(with_noise(turned(1), 0.008 * np.sqrt(3.0)), turned(2)).answer
+    assert [(f["effect"], f["sensor"], f["relation"]) for f in said["findings"]] == [
+        ("noise_level", "accel", "too_small")
+    ]
+    own = said["findings"][0]
+    ratio = np.divide(own["parameters"]["density"]["value"], own["simulated"]["density"]["value"])
+    assert ratio == pytest.approx([2.0, 2.0, 2.0], rel=0.1)
+    assert (said["verdict"], said["fit"]["p_before"] < 1e-6, said["fit"]["p_after"] > 0.01) == (
+        "identified",
+        True,
+        True,
+    )
+    assert ("noise_level", "gyro") in {(a["effect"], a["sensor"]) for a in said["agreed"]}
+    said = judge_paired(turned(1), with_noise(turned(2), 0.0, 1e-3)).answer
+    assert [(f["effect"], f["sensor"], f["relation"]) for f in said["findings"]] == [
+        ("noise_level", "gyro", "too_large")
+    ]
+    assert said["fit"]["not_put_in"] == ["noise_level"]
+
+
+def with_rate(made: Recording, change: Callable[[Samples], Samples]) -> Recording:
+    """Return a recording whose gyroscope is another one."""
+    assert made.gyroscope is not None
+    return replace(made, gyroscope=change(made.gyroscope))
+
+
+def clipped(samples: Samples) -> Samples:
+    """Return readings that stop at 1.2 rad/s."""
+    return replace(samples, xyz=frozen(np.clip(samples.xyz, -1.2, 1.2)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "effect", "sizes"),
+    [
+        (lambda rate: read_later(rate, 0.03), "accel_gyro_time_offset", {"delay": 0.03}),
+        (lambda rate: low_passed(rate, 0.2), "bandwidth", {"cutoff": 0.2 * turned_pairs.RATE}),
+        (clipped, "gyro_saturation", {"limit": 1.2}),
+    ],
+)
+def test_a_delay_a_filter_and_a_limit_are_found_put_in_and_gone(
+    change: Callable[[Samples], Samples], effect: str, sizes: dict[str, float]
+) -> None:
+    """Nothing else is told beside them: what they do to motion is no wrong scale, and nothing unknown."""
+    said = judge_paired(with_rate(turned(1), change), turned(2)).answer
+    assert [(f["effect"], f["relation"]) for f in said["findings"]] == [(effect, "lacking")]
+    for name, size in sizes.items():
+        low, high = said["findings"][0]["parameters"][name]["ci95"]
+        assert low <= size <= high
+    assert (said["verdict"], said["fit"]["not_put_in"]) == ("identified", [])
+    assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
 
 
 def test_other_stamps_are_refused_with_the_first_that_differs() -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
+from scipy.signal import butter, lfilter
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array, frozen
@@ -42,6 +44,11 @@ def turned(
         Samples(Sensor.GYROSCOPE, frozen(t), frozen(gyro)),
         [], Claims(), [], name=f"{seed}.csv",
     )  # fmt: skip
+
+
+def low_passed(samples: Samples, cutoff: float) -> Samples:
+    """Return what a Butterworth filter of the second order leaves. cutoff: part of the rate."""
+    return replace(samples, xyz=frozen(lfilter(*butter(2, 2.0 * cutoff), samples.xyz, axis=0)))
 
 
 def _motion(t: Array, turns: int, rest: float, seed: int) -> tuple[Array, Array]:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from stillcal.calib_core.diagnosis.comparison.compare import LEAST_JUDGED, Comparison, NotCompared, p_of
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
     Part,
@@ -17,6 +16,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     subtract,
     weighed,
 )
+from stillcal.calib_core.diagnosis.comparison.records import LEAST_JUDGED, Comparison, NotCompared, p_of
 from stillcal.calib_core.diagnosis.comparison.sensitivity import of_difference
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.compare import LEVEL
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.comparison.records import LEVEL
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.streams.samples import Samples, Sensor
 

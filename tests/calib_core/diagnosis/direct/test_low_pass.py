@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.diagnose import without_group_delay
 from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, judged
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
-from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
 
 RATE = 100.0
 WHITE = np.random.default_rng(8).normal(size=(20, 1000, 3))
@@ -37,19 +34,3 @@ def test_an_exponential_average_is_a_low_pass(cutoff: float) -> None:
 def test_white_noise_has_none() -> None:
     found = judged(quiet(WHITE))
     assert found is not None and found.low_pass is None
-
-
-def of(effect: str, sensor: str, **sizes: float) -> Finding:
-    parameters = {name: Parameter(value, None, "s") for name, value in sizes.items()}
-    where = Where(0.0, 600.0, (0.0, 50.0), "rate of turn, with time")
-    made = direct_finding(effect, sensor, [], where, parameters, statement="", seen=Seen(50.0))
-    assert made is not None
-    return made
-
-
-@pytest.mark.parametrize(("growth", "explained"), [(-0.006, True), (0.08, False)])
-def test_a_delay_that_goes_with_the_motion_is_a_low_pass_own(growth: float, explained: bool) -> None:
-    """At 8 Hz a filter of the first order is 20 ms late, for slow motion."""
-    found = [of("bandwidth", "accel", cutoff=8.0), of("unknown", "timing", growth=growth)]
-    assert (without_group_delay(found, 9.8) == found[:1]) == explained
-    assert without_group_delay(found[1:], 9.8) == found[1:]

@@ -1,0 +1,165 @@
+"""What single samples, values, stamps and noise at rest show of two recordings, compared without any fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from stillcal.calib_core.diagnosis.comparison import noise, not_logged
+from stillcal.calib_core.diagnosis.comparison.direct import (
+    MEASURED_ELSEWHERE,
+    direct_statements,
+    partner,
+    quantities_of,
+    stamp_quantities,
+    why_not_shown,
+)
+from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, direct_checks
+from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
+from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity, subtract, weighed
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, Key, NotCompared
+from stillcal.calib_core.diagnosis.comparison.stated import (
+    Sole,
+    differs,
+    discrepancy,
+    key_of,
+    sole_discrepancy,
+    undecided,
+    with_unequal,
+)
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.model.records import Finding
+
+Reasons = Mapping[Key, str | None]
+"""Why an effect was not looked for; None where it was."""
+
+
+def compare_samples(
+    exams: tuple[Examination, Examination], names: tuple[str, str], beside: int = 0
+) -> Comparison:
+    """Compare the values and the noise at rest of a recording and a simulation with the same stamps.
+
+    beside: how many effects are compared besides, with which these share their prior odds.
+    """
+    sides = [_quantities(exam) for exam in exams]
+    reasons = [_reasons(exam) for exam in exams]
+    pairs = [subtract(quantity, sides[1][key]) for key, quantity in sides[0].items() if key in sides[1]]
+    both, alone, missing = differences_of_samples(exams, reasons, names, ((), ()))
+    pairs += [d for d in both if _is_compared(key_of(d))]
+    alone = [one for one in alone if _is_compared((one[0].effect, one[0].sensor))]
+    missing = [n for n in missing if _is_compared((n.effect, n.sensor))]
+    missing += _without_density(exams, names)
+    told = {*map(key_of, pairs), *((n.effect, n.sensor) for n in missing)}
+    told |= {(finding.effect, finding.sensor) for finding, _, _ in alone}
+    neither, not_both = in_neither(reasons, told, names)
+    count = len(pairs) + len(alone) + len(neither)
+    pairs = weighed(pairs, max(count + beside, 1))
+    found = [discrepancy(d) for d in pairs if differs(d)]
+    sole = [sole_discrepancy(one, count + beside) for one in alone]
+    evidence = [(d.recorded.effect, d.log_bayes_factor) for d in pairs]
+    return Comparison(
+        discrepancies=[*found, *(d for d in sole if d.probability >= CERTAIN)],
+        agreed=with_unequal([d for d in pairs if d.agrees and not d.recorded.none]),
+        compared=pairs,
+        not_compared=[*missing, *not_both],
+        undecided=[undecided(d, names) for d in pairs if not d.agrees and not differs(d)],
+        comparisons=count,
+        evidence=[*evidence, *((finding.effect, nats) for finding, nats, _ in alone)],
+    )
+
+
+def _is_compared(key: Key) -> bool:
+    """Whether an effect can differ where motion and stamps are the same and motion is judged by itself."""
+    return key[1] != "timing" and key not in MOTION
+
+
+def _reasons(exam: Examination) -> Reasons:
+    checks = {(c.effect, c.sensor): c.reason for c in direct_checks(exam)}
+    return {key: why for key, why in checks.items() if _is_compared(key)}
+
+
+def _quantities(exam: Examination) -> dict[Key, Quantity]:
+    shares = {key: one for key, one in stamp_quantities(exam).items() if _is_compared(key)}
+    levels = [level for stream in exam.streams if (level := noise.density(stream)) is not None]
+    return shares | {(level.effect, level.sensor): level for level in levels}
+
+
+def _without_density(exams: Sequence[Examination], names: Sequence[str]) -> list[NotCompared]:
+    """Say of each sensor that both have why its noise is not compared, if it is not."""
+    out = []
+    for streams in zip(*(exam.streams for exam in exams), strict=False):
+        pairs = zip(names, streams, strict=True)
+        whys = [f"{name}: {noise.why_no_density(s)}" for name, s in pairs if noise.density(s) is None]
+        out += [NotCompared(noise.LEVEL, streams[0].sensor, "; ".join(whys))] if whys else []
+    return out
+
+
+def differences_of_samples(
+    exams: tuple[Examination, Examination],
+    reasons: Sequence[Reasons],
+    names: tuple[str, str],
+    unlogged: Sequence[Sequence[NotLogged]],
+) -> tuple[list[Difference], list[Sole], list[NotCompared]]:
+    """Compare the effects that samples show directly. reasons: of both, why an effect was not looked for.
+
+    Returned are differences of what both have; what one alone has, with its evidence (nats) and whether
+    it is the recording; what the other could not show, or was found by its driver.
+    """
+    sides = (direct_statements(exams[0]), direct_statements(exams[1]))
+    both: list[Difference] = []
+    sole: list[Sole] = []
+    unseen: list[NotCompared] = []
+    for own, others, other, name, of_recording in (
+        (sides[0], sides[1], 1, names[1], True),
+        (sides[1], sides[0], 0, names[0], False),
+    ):
+        for finding in own:
+            pair = partner(finding, own, others)
+            if pair is not None:
+                both += _paired(finding, pair) if of_recording else []
+                continue
+            unlooked = reasons[other].get((finding.effect, finding.sensor))
+            reason = why_not_shown(finding, exams[other]) or unlooked
+            hidden = not_logged.of_finding(unlogged[1 - other], exams[1 - other], finding)
+            if reason is not None or hidden is not None:
+                why = hidden or f"{name}: {reason}"
+                unseen.append(NotCompared(finding.effect, finding.sensor, why))
+            elif (evidence := _evidence(finding)) > 0.0:
+                sole.append((finding, evidence, of_recording))
+    return both, sole, unseen
+
+
+def _evidence(finding: Finding) -> float:
+    """Return the evidence, nats, for a finding: no more than parts left out of the fit confirm."""
+    gain = finding.evidence.heldout_log_score_gain
+    whole = finding.evidence.log_bayes_factor
+    return whole if gain is None else min(gain, whole)
+
+
+def _paired(one: Finding, other: Finding) -> list[Difference]:
+    pair = quantities_of(one, other)
+    return [] if pair is None else [subtract(*pair)]
+
+
+def in_neither(
+    reasons: Sequence[Reasons], told: set[Key], names: tuple[str, str]
+) -> tuple[list[Key], list[NotCompared]]:
+    """Return what was looked for in both and found in neither, and what one of the two cannot show."""
+    neither, missing = [], []
+    for key in dict.fromkeys([*reasons[0], *reasons[1]]):
+        if key in told or key[0].endswith(MEASURED_ELSEWHERE):
+            continue
+        whys = [one.get(key, _why_not_sought(key[0])) for one in reasons]
+        cannot = [f"{name}: {why}" for name, why in zip(names, whys, strict=True) if why is not None]
+        if cannot:
+            same = whys[0] is not None and whys[0] == whys[1]
+            missing.append(NotCompared(*key, f"both: {whys[0]}" if same else "; ".join(cannot)))
+        else:
+            neither.append(key)
+    return neither, missing
+
+
+def _why_not_sought(effect: str) -> str:
+    """Say why an effect is not in a recording's list at all."""
+    if effect == "thermal_latent":
+        return "its temperature was recorded"
+    return "it has no such column" if "_bias_" in effect else "no such sensor"

@@ -1,0 +1,89 @@
+"""Differences of two recordings as they are stated: the name, the relation, the axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.comparison import noise
+from stillcal.calib_core.diagnosis.comparison.direct import named
+from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, posterior
+from stillcal.calib_core.diagnosis.comparison.records import Discrepancy, Key, NotCompared
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.records import AXES, Finding
+
+Sole = tuple[Finding, float, bool]
+"""What one recording alone has, the evidence for it in nats, and whether it is the recording, not SIM."""
+
+
+def differs(difference: Difference) -> bool:
+    """Whether it is sure that the two differ."""
+    return difference.probability >= CERTAIN
+
+
+def key_of(difference: Difference) -> Key:
+    """Return the effect and the sensor of a difference."""
+    return difference.recorded.effect, difference.recorded.sensor
+
+
+def worth_telling(difference: Difference, had: set[Key]) -> bool:
+    """Whether agreement says something: a noise, or an effect that one of the two was found to have."""
+    return difference.recorded.logarithmic or key_of(difference) in had or difference.recorded.shows()
+
+
+def undecided(difference: Difference, names: tuple[str, str]) -> NotCompared:
+    """Return what was compared with a probability that is neither a difference nor agreement."""
+    odds = f"probability of a difference {difference.probability:.2f}"
+    return NotCompared(*key_of(difference), f"{names[0]} and {names[1]} do not decide it: {odds}")
+
+
+def discrepancy(difference: Difference) -> Discrepancy:
+    """Return what both have and differs, by its name and its relation."""
+    recorded, axes = difference.recorded, axes_of(difference)
+    assert recorded.where is not None, "every quantity says where it was measured"
+    effect, relation = recorded.effect, difference.relation()
+    if effect == noise.LEVEL and (unequal := noise.unequal(difference, axes)) is not None:
+        effect, relation = noise.UNEQUAL, unequal
+    return Discrepancy(
+        effect,
+        recorded.sensor,
+        axes,
+        recorded.where,
+        relation,
+        difference.probability,
+        difference.log_bayes_factor,
+        difference,
+    )
+
+
+def with_unequal(agreed: list[Difference]) -> list[Difference]:
+    """Return what agrees, the imbalance of a noise whose densities do under its own name too."""
+    return [*agreed, *(noise.named_unequal(d) for d in agreed if noise.alike_unequal(d))]
+
+
+def axes_of(difference: Difference) -> list[str]:
+    """Return the axes whose numbers differ beyond their errors and tolerance, at least the clearest one."""
+    error = np.hypot(difference.sigma, difference.recorded.tolerance)
+    strength = np.abs(difference.value) / np.maximum(error, 1e-300)
+    owner = difference.recorded.axis_of
+    if (owner < 0).all():
+        return []
+    by_axis = [float(strength[owner == a].max(initial=0.0)) for a in range(3)]
+    least = min(thresholds.AXIS_SIGMA, max(by_axis))
+    return [AXES[a] for a in range(3) if by_axis[a] >= least]
+
+
+def sole_discrepancy(sole: Sole, count: int) -> Discrepancy:
+    """Return what one recording alone has. count: effects that are compared."""
+    finding, gain, of_recording = sole
+    return Discrepancy(
+        finding.effect,
+        finding.sensor,
+        named(finding),
+        finding.where,
+        "lacking" if of_recording else "superfluous",
+        posterior(gain, max(count, 1)),
+        gain,
+        None,
+        finding if of_recording else None,
+        None if of_recording else finding,
+    )
