@@ -9,23 +9,11 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct import dead_zone, halves, missing_codes
-from stillcal.calib_core.diagnosis.direct import low_pass as spectrum
-from stillcal.calib_core.diagnosis.direct import noise_level as noise
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, outside
-from stillcal.calib_core.diagnosis.direct.gathered_noise import (
-    gathered_noise,
-    gathered_noise_finding,
-    without_parts,
-)
-from stillcal.calib_core.diagnosis.direct.heavy_tails import tails
-from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, Spectra, bandwidth, quiet
-from stillcal.calib_core.diagnosis.direct.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, steps
 from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
-from stillcal.calib_core.diagnosis.direct.shared_noise import shared_noise, shared_noise_finding
-from stillcal.calib_core.diagnosis.direct.spectral_line import tones
 from stillcal.calib_core.diagnosis.direct.step_changes import step_change
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.group_delay import low_pass_for_delay, without_group_delay
@@ -36,6 +24,18 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, alig
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones, usual
 from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
+from stillcal.calib_core.diagnosis.noise import low_pass as spectrum
+from stillcal.calib_core.diagnosis.noise import noise_level as noise
+from stillcal.calib_core.diagnosis.noise.gathered_noise import (
+    gathered_noise,
+    gathered_noise_finding,
+    without_parts,
+)
+from stillcal.calib_core.diagnosis.noise.heavy_tails import tails
+from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, bandwidth, quiet
+from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
+from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
+from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady

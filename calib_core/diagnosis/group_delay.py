@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.direct.low_pass import LowPass, Spectra, low_pass_finding
 from stillcal.calib_core.diagnosis.model.measurement import HeldOut, Seen
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Where
+from stillcal.calib_core.diagnosis.noise.low_pass import LowPass, Spectra, low_pass_finding
 
 DELAY = "accel_gyro_time_offset"
 

@@ -12,11 +12,12 @@ from stillcal.calib_core.diagnosis.comparison.noise import TIMES
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.direct import noise_level, quantities, smallest
+from stillcal.calib_core.diagnosis.direct import quantities, smallest
 from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_SHARE as LEAST_HELD
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Measured
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stamps.clock import LEAST_SHARE as LEAST_BURSTS
 from stillcal.calib_core.diagnosis.stamps.timestamps import LEAST_JITTER

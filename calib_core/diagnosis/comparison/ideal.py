@@ -22,9 +22,9 @@ from stillcal.calib_core.diagnosis.comparison.records import (
 )
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.direct.noise_level import TWO_SIDED, claimed, convention
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
+from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED, claimed, convention
 
 
 def compare_with_ideal(exam: Examination, *, samples: bool = True) -> Comparison:

@@ -14,10 +14,6 @@ import numpy as np
 from stillcal.calib_core.diagnosis.comparison.noise import why_no_density
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought
 from stillcal.calib_core.diagnosis.diagnose import LEAST_SAMPLES, Examination, Stream
-from stillcal.calib_core.diagnosis.direct import noise_level
-from stillcal.calib_core.diagnosis.direct.low_pass import LEAST_PIECES
-from stillcal.calib_core.diagnosis.direct.spectral_line import BRIEF
-from stillcal.calib_core.diagnosis.direct.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
@@ -29,6 +25,10 @@ from stillcal.calib_core.diagnosis.model.moments import moves
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
 from stillcal.calib_core.diagnosis.motion.time_offset import LEAST_WINDOWS
 from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, turning_windows
+from stillcal.calib_core.diagnosis.noise import noise_level
+from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES
+from stillcal.calib_core.diagnosis.noise.spectral_line import BRIEF
+from stillcal.calib_core.diagnosis.noise.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN
 
 OF_TIME = ("warmup", "bias_drift", "bias_step", "bias_random_walk", "charging_bias", "thermal_latent")

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity, Relation
 from stillcal.calib_core.diagnosis.diagnose import Examination, Stream
-from stillcal.calib_core.diagnosis.direct.noise_level import odd_one_out
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
@@ -19,6 +18,7 @@ from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import AXES, Where
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA
+from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene

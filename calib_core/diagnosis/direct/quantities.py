@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from stillcal.calib_core.diagnosis.direct import (
+from stillcal.calib_core.diagnosis.direct import quantisation
+from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
+from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.noise import (
     gathered_noise,
     heavy_tails,
     low_pass,
     noise_level,
-    quantisation,
     shared_noise,
 )
-from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
-from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.stamps import clock
 from stillcal.calib_core.diagnosis.stamps import timestamps as stamps

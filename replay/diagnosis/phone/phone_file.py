@@ -10,9 +10,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
-from stillcal.calib_core.diagnosis.direct.low_pass import quiet
-from stillcal.calib_core.diagnosis.direct.noise_level import density
 from stillcal.calib_core.diagnosis.model.earth import ground, shared_rate
+from stillcal.calib_core.diagnosis.noise.low_pass import quiet
+from stillcal.calib_core.diagnosis.noise.noise_level import density
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.noise.allan import FLOOR

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct.low_pass import LEAST_PIECES, quiet, spectra
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.motion.time_offset import power_over_delays
+from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, quiet, spectra
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.stamps.clock import arrivals
 from stillcal.calib_core.errors import UserError

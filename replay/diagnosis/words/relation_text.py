@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.direct.noise_level import TWO_SIDED
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, LEVEL_TOLERANCE
+from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED
 from stillcal.replay.diagnosis.words.names import (
     BUILT_IN,
     THE_BUILT_IN,

@@ -10,8 +10,8 @@ from stillcal.calib_core.diagnosis.comparison.direct import pair_of, partner, qu
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.direct.spectral_line import tones
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 

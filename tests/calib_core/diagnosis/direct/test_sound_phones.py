@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.direct import noise_level
 from stillcal.calib_core.diagnosis.direct.halves import borne_out
-from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, judged
 from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.noise import noise_level
+from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
 from stillcal.replay.formats.hhar_still import recordings
 
 WHERE = Where(0.0, 1.0, (0.0, 1.0), "noise at rest")

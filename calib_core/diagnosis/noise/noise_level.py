@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Quiet, Spectra, judged
 from stillcal.calib_core.diagnosis.inference.left_out import of_means
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import (
@@ -21,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
+from stillcal.calib_core.diagnosis.noise.low_pass import SHARED, Quiet, Spectra, judged
 
 LINE = 1.5
 USABLE = 0.3

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.direct.heavy_tails import tails, unlike_noise
-from stillcal.calib_core.diagnosis.direct.low_pass import Quiet
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.noise.heavy_tails import tails, unlike_noise
+from stillcal.calib_core.diagnosis.noise.low_pass import Quiet
 
 WHERE = Where(0.0, 4000.0, (0.0, 12.5), "noise at rest")
 

@@ -12,14 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct.steady_segments import (
-    INDEPENDENT,
-    NEIGHBOURS,
-    OWN,
-    Places,
-    Stretches,
-    stretches,
-)
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import (
     NORMAL_95,
@@ -31,6 +23,14 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.noise.steady_segments import (
+    INDEPENDENT,
+    NEIGHBOURS,
+    OWN,
+    Places,
+    Stretches,
+    stretches,
+)
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples

@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct.low_pass import SHARED, Spectra
-from stillcal.calib_core.diagnosis.direct.noise_level import Levels
 from stillcal.calib_core.diagnosis.model.measurement import (
     FOLDS,
     HeldOut,
@@ -26,6 +24,8 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     sized,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
+from stillcal.calib_core.diagnosis.noise.low_pass import SHARED, Spectra
+from stillcal.calib_core.diagnosis.noise.noise_level import Levels
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.maths.rms import rms

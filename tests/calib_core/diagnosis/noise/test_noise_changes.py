@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from stillcal.calib_core.diagnosis.direct.low_pass import judged, quiet
-from stillcal.calib_core.diagnosis.direct.noise_changes import by_force, changing
-from stillcal.calib_core.diagnosis.direct.noise_level import levels
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.low_pass import judged, quiet
+from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
+from stillcal.calib_core.diagnosis.noise.noise_level import levels
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor

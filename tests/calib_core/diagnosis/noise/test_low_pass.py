@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, judged
+from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
 
 RATE = 100.0
 WHITE = np.random.default_rng(8).normal(size=(20, 1000, 3))

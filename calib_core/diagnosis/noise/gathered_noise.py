@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct.low_pass import Spectra
-from stillcal.calib_core.diagnosis.direct.noise_level import level_part
 from stillcal.calib_core.diagnosis.inference.left_out import of_means
 from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
@@ -26,6 +24,8 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.noise.low_pass import Spectra
+from stillcal.calib_core.diagnosis.noise.noise_level import level_part
 
 DRIVER = "frequencies that change from rest to rest"
 

@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.direct.spectral_line import tones
+from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 T = np.arange(0.0, 600.0, 0.01)

@@ -11,7 +11,6 @@ from itertools import combinations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct.low_pass import LEAST_PIECES, Quiet
 from stillcal.calib_core.diagnosis.inference.left_out import of_means
 from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
@@ -22,6 +21,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, Quiet
 
 FLOOR = 1e-2
 """Added to correlations before their logarithm is taken."""

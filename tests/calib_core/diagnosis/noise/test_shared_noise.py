@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.direct import noise_level
-from stillcal.calib_core.diagnosis.direct.low_pass import Quiet, judged
-from stillcal.calib_core.diagnosis.direct.shared_noise import shared_noise, shared_noise_finding
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
+from stillcal.calib_core.diagnosis.noise import noise_level
+from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
+from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
 
 WHERE = Where(0.0, 1.0, (0.0, 1.0), "noise at rest")
 
