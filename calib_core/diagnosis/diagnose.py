@@ -16,13 +16,13 @@ from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.step_changes import step_change
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
-from stillcal.calib_core.diagnosis.group_delay import low_pass_for_delay, without_group_delay
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones, usual
+from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
 from stillcal.calib_core.diagnosis.noise import low_pass as spectrum
 from stillcal.calib_core.diagnosis.noise import noise_level as noise
@@ -173,16 +173,16 @@ def examine(
         bare, rates = off_bins(slow, known), OffRates.of(known, accelerometer)
         affine = aligned(gyroscope, bare, claims.gravity, most, rates) if len(slow) else None
         windows = [f.where for f in gone]
-        stated += [
-            Stated(f)
-            for f in motion_findings(
-                accelerometer, gyroscope, affine, claims.gravity, sound["time_offset"], spoiled=windows
-            )
-        ]
+        filters = FilterDelay.of({s.sensor: s.spectra for s in streams if s.spectra is not None})
+        motion = motion_findings(
+            accelerometer, gyroscope, affine, claims.gravity, sound["time_offset"],
+            spoiled=windows, filters=filters,
+        )  # fmt: skip
+        known_filters = {(f.effect, f.sensor) for f in direct}
+        stated += [Stated(f) for f in motion if (f.effect, f.sensor) not in known_filters]
         if affine is not None and spoiled is None:
             turns = turn_scene(affine, bare, claims.gravity)
             stated += turn_statements(turns, without) if search else []
-    stated = _without_delay(stated, streams, claims.gravity)
     stated = [replace(s, finding=_named(s.finding, without)) for s in stated]
     exchanged = spoiled.sensor if spoiled else ""
     return Examination(
@@ -203,15 +203,6 @@ def _refuse_too_little(accelerometer: Samples) -> None:
     span = float(accelerometer.t[-1] - accelerometer.t[0])
     if span < LEAST_SECONDS:
         raise NotSupported(f"{span:.4g} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))
-
-
-def _without_delay(stated: list[Stated], streams: Sequence[Stream], gravity: float) -> list[Stated]:
-    """Name the low-pass that causes a delay, and leave out what a low-pass does to motion besides."""
-    spectra = {s.sensor: s.spectra for s in streams if s.spectra is not None}
-    named = low_pass_for_delay([s.finding for s in stated], spectra)
-    kept = without_group_delay(named, gravity)
-    every = [replace(s, finding=f) for s, f in zip(stated, named, strict=True)]
-    return [s for s in every if any(s.finding is f for f in kept)]
 
 
 def still_bins(

@@ -16,14 +16,14 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination, still_bins
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
-from stillcal.calib_core.diagnosis.group_delay import DELAY
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.streams.course import Course
@@ -62,7 +62,7 @@ def correct(
     if not isinstance(simulation, LongRecording) or simulation.overview is None:
         return corrected
     seconds = _seconds(simulation, simulation.overview)
-    slow = [d for d in discrepancies if _delay(d) is None and _cutoff(d) is None]
+    slow = [d for d in discrepancies if _delay(d) is None and not _is_filter(d)]
     changed = _with_added(seconds, slow, biases, seed).recording
     white = [d for d in discrepancies if d.effect in OF_DENSITY and d.difference is not None]
     power = {d.sensor: _missing(d) / 2.0 for d in white if (_missing(d) >= 0.0).all()}
@@ -116,7 +116,7 @@ def _with_added(
         "gyro": simulation.gyroscope,
     }
     # A scale acts on what the simulation's sensor read, hence before anything is added to that.
-    linear = [d for d in discrepancies if _limit(d) is None and _delay(d) is None and _cutoff(d) is None]
+    linear = [d for d in discrepancies if _limit(d) is None and _delay(d) is None and not _is_filter(d)]
     for one in sorted(linear, key=lambda d: not d.effect.endswith("_scale")):
         samples = streams.get(one.sensor)
         added = None if samples is None else _added(drivers, samples, one, biases, rng)
@@ -180,11 +180,11 @@ def _added(
 
 def _moved(samples: Samples | None, one: Discrepancy) -> Samples | None:
     """Return the samples read later by a delay, or behind a low-pass; as they are if it is neither."""
-    delay, cutoff = _delay(one), _cutoff(one)
+    delay = _delay(one)
     if samples is None:
         return None
-    if cutoff is not None:
-        return replace(samples, xyz=frozen(LowPass(cutoff, _rate(samples))(samples.xyz)))
+    if _is_filter(one) and one.difference is not None:
+        return low_passed(samples, one.difference.recorded)
     return samples if delay is None else read_later(samples, delay)
 
 
@@ -193,17 +193,24 @@ def _delay(one: Discrepancy) -> float | None:
     if one.effect != DELAY:
         return None
     if one.difference is not None:
-        return float(one.difference.value[0])
+        both = one.difference.recorded, one.difference.simulated
+        late, other = (float(np.exp(q.value[0]) if q.logarithmic else q.value[0]) for q in both)
+        return late - other
     own = one.recorded or one.simulated
     assert own is not None, "what has no difference was found in one of the two"
     delay = float(np.ravel(own.parameters["delay"].value)[0])
     return delay if one.recorded is not None else -delay
 
 
-def _cutoff(one: Discrepancy) -> float | None:
-    """Return the cutoff of a low-pass that the simulation does not have, Hz; None for all else."""
-    lacking = one.effect == "bandwidth" and one.relation == "lacking" and one.recorded is not None
-    return float(np.ravel(one.recorded.parameters["cutoff"].value)[0]) if lacking and one.recorded else None
+def _is_filter(one: Discrepancy) -> bool:
+    """Whether it is a low-pass that the simulation does not have."""
+    return one.effect == "bandwidth" and one.relation == "lacking"
+
+
+def low_passed(samples: Samples, found: Quantity) -> Samples:
+    """Return samples behind a low-pass as it was measured, a Butterworth filter."""
+    cutoff, order = float(np.exp(found.value[0])), int(found.reference["order"])
+    return replace(samples, xyz=frozen(LowPass(cutoff, _rate(samples), order)(samples.xyz)))
 
 
 def _rate(samples: Samples) -> float:

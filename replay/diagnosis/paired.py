@@ -12,6 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.looked_for import slow_effects
+from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
 from stillcal.calib_core.diagnosis.comparison.pair_delay import aligned, delay_between, late
 from stillcal.calib_core.diagnosis.comparison.paired import (
@@ -22,16 +23,15 @@ from stillcal.calib_core.diagnosis.comparison.paired import (
     without_equation,
     without_found,
 )
-from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.group_delay import DELAY, without_group_delay
+from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, UNSURE
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.errors import UserError
-from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.resample import interpolate, temperature_at
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
-from stillcal.replay.diagnosis.corrected import correct
+from stillcal.replay.diagnosis.corrected import correct, low_passed
 from stillcal.replay.diagnosis.given_simulation import ON_VALUES, with_own_values
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, charging_events, examined, silent
 from stillcal.replay.diagnosis.words.names import BUILT_IN
@@ -65,9 +65,13 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     show_stage(READINGS, 0.0)
     beside = len(list(slow_effects(recorded)))
     values = compare_samples(exams, names, beside)
-    own, other = (_limited(one, _limits(exams)) for one in (recording, simulation))
-    true, timed, found = _aligned(own, mean_readings(own, [other]))
-    late = _unexplained(found, values)
+    filters = [
+        d.difference for d in values.discrepancies if d.effect == LOW_PASS and d.difference is not None
+    ]
+    own = _filtered(_limited(recording, _limits(exams)), [d.simulated for d in filters])
+    other = _filtered(_limited(simulation, _limits(exams)), [d.recorded for d in filters])
+    unsure = _delay_of(filters)
+    true, timed, late = _aligned(own, mean_readings(own, [other]), unsure)
     bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0)
     exam = examined_in_pair(recorded, bins, scenes, late, lambda done: show_stage(READINGS, done))
     slow = compare_in_pair(exam, constants=True, timed=timed)
@@ -79,8 +83,8 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
         measured = examined(made.recording, silent, search=False)
         changed = {d.sensor for d in played if d.effect.endswith(ON_VALUES)}
         measured = with_own_values(measured, simulated, changed)
-        _, _, found = _aligned(recording, mean_readings(recording, [made.recording]))
-        after = without_found(exam, slow, _unexplained(found, values), constants=True, timed=timed)
+        _, _, left = _aligned(recording, mean_readings(recording, [made.recording]), unsure)
+        after = without_found(exam, slow, left, constants=True, timed=timed)
         after = after.and_of(compare_samples((recorded, measured), names, beside))
         left_out = [*(e for e in without_equation(slow) if e != DELAY), *made.left_out]
     stated = findings_stated([s.finding for s in recorded.statements], "recorded")
@@ -116,10 +120,11 @@ def judge_with_witnesses(
     return Judged(recording, exam, None, before, None, None, answer)
 
 
-def _aligned(recording: Recording, true: Readings) -> tuple[Readings, bool, list[Stated]]:
+def _aligned(recording: Recording, true: Readings, unsure: float) -> tuple[Readings, bool, list[Stated]]:
     """Return what the simulation reads, as late as the recording reads it; what is said of the delay.
 
-    The second is whether the delay between the sensors could be measured.
+    The second is whether the delay between the sensors could be measured. unsure: s, its standard error by
+    low-passes that were played.
     """
     force, rate = late(recording.accelerometer, true.force), None
     if recording.gyroscope is not None and true.rate is not None:
@@ -127,15 +132,26 @@ def _aligned(recording: Recording, true: Readings) -> tuple[Readings, bool, list
     as_late = Readings(aligned(true.force, force), true.rate and aligned(true.rate, rate))
     if force is None or rate is None:
         return as_late, False, []
-    found = delay_between(force, rate, recording.accelerometer)
+    found = delay_between(force, rate, recording.accelerometer, unsure)
     return as_late, True, [Stated(found)] if found else []
 
 
-def _unexplained(found: Sequence[Stated], values: Comparison) -> list[Stated]:
-    """Return a delay that was found, unless a low-pass that only the recording has causes it."""
-    filters = [d.recorded for d in values.discrepancies if d.effect == "bandwidth" and d.recorded is not None]
-    left = without_group_delay([*filters, *(s.finding for s in found)], STANDARD)
-    return [s for s in found if any(s.finding is f for f in left)]
+def _delay_of(low_passes: Sequence[Difference]) -> float:
+    """Return the standard error, s, of what the low-passes that differ delay, as they were played."""
+    cutoffs = [float(np.exp(q.value[0])) for d in low_passes for q in (d.recorded, d.simulated) if not q.none]
+    return UNSURE * max((1.0 / (2.0 * np.pi * cutoff) for cutoff in cutoffs), default=0.0)
+
+
+def _filtered(recording: Recording, low_passes: Sequence[Quantity]) -> Recording:
+    """Return a recording behind the low-passes of the other, so that both sides are behind all of them."""
+    streams = {"accel": recording.accelerometer, "gyro": recording.gyroscope}
+    for one in low_passes:
+        samples = streams[one.sensor]
+        if samples is not None and not one.none:
+            streams[one.sensor] = low_passed(samples, one)
+    accelerometer = streams["accel"]
+    assert accelerometer is not None, "every recording has an accelerometer"
+    return replace(recording, accelerometer=accelerometer, gyroscope=streams["gyro"])
 
 
 def _limits(exams: Sequence[Examination]) -> dict[str, float]:

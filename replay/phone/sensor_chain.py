@@ -30,12 +30,12 @@ def slow_processes(noise: Noise) -> list[GaussMarkov]:
 
 
 class LowPass:
-    """Second-order Butterworth low-pass at a steady rate, settled on the first sample it sees."""
+    """Butterworth low-pass at a steady rate, of the second order by default, settled on its first sample."""
 
-    def __init__(self, cutoff_hz: float, rate_hz: float) -> None:
+    def __init__(self, cutoff_hz: float, rate_hz: float, order: int = 2) -> None:
         from scipy.signal import butter, lfilter_zi  # noqa: PLC0415 - a second of a command that simulates nothing
 
-        self._b, self._a = butter(2, cutoff_hz, fs=rate_hz)
+        self._b, self._a = butter(order, cutoff_hz, fs=rate_hz)
         self._settled = lfilter_zi(self._b, self._a)
         self._state: Array | None = None
 

@@ -70,6 +70,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
             for e, side in zip(exams, sides, strict=True)
         ]
     sides = not_logged.with_unknown_temperature(sides, unlogged)
+    sides = [side | more for side, more in zip(sides, noise.low_passes(exams), strict=True)]
     keys = list(dict.fromkeys([*_expected(recorded, simulated, wanted), *sides[0], *sides[1]]))
     pairs: list[Difference] = []
     missing: list[NotCompared] = []
@@ -238,14 +239,10 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
     effect, sensor = key
     drivers = [w.hypothesis.effect for w in wanted]
     unlogged = [why_not_logged(exam, e) for e in drivers if (e.name, e.sensor) == key]
-    if effect == "noise_level":
-        return _why_no_density(exam, sensor)
+    if effect in (noise.LEVEL, noise.LOW_PASS):
+        streams = [s for s in exam.streams if s.sensor == sensor]
+        return noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"
     first = obstacle(exam, effect, sensor)
     if first is None and effect.endswith("slow_noise"):
         return f"too few rests of {AVERAGED:.0f} s"
     return first or next((why for why in unlogged if why), None) or uninformed(effect)
-
-
-def _why_no_density(exam: Examination, sensor: str) -> str:
-    streams = [s for s in exam.streams if s.sensor == sensor]
-    return noise.why_no_density(streams[0]) if streams else "no such sensor"

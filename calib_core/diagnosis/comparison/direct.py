@@ -32,6 +32,7 @@ MEASURED_ELSEWHERE = (
     "dropped_samples",
     "arrival_bursts",
     "held_samples",
+    "bandwidth",
 )
 """Findings of one recording by itself whose quantity is measured in both, whether it is a finding or not."""
 

@@ -17,7 +17,8 @@ from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, no
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import AXES, Where
 from stillcal.calib_core.diagnosis.model.residuals import View
-from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA
+from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, BANDWIDTH_LIMIT
+from stillcal.calib_core.diagnosis.noise.low_pass import relative_cutoff
 from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
@@ -43,6 +44,10 @@ FEWEST_PAIRS = 6
 SILENT = 1e-12
 """Density below which samples have no noise at all, only rounding of double precision, as simulations may."""
 
+ALIKE_CUTOFF = 0.05
+"""Relative difference of two cutoffs that is none: they depend on the shape that is fitted."""
+
+LOW_PASS = "bandwidth"
 LEVEL, UNEQUAL = OF_DENSITY = ("noise_level", "noise_unequal_axes")
 """Names of a difference between two densities of white noise: on any axes, or on one beside the others."""
 
@@ -132,6 +137,56 @@ def _odd_axis(quantity: Quantity) -> str | None:
     ratios = {axis: imbalance(quantity, axis) for axis in AXES}
     farthest = max(AXES, key=lambda axis: abs(ratios[axis].value))
     return farthest if abs(ratios[farthest].value) > AXIS_SIGMA * ratios[farthest].error else None
+
+
+def low_passes(exams: Sequence[Examination]) -> list[dict[tuple[str, str], Quantity]]:
+    """Return the low-pass of each sensor in two recordings, by effect and sensor, where one of them has any.
+
+    Where the other does not show whether it has one, only the first has the quantity.
+    """
+    sides: list[dict[tuple[str, str], Quantity]] = [{}, {}]
+    for streams in zip(*(exam.streams for exam in exams), strict=False):
+        both = [_low_pass(stream) for stream in streams]
+        for side, own, other, stream in zip(sides, both, both[::-1], streams, strict=True):
+            elsewhere = other is not None and not other.none
+            seen = own is not None and (not own.none or (elsewhere and _within(stream, other)))
+            if own is not None and seen:
+                side[LOW_PASS, stream.sensor] = own
+    return sides
+
+
+def _low_pass(stream: Stream) -> Quantity | None:
+    """Return the logarithm of the cutoff, Hz; half the rate where there is none; None if noise hides it."""
+    spectra = stream.spectra
+    if spectra is None or (spectra.low_pass is None and (stream.levels is None or not stream.levels.white)):
+        return None
+    cutoff = relative_cutoff(spectra)
+    return Quantity(
+        LOW_PASS,
+        stream.sensor,
+        (Part("cutoff", "Hz", 1),),
+        np.array([cutoff.value + np.log(spectra.rate)]),
+        np.array([[cutoff.error**2]]),
+        np.array([TIMES]),
+        np.array([ALIKE_CUTOFF]),
+        np.array([-1]),
+        logarithmic=True,
+        reference={} if spectra.low_pass is None else {"order": spectra.low_pass.order},
+        where=Where(*_span(stream.samples), (0.0, spectra.rate / 2.0), "noise at rest"),
+        none=spectra.low_pass is None,
+    )
+
+
+def _within(stream: Stream, found: Quantity | None) -> bool:
+    """Whether a sensor's rate is high enough to show a low-pass that was found in another recording."""
+    return found is not None and float(np.exp(found.value[0])) < BANDWIDTH_LIMIT * stream.still.rate
+
+
+def why_not_measured(effect: str, stream: Stream) -> str:
+    """Say why a stream shows no quantity of its noise."""
+    if effect == LOW_PASS and _low_pass(stream) is not None:
+        return "its rate is too low to show it"
+    return why_no_density(stream)
 
 
 def why_no_density(stream: Stream) -> str:

@@ -25,6 +25,7 @@ from stillcal.calib_core.diagnosis.comparison.stated import (
     sole_discrepancy,
     undecided,
     with_unequal,
+    worth_telling,
 )
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
@@ -40,14 +41,18 @@ def compare_samples(
 
     beside: how many effects are compared besides, with which these share their prior odds.
     """
-    sides = [_quantities(exam) for exam in exams]
+    more = noise.low_passes(exams)
+    sides = [_quantities(exam) | filters for exam, filters in zip(exams, more, strict=True)]
+    levels = [(noise.LEVEL, stream.sensor) for stream in exams[0].streams]
+    keys = list(dict.fromkeys([*levels, *sides[0], *sides[1]]))
+    both = [key for key in keys if all(key in side for side in sides)]
     reasons = [_reasons(exam) for exam in exams]
-    pairs = [subtract(quantity, sides[1][key]) for key, quantity in sides[0].items() if key in sides[1]]
-    both, alone, missing = differences_of_samples(exams, reasons, names, ((), ()))
-    pairs += [d for d in both if _is_compared(key_of(d))]
+    pairs = [subtract(sides[0][key], sides[1][key]) for key in both]
+    shown, alone, missing = differences_of_samples(exams, reasons, names, ((), ()))
+    pairs += [d for d in shown if _is_compared(key_of(d))]
     alone = [one for one in alone if _is_compared((one[0].effect, one[0].sensor))]
     missing = [n for n in missing if _is_compared((n.effect, n.sensor))]
-    missing += _without_density(exams, names)
+    missing += [_missing(key, sides, exams, names) for key in keys if key not in both]
     told = {*map(key_of, pairs), *((n.effect, n.sensor) for n in missing)}
     told |= {(finding.effect, finding.sensor) for finding, _, _ in alone}
     neither, not_both = in_neither(reasons, told, names)
@@ -58,7 +63,7 @@ def compare_samples(
     evidence = [(d.recorded.effect, d.log_bayes_factor) for d in pairs]
     return Comparison(
         discrepancies=[*found, *(d for d in sole if d.probability >= CERTAIN)],
-        agreed=with_unequal([d for d in pairs if d.agrees and not d.recorded.none]),
+        agreed=with_unequal([d for d in pairs if d.agrees and worth_telling(d, set())]),
         compared=pairs,
         not_compared=[*missing, *not_both],
         undecided=[undecided(d, names) for d in pairs if not d.agrees and not differs(d)],
@@ -83,14 +88,16 @@ def _quantities(exam: Examination) -> dict[Key, Quantity]:
     return shares | {(level.effect, level.sensor): level for level in levels}
 
 
-def _without_density(exams: Sequence[Examination], names: Sequence[str]) -> list[NotCompared]:
-    """Say of each sensor that both have why its noise is not compared, if it is not."""
-    out = []
-    for streams in zip(*(exam.streams for exam in exams), strict=False):
-        pairs = zip(names, streams, strict=True)
-        whys = [f"{name}: {noise.why_no_density(s)}" for name, s in pairs if noise.density(s) is None]
-        out += [NotCompared(noise.LEVEL, streams[0].sensor, "; ".join(whys))] if whys else []
-    return out
+def _missing(
+    key: Key, sides: Sequence[Mapping[Key, Quantity]], exams: Sequence[Examination], names: Sequence[str]
+) -> NotCompared:
+    """Say why a quantity is not compared that one of the two does not show."""
+    whys = []
+    for side, exam, name in zip(sides, exams, names, strict=True):
+        if key not in side:
+            why = [noise.why_not_measured(key[0], s) for s in exam.streams if s.sensor == key[1]]
+            whys.append(f"{name}: {why[0] if why else 'no such sensor'}")
+    return NotCompared(*key, "; ".join(whys))
 
 
 def differences_of_samples(

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.group_delay import DELAY
 from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding, of_vector
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
+from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.resample import interpolate, read_later
 from stillcal.calib_core.streams.samples import Samples
@@ -119,14 +119,14 @@ def aligned(true: Samples, found: Late | None) -> Samples:
     return read_later(true, found.delay.value) if found is not None and sure else true
 
 
-def delay_between(force: Late, rate: Late, samples: Samples) -> Finding | None:
+def delay_between(force: Late, rate: Late, samples: Samples, unsure: float = 0.0) -> Finding | None:
     """Return a delay of the gyroscope against the accelerometer that the other does not have.
 
-    samples: of the recording, whose span and rate it is. A delay of both alike is one of the stamps.
+    samples: of the recording, whose span and rate it is; unsure: s, a standard error that it has besides. A
+    delay of both alike is one of the stamps.
     """
-    delay = Measured(
-        rate.delay.value - force.delay.value, float(np.hypot(rate.delay.error, force.delay.error))
-    )
+    error = float(np.linalg.norm([rate.delay.error, force.delay.error, unsure]))
+    delay = Measured(rate.delay.value - force.delay.value, error)
     clearer = max((force, rate), key=lambda one: abs(one.delay.value) / one.delay.error)
     span = float(samples.t[0]), float(samples.t[-1])
     nats = of_vector(np.array([delay.value]), np.array([[delay.error**2]]), SIZE)

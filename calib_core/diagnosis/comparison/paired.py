@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis import group_delay
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.linear import (
     ALIKE_BIAS,
@@ -49,6 +48,7 @@ from stillcal.calib_core.diagnosis.model.residuals import (
     SCALE_SIZE,
     View,
 )
+from stillcal.calib_core.diagnosis.motion import group_delay
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, in_motion, shaking
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene

@@ -27,6 +27,8 @@ def key_of(difference: Difference) -> Key:
 
 def worth_telling(difference: Difference, had: set[Key]) -> bool:
     """Whether agreement says something: a noise, or an effect that one of the two was found to have."""
+    if difference.recorded.none and difference.simulated.none:
+        return False
     return difference.recorded.logarithmic or key_of(difference) in had or difference.recorded.shows()
 
 

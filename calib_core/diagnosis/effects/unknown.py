@@ -162,6 +162,24 @@ class ForceCurve(Unknown):
         return _waves_on_axes((moments.up + 1.0) / 2.0, grid["length"])
 
 
+class GainBySign(Unknown):
+    """An accelerometer's gain that differs between the two signs of the force: a kink, no polynomial."""
+
+    what = "gain"
+
+    def __init__(self) -> None:
+        super().__init__("accel", "size of the own force", GAIN)
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return one point where attitudes suffice."""
+        return [{}] if seen_in(moments, FEWEST_OF_DEGREE[2]) else []
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the size of the force on each axis."""
+        assert moments.force is not None, "no grid points without it"
+        return on_axes(np.abs(moments.force))
+
+
 class Settling(Unknown):
     """A bias that settles after the start in any way: a sum of first-order courses of many time constants.
 
@@ -322,7 +340,7 @@ def unknown_effects(sensor: str) -> list[Effect]:
         AttitudeSquared(sensor),
     ]
     if sensor == "accel":
-        own += [ForceCurve(), GainInStretch(), GainInTime(), CrossedForce()]
+        own += [ForceCurve(), GainBySign(), GainInStretch(), GainInTime(), CrossedForce()]
     else:
         own += [GainByDirection(), GainInTurns()]
     many = (

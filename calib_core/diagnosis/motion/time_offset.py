@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS
 from stillcal.calib_core.diagnosis.motion.delay_fit import LONGEST, Fit, drawn, fitted, summed
+from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, FilterDelay
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
 from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, Motion
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
@@ -38,11 +39,12 @@ def motion_findings(
     usual: Usual,
     *,
     spoiled: Sequence[Where] = (),
+    filters: FilterDelay | None = None,
 ) -> list[Finding]:
     """Return what motion shows; nothing where there is too little.
 
-    affine: what rests and turns say of the sensors, None without rests; usual: of the delay, s;
-    spoiled: when not to look.
+    affine: what rests and turns say of the sensors, None without rests; usual: of the delay, s; spoiled: when
+    not to look; filters: what low-passes delay, which is no delay of the stamps.
     """
     if len(gyroscope) < 200:
         return []
@@ -54,21 +56,22 @@ def motion_findings(
     where = Where(*motion.span(), (0.1, 0.5 / interval), "rate of turn")
     error = float(np.hypot(np.sqrt(fit.last.sums.jackknifed(PARTS)[1][3, 3]), fit.delay_apart))
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
-    delay = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
-    late, axes, trend = (
-        _delayed(delay, fit, usual, where, interval),
-        fit.axes(motion),
-        fit.trend(motion),
-    )
+    total = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
+    whole = late = _delayed(total, fit, usual, where, interval)
+    if filters is not None:
+        late = _delayed(filters.beyond(total), fit, usual, where, interval)
+    axes, trend = fit.axes(motion), fit.trend(motion)
+    grows = trend.grows and not (filters is not None and filters.explains_growth(trend.growth.value))
     surely = 0.0 if late is None else late.evidence.log_bayes_factor
-    if late is None or axes.differ or trend.grows:
+    if axes.differ or grows or (late is None and filters is None):
         by_time = trend.log_chance < axes.log_chance
         late = trend.finding(where, fit.delay, surely) if by_time else axes.finding(where, surely)
-    found = [
-        late,
-        lever_arm(fit.last.sums.only(ARM), fit.arm_apart, where),
-    ]
-    return [f for f in found if f]
+    arm, cause = lever_arm(fit.last.sums.only(ARM), fit.arm_apart, where), None
+    if filters is not None:
+        length = 0.0 if arm is None else float(np.linalg.norm(arm.parameters["position"].value))
+        arm = None if filters.explains_arm(length, gravity) else arm
+        cause = None if whole is None else filters.finding(whole, total, alone=late is None)
+    return [f for f in (late, arm, cause) if f]
 
 
 def power_over_delays(
@@ -109,7 +112,7 @@ def _delayed(delay: Measured, fit: Fit, usual: Usual, where: Where, interval: fl
     cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))
     hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / interval)
     return direct_finding(
-        "accel_gyro_time_offset",
+        DELAY,
         "timing",
         [],
         where,

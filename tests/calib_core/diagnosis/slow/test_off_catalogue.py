@@ -10,7 +10,7 @@ import pytest
 from stillcal.calib_core.diagnosis.effects import curves
 from stillcal.calib_core.diagnosis.effects.by_force import ForceNonlinearity
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
-from stillcal.calib_core.diagnosis.effects.unknown import ForceCurve, Settling
+from stillcal.calib_core.diagnosis.effects.unknown import ForceCurve, GainBySign, Settling
 from stillcal.calib_core.diagnosis.effects.warmup import Warmup
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, null_log_likelihood
 from stillcal.calib_core.diagnosis.model import residuals as views
@@ -70,15 +70,18 @@ def test_what_settles_as_no_first_order_system_does_is_no_warmup(
     assert (step.winner.hypothesis.effect.name == "gyro_warmup") == named
 
 
+@pytest.mark.parametrize("size", [0.03, 0.016])
 @pytest.mark.parametrize(("power", "named"), [(2.0, True), (1.0, False)])
-def test_a_gain_that_differs_by_sign_is_no_square_of_the_force(power: float, named: bool) -> None:
+def test_a_gain_that_differs_by_sign_is_no_square_of_the_force(
+    power: float, named: bool, size: float
+) -> None:
     rng, day = day_of(6)
     # Forty rests of 90 s, each in an attitude of its own.
     day.rest[:] = np.where(day.t % 90.0 < 80.0, day.t // 90.0, -1)
     day.up[:] = nulls.random_attitudes(rng, 41)[day.rest]
-    error = 0.03 * np.abs(day.up) ** power * [1.0, 0.7, -0.8]
+    error = size * np.abs(day.up) ** power * [1.0, 0.7, -0.8]
     scene = scenes(nulls.bins_of(rng, day, QUIET, error), nulls.G)[0]
-    first, *others = compete(scene, proposals(scene, [ForceNonlinearity(2), ForceCurve()]))
+    first, *others = compete(scene, proposals(scene, [ForceNonlinearity(2), ForceCurve(), GainBySign()]))
     step = prefer_named(scene, Step(first, tuple(others)), [])
     assert first.score > 3.0 * thresholds.SCORE
     assert (step.winner.hypothesis.effect.name == "accel_nonlinearity") == named

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import diagnose
-from stillcal.calib_core.diagnosis.group_delay import without_group_delay
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
-from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
+from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
 from stillcal.calib_core.streams.samples import Samples
 from tests.support.diagnosis.turned_pairs import RATE, low_passed, turned
 
@@ -46,17 +46,26 @@ def test_a_low_pass_of_both_sensors_is_no_delay_and_explains_none() -> None:
     assert [f.effect for f in found] == ["accel_gyro_time_offset"]
 
 
-def of(effect: str, sensor: str, **sizes: float) -> Finding:
-    parameters = {name: Parameter(value, None, "s") for name, value in sizes.items()}
-    where = Where(0.0, 600.0, (0.0, 50.0), "rate of turn, with time")
-    made = direct_finding(effect, sensor, [], where, parameters, statement="", seen=Seen(50.0))
-    assert made is not None
-    return made
+def test_a_delay_beside_a_low_pass_is_what_the_low_pass_does_not_delay() -> None:
+    made = turned(1)
+    assert made.gyroscope is not None
+    both = low_passed(late(made.gyroscope, 0.04), 0.2)
+    found = {f.effect: f for f in diagnose(made.accelerometer, both).findings}
+    assert set(found) == {"bandwidth", "accel_gyro_time_offset"}
+    interval = found["accel_gyro_time_offset"].parameters["delay"].ci95
+    assert interval is not None and interval[0] <= 0.04 <= interval[1]
+    assert found["bandwidth"].alternatives == []
 
 
-@pytest.mark.parametrize(("growth", "explained"), [(-0.006, True), (0.08, False)])
-def test_a_delay_that_goes_with_the_motion_is_a_low_pass_own(growth: float, explained: bool) -> None:
+def test_what_a_low_pass_does_to_fast_and_slow_motion_is_no_delay_that_grows() -> None:
     """At 8 Hz a filter of the first order is 20 ms late, for slow motion."""
-    found = [of("bandwidth", "accel", cutoff=8.0), of("unknown", "timing", growth=growth)]
-    assert (without_group_delay(found, 9.8) == found[:1]) == explained
-    assert without_group_delay(found[1:], 9.8) == found[1:]
+    spectra = judged(Quiet(tuple(NOISE), tuple(10.0 * i for i in range(len(NOISE))), 100.0))
+    assert spectra is not None
+    filters = FilterDelay.of({"accel": spectra})
+    assert filters is not None and filters.delay.value == pytest.approx(-0.02, rel=0.1)
+    assert filters.explains_growth(-0.006) and not filters.explains_growth(0.08)
+    assert filters.explains_arm(0.002, 9.8) and not filters.explains_arm(0.01, 9.8)
+    assert FilterDelay.of({"accel": spectra, "gyro": spectra}) is None
+
+
+NOISE = lfilter(*butter(1, 0.16), np.random.default_rng(8).normal(size=(20, 1000, 3)), axis=1)

@@ -1,0 +1,64 @@
+"""Low-passes of a recording and a simulation, whether sound phones have such ones or not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.comparison.noise import low_passes, why_not_measured
+from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
+from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from tests.support.diagnosis.turned_pairs import low_passed
+
+RATE, KEY = 100.0, ("bandwidth", "accel")
+
+
+def still(cutoff: float | None, seed: int, rate: float = RATE) -> Examination:
+    """Return ten minutes at rest behind a low-pass. cutoff: Hz."""
+    n = int(600.0 * rate)
+    xyz = np.random.default_rng(seed).normal([0.0, 0.0, 9.80665], 0.02, (n, 3))
+    made = Samples(Sensor.ACCELEROMETER, np.arange(n) / rate, xyz)
+    return examine(made if cutoff is None else low_passed(made, cutoff / rate), None, search=False)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "simulated", "relation"),
+    [
+        (20.0, None, "lacking"),
+        (None, 20.0, "superfluous"),
+        (8.0, 20.0, "too_large"),
+        (20.0, 8.0, "too_small"),
+        (20.0, 20.0, "agreed"),
+    ],
+)
+def test_the_cutoffs_of_both_are_compared(
+    recorded: float | None, simulated: float | None, relation: str
+) -> None:
+    said = compare_samples((still(recorded, 1), still(simulated, 2)), ("rec", "sim"))
+    found = [(d.effect, d.relation) for d in said.discrepancies]
+    if relation == "agreed":
+        assert found == [] and "bandwidth" in {d.recorded.effect for d in said.agreed}
+        return
+    assert ("bandwidth", relation) in found
+    (one,) = (d.difference for d in said.discrepancies if d.effect == "bandwidth")
+    assert one is not None
+    for quantity, cutoff in ((one.recorded, recorded), (one.simulated, simulated)):
+        assert quantity.none == (cutoff is None)
+        if cutoff is not None:
+            assert np.exp(quantity.value) == pytest.approx([cutoff], rel=0.06)
+            assert quantity.reference == {"order": 2}
+
+
+def test_where_neither_has_one_nothing_is_told() -> None:
+    exams = still(None, 1), still(None, 2)
+    assert low_passes(exams) == [{}, {}]
+    said = compare_samples(exams, ("rec", "sim"))
+    assert said.discrepancies == [] and KEY not in {(n.effect, n.sensor) for n in said.not_compared}
+
+
+def test_a_rate_too_low_to_show_a_cutoff_says_nothing_of_it() -> None:
+    slow = still(None, 2, rate=40.0)
+    sides = low_passes((still(20.0, 1), slow))
+    assert [set(side) for side in sides] == [{KEY}, set()]
+    assert why_not_measured("bandwidth", slow.streams[0]) == "its rate is too low to show it"
