@@ -138,7 +138,7 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -
         table.names = form.names or table.names
         sensors = settled(table, form.column_map)
         if sensors:
-            return Log(source.path, "text table", sensors, beside=source.path)
+            return Log(source.path, "text table", sensors, beside=source.local)
         if table.names is not None and not OWN & set(table.names):
             raise missing(table, [])
     return _mapped(source, form, gyro, notes)

@@ -64,6 +64,12 @@ def test_a_phyphox_export_is_read_with_what_it_says_of_the_sensors(tmp_path: Pat
     assert trace.claims.gyro_range is None
 
 
+def test_a_zip_of_one_table_of_any_columns_is_read(tmp_path: Path) -> None:
+    table = text("timestamp,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z", LONG)
+    path = as_zip(tmp_path, {"imu0/data.csv": table, "readme.txt": "a walk"})
+    np.testing.assert_array_equal(read_all(path).accelerometer.xyz, LONG[:, 1:4])
+
+
 def test_phyphox_without_gravity_is_refused_with_what_to_record(tmp_path: Path) -> None:
     header = ",".join(["Time (s)", *(f"Linear Acceleration {a} (m/s^2)" for a in "xyz")])
     path = as_zip(tmp_path, {"Raw Data.csv": text(header, rows()[:, :4])})
