@@ -8,7 +8,7 @@ the sensors of one log apart.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import Literal
 
@@ -26,6 +26,7 @@ _ACCELERATION = {
         "acceleration",
         "accelerations",
         "accl",
+        "alpha",
     ),
     *("force", "gforce", "gf"),
 }
@@ -76,6 +77,10 @@ _NEITHER = {
 _FILLERS = {"velocity", "vel", "rate", "speed", "linear", "specific", "raw", "uncal", "uncalibrated", "per"}
 """Words that say nothing by which sensors of one log differ."""
 
+_RAW = {"raw", "uncal", "uncalibrated"}
+_VAGUE = {"linear", "alpha", "rot", "rotation", "rotationrate"}
+"""Words that also stand for acceleration without gravity, for angles and for angular acceleration."""
+
 _TIME = {"t", "time", "timestamp", "timestamps", "stamp", "ts", "elapsed", "epoch", "clock"}
 _TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
@@ -121,12 +126,20 @@ _AXIS_AT_END = re.compile(r"^([a-z]+?)([xyz])$")
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """Three columns of one sensor. label: what else the names say; unit: None where they do not."""
+    """Three columns of one sensor. label: what else the names say; unit: None where they do not.
+
+    quantity: the words for what it measures.
+    """
 
     sensor: Sensor
     label: str
     columns: tuple[Column, Column, Column]
     unit: str | None
+    quantity: str = ""
+
+    def called(self, words: Set[str]) -> bool:
+        """Whether one of `words` is among those for what it measures."""
+        return not words.isdisjoint(self.quantity.split("_"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,20 +157,28 @@ class _Word:
     axis: int
     label: str
     unit: str | None
+    quantity: str
 
 
 def find_axes(names: Sequence[str]) -> list[Axes]:
-    """Return the sensors whose three axes are all there, in the table's order."""
-    found: dict[tuple[Sensor, str, str | None], dict[int, str]] = {}
+    """Return the sensors whose three axes are all there: raw ones first, else in the table's order.
+
+    Those of a vague name are left out where the same sensor has a plain one.
+    """
+    found: dict[tuple[Sensor, str, str | None, str], dict[int, str]] = {}
     for name in names:
         word = _axis_of(name)
         if word is not None:
-            found.setdefault((word.sensor, word.label, word.unit), {}).setdefault(word.axis, name)
-    return [
-        Axes(sensor, label, (columns[0], columns[1], columns[2]), unit)
-        for (sensor, label, unit), columns in found.items()
+            key = (word.sensor, word.label, word.unit, word.quantity)
+            found.setdefault(key, {}).setdefault(word.axis, name)
+    axes = [
+        Axes(sensor, label, (columns[0], columns[1], columns[2]), unit, quantity)
+        for (sensor, label, unit, quantity), columns in found.items()
         if len(columns) == 3
     ]
+    plain = {(a.sensor, a.label) for a in axes if not a.called(_VAGUE)}
+    certain = (a for a in axes if not a.called(_VAGUE) or (a.sensor, a.label) not in plain)
+    return sorted(certain, key=lambda a: not a.called(_RAW))
 
 
 def find_stamps(names: Sequence[str]) -> list[Stamps]:
@@ -213,8 +234,9 @@ def _axis_of(name: str) -> _Word | None:
     unit = unit or stated or ("g" if kinds & {"gforce", "gf"} else None)
     if unit is not None and (unit in _FORCE) != acceleration:
         unit = None
-    label = "_".join(w for w in words if w not in (_ACCELERATION | _RATE | _FILLERS))
-    return _Word(sensor, axis, label, unit)
+    plain = _ACCELERATION | _RATE | _FILLERS
+    label, quantity = ("_".join(w for w in words if (w in plain) is said) for said in (False, True))
+    return _Word(sensor, axis, label, unit, quantity)
 
 
 def _words(name: str) -> tuple[str, list[str]]:

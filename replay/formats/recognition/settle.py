@@ -70,26 +70,37 @@ def settled(table: Table, column_map: ColumnMap, rate_hz: float | None = None) -
     candidates = _paired(table.names) if table.names is not None else _counted(table)
     if not candidates:
         return []
-    sensors: list[LoggedSensor] = []
+    sensors: list[tuple[Axes, LoggedSensor]] = []
     faults: list[TraceError] = []
     for candidate in candidates:
         try:
-            sensors.append(_sensor(table, column_map, candidate, rate_hz))
+            sensors.append((candidate.accelerometer, _sensor(table, column_map, candidate, rate_hz)))
         except TraceError as fault:
             faults.append(fault)
     if not sensors:
         raise faults[0]
-    return sensors
+    alike = Counter(sensor.name for _, sensor in sensors)
+    return [
+        replace(sensor, name="_".join(filter(None, (axes.label, axes.quantity))))
+        if alike[sensor.name] > 1
+        else sensor
+        for axes, sensor in sensors
+    ]
 
 
 def _paired(names: Sequence[str]) -> list[_Candidate]:
-    """Return each accelerometer with the gyroscope of its label, or the only one there is."""
+    """Return each accelerometer with the gyroscope of its label, or the only one there is.
+
+    Of several with one label, the first accelerometer belongs to the first gyroscope.
+    """
     axes, stamps = find_axes(names), find_stamps(names)
     force = [a for a in axes if a.sensor is Sensor.ACCELEROMETER]
     rates = [a for a in axes if a.sensor is Sensor.GYROSCOPE]
     found = []
     for i, accelerometer in enumerate(force):
         same = [g for g in rates if g.label == accelerometer.label]
+        earlier = sum(a.label == accelerometer.label for a in force[:i])
+        same = same[earlier:] or same[-1:]
         alike = len(rates) == len(force)
         gyroscope = same[0] if same else rates[0] if len(rates) == 1 else rates[i] if alike else None
         own = [s for s in stamps if s.label in ("", accelerometer.label)]

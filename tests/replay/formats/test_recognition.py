@@ -91,6 +91,7 @@ def test_phyphox_without_gravity_is_refused_with_what_to_record(tmp_path: Path) 
             ["in g;", "deg/s"],
         ),
         ("time,gFx,gFy,gFz,wx,wy,wz", [1, 1 / 9.80665, 1], ["in g;", "rad/s (as gravity"]),
+        ("timestamp,alpha_x,alpha_y,alpha_z,omega_x,omega_y,omega_z", [1e9, 1, 1], ["in ns", "by the size"]),
         (
             "ts,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z",
             [1e9, 1, 57.29577951308232],
@@ -117,6 +118,31 @@ def test_columns_of_any_usual_name_are_found_with_their_units(
     assert recording.gyroscope is not None
     np.testing.assert_allclose(recording.gyroscope.xyz, data[:, 4:], rtol=1e-9)
     assert all(part in recording.notes[0] for part in notes), recording.notes
+
+
+@pytest.mark.parametrize(
+    ("quantity", "beside"),
+    [
+        ("acc_uncalibrated", "acc"),
+        ("accelerometer", "linear_acceleration"),
+        ("gyro", "rot"),
+        ("gyroscope_raw", "gyroscope"),
+    ],
+)
+def test_the_least_corrected_columns_of_a_sensor_are_read(tmp_path: Path, quantity: str, beside: str) -> None:
+    data = rows(3000)
+    of, other = (data[:, 4:], "acc") if "gyr" in quantity else (data[:, 1:4], "gyr")
+    names = ["time", *(f"{sensor}_{axis}" for sensor in (beside, quantity, other) for axis in "xyz")]
+    rest = data[:, 1:4] if other == "acc" else data[:, 4:]
+    path = tmp_path / "r.csv"
+    path.write_text(text(",".join(names), np.column_stack([data[:, 0], of * 0.9, of, rest])))
+    recording = read_all(path)
+    assert recording.gyroscope is not None
+    np.testing.assert_array_equal(recording.accelerometer.xyz, data[:, 1:4])
+    np.testing.assert_array_equal(recording.gyroscope.xyz, data[:, 4:])
+    if beside == "acc":
+        assert "has 2 sensors: acc_uncalibrated (accelerometer, gyroscope), acc (" in recording.notes[0]
+        np.testing.assert_array_equal(read_all(path, sensor=beside).accelerometer.xyz, of * 0.9)
 
 
 LONG = rows(2000)
