@@ -34,7 +34,7 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import LoggedSensor, Part
 from stillcal.replay.formats.recognition.names import Axes, Stamps, find_axes, find_stamps, find_thermometer
 from stillcal.replay.formats.stream import SampleFile
-from stillcal.replay.formats.tables.cells import is_date
+from stillcal.replay.formats.tables.cells import is_date, is_number
 from stillcal.replay.formats.tables.table import EMPTY, Table
 
 _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
@@ -200,13 +200,18 @@ def _time(
 ) -> tuple[TimeMap, str]:
     """Return where the stamps come from, and how to say it. Raises TraceError where there are none."""
     unusable = None
-    for choice in stamps:
+    dated = [Stamps(name, "", None) for name in table.names or () if _holds_dates(table, name)]
+    for choice in [*stamps, *dated]:
         if _holds_dates(table, choice.column):
             return TimeMap(column=choice.column, unit="date"), f"time {choice.column} in dates"
         try:
             values = probe.column(choice.column)
         except TraceError as error:
-            remedy = "give the time as a number of s, ms, us or ns"
+            if is_number(_first_cell(table, choice.column)):
+                raise  # it holds times, and the file is damaged further on
+            remedy = (
+                "give the time as a number of s, ms, us or ns, or as a date such as 2026-03-01 10:00:00.02"
+            )
             unusable = unusable or TraceError(table.path, error.what, remedy, error.row)
             continue
         unit = _time_unit(choice, values)
@@ -226,8 +231,13 @@ def _time(
 
 def _holds_dates(table: Table, column: Column) -> bool:
     """Whether a column of a text table begins with a date."""
+    return is_date(_first_cell(table, column))
+
+
+def _first_cell(table: Table, column: Column) -> bytes:
+    """Return the first cell of a column of a text table, nothing where the table is none of text."""
     (place,) = find_columns([column], table.names, table.width) or [0]
-    return len(table.first_row) > place and is_date(table.first_row[place].encode())
+    return table.first_row[place].encode() if len(table.first_row) > place else b""
 
 
 def _time_unit(choice: Stamps, values: Array) -> Any:

@@ -222,6 +222,34 @@ def test_a_column_of_whole_seconds_is_no_clock(tmp_path: Path) -> None:
     assert read_all(path).rate_hz == pytest.approx(100.0)
 
 
+@pytest.mark.parametrize("name", ["", "datetime", "Date/Time", "Datum"])
+def test_a_column_of_dates_is_the_time_whatever_it_is_called(tmp_path: Path, name: str) -> None:
+    stamps = [str(np.datetime64("2026-03-01T10:00:00.000") + 10 * i) for i in range(len(LONG))]
+    lines = [
+        ",".join([stamp, *map(repr, row)]) for stamp, row in zip(stamps, LONG[:, 1:4].tolist(), strict=True)
+    ]
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join([f"{name},ax,ay,az", *lines]) + "\n")
+    recording = read_all(path)
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
+    assert f"time {name} in dates" in recording.notes[0]
+
+
+def test_damage_in_a_table_of_any_columns_is_not_laid_on_its_time(tmp_path: Path) -> None:
+    path, content = tmp_path / "r.csv", text("time,acc_x,acc_y,acc_z", LONG[:, :4])
+    path.write_text(content + "End of log\n")
+    with pytest.raises(TraceError, match=r"r.csv:2002: 1 cells instead of 4; correct or delete that row"):
+        read_all(path)
+    path.write_bytes(gzip.compress(content.encode())[:-20])
+    with pytest.raises(TraceError, match=r"gzip data cut short.*; copy the recording again"):
+        read_all(path)
+    path.write_text(content.replace("\n0.", "\n10:00:0."))
+    with pytest.raises(
+        TraceError, match=r"'10:00:0.0', which is not a number; give the time as.* or as a date"
+    ):
+        read_all(path)
+
+
 NAMES = "loopIteration,time (us)," + ",".join(f"{f}[{i}]" for f in ("gyroADC", "accSmooth") for i in range(3))
 
 
