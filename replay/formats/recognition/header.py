@@ -31,7 +31,8 @@ def header_place(lines: Sequence[str]) -> tuple[int, int]:
     """Return how many lines stand before the header, and how many between it and the numbers.
 
     Of the lines before the numbers that have their count of cells, the header is the one that names axes,
-    else the last. (0, 0) where the first line is the header, and where no line is one.
+    else the last. What follows it and has a number is a row, though it may be a faulty one. (0, 0) where the
+    first line is the header, and where no line is one.
     """
     first = next((i for i, line in enumerate(lines) if _is_row(line)), 0)
     before = [i for i in range(first) if lines[i].strip()]
@@ -43,7 +44,8 @@ def header_place(lines: Sequence[str]) -> tuple[int, int]:
     if not fitting:
         return 0, 0
     header = next((i for i in fitting if find_axes(names[i])), fitting[-1])
-    return header, first - header - 1
+    rows = (i for i in fitting if i > header and any(map(_is_filled_number, names[i])))
+    return header, next(rows, first) - header - 1
 
 
 def split_as(row: str, line: str) -> list[str]:
@@ -63,3 +65,7 @@ def _is_row(line: str) -> bool:
     cells = [cell.strip().strip('"').encode() for cell in cells_of(line)]
     numbers = sum(is_number(cell.replace(b",", b".")) or is_date(cell) for cell in cells)
     return numbers >= max(_FEWEST, len(cells) / 2)
+
+
+def _is_filled_number(cell: str) -> bool:
+    return bool(cell) and is_number(cell.replace(",", ".").encode())

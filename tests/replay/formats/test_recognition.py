@@ -250,6 +250,13 @@ def test_damage_in_a_table_of_any_columns_is_not_laid_on_its_time(tmp_path: Path
         read_all(path)
 
 
+def test_faulty_rows_below_a_header_are_not_taken_for_lines_of_units(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(text("time,acc_x,acc_y,acc_z", LONG[:, :4]).replace("\n0.0", "\nx"))
+    with pytest.raises(TraceError, match=r"r.csv:2: column 'time' holds 'x', which is not a number"):
+        read_all(path)
+
+
 NAMES = "loopIteration,time (us)," + ",".join(f"{f}[{i}]" for f in ("gyroADC", "accSmooth") for i in range(3))
 
 
