@@ -118,12 +118,12 @@ def _read_part(values: dict[str, float], name: str) -> SensorPart | None:
     found = [_three(values, f"INS_TCAL1_{thermal}{power}") for power in (1, 2, 3)]
     powers = np.array([np.zeros(3) if c is None else c for c in found]) / PER_MILLION
     if values.get("INS_TCAL1_ENABLE") != 1 or not powers.any():
-        return SensorPart(scale=scale, bias=bias)
+        return SensorPart(scale=scale, bias=bias, by_axis=True)
     if at == UNKNOWN_C:
         raise UserError(f"INS_TCAL1_ENABLE is 1, but INS_{calibrated}1_CALTEMP is not known")
     slope, quadratic, cubic = counted_from(powers, at - REFERENCE_C)
     limits = limits_of(values.get("INS_TCAL1_TMIN"), values.get("INS_TCAL1_TMAX"), WIDE)
-    part = SensorPart(scale=scale, bias=bias, slope=slope, reference_c=at, limits=limits)
+    part = SensorPart(scale=scale, bias=bias, slope=slope, reference_c=at, limits=limits, by_axis=True)
     return replace(part, quadratic=quadratic, cubic=cubic)
 
 

@@ -82,4 +82,4 @@ def _part(values: dict[str, float], channel: str) -> SensorPart | None:
     if None in bias:
         return None
     diagonal = None if None in scale else np.diag(np.array(scale, dtype=np.float64))
-    return SensorPart(scale=diagonal, bias=0.0 - np.array(bias, dtype=np.float64))
+    return SensorPart(scale=diagonal, bias=0.0 - np.array(bias, dtype=np.float64), by_axis=True)

@@ -87,7 +87,7 @@ class SensorPart:
 
     slope, quadratic, cubic: (3,) bias per K, K^2 and K^3 from reference_c. limits: degC, beyond which the
     curve stays as it is, None where it goes on. matrix: (3, 3) (rad/s)/(m/s^2), the gyroscope's only: its
-    reading per true force.
+    reading per true force. by_axis: whether the file holds of the scale what is on its diagonal only.
     """
 
     scale: Array | None = None
@@ -99,11 +99,17 @@ class SensorPart:
     limits: tuple[float, float] | None = None
     matrix: Array | None = None
     noise: SensorNoise | None = None
+    by_axis: bool = False
 
     @property
     def gain(self) -> Array:
         """The forward matrix (3, 3): raw = gain @ true + bias."""
         return np.eye(3) if self.scale is None else np.asarray(np.linalg.inv(self.scale))
+
+    @property
+    def crossed(self) -> Array:
+        """What is off the diagonal of the scale, (3, 3), zeros where that is not known."""
+        return np.zeros((3, 3)) if self.scale is None else self.scale - np.diag(np.diag(self.scale))
 
     @property
     def offset(self) -> Array:
@@ -242,9 +248,8 @@ def facts(imu: ImuParameters) -> dict[str, str]:
         unit = "m/s^2" if name == "accelerometer" else "rad/s"
         if part.scale is not None:
             out[f"{name} scale"] = numbers(np.diag(part.scale))
-            crossed = part.scale - np.diag(np.diag(part.scale))
-            if crossed.any():
-                out[f"{name} misalignment"] = f"off the diagonal of its scale, {numbers(crossed)}"
+            if part.crossed.any():
+                out[f"{name} misalignment"] = f"off the diagonal of its scale, {numbers(part.crossed)}"
         if part.bias is not None:
             out[f"{name} bias"] = f"{numbers(part.bias)} {unit}"
         if part.slope is not None:

@@ -107,7 +107,7 @@ def _read_part(values: dict[str, float], name: str) -> SensorPart | None:
         diagonal = _three(values, [f"CAL_{calibration}0_{a}SCALE" for a in AXES])
         scale = None if diagonal is None else np.diag(diagonal)
     if not values.get(f"TC_{thermal}_ENABLE"):
-        return SensorPart(scale=scale, bias=bias)
+        return SensorPart(scale=scale, bias=bias, by_axis=True)
     powers = [_three(values, [f"TC_{thermal}0_X{p}_{a}" for a in range(3)]) for p in range(4)]
     reference = values.get(f"TC_{thermal}0_TREF")
     if powers[1] is None or reference is None:
@@ -115,7 +115,7 @@ def _read_part(values: dict[str, float], name: str) -> SensorPart | None:
             f"TC_{thermal}_ENABLE is set, but TC_{thermal}0_X1_0 to _2 and TC_{thermal}0_TREF are not"
         )
     offset = bias if powers[0] is None else bias + powers[0]
-    part = SensorPart(scale=scale, bias=offset, slope=powers[1], reference_c=reference)
+    part = SensorPart(scale=scale, bias=offset, slope=powers[1], reference_c=reference, by_axis=True)
     limits = limits_of(values.get(f"TC_{thermal}0_TMIN"), values.get(f"TC_{thermal}0_TMAX"), WIDE)
     return replace(part, quadratic=powers[2], cubic=powers[3], limits=limits)
 

@@ -62,6 +62,8 @@ def not_in_file(imu: ImuParameters, before: CalibrationRecord | None) -> list[st
                 kept = default is not None and getattr(default, field) is not None
                 other = "unity is taken" if field == "scale" else "zero is taken"
                 out.append(f"{name} {field}: {'the store keeps its own' if kept else other}")
+        if part is not None and default is not None and _keeps_crossed(part, default):
+            out.append(f"{name} misalignment: the store keeps its own")
         if part is None and default is not None:
             out.append(f"{name}: the store keeps its own")
     return out
@@ -73,11 +75,18 @@ def _merged(fresh: SensorPart | None, old: SensorPart | None) -> SensorPart | No
     known = {
         name: value for name in ("scale", "bias", "matrix") if (value := getattr(fresh, name)) is not None
     }
+    if fresh.scale is not None and _keeps_crossed(fresh, old):
+        known["scale"] = fresh.scale + old.crossed
     if fresh.bias is not None:
         # Without a slope of its own a new bias holds at a temperature that nobody knows: the old curve has no
         # start any more.
         known |= {name: getattr(fresh, name) for name in CURVE}
     return replace(old, **known)
+
+
+def _keeps_crossed(fresh: SensorPart, old: SensorPart) -> bool:
+    """Whether the old scale has what a file with scales by axis cannot say."""
+    return fresh.by_axis and fresh.scale is not None and bool(old.crossed.any())
 
 
 def _accelerometer(part: SensorPart | None, gravity: float) -> AccelerometerRecord | None:

@@ -14,7 +14,7 @@ from stillcal.calib_core.calibration.terms import polynomial
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.export.imu import ImuParameters, SensorPart, facts, of_record
-from stillcal.replay.export.stored import record_of
+from stillcal.replay.export.stored import not_in_file, record_of
 from stillcal.replay.export.target import Target, exported
 from stillcal.replay.export.targets import INVERTIBLE, TARGETS, target_named
 
@@ -134,6 +134,20 @@ def test_a_learnt_curve_goes_through_a_store_and_a_file_unchanged() -> None:
         [imu.accelerometer.bias_at(t) - imu.accelerometer.offset for t in warm] if imu.accelerometer else []
     )
     np.testing.assert_allclose(polynomial(accel, warm), wanted, atol=WITHIN)
+
+
+@pytest.mark.parametrize("name", INVERTIBLE)
+def test_a_file_read_back_into_its_own_store_changes_neither_scale_nor_bias(name: str) -> None:
+    before, target = record_of(random_imu(6), None, "a"), target_named(name)
+    back = target.read(exported(target, of_record(before), "a").data)
+    for (_, part), (_, again) in zip(
+        of_record(before).parts(), of_record(record_of(back, before, "b")).parts(), strict=True
+    ):
+        assert_alike(part.scale, again.scale)
+        known_at = again.reference_c or part.reference_c or 0.0
+        assert_alike(part.bias_at(known_at), again.bias_at(known_at))
+    crossed = [line for line in not_in_file(back, before) if "misalignment" in line]
+    assert bool(crossed) == (name in ("px4", "ardupilot", "iio"))
 
 
 def test_what_a_store_holds_beyond_all_targets_is_named_too(make_record) -> None:
