@@ -70,11 +70,22 @@ _NEITHER = {
         "orientation",
         "position",
         "pos",
-        "unix",
         "integral",
     ),
 }
-_FILLERS = {"velocity", "vel", "rate", "speed", "linear", "specific", "raw", "uncal", "uncalibrated", "per"}
+_FILLERS = {
+    "velocity",
+    "vel",
+    "rate",
+    "speed",
+    "linear",
+    "specific",
+    "raw",
+    "uncal",
+    "uncalibrated",
+    "per",
+    "axis",
+}
 """Words that say nothing by which sensors of one log differ."""
 
 _RAW = {"raw", "uncal", "uncalibrated"}
@@ -88,7 +99,7 @@ _TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
     **dict.fromkeys(("us", "µs", "micros", "microseconds", "microsecond"), "us"),
     **dict.fromkeys(("ns", "nanos", "nanoseconds", "nanosecond"), "ns"),
 }
-_ARRIVAL = {"arrival", "utc", "received", "host", "log"}
+_ARRIVAL = {"arrival", "utc", "received", "host", "log", "unix"}
 _THERMOMETER = {"temp", "temperature", "temps", "celsius", "degc"}
 _RATES_HZ = {
     "fs",
@@ -117,6 +128,8 @@ _FORCE = {"m/s^2", "g", "mg"}
 _TURNING = {"rad/s", "deg/s", "mdeg/s"}
 _PER_TIME = re.compile(r"/ ?s|s ?\^? ?-[12]|dps")
 """Units in brackets that tell the quantity where no word does: not "deg", which angles have too."""
+_GRAVITIES = re.compile(r"[\[(]m?g[\])]")
+"""The same for g and mg; a capital G is gauss."""
 
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
@@ -220,13 +233,13 @@ def _axis_of(name: str) -> _Word | None:
     """Return which axis of which sensor a column is, None where it is none."""
     bracket, words = _words(name)
     unit = _UNITS.get(bracket.replace(" ", "").replace("_", "")) or ("g" if bracket == "g" else None)
-    by_unit = unit if _PER_TIME.search(bracket) else None
+    by_unit = unit if _PER_TIME.search(bracket) or _GRAVITIES.search(name) else None
     axis, words = _split_axis(bracket, words)
     if axis is None:
         return None
     stated, words = _split_unit(words)
     kinds = set(words)
-    acceleration = bool(kinds & _ACCELERATION) or by_unit == "m/s^2"
+    acceleration = bool(kinds & _ACCELERATION) or by_unit in _FORCE
     rate = bool(kinds & _RATE) or {"ang", "vel"} <= kinds or by_unit in _TURNING
     if kinds & _NEITHER or (acceleration and kinds & {"angular", "rotation"}) or not (acceleration or rate):
         return None

@@ -93,6 +93,16 @@ def test_phyphox_without_gravity_is_refused_with_what_to_record(tmp_path: Path) 
         ("time,gFx,gFy,gFz,wx,wy,wz", [1, 1 / 9.80665, 1], ["in g;", "rad/s (as gravity"]),
         ("timestamp,alpha_x,alpha_y,alpha_z,omega_x,omega_y,omega_z", [1e9, 1, 1], ["in ns", "by the size"]),
         (
+            "epoch (ms),x-axis (g),y-axis (g),z-axis (g),x-axis (deg/s),y-axis (deg/s),z-axis (deg/s)",
+            [1e3, 1 / 9.80665, 57.29577951308232],
+            ["in ms", "in g;", "in deg/s"],
+        ),
+        (
+            "S1_Timestamp_Unix_CAL,S1_Accel_X_CAL,S1_Accel_Y_CAL,S1_Accel_Z_CAL,S1_Gyro_X,S1_Gyro_Y,S1_Gyro_Z",
+            [1e3, 1, 57.29577951308232],
+            ["in ms", "in m/s^2 (by", "deg/s (as gravity"],
+        ),
+        (
             "ts,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z",
             [1e9, 1, 57.29577951308232],
             ["in ns", "deg/s (as gravity"],
