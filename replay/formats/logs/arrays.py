@@ -24,7 +24,7 @@ from stillcal.replay.formats.logs.extras import library
 from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
-from stillcal.replay.formats.recognition.names import is_rate_hz
+from stillcal.replay.formats.recognition.names import find_axes, find_stamps, is_rate_hz
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.stream import SampleFile
@@ -45,13 +45,16 @@ class _Arrays:
     """The arrays of a file, or of one group of it.
 
     columns: by name, each giving its values between two rows. length: rows. rate_hz: where a number says so.
-    windows: whether there are arrays of three dimensions, which are no columns.
+    windows: whether there are arrays of three dimensions, which are no columns. uneven: rows of the sensors'
+    arrays, by name, where no gyroscope has those of an accelerometer. clocks: rows of arrays that may be times.
     """
 
     columns: dict[str, Callable[[int, int], Array]] = field(default_factory=dict)
     length: int = 0
     rate_hz: float | None = None
     windows: bool = False
+    uneven: dict[str, int] = field(default_factory=dict)
+    clocks: frozenset[int] = frozenset()
 
     def table(self, path: Path, size: int) -> NumberTable:
         """Return the columns as a table that is read in blocks."""
@@ -96,9 +99,10 @@ def _sensors(
         if set(table.names or []) >= OWN:
             found += _mapped(table, load_map("csv"), group)
             continue
+        said = _uneven(source.path, arrays)
         for sensor in settled(table, load_map("csv"), arrays.rate_hz):
             name = "/".join(part for part in (group, sensor.name) if part and part != "imu") or "imu"
-            found.append(LoggedSensor(name, sensor.files, sensor.about, sensor.notes))
+            found.append(LoggedSensor(name, sensor.files, sensor.about, (*sensor.notes, *said)))
     if not found:
         names = [name for arrays in groups.values() for name in arrays.columns]
         listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
@@ -108,6 +112,20 @@ def _sensors(
         remedy = "name them acc, gyr and t, or say in a column map what they are (docs/formats.md)"
         raise TraceError(source.path, what, remedy)
     return found
+
+
+def _uneven(path: Path, arrays: _Arrays) -> list[str]:
+    """Say what is read of sensors' arrays of unequal lengths. Raises TraceError where each has a clock."""
+    if not arrays.uneven:
+        return []
+    listed = ", ".join(f"{name} {rows}" for name, rows in arrays.uneven.items())
+    what = f"arrays of unequal lengths (rows: {listed})"
+    if arrays.clocks.issuperset(arrays.uneven.values()):
+        remedy = "give them in Python: load(t=, accelerometer=, gyroscope=, gyroscope_t=), or as two files"
+        raise TraceError(path, f"{what} with times of their own are not read together", remedy)
+    short = [name for name, rows in arrays.uneven.items() if rows < arrays.length]
+    left = f"; left out: {', '.join(short)}" if short else ""
+    return [f"{path.name}: {what}: the first {arrays.length} rows are read{left}"]
 
 
 def _mapped(table: NumberTable, column_map: ColumnMap, group: str) -> list[LoggedSensor]:
@@ -281,12 +299,24 @@ def _gathered(items: Mapping[str, Any], scalars: Mapping[str, float]) -> _Arrays
     longest = max(lengths)
     near = [n for n in lengths if n >= 0.9 * longest]
     gathered.length = min(near)
+    gathered.clocks = frozenset(rows for name, (rows, _, _) in shapes.items() if find_stamps([name]))
+    sensors = {name: _sensor_of(name, columns) for name, (_, columns, _) in shapes.items()}
+    force, rates = ({shapes[n][0] for n, found in sensors.items() if found is one} for one in Sensor)
+    if force and rates and force.isdisjoint(rates):
+        gathered.uneven = {name: shapes[name][0] for name, found in sensors.items() if found is not None}
     for name, (rows, columns, transposed) in shapes.items():
         if rows < gathered.length or columns not in (1, 3):
             continue
         for i in range(columns):
             gathered.columns[name if columns == 1 else f"{name}[{i}]"] = _slice(items[name], i, transposed)
     return gathered
+
+
+def _sensor_of(name: str, columns: int) -> Sensor | None:
+    """Return the sensor of which an array of that name holds all three axes, or one; None for others."""
+    three = [f"{name}[{i}]" for i in range(3)] if columns == 3 else [name[:-1] + axis for axis in "xyz"]
+    axes = find_axes(three) if columns == 3 or (columns == 1 and name[-1:].lower() in "xyz") else []
+    return axes[0].sensor if axes else None
 
 
 def _oriented(item: Any) -> tuple[int, int, bool]:

@@ -369,3 +369,18 @@ def test_an_axivity_recording_of_both_sensors(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.accelerometer.t - start, DATA[:, 0], atol=1e-4)
     np.testing.assert_allclose(recording.accelerometer.xyz, DATA[:, 1:4], atol=0.51 * 9.80665 / 2048)
     np.testing.assert_allclose(recording.gyroscope.xyz, DATA[:, 4:], atol=np.deg2rad(0.51 * 500 / 32768))
+
+
+def test_arrays_of_unequal_lengths_are_not_put_side_by_side_in_silence(tmp_path: Path) -> None:
+    path, (t, force, rate) = tmp_path / "r.npz", (DATA[:, 0], DATA[:, 1:4], DATA[:, 4:])
+    np.savez(path, acc=force, acc_t=t, gyr=rate[:-30], gyr_t=np.linspace(t[0], t[-1], len(t) - 30))
+    with pytest.raises(TraceError, match=r"acc 600, gyr 570\) with times of their own.*gyroscope_t"):
+        read_all(path)
+    np.savez(path, acc=force, t=t, gyr=rate[:-30])
+    recording = read_all(path)
+    assert recording.gyroscope is not None and len(recording.gyroscope) == 570
+    assert recording.notes[-1].endswith("(rows: acc 600, gyr 570): the first 570 rows are read")
+    np.savez(path, acc=force, t=t, gyr=rate[::2])
+    assert read_all(path).notes[-1].endswith("the first 600 rows are read; left out: gyr")
+    np.savez(path, acc=force, gyr=rate, t=t, mag_t=t[::4], acc_left=force[:300])
+    assert len(read_all(path).accelerometer) == 600
