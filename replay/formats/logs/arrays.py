@@ -46,7 +46,7 @@ class _Arrays:
 
     columns: by name, each giving its values between two rows. length: rows. rate_hz: where a number says so.
     windows: whether there are arrays of three dimensions, which are no columns. uneven: rows of the sensors'
-    arrays, by name, where no gyroscope has those of an accelerometer. clocks: rows of arrays that may be times.
+    arrays, by name, where no gyroscope has those of an accelerometer. clocks: rows of what may be times.
     """
 
     columns: dict[str, Callable[[int, int], Array]] = field(default_factory=dict)
