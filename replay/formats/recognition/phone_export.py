@@ -34,6 +34,7 @@ _DEVICE_BYTES = 1 << 16
 _BIAS_SAMPLES = 20_000
 _UNCALIBRATED = ("AccelerometerUncalibrated", "GyroscopeUncalibrated")
 _CALIBRATED = ("TotalAcceleration", "Gyroscope")
+_PHYPHOX = ("Accelerometer.csv", "Raw Data.csv")
 
 
 def members_of_folder(folder: Path) -> dict[str, Source]:
@@ -96,17 +97,28 @@ def _refuse_long_index(archive: Source, file: BinaryIO) -> None:
 
 def phone_export(path: Path, members: Mapping[str, Source]) -> Log | None:
     """Return what phyphox or Sensor Logger exported, None where it is neither. Raises TraceError."""
+    _refuse_several(path, members)
     tables = {PurePosixPath(name).name: source for name, source in members.items() if _is_table(name)}
     sensor_logger = _sensor_logger(path, tables)
     if sensor_logger is not None:
         return sensor_logger
-    for name in ("Accelerometer.csv", "Raw Data.csv"):
+    for name in _PHYPHOX:
         if name in tables:
             form = text_format(tables[name])
             if form.name == "phyphox":
                 return _phyphox(path, tables, name, form.column_map)
             _refuse_without_gravity(tables[name])
     return None
+
+
+def _refuse_several(path: Path, members: Mapping[str, Source]) -> None:
+    """Raise TraceError where files of one sensor lie in several folders: each is an export of its own."""
+    for sensor_file in (*(f"{stem}.csv" for stem in (*_UNCALIBRATED, *_CALIBRATED)), *_PHYPHOX):
+        folders = [str(p.parent) for p in map(PurePosixPath, members) if p.name == sensor_file]
+        if len(folders) > 1:
+            listed = ", ".join(folders[:8]) + (", ..." if len(folders) > 8 else "")
+            remedy = "give one of them" if path.is_dir() else "unpack it and give one of them"
+            raise TraceError(path, f"holds {len(folders)} exports, in {listed}", remedy)
 
 
 def _is_table(name: str) -> bool:

@@ -56,6 +56,16 @@ def test_a_sensor_logger_export_is_read_uncalibrated_with_the_systems_bias(tmp_p
 
 
 @pytest.mark.parametrize("pack", [as_folder, as_zip])
+@pytest.mark.parametrize("files", [sensor_logger_files, phyphox_files])
+def test_several_exports_in_one_are_not_mixed(tmp_path: Path, pack, files) -> None:
+    both = {f"{day}/{name}": text for day in ("monday", "tuesday") for name, text in files().items()}
+    with pytest.raises(
+        TraceError, match=r"holds 2 exports, in .*monday, .*tuesday; (unpack it and )?give one"
+    ):
+        open_trace(pack(tmp_path, both))
+
+
+@pytest.mark.parametrize("pack", [as_folder, as_zip])
 def test_a_phyphox_export_is_read_with_what_it_says_of_the_sensors(tmp_path: Path, pack) -> None:
     trace = open_trace(pack(tmp_path, phyphox_files()))
     assert trace.kind == "phyphox" and trace.has_gyroscope
@@ -489,6 +499,13 @@ def test_a_data_frame_of_other_columns_is_read_by_their_names() -> None:
     assert "in g (by the size of gravity)" in recording.notes[0]
     with pytest.raises(stillcal.UserError, match=r"no accelerometer found in its columns \(label\)"):
         stillcal.load(frame[["label"]])
+
+
+def test_times_in_a_matrix_of_one_column_are_refused_with_both_shapes() -> None:
+    with pytest.raises(
+        TraceError, match=r"shape \(2000, 3\) and its time stamps \(2000, 1\); give \(n, 3\) and"
+    ):
+        stillcal.load(t=LONG[:, :1], accelerometer=LONG[:, 1:4])
 
 
 def test_tables_with_dates_an_index_or_arrays_of_three_columns_are_read() -> None:
