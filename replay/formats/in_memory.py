@@ -206,7 +206,7 @@ def _samples(
 
     also: temperatures and times of arrival.
     """
-    if xyz.shape != (t.size, 3):
+    if t.ndim != 1 or xyz.shape != (t.size, 3):
         what = f"the {sensor} has shape {xyz.shape} and its time stamps {t.shape}"
         raise TraceError(name, what, "give (n, 3) and (n,)")
     for what, column in zip(("temperature", "t_arrival"), also, strict=True):
