@@ -467,6 +467,13 @@ def test_the_gyroscopes_file_of_a_pair_names_the_other(tmp_path: Path) -> None:
     assert read_all(tmp_path / "Phones_accelerometer.csv").gyroscope is not None
 
 
+@pytest.mark.parametrize("name", ["Gyroscope.csv", "GyroscopeUncalibrated.csv"])
+def test_a_gyroscope_of_sensor_logger_alone_is_called_so(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text(sensor_logger_files()["Gyroscope.csv"])
+    with pytest.raises(TraceError, match=rf"{name}: holds the gyroscope alone; give TotalAcceleration"):
+        read_all(tmp_path / name)
+
+
 def test_a_gnss_logger_file_is_read_with_the_phones_own_bias(tmp_path: Path) -> None:
     recording = read_all(gnss_logger(tmp_path))
     assert len(recording.accelerometer) == 400
