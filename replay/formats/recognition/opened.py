@@ -111,13 +111,20 @@ def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | Non
         except TraceError:
             continue
     if len(found) == 1:
-        return next(iter(found.values()))
-    names = ", ".join(list(found or members)[:8]) + (", ..." if len(found or members) > 8 else "")
+        ((name, log),) = found.items()
+        others = [member for member in members if member != name]
+        said = [f"{path.name}: {name} is read; passed over: {_first_of(others)}"] if others else []
+        return replace(log, notes=[*said, *log.notes])
+    names = _first_of(list(found or members))
     if not found:
         what = f"holds no recording that is known ({names or 'it is empty'})"
         raise TraceError(path, what, "give an export of phyphox or Sensor Logger, or name a file in it")
     remedy = "give one of them" if path.is_dir() else "unpack it and give one of them"
     raise TraceError(path, f"holds {len(found)} recordings: {names}", remedy)
+
+
+def _first_of(names: list[str]) -> str:
+    return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
 
 
 def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -> Log:

@@ -6,6 +6,7 @@ import gzip
 import importlib.util
 import io
 import os
+import re
 import struct
 import subprocess
 import sys
@@ -77,7 +78,9 @@ def test_a_phyphox_export_is_read_with_what_it_says_of_the_sensors(tmp_path: Pat
 def test_a_zip_of_one_table_of_any_columns_is_read(tmp_path: Path) -> None:
     table = text("timestamp,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z", LONG)
     path = as_zip(tmp_path, {"imu0/data.csv": table, "readme.txt": "a walk"})
-    np.testing.assert_array_equal(read_all(path).accelerometer.xyz, LONG[:, 1:4])
+    recording = read_all(path)
+    np.testing.assert_array_equal(recording.accelerometer.xyz, LONG[:, 1:4])
+    assert re.search(r"imu0/data.csv is read; passed over: .*readme.txt", recording.notes[0])
 
 
 def test_phyphox_without_gravity_is_refused_with_what_to_record(tmp_path: Path) -> None:
