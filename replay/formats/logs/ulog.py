@@ -51,12 +51,20 @@ Data = Mapping[str, Array]
 class _Guarded(BufferedReader):
     """A file that ends a search for the next message which goes back and forth in one place for ever.
 
-    pyulog 1.3.0 does so in a log that ends within a damaged message of its definitions.
+    pyulog 1.3.0 does so in a log that ends within a damaged message of its definitions. ended_within: whether
+    the file ended where more of a message was wanted, of which pyulog says nothing.
     """
 
     def __init__(self, file: BinaryIO) -> None:
         super().__init__(file)  # type: ignore[arg-type]
         self._furthest, self._seeks = 0, 0
+        self.ended_within = False
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read as a file does."""
+        data = super().read(size)
+        self.ended_within = self.ended_within or 0 < len(data) < (size or 0)
+        return data
 
     def seek(self, offset: int, whence: int = 0) -> int:
         """Move as a file does. Raises RuntimeError where this leads nowhere any more."""
@@ -77,7 +85,9 @@ def open_ulog(source: Source) -> Log:
         raise TraceError(source.path, what, "split the log, or export its IMU topics as CSV (ulog2csv)")
     try:
         with redirect_stdout(StringIO()), stored.open() as file:  # it prints what a note says
-            ulog = pyulog.ULog(_Guarded(file), _TOPICS, disable_str_exceptions=True)
+            guarded = _Guarded(file)
+            ulog = pyulog.ULog(guarded, _TOPICS, disable_str_exceptions=True)
+            cut = guarded.ended_within
     except Exception as error:  # the library raises whatever its parsing meets
         what = f"the ULog is damaged ({type(error).__name__}: {error})"
         raise TraceError(source.path, what, "copy it from the vehicle again") from None
@@ -91,13 +101,15 @@ def open_ulog(source: Source) -> Log:
     if not sensors:
         what = f"none of {', '.join(_TOPICS)} was logged"
         raise TraceError(source.path, what, "log sensor_accel and sensor_gyro (SDLOG_PROFILE, raw sensors)")
-    notes = [f"{source.path.name}: {line}" for line in _notes(ulog)]
+    notes = [f"{source.path.name}: {line}" for line in _notes(ulog, cut=cut)]
     return Log(source.path, "PX4 ULog", [sensor for _, sensor in sensors], notes, source.local)
 
 
-def _notes(ulog: Any) -> Iterator[str]:
+def _notes(ulog: Any, *, cut: bool) -> Iterator[str]:
     if getattr(ulog, "file_corruption", False):
         yield "the log is damaged in places; what could be read is used"
+    elif cut:
+        yield "the log is cut short within a message; what is before it is used"
     if ulog.dropouts:
         lost = sum(d.duration for d in ulog.dropouts)
         yield f"the logger dropped data {len(ulog.dropouts)} times, {lost / 1000:.3g} s in all"

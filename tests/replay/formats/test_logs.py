@@ -316,6 +316,15 @@ def test_a_ulog_is_read_with_the_parameters_that_px4_corrects_by(tmp_path: Path)
     assert recording.accelerometer.temperature[0] == 31.5
 
 
+def test_a_ulog_that_is_cut_short_is_read_and_said_to_be(tmp_path: Path) -> None:
+    whole = ulog()
+    recording = read_all(written("cut.ulg", lambda: whole[: len(whole) // 2 + 1])(tmp_path))
+    assert any("cut.ulg: the log is cut short" in note for note in recording.notes)
+    assert not any(
+        "cut short" in note for note in read_all(written("log.ulg", lambda: whole)(tmp_path)).notes
+    )
+
+
 def test_a_ulog_larger_than_memory_is_refused_before_it_is_read(tmp_path: Path) -> None:
     path = written("log.ulg", ulog)(tmp_path)
     os.truncate(path, 10 << 30)  # a hole, which takes no room on the disk
