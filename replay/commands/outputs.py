@@ -38,8 +38,12 @@ def _is_written_into(path: Path) -> bool:
 
 def say(out: Path, text: str) -> None:
     """Print a line about the output `out`: on standard error where that is standard output itself."""
-    printed = out == STANDARD_OUTPUT
-    click.echo(f"{'standard output' if printed else out}: {text}", err=printed)
+    click.echo(f"{called(out)}: {text}", err=out == STANDARD_OUTPUT)
+
+
+def called(out: Path) -> str:
+    """Return what messages call the output `out`."""
+    return "standard output" if out == STANDARD_OUTPUT else str(out)
 
 
 def files(*paths: Path | None) -> list[Path]:

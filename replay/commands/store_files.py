@@ -14,7 +14,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.store.files import existing
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import read_regular
-from stillcal.replay.commands.outputs import files, refuse_collisions, say, store_files, write_output
+from stillcal.replay.commands.outputs import called, files, refuse_collisions, say, store_files, write_output
 from stillcal.replay.export.imu import of_record
 from stillcal.replay.export.stored import not_in_file, record_of
 from stillcal.replay.export.target import MAX_BYTES, exported
@@ -53,9 +53,11 @@ def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
     write_output(out, made.data)
     if made.left_out:
         names = ", ".join(made.left_out)
-        click.echo(f"stillcal: {out}: {target.title} cannot hold: {names} (see its comments)", err=True)
+        click.echo(
+            f"stillcal: {called(out)}: {target.title} cannot hold: {names} (see its comments)", err=True
+        )
     for line in made.notes:
-        click.echo(f"stillcal: {out}: {line}", err=True)
+        click.echo(f"stillcal: {called(out)}: {line}", err=True)
     say(out, f"written for {target.title}")
 
 

@@ -36,6 +36,8 @@ def test_export_names_what_the_tool_cannot_hold(path, tmp_path):
     assert "PX4 cannot hold: " in result.stderr
     assert "gyroscope scale" in result.stderr
     assert "# Not held here: gyroscope scale: [" in out.read_text()
+    printed = run("export", path, "--to", "px4", "--out", "-")
+    assert "stillcal: standard output: PX4 cannot hold: " in printed.stderr
 
 
 def test_import_makes_the_file_current_and_keeps_what_it_does_not_hold(path, tmp_path, make_record):
