@@ -37,11 +37,12 @@ from stillcal.calib_core.temperature.memory import Memory
 from stillcal.calib_core.temperature.regression import (
     ACCELEROMETER,
     GYROSCOPE,
+    POWERS,
     UNIT_K,
     Fit,
     Model,
     Observations,
-    Wander,
+    Priors,
     learn,
 )
 
@@ -230,7 +231,7 @@ def _learn_by(
     model = Model(driver.priors(PRIORS[sensor]), driver.reference(term), with_curve=False)
     known_now = np.isfinite(driver.read[-1])
     if not known_now or not driver.mostly_known or np.ptp(driver.known) < LEAST_SPAN_K:
-        return _undecided(sensor, seen, driver, model, middle=middle, term=term, t=t, start=start)
+        return _undecided(sensor, seen, driver, model, middle=middle, term=term, t=t, before=before)
     without = learn(seen, model, t, start)
     lag, seen, curved = driver.at_likeliest_lag(
         _wider(seen, term), replace(model, with_curve=True), t, before
@@ -275,20 +276,46 @@ def _undecided(
     middle: Array,
     term: Term | None,
     t: float,
-    start: Wander | None,
+    before: Forecast | None,
 ) -> Learnt:
     """Return the bias where the rests' temperatures decide nothing: a term that is held stays as it is.
 
     Where the newest rest's temperature is unknown, the term is not applied: the bias is that of now, whatever
-    the temperature may be.
+    the temperature may be. Where the temperatures are known and all alike, the bias at others is as uncertain
+    as the term held, or without one as a sensor's usually is.
     """
-    if term is not None and np.isfinite(driver.read[-1]):
-        offset = driver.offset(term)
+    known_now, told = np.isfinite(driver.read[-1]), np.zeros((POWERS, 3))
+    start = None if before is None else before.wander
+    if term is not None and known_now:
+        offset, told = driver.offset(term), told_curve(term)[1:]
         along = offset if seen.towards is None else (offset * seen.towards).sum(axis=1)[:, None]
         seen = replace(seen, value=seen.value - along)
-    fit = learn(seen, model, t, start)
-    forecast = _forecast(fit, fit, driver, seen.celsius, t)
+    fit = curved = learn(seen, model, t, start)
+    if known_now and driver.mostly_known:
+        priors = _after(model.priors, None if term is None else before)
+        curved = learn(seen, replace(model, priors=priors, with_curve=True), t, fit.wander)
+    forecast = _forecast(fit, curved, driver, seen.celsius, t)
+    forecast = replace(forecast, curve=frozen(forecast.curve + told))
     return _learnt(sensor, fit, t=seen.t, middle=middle, forecast=forecast, term=term, change="", evidence={})
+
+
+def _after(priors: Priors, before: Forecast | None) -> Priors:
+    """Return what is known of a curve: by the forecast in use, on its least known axis, else `priors`."""
+    if before is None:
+        return priors
+    linear, quadratic, cubic = np.sqrt(np.diag(before.covariance))[3:].reshape(-1, 3).max(axis=1).tolist()
+    return replace(priors, curve=(linear, quadratic, cubic))
+
+
+def told_curve(term: Term) -> Array:
+    """Return a term's coefficients about its own reference, (4, 3) as Forecast.error has them."""
+    told = np.zeros((POWERS + 1, 3))
+    if term.effect == BY_CHARGING:
+        told[1] = term.parameters["amplitude"].value * UNIT_K / FULL_K
+    for power, name in enumerate(POWER_NAMES, start=1):
+        if name in term.parameters:
+            told[power] = term.parameters[name].value * UNIT_K**power
+    return told
 
 
 def _change(

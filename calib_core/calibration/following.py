@@ -21,7 +21,13 @@ from stillcal.calib_core.calibration.acceptance import (
     flipped_share,
     sums_by_block,
 )
-from stillcal.calib_core.calibration.bias_curve import BLOCK_S, Learnt, is_thermal, learn_accelerometer
+from stillcal.calib_core.calibration.bias_curve import (
+    BLOCK_S,
+    Learnt,
+    is_thermal,
+    learn_accelerometer,
+    told_curve,
+)
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
 from stillcal.calib_core.calibration.record import (
@@ -31,13 +37,13 @@ from stillcal.calib_core.calibration.record import (
     Evidence,
     Validity,
 )
-from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms, polynomial
+from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast
 from stillcal.calib_core.temperature.memory import Memory
-from stillcal.calib_core.temperature.regression import ACCELEROMETER, UNIT_K
+from stillcal.calib_core.temperature.regression import ACCELEROMETER
 
 STEP_S = 12 * BLOCK_S
 """s: for so long after a step the calibration may be replaced on the evidence of the rests since then."""
@@ -188,9 +194,7 @@ def _error_of(record: CalibrationRecord, part: AccelerometerRecord, learnt: Lear
     error = np.vstack((learnt.bias + forecast.error[0] - part.bias, forecast.curve))
     for term in record.terms:
         if is_thermal(term, Sensor.ACCELEROMETER) and (term.effect == BY_CHARGING) == forecast.by_charger:
-            u = np.array([-1.0, 0.0, 0.5, 1.0])
-            told = polynomial(term, forecast.reference + UNIT_K * u)
-            error = error - np.linalg.solve(np.vander(u, 4, increasing=True), told)
+            error = error - told_curve(term)
     return error
 
 

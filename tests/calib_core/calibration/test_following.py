@@ -150,6 +150,27 @@ def test_without_tempco_or_without_evidence_nothing_is_taken_up() -> None:
         assert GYRO in record.forecast
 
 
+def test_temperatures_that_are_all_alike_tell_nothing_of_others() -> None:
+    """Rests at 25 degC show what holds there; 20 K away the bias is as uncertain as data sheets leave it."""
+    rests = [structs.replace(rest, temperature=25.0) for rest in lived(6.0, slopes=0.0)]
+    record, _ = followed_gyroscope(rests)
+    t = rests[-1].t_end
+    here, away = (record.bias_uncertainty_at(GYRO, t, celsius) for celsius in (25.0, 5.0))
+    assert here.max() < 5e-3 * DEG
+    assert away.min() > 20.0 * np.abs(RATE_SLOPE).max()
+
+
+def test_a_curve_that_is_held_stays_as_certain_where_later_temperatures_are_all_alike() -> None:
+    record, _ = followed_gyroscope(lived(30.0))
+    constant = [structs.replace(rest, temperature=25.123) for rest in lived(6.0, slopes=0.0)]
+    learnt = learn_gyroscope(remembered(constant), record, 6 * HOUR, SETTINGS)
+    assert learnt is not None and learnt.change == ""
+    later = with_learnt_gyroscope(record, learnt, 6 * HOUR)
+    assert later.terms == record.terms
+    stated, before = (r.bias_uncertainty_at(GYRO, r.forecast[GYRO].at, 33.0) for r in (later, record))
+    assert (stated > before).all() and (stated < 5e-3 * DEG).all()
+
+
 def test_where_few_hours_leave_no_doubt_a_curve_is_taken_up_after_them() -> None:
     """The test of signs alone takes nine hours at least."""
     assert followed_gyroscope(lived(5.0))[1] == [TAKEN_UP]
