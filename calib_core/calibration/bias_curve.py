@@ -47,8 +47,10 @@ from stillcal.calib_core.temperature.regression import (
 )
 
 LEAST_RESTS = 8
+"""Fewer rests show too little of the accelerometer, of which each shows one direction only."""
+
 LEAST_SPAN_K = 2.0
-"""Fewer rests, or a smaller span of their temperatures, are not learnt from."""
+"""No curve is learnt from a smaller span of temperatures."""
 
 BLOCK_S = 3600.0
 NEWEST_HOURS = 12
@@ -123,9 +125,9 @@ def held_term(terms: Iterable[Term], sensor: Sensor) -> Term | None:
 def learn_gyroscope(
     memory: Memory, record: CalibrationRecord, t: float, settings: QualitySettings
 ) -> Learnt | None:
-    """Learn the gyroscope's bias now (t, s) by temperature; None where there are too few rests with rates."""
+    """Learn the gyroscope's bias now (t, s) by temperature; None where no rest has a rate."""
     memory = memory.where(np.asarray(np.isfinite(memory.rate).all(axis=1)))
-    if len(memory) < LEAST_RESTS:
+    if not len(memory):
         return None
     rate = memory.rate - force_terms(record, memory.force)
     middle = frozen(np.median(rate, axis=0))

@@ -109,8 +109,7 @@ def follow_accelerometer(
     if not reason and not fresh:
         reason, evidence = _stepped(record, part, learnt, memory, t)
     if not reason:
-        forecast = replace(learnt.forecast, error=frozen(_error_of(record, part, learnt)))
-        return Followed(_with_forecast(record, Sensor.ACCELEROMETER, forecast), False)
+        return Followed(with_learnt_forecast(record, learnt), False)
     acceptance = Acceptance(reason=reason, evidence=evidence)
     new = _replaced(record, part, learnt=learnt, memory=memory, t=t, acceptance=acceptance)
     return Followed(new, True)
@@ -188,14 +187,14 @@ def _residuals(record: CalibrationRecord, part: AccelerometerRecord, memory: Mem
     return np.asarray(norm - memory.gravity)
 
 
-def _error_of(record: CalibrationRecord, part: AccelerometerRecord, learnt: Learnt) -> Array:
-    """Return what is expected of the true bias beyond a calibration's own, (4, 3), as a forecast has it."""
-    forecast = learnt.forecast
-    error = np.vstack((learnt.bias + forecast.error[0] - part.bias, forecast.curve))
+def with_learnt_forecast(record: CalibrationRecord, learnt: Learnt) -> CalibrationRecord:
+    """Return a record whose bias and terms stay, with the uncertainty that what was learnt leaves them."""
+    forecast, bias = learnt.forecast, record.model(learnt.sensor).bias
+    error = np.vstack((learnt.bias + forecast.error[0] - bias, forecast.curve))
     for term in record.terms:
-        if is_thermal(term, Sensor.ACCELEROMETER) and (term.effect == BY_CHARGING) == forecast.by_charger:
+        if is_thermal(term, learnt.sensor) and (term.effect == BY_CHARGING) == forecast.by_charger:
             error = error - told_curve(term)
-    return error
+    return _with_forecast(record, learnt.sensor, replace(forecast, error=frozen(error)))
 
 
 def _replaced(

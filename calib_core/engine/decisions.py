@@ -15,7 +15,7 @@ from typing import Any
 
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit
 from stillcal.calib_core.calibration.acceptance import decide, with_decision
-from stillcal.calib_core.calibration.bias_curve import learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve import Learnt, learn_gyroscope
 from stillcal.calib_core.calibration.candidate import (
     CalibrateSettings,
     Candidate,
@@ -31,7 +31,11 @@ from stillcal.calib_core.calibration.drift_check import (
     stepped_since,
 )
 from stillcal.calib_core.calibration.fingerprint import is_other_phone
-from stillcal.calib_core.calibration.following import follow_accelerometer, with_learnt_gyroscope
+from stillcal.calib_core.calibration.following import (
+    follow_accelerometer,
+    with_learnt_forecast,
+    with_learnt_gyroscope,
+)
 from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed_up
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
 from stillcal.calib_core.calibration.record import CalibrationRecord
@@ -297,6 +301,9 @@ class CalibrationPolicy:
             alone = followed_up(state.record, self._rests_since(None), t, self._settings.quality)
         else:
             return
+        learnt = None if alone is None else self._learn(alone, t)
+        if alone is not None and learnt is not None:
+            alone = with_learnt_forecast(alone, learnt)
         self._publish_bias(alone, t)
 
     def _check_gyroscope_alone(self, t: float, recent: Pool) -> None:
@@ -326,10 +333,14 @@ class CalibrationPolicy:
 
     def _learnt(self, record: CalibrationRecord, t: float) -> CalibrationRecord:
         """Return a record with the gyroscope's bias by temperature and time as all rests kept show it."""
-        if not self._settings.schedule.learn_temperature:
-            return record
-        learnt = learn_gyroscope(self._state.memory, record, t, self._settings.quality)
+        learnt = self._learn(record, t)
         return record if learnt is None else with_learnt_gyroscope(record, learnt, t)
+
+    def _learn(self, record: CalibrationRecord, t: float) -> Learnt | None:
+        """Return what the rests kept show of the gyroscope's bias; None where it is not to be learnt."""
+        if not self._settings.schedule.learn_temperature:
+            return None
+        return learn_gyroscope(self._state.memory, record, t, self._settings.quality)
 
     def _refined(self, record: CalibrationRecord, t: float) -> CalibrationRecord:
         """Return a calibration fitted just now with the gyroscope's bias as learnt; its reason says both."""

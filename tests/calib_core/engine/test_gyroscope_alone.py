@@ -70,6 +70,18 @@ def test_a_short_recording_leaves_its_bias_and_one_without_gyroscope_nothing() -
     assert published(few, accelerometer[:500], end=10.0)[0].record.provisional
 
 
+def test_the_first_bias_grows_uncertain_with_age_and_temperature() -> None:
+    """An hour on, or 20 K colder, the one rest that it was measured on says less than it did then."""
+    streams = (replace(s, temperature=frozen(np.full(len(s), 21.0))) for s in on_a_desk(30.0))
+    (only,) = published(*streams, end=30.0)
+    then, later, colder = (
+        only.record.bias_uncertainty_at(Sensor.GYROSCOPE, only.t + age, celsius)
+        for age, celsius in ((0.0, 21.0), (3600.0, 21.0), (0.0, 1.0))
+    )
+    assert then is not None and later is not None and colder is not None
+    assert (later > 1.1 * then).all() and (colder > np.radians(0.2)).all()
+
+
 def test_the_history_of_a_store_forgets_it() -> None:
     """Nobody rolls back from a full calibration to a gyroscope's bias alone."""
     (only,) = published(*on_a_desk(30.0), end=30.0)
