@@ -160,16 +160,16 @@ def _low_pass(
     used = band & (logs > np.quantile(logs[band], 0.9) - USED_RANGE)
     seen = logs[used]
     cutoffs = np.geomspace(0.02 * rate, 0.49 * rate, CUTOFFS)
-    best: tuple[float, int, int, Array, Array] | None = None
+    best: tuple[float, int, int, Array, Array, float] | None = None
     for order, shapes in _shapes(f, cutoffs, rate):
         level = np.median(np.maximum(power[used] - floor, 0.2 * power[used]) / shapes[:, used], axis=1)
         models = (level[:, None] * shapes + floor) / (level[:, None] + floor)
         misfit = (seen - np.log(models[:, used])).var(axis=1)
         k = int(np.argmin(misfit))
         if best is None or misfit[k] < best[0]:
-            best = float(misfit[k]), k, order, misfit, models[k]
+            best = float(misfit[k]), k, order, misfit, models[k], floor / float(level[k] + floor)
     assert best is not None
-    least, k, order, misfit, shape = best
+    least, k, order, misfit, shape, rounded = best
     gain = seen.size * (float(seen.var()) - least) / max(least, 1e-12)
     # A median of spectra on three axes scatters by pi/2 over their number.
     clean = least < CLEAN + 2.0 * np.pi / 2.0 / (3.0 * averages)
@@ -177,7 +177,9 @@ def _low_pass(
     if not inside or gain < thresholds.BANDWIDTH_GAIN or not clean:
         return None
     near = cutoffs[seen.size * (misfit - least) / least < 4.0]
-    spread = max(float(np.sqrt(SHARED)) * float(near[-1] - near[0]) / 4.0, MODEL * float(cutoffs[k]))
+    # What steps do to noise as fine as they are is no white noise: as much as it is of the power is unsure.
+    unsure = (MODEL + rounded) * float(cutoffs[k])
+    spread = max(float(np.sqrt(SHARED)) * float(near[-1] - near[0]) / 4.0, unsure)
     return LowPass(Measured(_between(cutoffs, misfit, k), spread), shape, gain, order)
 
 

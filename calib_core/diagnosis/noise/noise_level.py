@@ -109,12 +109,15 @@ def _of_axis(power: Array, expected: Array) -> tuple[Measured, bool]:
     return Measured(density, density * max(2.0 * chance / np.sqrt(power.size), FLOOR)), False
 
 
-def density(still: Quiet) -> Array:
-    """Return the densities (3,) of a sensor at rest, its steps' own noise in them; needs three pieces."""
-    seen = judged(still)
+def density(still: Quiet, floor: float = 0.0) -> Array:
+    """Return the densities (3,) of a sensor at rest, below any cutoff; needs three pieces.
+
+    floor: density^2 of the steps' own noise, which comes after a low-pass and is taken off.
+    """
+    seen = judged(still, floor)
     if seen is None:
         raise ValueError(f"{len(still.pieces)} pieces of rest: at least three are needed")
-    return levels(seen).values()
+    return levels(seen, floor).values()
 
 
 def claimed(sensor: str, claims: Claims) -> float | None:

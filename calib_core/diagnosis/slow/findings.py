@@ -25,6 +25,9 @@ from stillcal.calib_core.diagnosis.slow.wander import wander
 CHANCE = 1e-3
 """Probability of parameters as large by chance, above which a finding beside others is none."""
 
+NOTHING = 0.05
+"""The same of a named finding that is alone: its values are within their errors of nothing."""
+
 GRID_STRIDE = 3
 """Each third point of the fine grid is a candidate in every fold: neighbours are alike."""
 
@@ -122,9 +125,8 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         found = [step.winner.hypothesis for step in kept]
         others = [[f for f in found if f is not own] for own in found]
         estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
-        chances = [e.chance() for e in estimates]
-        by_chance = [step for step, chance in zip(kept, chances, strict=True) if chance >= CHANCE]
-        if len(kept) >= 2 and by_chance:
+        by_chance = [step for step, e in zip(kept, estimates, strict=True) if _by_chance(e, len(kept))]
+        if by_chance:
             steps = _without(steps, by_chance[-1])
             continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
@@ -135,6 +137,17 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         steps = _without(steps, weak[-1])
     rival = _rival(first) if first else None
     return statements_of(scene, [Step(rival, ())]) if rival else []
+
+
+def _by_chance(found: Estimate, count: int) -> bool:
+    """Whether values as far from nothing come by chance. count: of findings, this one among them.
+
+    One alone that has a name is nothing only if its values do not differ from nothing at all: it was found
+    for a shape of the noise that came with it, and not for its size.
+    """
+    if count >= 2:
+        return found.chance() >= CHANCE
+    return found.hypothesis.effect.name != "unknown" and found.chance() >= NOTHING
 
 
 def _rival(first: Step) -> Scored | None:

@@ -180,14 +180,14 @@ def _sensor(
     steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
     coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
     # Noise below a coarse step cannot be measured: only the maker's claim is left.
-    level = np.full(3, claimed) if coarse and claimed else _density(samples, bins)
-    rounding = 0.0 if coarse and claimed else max([0.0, *steps]) ** 2 / (6.0 * rate)
+    rounding = max([0.0, *steps]) ** 2 / (6.0 * rate)
+    level = np.full(3, claimed) if coarse and claimed else _density(samples, bins, rounding)
     lsb = float(np.median(steps)) if steps and not coarse else 0.0
     return SensorSettings(
         rate_hz=round(rate, 6),
         bias=_vector(bias),
         scale=_matrix(scale),
-        noise=_noise(samples, effects, level, slow, rounding),
+        noise=_noise(samples, effects, level, slow),
         lsb=lsb,
         range=limit,
     )
@@ -198,14 +198,9 @@ def _noise(
     effects: Sequence[Effect],
     level: Array,
     slow: Sequence[NoiseModel | None],
-    rounding: float,
 ) -> Noise:
-    """Return the noise that, with the effects on it and the step's rounding, has the measured density.
-
-    rounding: what the step of the values adds to the density's square.
-    """
-    white = level**2 - rounding
-    white = np.sqrt(np.maximum(white, 0.0)) / np.sqrt(_tail_power(samples, effects))
+    """Return the noise that, with the effects on it, has the measured density `level` (3,)."""
+    white = level / np.sqrt(_tail_power(samples, effects))
     walks = any(e.name.endswith("bias_random_walk") and e.concerns(samples.sensor) for e in effects)
     known = [m or NoiseModel(0.0) for m in slow]
     sigma = [m.gauss_markov for m in known]
@@ -219,12 +214,15 @@ def _noise(
     )
 
 
-def _density(samples: Samples, bins: Bins) -> Array:
-    """Return the density (3,) of single samples' noise inside rests, below any cutoff; 0 without rests."""
+def _density(samples: Samples, bins: Bins, rounding: float) -> Array:
+    """Return the density (3,) of single samples' noise inside rests, below any cutoff; 0 without rests.
+
+    rounding: what the step of the values adds to its square.
+    """
     still = quiet(samples, bins)
     if len(still.pieces) < 3:
         return np.zeros(3)
-    return density(still)
+    return density(still, rounding)
 
 
 def _tail_power(samples: Samples, effects: Sequence[Effect]) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
 
@@ -17,7 +18,6 @@ def quiet(pieces: np.ndarray) -> Quiet:
 
 def averaged(cutoff: float) -> np.ndarray:
     """Return y[n] = (1 - a) x[n] + a y[n - 1], 3 dB down at a cutoff, Hz."""
-    from scipy.signal import lfilter  # noqa: PLC0415
 
     c = 1.0 - np.cos(2.0 * np.pi * cutoff / RATE)
     new = np.sqrt(c**2 + 2.0 * c) - c
@@ -34,3 +34,19 @@ def test_an_exponential_average_is_a_low_pass(cutoff: float) -> None:
 def test_white_noise_has_none() -> None:
     found = judged(quiet(WHITE))
     assert found is not None and found.low_pass is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_cutoff_is_less_sure_where_steps_are_as_coarse_as_the_noise(seed: int) -> None:
+    """Rounding leaves noise of its own, which a filter's output makes anything but white."""
+
+    rng = np.random.default_rng(seed)
+    noise = lfilter(*butter(2, 0.24), rng.normal(size=(40, 1000, 3)), axis=1)
+    step = 1.5 * float(noise.std())
+    means = rng.uniform(0.0, step, (40, 1, 3))
+    rounded = np.rint((noise + means) / step) * step - means
+    fine, coarse = (judged(quiet(p), floor) for p, floor in ((noise, 0.0), (rounded, step**2 / 6.0 / RATE)))
+    assert fine is not None and fine.low_pass is not None
+    assert coarse is not None and coarse.low_pass is not None
+    for one, least in ((fine.low_pass.cutoff, 0.02), (coarse.low_pass.cutoff, 0.04)):
+        assert abs(one.value - 12.0) < 3.0 * one.error and one.error >= 0.99 * least * one.value
