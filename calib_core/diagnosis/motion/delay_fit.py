@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.motion.axis_delays import AxisDelays
 from stillcal.calib_core.diagnosis.motion.block_regression import Regression
 from stillcal.calib_core.diagnosis.motion.delay_trend import DelayTrend
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
-from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, Motion, Window
+from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, Motion, Window, smoothed
 
 DRAWN = 40
 """Windows from which a delay is found roughly."""
@@ -31,8 +31,6 @@ LINEARISED = 3
 """Times that the model is taken about the delay found before, at all frequencies."""
 
 REWEIGHTED = 3
-SMOOTHED = 1.25
-"""Factor of frequency over which the power of what is left is averaged to weigh by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +144,7 @@ class Weighed:
         x = np.zeros(effects[0].shape[2])
         for _ in range(REWEIGHTED):
             power = (np.abs(_left(effects, still, x)) ** 2).mean(axis=2)
-            weight = 1.0 / np.sqrt([_smooth(own) for own in power])
+            weight = 1.0 / np.sqrt([smoothed(own) for own in power])
             sums = summed(effects, still, weight)
             x = sums.fitted()
         return cls(sums, weight, _left(effects, still, x) * weight[:, :, None])
@@ -169,15 +167,6 @@ class Weighed:
 def _left(effects: list[Spectrum], still: list[Spectrum], x: Array) -> Spectrum:
     """Return what parameters (k,) leave of K windows' spectra, (K, f, 3)."""
     return np.array([y - e @ x for e, y in zip(effects, still, strict=True)], complex)
-
-
-def _smooth(power: Array) -> Array:
-    """Average a spectrum (f,) over `SMOOTHED` to either side."""
-    total = np.concatenate([[0.0], np.cumsum(power)])
-    k = np.arange(power.size)
-    low = np.maximum((k / SMOOTHED).astype(int) - 1, 0)
-    high = np.minimum((k * SMOOTHED).astype(int) + 2, power.size)
-    return np.asarray((total[high] - total[low]) / (high - low) + 1e-300)
 
 
 def _parts(values: Spectrum, weight: Array) -> Array:

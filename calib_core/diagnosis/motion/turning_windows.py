@@ -32,6 +32,9 @@ WANTED = 20
 SOME = 50
 """Intervals that are averaged where some may be missing."""
 
+SMOOTHED = 1.25
+"""Factor of frequency over which a power is averaged."""
+
 HIGHEST = 0.3
 """Part of the sample rate that is looked at."""
 
@@ -52,7 +55,8 @@ class Window:
     def of(cls, t: Array, rate: Array) -> Window:
         """Carry the attitude through the window."""
         back = matrix(attitudes(t, rate))
-        return cls(t, rate, back, spectrum(back @ of_arm(t, rate)))
+        arm = spectrum(back @ of_arm(t, rate))
+        return cls(t, rate, back, arm * _part_of_motion(arm, t, rate)[:, None, :])
 
     def felt(self, force: Array) -> tuple[Array, Array]:
         """Return force (n, 3) turned back, and its mean direction (3,), up."""
@@ -125,6 +129,24 @@ class Motion:
         return made
 
 
+def _part_of_motion(arm: Spectrum, t: Array, rate: Array) -> Array:
+    """Return by frequency (f, 3) which part of an arm's columns is motion, and not the gyroscope's noise.
+
+    They are made of the rate's derivative, in which white noise grows with frequency. Columns with noise make
+    an arm seem shorter; what is to be expected of them, given what was read, does not (regression
+    calibration: Carroll et al., Measurement Error in Nonlinear Models, 2006, 4). Fourth differences of white
+    noise have 70 times its variance, those of motion next to none.
+    """
+    interval = _interval(t)
+    white = (np.diff(rate, 4, axis=0) ** 2).mean(axis=0) / 70.0
+    frequency = np.arange(len(arm)) / (interval * len(t))
+    slope = (np.sin(2.0 * np.pi * frequency * interval) / interval) ** 2
+    # Each column has the derivatives of the two other axes.
+    noise = (np.hanning(len(t) + 2) ** 2).sum() * slope[:, None] * (white.sum() - white)
+    power = np.apply_along_axis(smoothed, 0, (np.abs(arm) ** 2).sum(axis=1))
+    return np.asarray(np.maximum(1.0 - noise / power, 0.0))
+
+
 def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
     """Return stamps (n,), all different, and rate (n, 3) of unbroken windows of turning, the lively ones.
 
@@ -163,6 +185,15 @@ def force_at(samples: Samples, baseline: Baseline | None, t: Array) -> Array:
     """Return calibrated specific force (n, 3) at times t (n,)."""
     raw = interpolate(t, samples.t, samples.xyz)
     return raw if baseline is None else np.asarray((raw - baseline.bias) @ baseline.scale.T)
+
+
+def smoothed(power: Array) -> Array:
+    """Average a spectrum (f,) over `SMOOTHED` to either side."""
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    k = np.arange(power.size)
+    low = np.maximum((k / SMOOTHED).astype(int) - 1, 0)
+    high = np.minimum((k * SMOOTHED).astype(int) + 2, power.size)
+    return np.asarray((total[high] - total[low]) / (high - low) + 1e-300)
 
 
 def spectrum(values: Array) -> Spectrum:

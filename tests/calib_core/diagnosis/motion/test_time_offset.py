@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
@@ -122,6 +125,20 @@ def test_a_lever_arm_is_measured() -> None:
     (found,) = diagnosed(12, arm=arm)
     assert found.effect == "lever_arm"
     np.testing.assert_allclose(found.parameters["position"].value, arm, atol=0.02)
+
+
+@pytest.mark.parametrize("seed", [12, 13, 14])
+def test_a_noisy_gyroscope_makes_no_arm_shorter(seed: int) -> None:
+    """The derivative of its noise, which grows with frequency, is in what an arm would do."""
+    arm = np.array([0.0, 0.08, -0.05])
+    accelerometer, gyroscope = played(seed, arm=(0.0, 0.08, -0.05))
+    noise = np.random.default_rng(seed).normal(0.0, 4e-3, gyroscope.xyz.shape)
+    noisy = replace(gyroscope, xyz=frozen(gyroscope.xyz + noise))
+    bins = cut(accelerometer, noisy)
+    found = motion_findings(accelerometer, noisy, aligned(noisy, bins, G), G, sound_phones()["time_offset"])
+    (only,) = (f for f in found if f.effect == "lever_arm")
+    measured = np.asarray(only.parameters["position"].value)
+    assert float(measured @ arm / (arm @ arm)) == pytest.approx(1.0, abs=0.12)
 
 
 def test_an_axis_that_is_late_by_itself_is_no_delay_of_the_sensor() -> None:
