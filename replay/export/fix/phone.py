@@ -50,6 +50,16 @@ OF_ONE_MOMENT = {
 }
 
 
+SETTINGS = {
+    "timestamp_jitter": ("clock", "jitter_s", "sigma"),
+    "dropped_samples": ("clock", "drop_fraction", "fraction"),
+    "accel_gyro_time_offset": ("clock", "gyro_delay_s", "delay"),
+    "clock_skew": ("clock", "skew", "relative"),
+    "bandwidth": ("", "cutoff_hz", "cutoff"),
+}
+"""Effects that a phone may have as a setting: its table ("" for the sensor's), its name, its number."""
+
+
 class _Phone:
     """One correction of one phone."""
 
@@ -120,6 +130,23 @@ class _Phone:
                 self._fixed.changed.append(
                     f"{which}.cutoff_hz: {cutoff:g} taken out: not below half the rate"
                 )
+
+    def setting(self, finding: Finding) -> None:
+        """Change what the phone has as a setting of its own; without one, it is an effect like others."""
+        table, field, parameter = SETTINGS[finding["effect"]]
+        owner = table or finding["sensor"]
+        settings = getattr(self.phone, owner)
+        before = None if settings is None else getattr(settings, field)
+        if not before or any(_is_of(e, finding) for e in self.phone.effects):
+            self.other(finding)
+            return
+        if finding["relation"] == "superfluous":
+            self._set_sensor(owner, **{field: None if field == "cutoff_hz" else 0.0})
+            self._fixed.changed.append(f"{owner}.{field}: {before:g} taken out")
+            return
+        after = float(rounded(recorded(finding, parameter)))
+        self._set_sensor(owner, **{field: after})
+        note_change(self._fixed, f"{owner}.{field}", before, after)
 
     def other(self, finding: Finding) -> None:
         """Put in an effect that the phone lacks, change one that it has, or take one out."""
@@ -247,7 +274,7 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     fixed = Fixed("")
     work = _Phone(before, fixed)
     handlers: dict[str, Callable[[Finding], None]] = dict.fromkeys(OF_DENSITY, work.white)
-    handlers["sample_rate"] = work.rate
+    handlers |= {"sample_rate": work.rate, **dict.fromkeys(SETTINGS, work.setting)}
     for sensor in ("accel", "gyro"):
         handlers |= {
             f"{sensor}_bias": work.bias,

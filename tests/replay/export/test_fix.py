@@ -370,3 +370,28 @@ def test_imusensor_s_accelerometer_has_the_other_sign_in_its_slope_and_what_foll
     made = fixed("imusensor", None, {**slope, "reference": {"temperature_c": 35.0}})
     assert "imu.Accelerometer.TemperatureBias = [-0.01 " in made.text
     assert "imu.Accelerometer.ConstantBias = [0.1 " in made.text
+
+
+@pytest.mark.parametrize(
+    ("effect", "sensor", "table", "field", "parameter"),
+    [
+        ("timestamp_jitter", "timing", "clock", "jitter_s", "sigma"),
+        ("dropped_samples", "timing", "clock", "drop_fraction", "fraction"),
+        ("accel_gyro_time_offset", "timing", "clock", "gyro_delay_s", "delay"),
+        ("clock_skew", "timing", "clock", "skew", "relative"),
+        ("bandwidth", "gyro", "gyro", "cutoff_hz", "cutoff"),
+    ],
+)
+def test_what_a_phone_has_as_a_setting_is_changed_there(
+    effect: str, sensor: str, table: str, field: str, parameter: str
+) -> None:
+    """Beside it, an effect of that name would add to it, and it could not be taken out."""
+    text = f"[{table}]\n{field} = 0.01\n"
+    for relation, after in (("too_small", 0.02), ("superfluous", None if field == "cutoff_hz" else 0.0)):
+        change = finding(effect, sensor, {parameter: (0.02, 0.01)}, relation, axes="")
+        done = fixed("phone", text, change)
+        phone = msgspec.convert(tomllib.loads(done.text), type=Phone)
+        assert getattr(getattr(phone, table), field) == after
+        assert not phone.effects and done.changed[0].startswith(f"{table}.{field}: 0.01")
+    done = fixed("phone", None, finding(effect, sensor, {parameter: (0.02, 0.0)}, "lacking", axes=""))
+    assert [e.name for e in msgspec.convert(tomllib.loads(done.text), type=Phone).effects] == [effect]
