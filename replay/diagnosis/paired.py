@@ -23,7 +23,8 @@ from stillcal.calib_core.diagnosis.comparison.paired import (
     without_equation,
     without_found,
 )
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, UNSURE
 from stillcal.calib_core.diagnosis.slow.findings import Stated
@@ -65,33 +66,32 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     show_stage(READINGS, 0.0)
     beside = len(list(slow_effects(recorded)))
     values = compare_samples(exams, names, beside)
-    filters = [
-        d.difference for d in values.discrepancies if d.effect == LOW_PASS and d.difference is not None
-    ]
-    own = _filtered(_limited(recording, _limits(exams)), [d.simulated for d in filters])
-    other = _filtered(_limited(simulation, _limits(exams)), [d.recorded for d in filters])
-    unsure = _delay_of(filters)
+    own, other, unsure = _alike(recording, simulation, exams, values)
     true, timed, late = _aligned(own, mean_readings(own, [other]), unsure)
     bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0)
     exam = examined_in_pair(recorded, bins, scenes, late, lambda done: show_stage(READINGS, done))
     slow = compare_in_pair(exam, constants=True, timed=timed)
-    before, after, left_out = slow.and_of(values), None, []
+    before = slow.and_of(values)
+    fit = Fit.of(before, before)
     if before.discrepancies:
         show_stage(AGAIN, 0.0)
         played = [*values.discrepancies, *(d for d in slow.discrepancies if d.effect == DELAY)]
         made = correct(simulation, played, {})
-        measured = examined(made.recording, silent, search=False)
-        changed = {d.sensor for d in played if d.effect.endswith(ON_VALUES)}
-        measured = with_own_values(measured, simulated, changed)
         _, _, left = _aligned(recording, mean_readings(recording, [made.recording]), unsure)
         after = without_found(exam, slow, left, constants=True, timed=timed)
+        measured = _measured(made.recording, simulated, played)
         after = after.and_of(compare_samples((recorded, measured), names, beside))
-        left_out = [*(e for e in without_equation(slow) if e != DELAY), *made.left_out]
+        fit = Fit.of(before, after, [*(e for e in without_equation(slow) if e != DELAY), *made.left_out])
     stated = findings_stated([s.finding for s in recorded.statements], "recorded")
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
-    fit = Fit.of(before, after or before, left_out)
     answer = answer_of(before, names, fit, stated, exam.bins.temperature)
     return Judged(recording, exam, simulated, before, None, None, answer)
+
+
+def _measured(made: Recording, simulated: Examination, played: Sequence[Discrepancy]) -> Examination:
+    """Return what a corrected simulation shows, its own values and noise where these were left alone."""
+    changed = {d.sensor for d in played if d.effect.endswith(ON_VALUES)}
+    return with_own_values(examined(made, silent, search=False), simulated, changed)
 
 
 def judge_with_witnesses(
@@ -136,10 +136,20 @@ def _aligned(recording: Recording, true: Readings, unsure: float) -> tuple[Readi
     return as_late, True, [Stated(found)] if found else []
 
 
-def _delay_of(low_passes: Sequence[Difference]) -> float:
-    """Return the standard error, s, of what the low-passes that differ delay, as they were played."""
-    cutoffs = [float(np.exp(q.value[0])) for d in low_passes for q in (d.recorded, d.simulated) if not q.none]
-    return UNSURE * max((1.0 / (2.0 * np.pi * cutoff) for cutoff in cutoffs), default=0.0)
+def _alike(
+    recording: Recording, simulation: Recording, exams: Sequence[Examination], values: Comparison
+) -> tuple[Recording, Recording, float]:
+    """Return both with the limits and the low-passes of both, so that the rest can be judged.
+
+    values: has the low-passes that differ. The third is the standard error, s, of what these delay.
+    """
+    limits = _limits(exams)
+    filters = [d.difference for d in values.discrepancies if d.difference and d.effect == LOW_PASS]
+    own = _filtered(_limited(recording, limits), [d.simulated for d in filters])
+    other = _filtered(_limited(simulation, limits), [d.recorded for d in filters])
+    cutoffs = [float(np.exp(q.value[0])) for d in filters for q in (d.recorded, d.simulated) if not q.none]
+    longest = max((1.0 / (2.0 * np.pi * cutoff) for cutoff in cutoffs), default=0.0)
+    return own, other, UNSURE * longest
 
 
 def _filtered(recording: Recording, low_passes: Sequence[Quantity]) -> Recording:
