@@ -17,6 +17,9 @@ UNSURE = 0.15
 """Part of 1 / (2 pi cutoff) by which a low-pass' delay is unsure. Orders and kinds are hard to tell apart: an
 average of the first order delays by half a sample less than an analogue filter."""
 
+ANY_ORDER = 0.8
+"""The same where the order is not known: filters of the first to the fourth order delay by 1 to 2.6 of it."""
+
 MOST = 3.0
 """A low-pass delays no motion by more than so many times 1 / (2 pi cutoff), up to the fourth order."""
 
@@ -45,7 +48,8 @@ class FilterDelay:
         sensor = "gyro" if expected > 0.0 else "accel"
         unit = abs(units.get("gyro", 0.0) - units.get("accel", 0.0))
         own = [units[s] * one.cutoff.error / one.cutoff.value for s, one in seen.items()]
-        error = float(np.linalg.norm([UNSURE * unit, *own]))
+        unsure = UNSURE if all(one.order_known for one in seen.values()) else ANY_ORDER
+        error = float(np.linalg.norm([unsure * unit, *own]))
         return cls(Measured(expected, error), sensor, spectra[sensor], unit)
 
     def beyond(self, delay: Measured) -> Measured:

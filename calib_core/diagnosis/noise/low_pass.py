@@ -64,12 +64,21 @@ def quiet(samples: Samples, bins: Bins) -> Quiet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LowPass:
-    """A low-pass: cutoff Hz, its shape (F,) of power at the spectra's frequencies, how far flat is worse."""
+    """A low-pass: cutoff Hz, its shape (F,) of power at the spectra's frequencies, how far flat is worse.
+
+    rounded: part of the power at low frequency that is the steps' own.
+    """
 
     cutoff: Measured
     shape: Array
     gain: float
     order: int
+    rounded: float
+
+    @property
+    def order_known(self) -> bool:
+        """Whether its order can be told: rounding of noise as fine as the steps bends spectra, too."""
+        return self.rounded <= MODEL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +189,7 @@ def _low_pass(
     # What steps do to noise as fine as they are is no white noise: as much as it is of the power is unsure.
     unsure = (MODEL + rounded) * float(cutoffs[k])
     spread = max(float(np.sqrt(SHARED)) * float(near[-1] - near[0]) / 4.0, unsure)
-    return LowPass(Measured(_between(cutoffs, misfit, k), spread), shape, gain, order)
+    return LowPass(Measured(_between(cutoffs, misfit, k), spread), shape, gain, order, rounded)
 
 
 def _between(cutoffs: Array, misfit: Array, k: int) -> float:
