@@ -23,6 +23,7 @@ from asyncvarlink.conversion import ObjectVarlinkType, VarlinkType
 from asyncvarlink.serviceinterface import InvalidParameter, PermissionDenied
 
 from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
+from stillcal.calib_core.streams import limits
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.streams.smoothing import RollingMean
 from stillcal.daemon.varlink import types as api
@@ -103,7 +104,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
             refusal = self._daemon.view.refusal
             reason = refusal.reason if refusal else "too few rests so far"
             raise NotCalibrated(reason=reason, missing=list(refusal.missing) if refusal else [])
-        return views.calibration(record, self._daemon, temperature_c)
+        return views.calibration(record, self._daemon, _possible(temperature_c))
 
     @varlinkmethod(return_parameter="status")
     def GetStatus(self) -> api.Status:
@@ -149,10 +150,10 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         """
         if self._daemon.view.record is None:
             raise NotCalibrated(reason="no calibration yet", missing=[])
-        raw = np.array(samples, dtype=np.float64).reshape(-1, 3)
+        raw, celsius = np.array(samples, dtype=np.float64).reshape(-1, 3), _possible(temperature_c)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
-                corrected = views.corrected(self._daemon, Sensor(sensor), raw, temperature_c, force)
+                corrected = views.corrected(self._daemon, Sensor(sensor), raw, celsius, force)
         except NotCalibratedError as error:
             raise NotCalibrated(reason=str(error), missing=[sensor]) from None
         except ValueError:
@@ -300,6 +301,13 @@ def _rolling_mean(sensor: str, rate_hz: float) -> RollingMean:
 def _require_right() -> None:
     if not CALLER.get().may_change:
         raise PermissionDenied()
+
+
+def _possible(temperature_c: float | None) -> float | None:
+    """Return a temperature, degC, that was told, None where none was; refuse one that no sensor can have."""
+    if temperature_c is not None and not limits.within("celsius", temperature_c):
+        raise InvalidParameter(parameter="temperature_c")
+    return temperature_c
 
 
 def _within(name: str, value: int | None) -> int:

@@ -76,6 +76,22 @@ def test_the_current_calibration_is_the_stores(folder: Path, make_record: Any) -
     within_reason(test())
 
 
+def test_a_temperature_that_no_sensor_can_have_is_refused(folder: Path, make_record: Any) -> None:
+    stored(folder, make_record(3))
+
+    async def test() -> None:
+        async with answering(folder):
+            for bad in (-400.0, 1001.0):
+                with pytest.raises(varlink.VarlinkError, match=r"InvalidParameter.*temperature_c"):
+                    await asked(folder, lambda c, b=bad: c.GetCalibration(b))
+                with pytest.raises(varlink.VarlinkError, match=r"InvalidParameter.*temperature_c"):
+                    await asked(folder, lambda c, b=bad: c.Correct("gyroscope", [[0.0] * 3], b))
+            for possible in (-273.15, 1000.0):
+                await asked(folder, lambda c, p=possible: c.GetCalibration(p))
+
+    within_reason(test())
+
+
 def test_a_calibration_says_which_attitude_would_help_most(folder: Path, make_record: Any) -> None:
     words = "lay it on its left edge (x axis up)"
     record = make_record(3)
