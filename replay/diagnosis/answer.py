@@ -13,6 +13,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.codec import jsonable
+from stillcal.calib_core.diagnosis.comparison.direct import MEASURED_ELSEWHERE
 from stillcal.calib_core.diagnosis.comparison.noise import UNEQUAL, ratios_to_others
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared, p_of
@@ -154,6 +155,8 @@ def _finding(
 ) -> dict[str, Any]:
     side = "simulated" if one.relation == "superfluous" else "recorded"
     own = one.recorded or one.simulated or stated.get((side, one.effect, one.sensor))
+    # What is measured in both needs no rival that one recording by itself could not tell.
+    in_both = one.difference is not None and one.effect.endswith(MEASURED_ELSEWHERE)
     out: dict[str, Any] = {
         "effect": one.effect,
         "sensor": one.sensor,
@@ -165,7 +168,7 @@ def _finding(
             "driver": one.where.driver,
         },
         "parameters": {},
-        "alternatives": [] if own is None else [_alternative(a) for a in own.alternatives],
+        "alternatives": [] if own is None or in_both else [_alternative(a) for a in own.alternatives],
         "relation": one.relation,
         "probability": one.probability,
         "difference": {},

@@ -176,6 +176,7 @@ def test_a_delay_a_filter_and_a_limit_are_found_put_in_and_gone(
     for name, size in sizes.items():
         low, high = said["findings"][0]["parameters"][name]["ci95"]
         assert low <= size <= high
+    assert said["findings"][0]["alternatives"] == []
     assert (said["verdict"], said["fit"]["not_put_in"]) == ("identified", [])
     assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
 
