@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS, OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
@@ -62,7 +62,7 @@ def correct(
     if not isinstance(simulation, LongRecording) or simulation.overview is None:
         return corrected
     seconds = _seconds(simulation, simulation.overview)
-    slow = [d for d in discrepancies if _delay(d) is None and not _is_filter(d)]
+    slow = [d for d in discrepancies if not _moves(d)]
     changed = _with_added(seconds, slow, biases, seed).recording
     white = [d for d in discrepancies if d.effect in OF_DENSITY and d.difference is not None]
     power = {d.sensor: _missing(d) / 2.0 for d in white if (_missing(d) >= 0.0).all()}
@@ -116,7 +116,7 @@ def _with_added(
         "gyro": simulation.gyroscope,
     }
     # A scale acts on what the simulation's sensor read, hence before anything is added to that.
-    linear = [d for d in discrepancies if _limit(d) is None and _delay(d) is None and not _is_filter(d)]
+    linear = [d for d in discrepancies if _limit(d) is None and not _moves(d)]
     for one in sorted(linear, key=lambda d: not d.effect.endswith("_scale")):
         samples = streams.get(one.sensor)
         added = None if samples is None else _added(drivers, samples, one, biases, rng)
@@ -124,9 +124,10 @@ def _with_added(
             left_out.append(one.effect)
         else:
             streams[one.sensor] = replace(samples, xyz=frozen(samples.xyz + added))
-    for one in discrepancies:
-        sensor = "gyro" if _delay(one) is not None else one.sensor
-        streams[sensor] = _moved(streams.get(sensor), one)
+    for one in filter(_moves, discrepancies):
+        sensor = "gyro" if one.effect == DELAY else one.sensor
+        samples = streams.get(sensor)
+        streams[sensor] = None if samples is None else _moved(samples, one)
     for one in discrepancies:
         limit, samples = _limit(one), streams.get(one.sensor)
         if limit is not None and samples is not None:
@@ -178,20 +179,22 @@ def _added(
     return _by_physics(drivers, samples, one.difference)
 
 
-def _moved(samples: Samples | None, one: Discrepancy) -> Samples | None:
-    """Return the samples read later by a delay, or behind a low-pass; as they are if it is neither."""
-    delay = _delay(one)
-    if samples is None:
-        return None
-    if _is_filter(one) and one.difference is not None:
-        return low_passed(samples, one.difference.recorded)
-    return samples if delay is None else read_later(samples, delay)
+def _moves(one: Discrepancy) -> bool:
+    """Whether it is a delay, or a low-pass that the simulation does not have."""
+    lacks = one.relation == "lacking" and one.difference is not None
+    return one.effect == DELAY or (one.effect == LOW_PASS and lacks)
 
 
-def _delay(one: Discrepancy) -> float | None:
-    """Return by how much later than in the simulation the gyroscope reads, s; None for all else."""
-    if one.effect != DELAY:
-        return None
+def _moved(samples: Samples, one: Discrepancy) -> Samples:
+    """Return the samples read later by a delay, or behind a low-pass."""
+    if one.effect == DELAY:
+        return read_later(samples, _delay(one))
+    assert one.difference is not None, "a low-pass is measured in both"
+    return low_passed(samples, one.difference.recorded)
+
+
+def _delay(one: Discrepancy) -> float:
+    """Return by how much later than in the simulation the gyroscope reads, s."""
     if one.difference is not None:
         both = one.difference.recorded, one.difference.simulated
         late, other = (float(np.exp(q.value[0]) if q.logarithmic else q.value[0]) for q in both)
@@ -200,11 +203,6 @@ def _delay(one: Discrepancy) -> float | None:
     assert own is not None, "what has no difference was found in one of the two"
     delay = float(np.ravel(own.parameters["delay"].value)[0])
     return delay if one.recorded is not None else -delay
-
-
-def _is_filter(one: Discrepancy) -> bool:
-    """Whether it is a low-pass that the simulation does not have."""
-    return one.effect == "bandwidth" and one.relation == "lacking"
 
 
 def low_passed(samples: Samples, found: Quantity) -> Samples:

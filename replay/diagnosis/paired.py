@@ -5,8 +5,9 @@ What the recording reads less what the other reads is judged itself, moved or no
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -154,14 +155,18 @@ def _alike(
 
 def _filtered(recording: Recording, low_passes: Sequence[Quantity]) -> Recording:
     """Return a recording behind the low-passes of the other, so that both sides are behind all of them."""
-    streams = {"accel": recording.accelerometer, "gyro": recording.gyroscope}
     for one in low_passes:
-        samples = streams[one.sensor]
-        if samples is not None and not one.none:
-            streams[one.sensor] = low_passed(samples, one)
-    accelerometer = streams["accel"]
-    assert accelerometer is not None, "every recording has an accelerometer"
-    return replace(recording, accelerometer=accelerometer, gyroscope=streams["gyro"])
+        if not one.none:
+            recording = _changed(recording, one.sensor, partial(low_passed, found=one))
+    return recording
+
+
+def _changed(recording: Recording, sensor: str, change: Callable[[Samples], Samples]) -> Recording:
+    """Return a recording with the samples of one sensor changed, where it has that sensor."""
+    if sensor == "accel":
+        return replace(recording, accelerometer=change(recording.accelerometer))
+    gyroscope = recording.gyroscope
+    return recording if gyroscope is None else replace(recording, gyroscope=change(gyroscope))
 
 
 def _limits(exams: Sequence[Examination]) -> dict[str, float]:
@@ -176,15 +181,13 @@ def _limits(exams: Sequence[Examination]) -> dict[str, float]:
 
 def _limited(recording: Recording, limits: Mapping[str, float]) -> Recording:
     """Return a recording that saturates where one of the two does: beyond it their readings say nothing."""
-    streams = [("accel", recording.accelerometer), ("gyro", recording.gyroscope)]
-    force, rate = (
-        samples
-        if samples is None or sensor not in limits
-        else replace(samples, xyz=frozen(np.clip(samples.xyz, -limits[sensor], limits[sensor])))
-        for sensor, samples in streams
-    )
-    assert force is not None, "every recording has an accelerometer"
-    return replace(recording, accelerometer=force, gyroscope=rate)
+    for sensor, limit in limits.items():
+        recording = _changed(recording, sensor, partial(_clipped, limit=limit))
+    return recording
+
+
+def _clipped(samples: Samples, limit: float) -> Samples:
+    return replace(samples, xyz=frozen(np.clip(samples.xyz, -limit, limit)))
 
 
 def _refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:

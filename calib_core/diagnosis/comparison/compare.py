@@ -26,12 +26,13 @@ from stillcal.calib_core.diagnosis.comparison.of_samples import Reasons, differe
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
     Difference,
+    Key,
     Quantity,
     posterior,
     subtract,
     weighed,
 )
-from stillcal.calib_core.diagnosis.comparison.records import Comparison, Key, NotCompared
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
 from stillcal.calib_core.diagnosis.comparison.stated import (
     differs,
@@ -183,10 +184,7 @@ def _quantities(
     exam: Examination, wanted: Sequence[Wanted], reference_c: Mapping[str, float]
 ) -> dict[Key, Quantity]:
     """Return all that one recording shows, by effect and sensor."""
-    out = linear_quantities(exam, wanted, reference_c)
-    for stream in exam.streams:
-        if (level := noise.density(stream)) is not None:
-            out["noise_level", stream.sensor] = level
+    out = linear_quantities(exam, wanted, reference_c) | noise.densities(exam)
     for scene in exam.scenes:
         if len(scene.bins) < thresholds.LEAST_BINS:
             continue

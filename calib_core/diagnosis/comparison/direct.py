@@ -9,7 +9,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear import transferable
 from stillcal.calib_core.diagnosis.comparison.noise import TIMES
-from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import Key, Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.direct import quantities, smallest
@@ -35,9 +35,6 @@ MEASURED_ELSEWHERE = (
     "bandwidth",
 )
 """Findings of one recording by itself whose quantity is measured in both, whether it is a finding or not."""
-
-Key = tuple[str, str]
-"""Effect and sensor."""
 
 LINE = "frequency"
 """Parameter that tells two lines of one sensor apart."""

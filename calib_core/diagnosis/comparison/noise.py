@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity, Relation
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, Part, Quantity, Relation
 from stillcal.calib_core.diagnosis.diagnose import Examination, Stream
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
@@ -88,6 +88,12 @@ def density(stream: Stream) -> Quantity | None:
     )
 
 
+def densities(exam: Examination) -> dict[Key, Quantity]:
+    """Return the white noise of each sensor that shows it, by effect and sensor."""
+    shown = (density(stream) for stream in exam.streams)
+    return {(level.effect, level.sensor): level for level in shown if level is not None}
+
+
 def imbalance(quantity: Quantity, axis: str) -> Measured:
     """Return how an axis' density stands to that of the other two, as the logarithm of the ratio."""
     return odd_one_out(quantity.value, np.hypot(quantity.sigma, quantity.tolerance), AXES.index(axis))
@@ -139,12 +145,12 @@ def _odd_axis(quantity: Quantity) -> str | None:
     return farthest if abs(ratios[farthest].value) > AXIS_SIGMA * ratios[farthest].error else None
 
 
-def low_passes(exams: Sequence[Examination]) -> list[dict[tuple[str, str], Quantity]]:
+def low_passes(exams: Sequence[Examination]) -> list[dict[Key, Quantity]]:
     """Return the low-pass of each sensor in two recordings, by effect and sensor, where one of them has any.
 
     Where the other does not show whether it has one, only the first has the quantity.
     """
-    sides: list[dict[tuple[str, str], Quantity]] = [{}, {}]
+    sides: list[dict[Key, Quantity]] = [{}, {}]
     for streams in zip(*(exam.streams for exam in exams), strict=False):
         both = [_low_pass(stream) for stream in streams]
         for side, own, other, stream in zip(sides, both, both[::-1], streams, strict=True):

@@ -15,8 +15,15 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
 )
 from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, direct_checks
 from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity, subtract, weighed
-from stillcal.calib_core.diagnosis.comparison.records import Comparison, Key, NotCompared
+from stillcal.calib_core.diagnosis.comparison.quantity import (
+    CERTAIN,
+    Difference,
+    Key,
+    Quantity,
+    subtract,
+    weighed,
+)
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import (
     Sole,
     differs,
@@ -84,8 +91,7 @@ def _reasons(exam: Examination) -> Reasons:
 
 def _quantities(exam: Examination) -> dict[Key, Quantity]:
     shares = {key: one for key, one in stamp_quantities(exam).items() if _is_compared(key)}
-    levels = [level for stream in exam.streams if (level := noise.density(stream)) is not None]
-    return shares | {(level.effect, level.sensor): level for level in levels}
+    return shares | noise.densities(exam)
 
 
 def _missing(

@@ -43,6 +43,10 @@ HUNDREDFOLD = float(np.log(100.0))
 """Logarithm of a ratio from which the smaller of two positive quantities is as good as absent."""
 
 
+Key = tuple[str, str]
+"""Effect and sensor."""
+
+
 @dataclass(frozen=True, slots=True)
 class Part:
     """One named parameter of a quantity: `count` numbers in `unit`, three by three where `count` is 9."""

@@ -12,9 +12,6 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quanti
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 
-Key = tuple[str, str]
-"""Effect and sensor."""
-
 Verdict = Literal["match", "identified", "partly_identified", "unidentified", "not_judged"]
 LEAST_JUDGED = 1.0 / 3.0
 """Part of the checks that must have been possible for a verdict."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison import noise
 from stillcal.calib_core.diagnosis.comparison.direct import named
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, posterior
-from stillcal.calib_core.diagnosis.comparison.records import Discrepancy, Key, NotCompared
+from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Key, posterior
+from stillcal.calib_core.diagnosis.comparison.records import Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding
 
