@@ -6,12 +6,9 @@ Importing the command line takes a tenth of a second, in which Ctrl-C is as like
 from __future__ import annotations
 
 import os
-import signal
 import sys
 
-from stillcal.daemon.cli.exits import INTERRUPTED
-
-INTERRUPTION = "stillcal: interrupted; nothing half-written"
+from stillcal.daemon.cli.interruption import quit_when_interrupted
 
 
 def main() -> None:
@@ -35,25 +32,3 @@ def open_standard_streams() -> None:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free
         if getattr(sys, name) is None:
             setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115 - for the whole process
-
-
-def quit_when_interrupted() -> None:
-    """Let Ctrl-C end the process at once, in one line, while nothing has been begun that must be ended.
-
-    A KeyboardInterrupt instead would be lost wherever Python ignores exceptions, as in callbacks of imports.
-    """
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored (nohup)
-        signal.signal(signal.SIGINT, _quit)
-
-
-def raise_when_interrupted() -> None:
-    """Let Ctrl-C raise KeyboardInterrupt again, for commands that clean up after themselves."""
-    if signal.getsignal(signal.SIGINT) is _quit:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _quit(*_: object) -> None:
-    try:
-        os.write(2, f"{INTERRUPTION}\n".encode())
-    finally:
-        os._exit(INTERRUPTED)

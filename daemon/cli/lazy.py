@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from stillcal.daemon.cli.entry import raise_when_interrupted
+from stillcal.daemon.cli.interruption import raise_when_interrupted
 
 
 def examples(*lines: str) -> str:

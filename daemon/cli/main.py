@@ -14,8 +14,8 @@ from importlib.util import find_spec
 import click
 
 from stillcal.calib_core.errors import TryAgainError, UserError
-from stillcal.daemon.cli.entry import INTERRUPTION
 from stillcal.daemon.cli.exits import BAD_INPUT, INTERRUPTED, TRY_AGAIN
+from stillcal.daemon.cli.interruption import INTERRUPTION
 from stillcal.daemon.cli.lazy import LazyGroup, examples
 
 COMMANDS = {

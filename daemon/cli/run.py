@@ -10,7 +10,7 @@ import click
 
 from stillcal.calib_core.errors import TryAgainError
 from stillcal.daemon.app_launch import LaunchOptions
-from stillcal.daemon.cli.entry import quit_when_interrupted
+from stillcal.daemon.cli.interruption import quit_when_interrupted
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option
 from stillcal.daemon.system import log, memory

@@ -202,5 +202,6 @@ def test_files_that_may_not_be_written_are_said_and_the_daemon_goes_on(
 
     async def check(service: Service) -> None:
         await until(lambda: "let the daemon's user write it" in caplog.text)
+        assert not chip.held("in_accel").any()
 
     within_reason(lived(folder, chip, check))
