@@ -223,6 +223,8 @@ class CalibrationPolicy:
         actions: list[Action],
     ) -> None:
         self._settings, self._state, self._detector, self._actions = settings, state, detector, actions
+        self._unchanged: tuple[object, ...] = ()
+        """What the last look for a change, which found none, went by."""
 
     def check(self, t: float) -> None:
         """Check the calibration on the rests since the last check, if there are any (4.7). t: s.
@@ -262,18 +264,28 @@ class CalibrationPolicy:
         state = self._state
         if state.record is None:
             return
+        goes_by = (state.record, state.pool, state.checked, state.degraded, *self._detector.judged_by)
+        if goes_by == self._unchanged:
+            return
+        if not self._noticed_change(t, state.record):
+            self._unchanged = goes_by
+
+    def _noticed_change(self, t: float, record: CalibrationRecord) -> bool:
+        """Follow a change that the rests since the last check show; tell whether there was one."""
+        state = self._state
         recent, quality = self._rests_since(state.checked), self._settings.quality
-        sound = state.record.accelerometer is not None and not state.degraded
-        if sound and check_calibration(state.record, recent, quality).verdict is Verdict.RECALIBRATE:
+        sound = record.accelerometer is not None and not state.degraded
+        if sound and check_calibration(record, recent, quality).verdict is Verdict.RECALIBRATE:
             self.check(t)
-            return
-        part = state.record.gyroscope
-        if part is None or state.record.provisional:
-            return
-        held = compensated(recent.since(part.zeroed_at), state.record).held
+            return True
+        part = record.gyroscope
+        if part is None or record.provisional:
+            return False
+        held = compensated(recent.since(part.zeroed_at), record).held
         since = stepped_since(part.bias, held, quality)
         if since is not None:
             self.update_bias(t, since)
+        return since is not None
 
     def update_bias(self, t: float, since: float | None) -> None:
         """Measure the gyroscope's bias anew on the rests since a time, s, if they have rates (4.7)."""

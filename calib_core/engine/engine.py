@@ -72,6 +72,7 @@ class Engine:
     @property
     def state(self) -> EngineState:
         """The state to be saved; encode it before the next feed changes it."""
+        self._intake.join_tail()
         self._state.detector = self._detector.state
         return self._state
 
@@ -341,7 +342,7 @@ class Engine:
             return
         done = self._detector.finish() if watch is Watch.IDLE else []
         self._intake.gather([*done, *self._switch(watch, t)])
-        self._state.last_rest = self._state.gyro_tail = None
+        self._intake.drop_tail()
         self._state.watch = watch
         self._actions.append(Log(t, _LEVELS[watch], "watch", f"sensing mode: {watch}"))
 

@@ -49,6 +49,8 @@ class Intake:
     ) -> None:
         self._settings, self._state, self._detector, self._actions = settings, state, detector, actions
         self._index = AttitudeIndex(settings.pool)
+        self._after_tail: list[Samples] = []
+        self._reach_s = settings.turns.max_duration + settings.detector.max_rest_s + _SLACK_S
 
     def take(self, samples: Samples) -> None:
         """Keep samples until `look` takes them. Raises SampleError where their stream runs backwards."""
@@ -84,10 +86,10 @@ class Intake:
             if state.watch is Watch.CONTINUOUS and block.temperature is not None:
                 self.hear(block.t, block.temperature)
             if block.sensor is Sensor.GYROSCOPE and state.watch is Watch.CONTINUOUS:
-                tail = state.gyro_tail
-                state.gyro_tail = block if tail is None else Samples.joined([tail, block])
+                self._after_tail.append(block)
         self.gather(self._detector.feed(*due))
-        self._trim_tail()
+        if self._after_tail and self._after_tail[-1].t[-1] - self._after_tail[0].t[0] > self._reach_s:
+            self.join_tail()
 
     def gather(self, rests: Iterable[RestState]) -> None:
         """Add rests to the pool, and the rotation segments between one rest and the next."""
@@ -128,12 +130,22 @@ class Intake:
         self._state.waiting[sensor] = waiting[cut:]
         return waiting[:cut]
 
-    def _trim_tail(self) -> None:
-        """Drop gyroscope samples that no rotation segment can need any more."""
-        state, settings = self._state, self._settings
-        if state.gyro_tail is not None and len(state.gyro_tail):
-            reach = settings.turns.max_duration + settings.detector.max_rest_s + _SLACK_S
-            state.gyro_tail = state.gyro_tail.between(float(state.gyro_tail.t[-1]) - reach, math.inf)
+    def join_tail(self) -> None:
+        """Bring the state's tail of gyroscope samples up to date, without what no segment can need any more.
+
+        The samples of every look are joined only where the tail is needed, not copied again at each of them.
+        """
+        if self._after_tail:
+            tail = self._state.gyro_tail
+            runs = self._after_tail if tail is None else [tail, *self._after_tail]
+            joined = Samples.joined(runs)
+            self._state.gyro_tail = joined.between(float(joined.t[-1]) - self._reach_s, math.inf)
+            self._after_tail = []
+
+    def drop_tail(self) -> None:
+        """Forget the last rest and the gyroscope since, because the stream is interrupted."""
+        self._state.last_rest = self._state.gyro_tail = None
+        self._after_tail = []
 
     def _gather(self, rest: RestState) -> None:
         state, middle = self._state, 0.5 * (rest.t_start + rest.t_end)
@@ -148,6 +160,7 @@ class Intake:
         state.memory = state.memory.with_rest(rest, state.pool.held[-1].gravity.value)
         state.fresh += 1
         state.counters.rests += 1
+        self.join_tail()
         if state.last_rest is not None and state.gyro_tail is not None:
             segment = cut_rotation_segment(state.last_rest, rest, state.gyro_tail, self._settings.turns)
             if isinstance(segment, RotationSegment):

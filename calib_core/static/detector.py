@@ -136,6 +136,12 @@ class StationaryDetector:
         window = self.settings.window_s
         return now if self._state.mode is Mode.SCAN else self._gatherer.due(now / window).start * window
 
+    @property
+    def judged_by(self) -> tuple[float, ...]:
+        """What `still_valid` goes by; as long as this stays the same, so do its answers."""
+        accel, gyro = self._state.floors
+        return (*accel.level.tolist(), *gyro.level.tolist(), *(c.step for c in self._state.coarse))
+
     def still_valid(self, rest: RestState) -> bool:
         """Tell whether an accepted rest still counts as one by the noise floors as they are known now.
 

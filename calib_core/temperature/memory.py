@@ -7,8 +7,9 @@ is dropped where most others are like it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,8 @@ class Memory:
         longer = self._of(
             np.concatenate((column, [v])) for column, v in zip(self._columns(), row, strict=True)
         )
-        kept = longer.where(longer.t[-1] - longer.t <= MAX_AGE_S)
+        young = longer.t[-1] - longer.t <= MAX_AGE_S
+        kept = longer if young.all() else longer.where(young)
         return kept if len(kept) <= MOST_RESTS else kept.without(kept._most_crowded())
 
     def where(self, rows: NDArray[np.bool_]) -> Memory:
@@ -104,7 +106,7 @@ class Memory:
         return Memory(*map(frozen, columns))
 
     def _columns(self) -> tuple[Array, ...]:
-        return tuple(getattr(self, column.name) for column in fields(self))
+        return tuple(getattr(self, name) for name in self.__slots__)
 
     def _most_crowded(self) -> int:
         """Return the oldest rest of those that most others are like."""
@@ -112,6 +114,6 @@ class Memory:
         age = np.floor(np.log2(1.0 + (self.t[-1] - self.t) / _CELL_AGE_S))
         read = np.where(np.isfinite(self.celsius), self.celsius, self.charged[:, _LIKELY_LAG])
         warmth = np.round(np.nan_to_num(read, nan=-300.0) / _CELL_K)
-        cells = np.column_stack((np.round(1.5 * up), age, warmth))
-        _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-        return int(np.argmax(count[cell.ravel()]))
+        cells = list(zip(*np.round(1.5 * up).T.tolist(), age.tolist(), warmth.tolist(), strict=True))
+        count = Counter(cells)
+        return max(range(len(cells)), key=lambda row: count[cells[row]])

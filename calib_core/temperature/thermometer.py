@@ -55,10 +55,12 @@ class Thermometer:
     def _joined(self, t: Array, celsius: Array) -> Thermometer:
         """Return the first reading of every cell, these and further ones (n,) taken together."""
         known = np.isfinite(celsius)
-        times, values = np.r_[self.t, t[known]], np.r_[self.celsius, celsius[known]]
-        order = np.argsort(times, kind="stable")
-        times, values = times[order], values[order]
-        _, first = np.unique(np.floor(times / CELL_S), return_index=True)
+        times = np.concatenate((self.t, t[known]))
+        values = np.concatenate((self.celsius, celsius[known]))
+        if (times[1:] < times[:-1]).any():
+            order = np.argsort(times, kind="stable")
+            times, values = times[order], values[order]
+        first = np.diff(np.floor(times / CELL_S), prepend=-np.inf) > 0
         return Thermometer(frozen(times[first]), frozen(values[first]))
 
     def lagged(self, t: float, celsius: float) -> Array:
