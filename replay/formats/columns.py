@@ -24,8 +24,19 @@ Column = str | Annotated[int, msgspec.Meta(ge=0)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Sign = Literal[-1, 1]
 
-_FORCE_UNITS = {"m/s^2": 1.0, "g": STANDARD, "mg": STANDARD / 1000}
-_RATE_UNITS = {"rad/s": 1.0, "deg/s": 0.017453292519943295, "mdeg/s": 1.7453292519943295e-05}
+_FORCE_UNITS = {
+    "m/s^2": 1.0,
+    "cm/s^2": 0.01,
+    "g": STANDARD,
+    "mg": STANDARD / 1000,
+    "ug": STANDARD / 1_000_000,
+}
+_RATE_UNITS = {
+    "rad/s": 1.0,
+    "mrad/s": 0.001,
+    "deg/s": 0.017453292519943295,
+    "mdeg/s": 1.7453292519943295e-05,
+}
 """SI values of one unit of force and of rate."""
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -36,11 +47,14 @@ class TimeMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """Where the stamps come from: a column with a unit, a column of sample numbers, or a fixed rate.
 
     unit "auto" picks s, ms, us or ns so that the median step is a sensor's (0.5 ms to 0.5 s); "date" reads
-    dates with a time as ISO 8601 writes them, as s since 1970, UTC where they do not say.
+    dates with a time as ISO 8601 writes them, as s since 1970, UTC where they do not say. fraction: a column
+    of what is added to whole seconds, as where ROS writes `secs` and `nsecs`.
     """
 
     column: Column | None = None
     unit: Literal["s", "ms", "us", "ns", "samples", "auto", "date"] = "s"
+    fraction: Column | None = None
+    fraction_unit: Literal["ms", "us", "ns"] = "ns"
     rate_hz: Positive | None = None
     arrival: Column | None = None
     arrival_unit: Literal["s", "ms", "us", "ns"] = "s"
@@ -48,6 +62,8 @@ class TimeMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def __post_init__(self) -> None:
         if (self.column is None or self.unit == "samples") and self.rate_hz is None:
             raise ValueError("rate_hz is needed where there is no time column or its unit is 'samples'")
+        if self.fraction is not None and (self.column is None or self.unit != "s"):
+            raise ValueError("fraction goes with a column of whole seconds, unit 's'")
 
 
 class SensorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -60,7 +76,7 @@ class SensorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """
 
     columns: tuple[Column, Column, Column]
-    unit: Literal["m/s^2", "g", "mg", "rad/s", "deg/s", "mdeg/s", "counts"]
+    unit: Literal["m/s^2", "cm/s^2", "g", "mg", "ug", "rad/s", "mrad/s", "deg/s", "mdeg/s", "counts"]
     signs: tuple[Sign, Sign, Sign] = (1, 1, 1)
     counts_per_unit: Positive | None = None
     zero: float = 0.0
@@ -145,7 +161,7 @@ class ColumnMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def _columns(self) -> list[Column]:
         sensors = [self.accelerometer] + ([self.gyroscope] if self.gyroscope else [])
         thermometer = self.temperature.column if self.temperature else None
-        single = [self.time.column, self.time.arrival, thermometer]
+        single = [self.time.column, self.time.fraction, self.time.arrival, thermometer]
         chosen = self.select.columns if self.select else ()
         return [*(c for s in sensors for c in s.columns), *(c for c in single if c is not None), *chosen]
 

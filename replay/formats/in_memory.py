@@ -23,9 +23,9 @@ from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event
 from stillcal.replay.formats.columns import load_map
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.logs.arrays import OWN
 from stillcal.replay.formats.merge import Cut
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
+from stillcal.replay.formats.recognition.names import is_own
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.stream import filled_forward
 from stillcal.replay.formats.tables.cells import dates_in_seconds, is_date
@@ -78,7 +78,7 @@ def of_table(
         raise TraceError(name, what, "give columns of one length, or the arrays by keyword")
     cells = in_arrays(Path(name), {column: numbers[column] for column in lengths}, 0)
     own = load_map("csv")
-    if numbers.keys() >= OWN:
+    if is_own(list(numbers)):
         held = [s for s, axes in AXES.items() if any(axis in numbers for axis in axes)]
         sensors = [LoggedSensor.of("imu", [Part(cells, own, held)])]
     else:

@@ -150,8 +150,8 @@ class SampleFile:
             unknown = np.isnan(values[:, temperature])  # a common way to write that nothing was measured
             values[unknown, temperature] = EMPTY
             bad[unknown, temperature] = False
-        if self._layout.time is not None:
-            bad[:, self._layout.time] |= values[:, self._layout.time] == EMPTY
+        for place in self._clock_columns():
+            bad[:, place] |= values[:, place] == EMPTY
         for axes in self._layout.axes.values():
             empty = values[:, axes] == EMPTY
             bad[:, axes] |= empty & ~empty.all(axis=1, keepdims=True)
@@ -168,10 +168,13 @@ class SampleFile:
     def _only_whole_samples_empty(self, values: Array) -> bool:
         """Whether of the cells that must have a number only all three of a sensor are empty, in any row."""
         empty = values == EMPTY
-        if self._layout.time is not None and empty[:, self._layout.time].any():
+        if empty[:, self._clock_columns()].any():
             return False
         by_sensor = [empty[:, axes].T for axes in self._layout.axes.values()]
         return all(np.array_equal(x, y) and np.array_equal(y, z) for x, y, z in by_sensor)
+
+    def _clock_columns(self) -> list[int]:
+        return [p for p in (self._layout.time, self._layout.fraction) if p is not None]
 
     def _stamps(self, values: Array, first_row: int) -> Array:
         time = self._map.time
@@ -181,6 +184,8 @@ class SampleFile:
             self._scale = self._found_scale(values)
         place = self._layout.arrival if self._by_arrival else self._layout.time
         stamps = values[:, place]
+        if self._layout.fraction is not None:
+            return np.asarray(stamps + values[:, self._layout.fraction] * TIME_UNITS[time.fraction_unit])
         return stamps if self._scale == 1.0 else stamps * self._scale
 
     def _found_scale(self, values: Array) -> float:

@@ -24,7 +24,7 @@ from stillcal.replay.formats.logs.extras import library
 from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
-from stillcal.replay.formats.recognition.names import find_axes, find_stamps, is_rate_hz
+from stillcal.replay.formats.recognition.names import find_axes, find_stamps, is_own, is_rate_hz
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.stream import SampleFile
@@ -32,9 +32,6 @@ from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_f
 
 MOST_ARRAYS = 2000
 """Arrays of a file that are looked at; a recording has a few dozen."""
-
-OWN = {"t", "ax", "ay", "az"}
-"""Columns by which arrays are stillcal's own, in its units."""
 
 MOST_BYTES = 2 << 30
 """Bytes of an array that is read whole into memory at most."""
@@ -96,7 +93,7 @@ def _sensors(
         if column_map is not None:
             found += _mapped(table, column_map, group)
             continue
-        if set(table.names or []) >= OWN:
+        if is_own(table.names or []):
             found += _mapped(table, load_map("csv"), group)
             continue
         said = _uneven(source.path, arrays)

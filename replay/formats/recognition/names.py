@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from stillcal.calib_core.streams.samples import Sensor
@@ -44,7 +44,7 @@ _RATE = {
         "rotation",
         "rotationrate",
     ),
-    *("rot", "angvel", "angrate", "turnrate"),
+    *("rot", "angvel", "angrate", "turnrate", "bodyrate"),
 }
 _NEITHER = {
     *(
@@ -66,6 +66,13 @@ _NEITHER = {
         "variance",
         "covariance",
         "cov",
+        "setpoint",
+        "sp",
+        "desired",
+        "des",
+        "target",
+        "cmd",
+        "commanded",
         "quat",
         "orientation",
         "position",
@@ -89,15 +96,41 @@ _FILLERS = {
 """Words that say nothing by which sensors of one log differ."""
 
 _RAW = {"raw", "uncal", "uncalibrated"}
-_VAGUE = {"linear", "alpha", "rot", "rotation", "rotationrate"}
-"""Words that also stand for acceleration without gravity, for angles and for angular acceleration."""
+_ATTITUDE = {"roll": 0, "pitch": 1, "yaw": 2}
+_TURNS = {"rate", "rates", "speed", "velocity", "vel", "gyro", "gyr", "gyroscope", "angular", "omega"}
+"""Words that make roll, pitch and yaw rates about x, y and z; without one they are angles."""
 
-_TIME = {"t", "time", "timestamp", "timestamps", "stamp", "ts", "elapsed", "epoch", "clock"}
+_BODY_RATES = {"p": 0, "q": 1, "r": 2}
+"""Rates about x, y and z as flight mechanics calls them (ISO 1151-1). All three must be there.
+
+The word by which both kinds go on is `bodyrate`."""
+
+_VAGUE = {"linear", "alpha", "rot", "rotation", "rotationrate", "bodyrate"}
+"""Words that also stand for acceleration without gravity, angles, angular acceleration, filtered rates."""
+
+_TIME = {
+    *(
+        "t",
+        "time",
+        "timestamp",
+        "timestamps",
+        "stamp",
+        "ts",
+        "elapsed",
+        "epoch",
+        "clock",
+        "uptime",
+        "datetime",
+    ),
+    *("zeit", "tijd", "tid", "tempo", "tiempo"),
+}
 _TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "millis", "milliseconds", "millisecond"), "ms"),
-    **dict.fromkeys(("us", "µs", "micros", "microseconds", "microsecond"), "us"),
-    **dict.fromkeys(("ns", "nanos", "nanoseconds", "nanosecond"), "ns"),
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "milliseconds", "millisecond"), "ms"),
+    **dict.fromkeys(("us", "µs", "usec", "usecs", "micros", "microseconds", "microsecond"), "us"),
+    **dict.fromkeys(
+        ("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanoseconds", "nanosecond"), "ns"
+    ),
 }
 _ARRIVAL = {"arrival", "utc", "received", "host", "log", "unix"}
 _THERMOMETER = {"temp", "temperature", "temps", "celsius", "degc"}
@@ -113,34 +146,57 @@ _RATES_HZ = {
 }
 
 _UNITS = {
-    **dict.fromkeys(
-        ("m/s^2", "m/s2", "m/s²", "m/s/s", "ms2", "mps2", "ms^2", "ms^-2", "meterspersecond2"), "m/s^2"
-    ),
+    **dict.fromkeys(("m/s2", "m/s/s", "ms2", "mps2", "ms-2", "m/ssquared"), "m/s^2"),
+    **dict.fromkeys(("cm/s2", "cms2", "cms-2", "gal"), "cm/s^2"),
     **dict.fromkeys(("gs", "g's", "gn"), "g"),
     "mg": "mg",
-    **dict.fromkeys(("rad/s", "rads", "radps", "rads^-1", "radpers", "radpersec", "rad", "1/s"), "rad/s"),
-    **dict.fromkeys(
-        ("deg/s", "°/s", "degs", "dps", "degpers", "degpersec", "deg", "degs^-1", "º/s"), "deg/s"
-    ),
+    **dict.fromkeys(("ug", "µg", "μg"), "ug"),
+    **dict.fromkeys(("rad/s", "rads", "radps", "rads-1", "rad", "1/s"), "rad/s"),
+    **dict.fromkeys(("mrad/s", "mrads", "mrads-1"), "mrad/s"),
+    **dict.fromkeys(("deg/s", "degs", "dps", "deg", "degs-1"), "deg/s"),
     **dict.fromkeys(("mdps", "mdeg/s"), "mdeg/s"),
 }
-_FORCE = {"m/s^2", "g", "mg"}
-_TURNING = {"rad/s", "deg/s", "mdeg/s"}
+"""Units as `_spelled` gives them."""
+
+_SPELLINGS = (
+    (re.compile(r"[\s_()^*·]"), ""),
+    (re.compile("²"), "2"),
+    (re.compile("⁻"), "-"),
+    (re.compile("¹"), "1"),
+    (re.compile("°|º|degrees?"), "deg"),
+    (re.compile("radians?"), "rad"),
+    (re.compile("met(er|re)s?"), "m"),
+    (re.compile("seconds?|secs?"), "s"),
+    (re.compile("per"), "/"),
+)
+_LIKE_A_UNIT = re.compile(r"^[a-zµμ]*(/(s|h|hr|min)|(s|h)-\d)")
+"""What a bracket holds that is a unit of acceleration or rate, though maybe none that is known."""
+
+_FORCE = {"m/s^2", "cm/s^2", "g", "mg", "ug"}
+_TURNING = {"rad/s", "mrad/s", "deg/s", "mdeg/s"}
+KNOWN_UNITS = _FORCE | _TURNING
 _PER_TIME = re.compile(r"/ ?s|s ?\^? ?-[12]|dps")
 """Units in brackets that tell the quantity where no word does: not "deg", which angles have too."""
 _GRAVITIES = re.compile(r"[\[(]m?g[\])]")
 """The same for g and mg; a capital G is gauss."""
 
+OWN = {"t", "ax", "ay", "az"}
+"""Columns by which a table is stillcal's own."""
+
+_OWN_RATES = ("gx", "gy", "gz")
+
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[^A-Za-z0-9°µ²^']+")
 _AXIS_AT_END = re.compile(r"^([a-z]+?)([xyz])$")
+_TURN_IN_ONE = re.compile(r"^(roll|pitch|yaw)(rate|speed)$")
 
 
 @dataclass(frozen=True, slots=True)
 class Axes:
     """Three columns of one sensor. label: what else the names say; unit: None where they do not.
 
+    unit is none of KNOWN_UNITS where they say one that is not known.
     quantity: the words for what it measures.
     """
 
@@ -157,11 +213,15 @@ class Axes:
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """A column that may be the time. unit: None where its name does not say."""
+    """A column that may be the time. unit: None where its name does not say.
+
+    fraction: a column that may hold what is to be added to whole seconds, and its unit.
+    """
 
     column: Column
     label: str
     unit: Literal["s", "ms", "us", "ns"] | None
+    fraction: tuple[Column, Literal["ms", "us", "ns"]] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +255,11 @@ def find_axes(names: Sequence[str]) -> list[Axes]:
 
 
 def find_stamps(names: Sequence[str]) -> list[Stamps]:
-    """Return the columns that may be the time, the likeliest first."""
+    """Return the columns that may be the time, the likeliest first.
+
+    A message's own stamp (ROS: header) comes before the others. A column of seconds beside one of their
+    fractions (`secs`, `nsecs`) stands for both before it stands alone.
+    """
     found = []
     for place, name in enumerate(names):
         bracket, words = _words(name)
@@ -205,8 +269,18 @@ def find_stamps(names: Sequence[str]) -> list[Stamps]:
         by_unit = bracket in _TIME_UNITS
         if (is_time or by_unit) and not set(words) & (_NEITHER | _THERMOMETER):
             late = bool(set(words) & _ARRIVAL) or not is_time
-            found.append((late, place, Stamps(name, "_".join(rest), units[0] if units else None)))
-    return [stamps for _, _, stamps in sorted(found, key=lambda f: f[:2])]
+            stamps = Stamps(name, "_".join(rest), units[0] if units else None)
+            found.append((late, "header" not in words, place, stamps))
+    alone = [stamps for *_, stamps in sorted(found, key=lambda f: f[:3])]
+    return [both for stamps in alone for both in (*_with_fraction(stamps, alone), stamps)]
+
+
+def _with_fraction(seconds: Stamps, others: Sequence[Stamps]) -> list[Stamps]:
+    """Return seconds with each column of the same label that may hold their fraction."""
+    if seconds.unit != "s":
+        return []
+    alike = (s for s in others if s.label == seconds.label)
+    return [replace(seconds, fraction=(s.column, s.unit)) for s in alike if s.unit and s.unit != "s"]
 
 
 def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["degC", "K", "degF"]] | None:
@@ -223,6 +297,16 @@ def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["de
     return (found[0][1], found[0][2]) if found and (not found[0][0] or len(found) == 1) else None
 
 
+def is_own(names: Sequence[str]) -> bool:
+    """Whether columns are stillcal's own, in its units: none of their kind has a name of another make."""
+    there = set(names)
+    if not there >= OWN:
+        return False
+    rates = [a for a in find_axes(names) if a.sensor is Sensor.GYROSCOPE]
+    thermometer = find_thermometer(names, "")
+    return (not rates or set(_OWN_RATES) <= there) and (thermometer is None or "temperature" in there)
+
+
 def is_rate_hz(name: str) -> bool:
     """Whether a single number of this name is a sampling rate in Hz."""
     words = _words(name)[1]
@@ -232,20 +316,23 @@ def is_rate_hz(name: str) -> bool:
 def _axis_of(name: str) -> _Word | None:
     """Return which axis of which sensor a column is, None where it is none."""
     bracket, words = _words(name)
-    unit = _UNITS.get(bracket.replace(" ", "").replace("_", "")) or ("g" if bracket == "g" else None)
+    spelled = _spelled(bracket)
+    unit = _UNITS.get(spelled) or ("g" if bracket == "g" else None)
     by_unit = unit if _PER_TIME.search(bracket) or _GRAVITIES.search(name) else None
     axis, words = _split_axis(bracket, words)
     if axis is None:
         return None
     stated, words = _split_unit(words)
     kinds = set(words)
+    if unit is None and _LIKE_A_UNIT.match(spelled):
+        unit = bracket
     acceleration = bool(kinds & _ACCELERATION) or by_unit in _FORCE
     rate = bool(kinds & _RATE) or {"ang", "vel"} <= kinds or by_unit in _TURNING
     if kinds & _NEITHER or (acceleration and kinds & {"angular", "rotation"}) or not (acceleration or rate):
         return None
     sensor = Sensor.ACCELEROMETER if acceleration else Sensor.GYROSCOPE
     unit = unit or stated or ("g" if kinds & {"gforce", "gf"} else None)
-    if unit is not None and (unit in _FORCE) != acceleration:
+    if unit in KNOWN_UNITS and (unit in _FORCE) != acceleration:
         unit = None
     plain = _ACCELERATION | _RATE | _FILLERS
     label, quantity = ("_".join(w for w in words if (w in plain) is said) for said in (False, True))
@@ -260,11 +347,24 @@ def _words(name: str) -> tuple[str, list[str]]:
     return (brackets[-1] if brackets else ""), [w.lower() for w in _CAMEL.split(plain) if w]
 
 
+def _spelled(unit: str) -> str:
+    """Return a unit in small letters in the one spelling in which units are looked up."""
+    for pattern, spelling in _SPELLINGS:
+        unit = pattern.sub(spelling, unit)
+    return unit
+
+
 def _split_axis(bracket: str, words: list[str]) -> tuple[int | None, list[str]]:
     """Return the axis and the words without it."""
     for i in reversed(range(len(words))):
         if words[i] in ("x", "y", "z"):
             return _AXES[words[i]], words[:i] + words[i + 1 :]
+        turns = _TURN_IN_ONE.match(words[i])
+        if turns or (words[i] in _ATTITUDE and _TURNS & set(words)):
+            about = turns[1] if turns else words[i]
+            return _ATTITUDE[about], [*words[:i], "bodyrate", *words[i + 1 :]]
+        if words[i] in _BODY_RATES and len(words[i + 1 :]) <= 2:
+            return _BODY_RATES[words[i]], [*words[:i], "bodyrate", *words[i + 1 :]]
         ends = _AXIS_AT_END.match(words[i])
         if ends and ends[1] in (_ACCELERATION | _RATE):
             return _AXES[ends[2]], [*words[:i], ends[1], *words[i + 1 :]]
@@ -274,7 +374,7 @@ def _split_axis(bracket: str, words: list[str]) -> tuple[int | None, list[str]]:
 def _split_unit(words: list[str]) -> tuple[str | None, list[str]]:
     """Return the unit that the last words are, and the words before."""
     for count in (3, 2, 1):
-        tail = "".join(words[-count:]) if len(words) > count else ""
+        tail = _spelled("".join(words[-count:])) if len(words) > count else ""
         if tail in _UNITS:
             return _UNITS[tail], words[:-count]
     if len(words) > 1 and words[-1] == "g" and set(words[:-1]) & _ACCELERATION:

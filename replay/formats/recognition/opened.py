@@ -9,7 +9,7 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.logs.arrays import OWN, open_arrays
+from stillcal.replay.formats.logs.arrays import open_arrays
 from stillcal.replay.formats.logs.axivity import open_axivity
 from stillcal.replay.formats.logs.betaflight import open_betaflight
 from stillcal.replay.formats.logs.dataflash import open_dataflash
@@ -18,6 +18,7 @@ from stillcal.replay.formats.logs.ros import open_ros, open_ros_folder
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor
+from stillcal.replay.formats.recognition.names import OWN
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.recognition.text_formats import (

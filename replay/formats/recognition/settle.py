@@ -23,6 +23,7 @@ from stillcal.replay.formats.checks.units import shown_unit
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import seconds_per_unit
 from stillcal.replay.formats.columns import (
+    TIME_UNITS,
     Column,
     ColumnMap,
     SensorMap,
@@ -32,7 +33,14 @@ from stillcal.replay.formats.columns import (
 )
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import LoggedSensor, Part
-from stillcal.replay.formats.recognition.names import Axes, Stamps, find_axes, find_stamps, find_thermometer
+from stillcal.replay.formats.recognition.names import (
+    KNOWN_UNITS,
+    Axes,
+    Stamps,
+    find_axes,
+    find_stamps,
+    find_thermometer,
+)
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.cells import is_date, is_number
 from stillcal.replay.formats.tables.table import EMPTY, Table
@@ -42,6 +50,9 @@ _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
 
 MOST_REPEATS = 0.5
 """Share of stamps that may repeat the one before: batches share one, but whole seconds are no clock."""
+
+_MOSTLY_FORWARD = 0.9
+"""Share of steps that a column of times makes forward at least; a few rows may be out of order."""
 
 _PROBED_ROWS = 20_000
 _FASTEST_RAD_S = 70.0
@@ -181,11 +192,30 @@ class _Probe:
             norms: Array = np.linalg.norm(self._columns(axes.columns), axis=1)
         return norms[np.isfinite(norms)]
 
+    def whole_numbers(self, axes: Axes) -> bool:
+        """Whether all first values of a sensor are whole numbers."""
+        values = self._columns(axes.columns)
+        return not (values[np.isfinite(values)] % 1).any()
+
     def _columns(self, names: Sequence[Column]) -> Array:
         places = find_columns(list(names), self._table.names, self._table.width) or []
         block = next(iter(self._table.blocks(places)), None)
         values = np.empty((0, len(names))) if block is None else block.values[:_PROBED_ROWS]
         return np.where(values == EMPTY, np.nan, values)
+
+    def adds_up(self, stamps: Stamps) -> bool:
+        """Whether a column holds whole seconds and another what is to be added to them, less than one."""
+        if stamps.fraction is None or _holds_dates(self._table, stamps.column):
+            return False
+        column, unit = stamps.fraction
+        try:
+            seconds, parts = self._columns([stamps.column, column]).T
+        except TraceError:
+            return False
+        whole = np.isfinite(seconds).all() and not (seconds % 1).any() and bool((parts >= 0).all())
+        less = bool((parts * TIME_UNITS[unit] < 1).all())
+        steps = np.diff(seconds + parts * TIME_UNITS[unit])
+        return bool(whole and less and steps.size and np.mean(steps >= 0) >= _MOSTLY_FORWARD)
 
     def plausible_temperature(self, thermometer: tuple[str, str]) -> bool:
         """Whether a column holds temperatures that a sensor can have."""
@@ -200,6 +230,12 @@ def _time(
 ) -> tuple[TimeMap, str]:
     """Return where the stamps come from, and how to say it. Raises TraceError where there are none."""
     unusable = None
+    paired = next((s for s in stamps if s.fraction is not None and probe.adds_up(s)), None)
+    if paired is not None and paired.fraction is not None:
+        (column, unit) = paired.fraction
+        said = f"time {paired.column} in s and {column} in {unit}"
+        return TimeMap(column=paired.column, unit="s", fraction=column, fraction_unit=unit), said
+    stamps = [s for s in stamps if s.fraction is None]
     dated = [Stamps(name, "", None) for name in table.names or () if _holds_dates(table, name)]
     for choice in [*stamps, *dated]:
         if _holds_dates(table, choice.column):
@@ -243,7 +279,7 @@ def _first_cell(table: Table, column: Column) -> bytes:
 def _time_unit(choice: Stamps, values: Array) -> Any:
     """Return the unit of a column of stamps, None where its values are none."""
     known = values[np.isfinite(values)]
-    if known.size < 2 or np.mean(np.diff(known) >= 0) < 0.9 or known[-1] <= known[0]:
+    if known.size < 2 or np.mean(np.diff(known) >= 0) < _MOSTLY_FORWARD or known[-1] <= known[0]:
         return None
     seconds = seconds_per_unit("auto" if choice.unit is None else choice.unit, known, None)
     if (
@@ -261,14 +297,27 @@ def _repeating(stamps: Array) -> float:
 def _force_unit(path: Path, probe: _Probe, axes: Axes) -> tuple[Any, str]:
     """Return the unit of acceleration and where it comes from. Raises TraceError without gravity."""
     if axes.unit is not None:
-        return axes.unit, ""
+        return _known(path, axes), ""
     norms = probe.norms(axes)
     unit = _gravity_unit(norms)
     if unit is not None:
-        return unit, " (by the size of gravity)"
+        whole = unit == "mg" and probe.whole_numbers(axes)
+        counts = "; whole numbers: if they are raw counts, say the value of one in a column map"
+        return unit, f" (by the size of gravity{counts if whole else ''})"
     typical = float(np.median(norms)) if norms.size else 0.0
     what = f"{_listed(axes)} are about {typical:.4g} in size, which is gravity in no unit"
     remedy = "give the accelerometer with gravity; of raw counts say the value of one in a column map"
+    raise TraceError(path, what, remedy)
+
+
+def _known(path: Path, axes: Axes) -> str | None:
+    """Return the unit that names state. Raises TraceError where it is none that is known."""
+    if axes.unit in KNOWN_UNITS:
+        return axes.unit
+    what = f"{_listed(axes)} are in {axes.unit}, which is no unit that is known"
+    remedy = (
+        'say in a column map how many make one SI unit: unit = "counts", counts_per_unit (docs/formats.md)'
+    )
     raise TraceError(path, what, remedy)
 
 
@@ -281,7 +330,7 @@ def _gravity_unit(norms: Array) -> str | None:
 def _rate_unit(table: Table, draft: ColumnMap, axes: Axes, force_unit: str) -> tuple[Any, str]:
     """Return the unit of rates, and where it comes from."""
     if axes.unit is not None:
-        return axes.unit, ""
+        return _known(table.path, axes), ""
     column_map = msgspec.structs.replace(draft, gyroscope=SensorMap(columns=axes.columns, unit="rad/s"))
     file = SampleFile(table, column_map, [Sensor.ACCELEROMETER, Sensor.GYROSCOPE], Claims())
     run = next(iter(file.runs()), {})

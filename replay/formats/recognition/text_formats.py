@@ -23,6 +23,7 @@ from stillcal.replay.formats.recognition.header import (
     split_as,
     with_units,
 )
+from stillcal.replay.formats.recognition.names import is_own
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.text import text_head, uncommented
 
@@ -93,7 +94,7 @@ def _with_header(lines: list[str], *, whole: bool) -> TextFormat:
     for name in sorted(builtin_formats(), key=lambda n: n != "csv"):
         column_map = load_map(name)
         fits = column_map.header and find_columns(_needed(column_map), names, len(names)) is not None
-        if fits and not name.startswith("sensorlogger"):
+        if fits and not name.startswith("sensorlogger") and (name != "csv" or is_own(names)):
             return TextFormat(name, _cut_as(column_map, delimiter))
     return TextFormat(UNKNOWN, _cut_as(load_map("csv"), delimiter))
 

@@ -19,6 +19,7 @@ class Layout:
 
     wanted: list[int]
     time: int | None
+    fraction: int | None
     arrival: int | None
     temperature: int | None
     axes: dict[Sensor, slice]
@@ -36,6 +37,9 @@ def lay_out(table: Table, column_map: ColumnMap, sensors: Sequence[Sensor]) -> L
     time = single(column_map.time.column)
     if time is None and column_map.time.column is not None:
         raise missing(table, [column_map.time.column])
+    fraction = single(column_map.time.fraction)
+    if fraction is None and column_map.time.fraction is not None:
+        raise missing(table, [column_map.time.fraction])
     arrival = single(column_map.time.arrival)
     temperature = single(column_map.temperature.column if column_map.temperature else None)
     axes: dict[Sensor, slice] = {}
@@ -47,7 +51,7 @@ def lay_out(table: Table, column_map: ColumnMap, sensors: Sequence[Sensor]) -> L
             places_to_read.extend(places)
         elif not _may_be_missing(table, column_map, sensor):
             raise missing(table, sensor_map.columns)
-    return Layout(places_to_read, time, arrival, temperature, axes)
+    return Layout(places_to_read, time, fraction, arrival, temperature, axes)
 
 
 def _may_be_missing(table: Table, column_map: ColumnMap, sensor: Sensor) -> bool:

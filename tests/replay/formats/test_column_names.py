@@ -1,0 +1,114 @@
+"""Tables whose columns have the names that other people's tools give them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import Recording, read_all
+from tests.support.log_files import DATA, text
+
+DEGREES = 180 / np.pi
+FORCE, RATE = DATA[:, 1:4], DATA[:, 4:]
+
+
+def read(folder: Path, header: str, *columns: np.ndarray) -> Recording:
+    path = folder / "log.csv"
+    path.write_text(text(header, np.column_stack(columns)))
+    return read_all(path)
+
+
+def assert_read(recording: Recording) -> None:
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.accelerometer.xyz, FORCE, rtol=1e-9)
+    np.testing.assert_allclose(recording.gyroscope.xyz, RATE, rtol=1e-9)
+    t = recording.accelerometer.t
+    np.testing.assert_allclose(t - t[0], DATA[:, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rates", "per_rad"),
+    [
+        ("roll_rate,pitch_rate,yaw_rate", 1.0),
+        ("rollRate (deg/s),pitchRate (deg/s),yawRate (deg/s)", DEGREES),
+        ("rollspeed,pitchspeed,yawspeed", 1.0),
+        ("gyro_roll,gyro_pitch,gyro_yaw", DEGREES),
+        ("p,q,r", 1.0),
+        ("p_dps,q_dps,r_dps", DEGREES),
+        ("gyro_x [mrad/s],gyro_y [mrad/s],gyro_z [mrad/s]", 1000.0),
+        ("Gyro X (deg/sec),Gyro Y (deg/sec),Gyro Z (deg/sec)", DEGREES),
+    ],
+)
+@pytest.mark.parametrize("force", ["ax,ay,az", "acc_x,acc_y,acc_z"])
+def test_rates_of_other_names_are_the_gyroscope(
+    tmp_path: Path, force: str, rates: str, per_rad: float
+) -> None:
+    assert_read(read(tmp_path, f"t,{force},{rates}", DATA[:, 0], FORCE, RATE * per_rad))
+
+
+@pytest.mark.parametrize("angles", ["roll,pitch,yaw", "p,q,s", "roll_rate_sp,pitch_rate_sp,yaw_rate_sp"])
+def test_angles_and_wanted_rates_are_no_gyroscope(tmp_path: Path, angles: str) -> None:
+    assert read(tmp_path, f"t,ax,ay,az,{angles}", DATA[:, 0], FORCE, RATE).gyroscope is None
+
+
+def test_a_gyroscope_goes_before_body_rates(tmp_path: Path) -> None:
+    header = "time,p,q,r,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z"
+    assert_read(read(tmp_path, header, DATA[:, 0], RATE * 0.9, FORCE, RATE))
+
+
+@pytest.mark.parametrize(
+    ("header", "per_second"),
+    [
+        ("sec,nsec", 1e9),
+        ("secs,nsecs", 1e9),
+        ("stamp_sec,stamp_nanosec", 1e9),
+        ("header.stamp.secs,header.stamp.nsecs", 1e9),
+        ("seconds,usec", 1e6),
+        ("sec,ms", 1e3),
+    ],
+)
+def test_seconds_and_their_fraction_in_two_columns_are_one_time(
+    tmp_path: Path, header: str, per_second: float
+) -> None:
+    whole, part = np.divmod(np.round((1000 + DATA[:, 0]) * per_second), per_second)
+    assert_read(read(tmp_path, f"{header},ax,ay,az,gx,gy,gz", whole, part, FORCE, RATE))
+
+
+def test_a_messages_own_stamp_goes_before_the_time_of_recording(tmp_path: Path) -> None:
+    whole, part = np.divmod(np.round((1000 + DATA[:, 0]) * 1e9), 1e9)
+    late = 1000 + DATA[:, 0] + np.random.default_rng(0).uniform(0.001, 0.005, len(DATA))
+    header = "Time,header.stamp.secs,header.stamp.nsecs,ax,ay,az,gx,gy,gz"
+    assert_read(read(tmp_path, header, late, whole, part, FORCE, RATE))
+
+
+def test_seconds_beside_whole_milliseconds_are_two_clocks(tmp_path: Path) -> None:
+    t = DATA[:, 0]
+    assert_read(read(tmp_path, "time_s,time_ms,ax,ay,az,gx,gy,gz", t, np.round(t * 1000), FORCE, RATE))
+
+
+@pytest.mark.parametrize(("unit", "per_si"), [("cm/s^2", 100.0), ("ug", 1e6 / 9.80665), ("m/s/s", 1.0)])
+def test_a_unit_in_brackets_is_believed(tmp_path: Path, unit: str, per_si: float) -> None:
+    header = f"t,ax [{unit}],ay [{unit}],az [{unit}],gx,gy,gz"
+    assert_read(read(tmp_path, header, DATA[:, 0], FORCE * per_si, RATE))
+
+
+def test_a_unit_that_is_not_known_is_not_guessed(tmp_path: Path) -> None:
+    with pytest.raises(TraceError, match=r"in dm/s\^2, which is no unit that is known; .*counts_per_unit"):
+        read(tmp_path, "t,ax (dm/s^2),ay (dm/s^2),az (dm/s^2)", DATA[:, 0], FORCE * 10)
+
+
+def test_whole_numbers_in_the_size_of_mg_may_be_counts(tmp_path: Path) -> None:
+    doubt = "whole numbers: if they are raw counts"
+    notes = read(tmp_path, "t,accX,accY,accZ", DATA[:, 0], np.round(FORCE / 9.81 * 1024)).notes
+    assert any(doubt in note for note in notes)
+    notes = read(tmp_path, "t,accX,accY,accZ", DATA[:, 0], FORCE / 9.80665e-3).notes
+    assert not any(doubt in note for note in notes)
+
+
+def test_a_temperature_of_another_name_beside_own_columns_is_read(tmp_path: Path) -> None:
+    recording = read(tmp_path, "t,ax,ay,az,gx,gy,gz,temp_K", DATA, np.full(len(DATA), 300.0))
+    assert recording.accelerometer.temperature is not None
+    np.testing.assert_allclose(recording.accelerometer.temperature, 26.85)
