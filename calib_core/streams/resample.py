@@ -28,16 +28,18 @@ def interpolate(t: Array, known: Array, values: Array) -> Array:
     return np.stack([np.interp(t, known, values[:, axis]) for axis in range(3)], axis=1)
 
 
-def read_later(samples: Samples, delay: float) -> Samples:
-    """Return samples that read at the same times what was true `delay` s earlier.
+def read_later(samples: Samples, delay: float | Array) -> Samples:
+    """Return samples that read at the same times what was true `delay` s earlier; (3,) for each axis its own.
 
     By a cubic spline: a straight line between two samples would take 1 % off a step's fifth overtone.
     """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - the daemon stays light
 
     t, first = np.unique(samples.t, return_index=True)
-    when = np.clip(samples.t - delay, t[0], t[-1])
-    return replace(samples, xyz=frozen(CubicSpline(t, samples.xyz[first])(when)))
+    course = CubicSpline(t, samples.xyz[first])
+    by_axis = [course(np.clip(samples.t - late, t[0], t[-1])) for late in np.ravel(delay)]
+    xyz = by_axis[0] if len(by_axis) == 1 else np.stack([x[:, a] for a, x in enumerate(by_axis)], axis=1)
+    return replace(samples, xyz=frozen(xyz))
 
 
 def temperature_at(samples: Samples, t: Array) -> Array | None:

@@ -1,8 +1,8 @@
 """A simulated recording with the differences that were found put into its samples.
 
 What an effect adds is its response in the catalogue, at samples that exist already.
-A low-pass filters them, a delay reads them that much later. What cannot be put into samples (another rate,
-less noise) is left out and named.
+A low-pass filters them, or takes the place of the one that they have; a delay reads them that much later.
+What cannot be put into samples (another rate, less noise) is left out and named.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS, OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
+from stillcal.calib_core.diagnosis.comparison.pair_turns import Arm
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination, still_bins
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
-from stillcal.calib_core.diagnosis.model.moments import History, Moments
+from stillcal.calib_core.diagnosis.model.moments import History, Moments, at_samples
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.events import Charging
-from stillcal.calib_core.streams.resample import interpolate, read_later, temperature_at
+from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording, overview_of
 from stillcal.replay.diagnosis.judged import charging_events
 from stillcal.replay.formats.trace import Recording
-from stillcal.replay.phone.sensor_chain import LowPass
 
 MATRIX_NUMBERS = 9
 LINE = "vibration_tone"
@@ -131,7 +131,7 @@ def _with_added(
     for one in discrepancies:
         limit, samples = _limit(one), streams.get(one.sensor)
         if limit is not None and samples is not None:
-            streams[one.sensor] = replace(samples, xyz=frozen(np.clip(samples.xyz, -limit, limit)))
+            streams[one.sensor] = clipped(samples, limit)
     accelerometer = streams["accel"]
     assert accelerometer is not None, "every recording has an accelerometer"
     return Corrected(replace(simulation, accelerometer=accelerometer, gyroscope=streams["gyro"]), left_out)
@@ -180,17 +180,17 @@ def _added(
 
 
 def _moves(one: Discrepancy) -> bool:
-    """Whether it is a delay, or a low-pass that the simulation does not have."""
-    lacks = one.relation == "lacking" and one.difference is not None
-    return one.effect == DELAY or (one.effect == LOW_PASS and lacks)
+    """Whether it is a delay, or a low-pass that the recording has."""
+    has = one.difference is not None and not one.difference.recorded.none
+    return one.effect == DELAY or (one.effect == LOW_PASS and has)
 
 
 def _moved(samples: Samples, one: Discrepancy) -> Samples:
-    """Return the samples read later by a delay, or behind a low-pass."""
+    """Return the samples read later by a delay, or behind the recording's low-pass."""
     if one.effect == DELAY:
         return read_later(samples, _delay(one))
     assert one.difference is not None, "a low-pass is measured in both"
-    return low_passed(samples, one.difference.recorded)
+    return low_passed(samples, one.difference.recorded, one.difference.simulated)
 
 
 def _delay(one: Discrepancy) -> float:
@@ -205,10 +205,33 @@ def _delay(one: Discrepancy) -> float:
     return delay if one.recorded is not None else -delay
 
 
-def low_passed(samples: Samples, found: Quantity) -> Samples:
-    """Return samples behind a low-pass as it was measured, a Butterworth filter."""
-    cutoff, order = float(np.exp(found.value[0])), int(found.reference["order"])
-    return replace(samples, xyz=frozen(LowPass(cutoff, _rate(samples), order)(samples.xyz)))
+def low_passed(samples: Samples, found: Quantity, own: Quantity | None = None) -> Samples:
+    """Return samples behind a low-pass as it was measured, a Butterworth filter.
+
+    own: the low-pass that they are behind already, which it takes the place of. Both filters have zeros where
+    nothing passes, as many as their orders; those of the one stand for those of the other.
+    """
+    from scipy.signal import butter, lfilter, lfilter_zi  # noqa: PLC0415 - scipy is loaded when it is needed
+
+    rate, order = _rate(samples), _order(found)
+    _, poles = butter(order, float(np.exp(found.value[0])), fs=rate)
+    zeros, instead = order, np.ones(1)
+    if own is not None and not own.none:
+        zeros = max(order - _order(own), 0)
+        _, instead = butter(_order(own), float(np.exp(own.value[0])), fs=rate)
+    made = np.convolve(np.poly(-np.ones(zeros)), instead)
+    made *= poles.sum() / made.sum()
+    state = np.outer(lfilter_zi(made, poles), samples.xyz[0])
+    return replace(samples, xyz=frozen(lfilter(made, poles, samples.xyz, axis=0, zi=state)[0]))
+
+
+def _order(low_pass: Quantity) -> int:
+    return int(low_pass.reference["order"])
+
+
+def clipped(samples: Samples, limit: float) -> Samples:
+    """Return samples that stop at a limit."""
+    return replace(samples, xyz=frozen(np.clip(samples.xyz, -limit, limit)))
 
 
 def _rate(samples: Samples) -> float:
@@ -234,7 +257,7 @@ def _by_physics(drivers: _Drivers, samples: Samples, difference: Difference) -> 
     """Return the response of an effect of the catalogue to the differing parameters; None without drivers."""
     recorded = difference.recorded
     names = tuple(part.name for part in recorded.parts)
-    for effect in named_effects():
+    for effect in (*named_effects(), Arm()):
         own = (effect.name, effect.sensor, tuple(p.name for p in effect.parameters))
         if own != (recorded.effect, recorded.sensor, names):
             continue
@@ -274,12 +297,10 @@ class _Drivers:
             warm = np.asarray(warm - reference)
         span = (float(samples.t[0]), float(samples.t[-1]))
         switches = np.array([[e.t, float(e.on)] for e in plugs]) if plugs else None
-        return Moments(
+        return at_samples(
             samples.t,
-            np.zeros(len(samples)),
             History(span, self.activity, switches, reference),
-            interpolate(samples.t, accel.t, accel.xyz),
-            interpolate(samples.t, gyro.t, gyro.xyz) if gyro else None,
+            (accel, gyro),
             warm,
             states[np.searchsorted([e.t for e in plugs], samples.t, side="right")] if plugs else None,
         )

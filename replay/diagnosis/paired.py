@@ -15,9 +15,8 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.looked_for import slow_effects
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
-from stillcal.calib_core.diagnosis.comparison.pair_delay import aligned, delay_between, late
+from stillcal.calib_core.diagnosis.comparison.pair_turns import Readings, align
 from stillcal.calib_core.diagnosis.comparison.paired import (
-    Readings,
     compare_in_pair,
     examined_in_pair,
     pair_scenes,
@@ -27,13 +26,12 @@ from stillcal.calib_core.diagnosis.comparison.paired import (
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, UNSURE
-from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.resample import interpolate, temperature_at
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
-from stillcal.replay.diagnosis.corrected import correct, low_passed
+from stillcal.replay.diagnosis.corrected import clipped, correct, low_passed
 from stillcal.replay.diagnosis.given_simulation import ON_VALUES, with_own_values
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, charging_events, examined, silent
 from stillcal.replay.diagnosis.words.names import BUILT_IN
@@ -68,21 +66,25 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     beside = len(list(slow_effects(recorded)))
     values = compare_samples(exams, names, beside)
     own, other, unsure = _alike(recording, simulation, exams, values)
-    true, timed, late = _aligned(own, mean_readings(own, [other]), unsure)
-    bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0)
-    exam = examined_in_pair(recorded, bins, scenes, late, lambda done: show_stage(READINGS, done))
-    slow = compare_in_pair(exam, constants=True, timed=timed)
+    motion = align(readings_of(own), mean_readings(own, [other]), unsure)
+    true = motion.readings
+    bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0, motion.added)
+    exam = examined_in_pair(recorded, bins, scenes, motion.found, lambda done: show_stage(READINGS, done))
+    slow = compare_in_pair(exam, motion)
     before = slow.and_of(values)
     fit = Fit.of(before, before)
     if before.discrepancies:
         show_stage(AGAIN, 0.0)
-        played = [*values.discrepancies, *(d for d in slow.discrepancies if d.effect == DELAY)]
+        moved = {(s.finding.effect, s.finding.sensor) for s in motion.found}
+        in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
+        played = [*values.discrepancies, *in_motion]
         made = correct(simulation, played, {})
-        _, _, left = _aligned(recording, mean_readings(recording, [made.recording]), unsure)
-        after = without_found(exam, slow, left, constants=True, timed=timed)
+        left = align(readings_of(recording), mean_readings(recording, [made.recording]), unsure)
+        after = without_found(exam, slow, left.found, left)
         measured = _measured(made.recording, simulated, played)
         after = after.and_of(compare_samples((recorded, measured), names, beside))
-        fit = Fit.of(before, after, [*(e for e in without_equation(slow) if e != DELAY), *made.left_out])
+        out = [effect for effect in without_equation(slow) if effect not in {d.effect for d in in_motion}]
+        fit = Fit.of(before, after, [*out, *made.left_out])
     stated = findings_stated([s.finding for s in recorded.statements], "recorded")
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
     answer = answer_of(before, names, fit, stated, exam.bins.temperature)
@@ -111,30 +113,14 @@ def judge_with_witnesses(
     bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), MISMATCH)
     stated = recorded.statements
     exam = examined_in_pair(recorded, bins, scenes, stated, lambda done: show_stage(READINGS, done))
-    before = compare_in_pair(exam, constants=False)
+    before = compare_in_pair(exam)
     fit = Fit.of(before, before)
     if before.discrepancies:
         show_stage(AGAIN, 0.0)
-        after = without_found(exam, before, stated, constants=False)
+        after = without_found(exam, before, stated)
         fit = Fit.of(before, after, without_equation(before))
     answer = answer_of(before, (recording.name, BUILT_IN), fit, {}, exam.bins.temperature)
     return Judged(recording, exam, None, before, None, None, answer)
-
-
-def _aligned(recording: Recording, true: Readings, unsure: float) -> tuple[Readings, bool, list[Stated]]:
-    """Return what the simulation reads, as late as the recording reads it; what is said of the delay.
-
-    The second is whether the delay between the sensors could be measured. unsure: s, its standard error by
-    low-passes that were played.
-    """
-    force, rate = late(recording.accelerometer, true.force), None
-    if recording.gyroscope is not None and true.rate is not None:
-        rate = late(recording.gyroscope, true.rate)
-    as_late = Readings(aligned(true.force, force), true.rate and aligned(true.rate, rate))
-    if force is None or rate is None:
-        return as_late, False, []
-    found = delay_between(force, rate, recording.accelerometer, unsure)
-    return as_late, True, [Stated(found)] if found else []
 
 
 def _alike(
@@ -182,12 +168,8 @@ def _limits(exams: Sequence[Examination]) -> dict[str, float]:
 def _limited(recording: Recording, limits: Mapping[str, float]) -> Recording:
     """Return a recording that saturates where one of the two does: beyond it their readings say nothing."""
     for sensor, limit in limits.items():
-        recording = _changed(recording, sensor, partial(_clipped, limit=limit))
+        recording = _changed(recording, sensor, partial(clipped, limit=limit))
     return recording
-
-
-def _clipped(samples: Samples, limit: float) -> Samples:
-    return replace(samples, xyz=frozen(np.clip(samples.xyz, -limit, limit)))
 
 
 def _refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:
@@ -247,6 +229,11 @@ def _while_there(recording: Recording, witnesses: Sequence[Recording]) -> Record
 
 def _inside(t: Array, start: float, end: float) -> slice:
     return slice(int(np.searchsorted(t, start)), int(np.searchsorted(t, end, side="right")))
+
+
+def readings_of(recording: Recording) -> Readings:
+    """Return what a recording's two sensors read."""
+    return Readings(recording.accelerometer, recording.gyroscope)
 
 
 def mean_readings(recording: Recording, others: Sequence[Recording]) -> Readings:

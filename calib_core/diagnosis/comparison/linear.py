@@ -131,7 +131,7 @@ def _fitted(
     stated, covariance = turned @ value, turned @ covariance @ turned.T
     out = _constant_quantities(exam, kind, stated, covariance, reference_c)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
-        effect = effect_quantity(scene, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
+        effect = effect_quantity(scene.bins.span, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
         if reference_c is not None and hypothesis.effect.name in SHIFTED:
             effect = replace(effect, reference=dict(effect.reference) | {"temperature_c": reference_c})
         out.append(effect)
@@ -275,8 +275,13 @@ def _rows(hypothesis: Hypothesis) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
-def effect_quantity(scene: Scene, hypothesis: Hypothesis, value: Array, covariance: Array) -> Quantity:
-    """Return the numbers (k,) of an effect as a quantity, the model's own error in their covariance."""
+def effect_quantity(
+    span: tuple[float, float], hypothesis: Hypothesis, value: Array, covariance: Array
+) -> Quantity:
+    """Return the numbers (k,) of an effect as a quantity, the model's own error in their covariance.
+
+    span: s, when the recording began and ended.
+    """
     effect = hypothesis.effect
     largest = [float(np.abs(value[rows]).max()) for rows in _rows(hypothesis)]
     rough = np.concatenate(
@@ -284,7 +289,7 @@ def effect_quantity(scene: Scene, hypothesis: Hypothesis, value: Array, covarian
     )
     return Quantity(
         effect.name,
-        scene.sensor,
+        effect.sensor,
         tuple(Part(p.name, p.unit, p.count) for p in effect.parameters),
         value,
         covariance + np.diag(rough**2),
@@ -292,5 +297,5 @@ def effect_quantity(scene: Scene, hypothesis: Hypothesis, value: Array, covarian
         1e-9 * hypothesis.sizes,
         np.asarray(hypothesis.axis_of),
         reference=dict(hypothesis.grid),
-        where=Where(*scene.bins.span, SLOW_BAND, effect.follows),
+        where=Where(*span, SLOW_BAND, effect.follows),
     )

@@ -1,4 +1,4 @@
-"""By how much one sensor's readings come later than another's of the same motion.
+"""By how much one sensor's readings come later than another's of the same motion, all axes or one of them.
 
 Late readings differ by the delay times their own rate of change. In means over some seconds that looks like a
 wrong scale, or like a bias that jumps with the motion, so readings are aligned before they are compared.
@@ -6,12 +6,16 @@ wrong scale, or like a bias that jumps with the motion, so readings are aligned 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.effect import on_axes
 from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding, of_vector
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.motion.axis_delays import SPLIT, AxisDelays
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
@@ -43,25 +47,56 @@ NOISY = 0.02
 SIZE = 0.01
 """Prior standard deviation of a delay, s: a sample of a phone's usual rate."""
 
+COMMON = np.zeros((12, 10))
+"""Takes what nine gains and the delays of three axes do to what the gains and one delay do."""
+COMMON[:9, :9], COMMON[9:, 9] = np.eye(9), 1.0
+
+APART = np.zeros((12, 12))
+"""The same with what sets the delays of x and y against z apart."""
+APART[:, :10], APART[9:, 10:] = COMMON, SPLIT
+
 GAINS = np.array([*[True] * 9, False])
-"""The columns of scale and misalignment; the tenth is the delay's."""
+"""Of gains and one delay, the columns of the gains."""
 
 SURE = 4.0
 """Standard errors from which readings are aligned."""
+
+SURELY_APART = 1e-5
+"""Chance of axes that are late alike being as far apart, below which each is aligned by itself."""
 
 LEAST_ERROR = 2e-5
 """s: stamps are printed with six digits at best, and readings between them are interpolated."""
 
 
+Response = Callable[[slice], Array]
+"""What further effects do to some samples' readings, (n, 3, k)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Late:
-    """A delay of one sensor's readings, s, with the normal equations that it comes from."""
+    """A delay of one sensor's readings, s, with the normal equations about no delay that it comes from.
+
+    axes: by how much each axis is later than their mean; by_axis: the delay (3,) of each, s, as far as it is
+    sure; pieces: where the readings change enough to tell.
+    """
 
     delay: Measured
     equations: Regression
+    axes: AxisDelays
+    by_axis: Array
+    pieces: list[slice]
+
+    @property
+    def apart(self) -> bool:
+        """Whether one delay of all axes does not fit."""
+        return _apart(self.axes)
 
 
-def late(own: Samples, true: Samples) -> Late | None:
+def _apart(axes: AxisDelays) -> bool:
+    return axes.log_chance < float(np.log(SURELY_APART))
+
+
+def late(own: Samples, true: Samples, sensor: str) -> Late | None:
     """Return by how much `own` reads later than `true`, at the same stamps; None with too little motion.
 
     Least squares of the difference of the readings on what scale and misalignment do, and on the rate of
@@ -73,13 +108,21 @@ def late(own: Samples, true: Samples) -> Late | None:
         return None
     total, error = 0.0, 0.0
     for _ in range(LINEARISED):
-        equations = _equations(own, true, pieces, total)
-        if np.linalg.cond(equations.information.sum(axis=0)) > SINGULAR:
+        common = linear_in_motion(own, read_later(true, total), pieces).through(COMMON)
+        if np.linalg.cond(common.information.sum(axis=0)) > SINGULAR:
             return None
-        value, covariance, _ = equations.jackknifed(PARTS)
+        value, covariance, _ = common.jackknifed(PARTS)
         total += float(value[-1])
         error = float(np.sqrt(covariance[-1, -1]))
-    return Late(Measured(total, float(np.hypot(error, LEAST_ERROR))), _equations(own, true, pieces, 0.0))
+    delay = Measured(total, float(np.hypot(error, LEAST_ERROR)))
+    about = linear_in_motion(own, read_later(true, total), pieces)
+    axes = AxisDelays(about.through(APART), np.full(2, LEAST_ERROR), [sensor])
+    by_axis = np.full(3, total * (abs(total) >= SURE * delay.error))
+    if _apart(axes):
+        by_axis = total + about.fitted()[9:]
+        for _ in range(LINEARISED - 1):
+            by_axis = by_axis + linear_in_motion(own, read_later(true, by_axis), pieces).fitted()[9:]
+    return Late(delay, linear_in_motion(own, true, pieces).through(COMMON), axes, by_axis, pieces)
 
 
 def _moving(true: Samples, length: float) -> list[slice]:
@@ -96,18 +139,19 @@ def _moving(true: Samples, length: float) -> list[slice]:
     return moving[:: -(-len(moving) // MOST_PIECES)] if moving else []
 
 
-def _equations(own: Samples, true: Samples, pieces: list[slice], delay: float) -> Regression:
-    """Return the normal equations of nine gains and of what is left of the delay, s; a piece each."""
+def linear_in_motion(
+    own: Samples, true: Samples, pieces: list[slice], more: Response | None = None
+) -> Regression:
+    """Return the normal equations of nine gains and three delays about none, and `more`; a piece each."""
     designs, lefts = [], []
     period = sample_period(true.t)
     for rows in pieces:
-        t = own.t[rows]
-        before, now, after = (
-            interpolate(t - delay + step, true.t, true.xyz) for step in (-period, 0.0, period)
-        )
+        t, now = own.t[rows], true.xyz[rows]
+        before, after = (interpolate(t + step, true.t, true.xyz) for step in (-period, period))
         gain = np.einsum("ab,nc->nabc", np.eye(3), now).reshape(t.size, 3, 9)
-        change = (before - after) / (2.0 * period)
-        design, left = np.concatenate([gain, change[:, :, None]], axis=2), own.xyz[rows] - now
+        columns = [gain, on_axes((before - after) / (2.0 * period))]
+        columns += [] if more is None else [more(rows)]
+        design, left = np.concatenate(columns, axis=2), own.xyz[rows] - now
         designs.append(design - design.mean(axis=0))
         lefts.append(left - left.mean(axis=0))
     return Regression.of(designs, lefts)
@@ -115,28 +159,33 @@ def _equations(own: Samples, true: Samples, pieces: list[slice], delay: float) -
 
 def aligned(true: Samples, found: Late | None) -> Samples:
     """Return what the other reads, as late as the recording reads it where that is sure."""
-    sure = found is not None and abs(found.delay.value) >= SURE * found.delay.error
-    return read_later(true, found.delay.value) if found is not None and sure else true
+    return true if found is None or not found.by_axis.any() else read_later(true, found.by_axis)
 
 
-def delay_between(force: Late, rate: Late, samples: Samples, unsure: float = 0.0) -> Finding | None:
+def delays_between(force: Late, rate: Late, samples: Samples, unsure: float = 0.0) -> list[Finding]:
     """Return a delay of the gyroscope against the accelerometer that the other does not have.
 
     samples: of the recording, whose span and rate it is; unsure: s, a standard error that it has besides. A
-    delay of both alike is one of the stamps.
+    delay of both alike is one of the stamps. Where the axes of a sensor have none in common, that is said.
     """
     error = float(np.linalg.norm([rate.delay.error, force.delay.error, unsure]))
     delay = Measured(rate.delay.value - force.delay.value, error)
     clearer = max((force, rate), key=lambda one: abs(one.delay.value) / one.delay.error)
-    span = float(samples.t[0]), float(samples.t[-1])
+    where = Where(
+        float(samples.t[0]), float(samples.t[-1]), (0.1, 0.5 / sample_period(samples.t)), "rate of turn"
+    )
+    apart = [one.axes.finding(where) for one in (force, rate) if one.apart]
+    if apart:
+        return [f for f in apart if f is not None]
     nats = of_vector(np.array([delay.value]), np.array([[delay.error**2]]), SIZE)
     side = "behind" if delay.value > 0 else "ahead of"
-    return direct_finding(
+    said = direct_finding(
         DELAY,
         "timing",
         [],
-        Where(*span, (0.1, 0.5 / sample_period(samples.t)), "rate of turn"),
+        where,
         {"delay": delay.parameter("s")},
         statement=f"The gyroscope is {abs(delay.value) * 1e3:.2f} ms further {side} the accelerometer.",
         seen=Seen(nats, clearer.equations.held_out(GAINS)),
     )
+    return [said] if said is not None else []

@@ -9,7 +9,7 @@ with what it found.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.linear import (
     ALIKE_BIAS,
     ALIKE_SCALE,
+    MODEL_ERROR,
     RATE_BIAS_SIZE,
     effect_quantity,
     rows_of,
@@ -25,6 +26,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
 )
 from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, OF_TURNS
 from stillcal.calib_core.diagnosis.comparison.pair_motion import left_in_motion
+from stillcal.calib_core.diagnosis.comparison.pair_turns import Alignment, Readings
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
     Difference,
@@ -48,14 +50,12 @@ from stillcal.calib_core.diagnosis.model.residuals import (
     SCALE_SIZE,
     View,
 )
-from stillcal.calib_core.diagnosis.motion import group_delay
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, in_motion, shaking
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.events import Charging
-from stillcal.calib_core.streams.samples import Samples
 
 BIAS = {"accel": Linear("bias", "m/s^2", 3, BIAS_SIZE), "gyro": Linear("bias", "rad/s", 3, RATE_BIAS_SIZE)}
 GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
@@ -63,26 +63,22 @@ GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
 
 
 NOT_SOUGHT = "it is not looked for in a pair"
-DELAY = (group_delay.DELAY, "timing")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Readings:
-    """Both sensors of one device at the recording's stamps; the gyroscope's is None where one has none."""
-
-    force: Samples
-    rate: Samples | None
 
 
 def pair_scenes(
-    difference: Readings, true: Readings, events: Sequence[Charging], mismatch: float
+    difference: Readings,
+    true: Readings,
+    events: Sequence[Charging],
+    mismatch: float,
+    added: Readings | None = None,
 ) -> tuple[Bins, list[Scene]]:
     """Return the bins of a whole recording and a scene of each sensor.
 
     difference: what the recording reads less what the other does, with the recording's temperature; true:
     what the other reads, which stands for the true input. mismatch: part of what shakes both within a bin by
     which their means differ; where it is 0, they should agree in motion as they do at rest, which is judged
-    where rests suffice. Raises NotSupported where it is too short.
+    where rests suffice. added: what effects of turns are of what the other reads; they are not exactly of
+    their form. Raises NotSupported where it is too short.
     """
     t = difference.force.t
     span = (float(t[0]), float(t[-1]))
@@ -93,21 +89,38 @@ def pair_scenes(
     if len(left) < thresholds.LEAST_BINS:
         least = thresholds.LEAST_BINS * 4
         raise NotSupported(f"{span[1] - span[0]:.0f} s of the same motion", (f"at least {least} s",))
+    known = None if added is None else cut_all(added.force, added.rate, events, span)
     bins = replace(left, force=moved.force, rate=moved.rate, vibration=moved.vibration)
     up = moved.force / STANDARD
     shaken = mismatch**2 * shaking(true.force, left)[:, None]
-    views = _views(left, left.force, left.force_variance + shaken, moved.force, judged)
+    views = _views(
+        left,
+        left.force,
+        left.force_variance + shaken,
+        (moved.force, None if known is None else known.force),
+        judged,
+    )
     scenes = [Scene("accel", bins, views, STANDARD, up)]
     if left.rate is not None and left.rate_variance is not None and moved.rate is not None:
         assert true.rate is not None, "it was cut"
         shaken = mismatch**2 * shaking(true.rate, left)[:, None]
-        views = _views(left, left.rate, left.rate_variance + shaken, moved.rate, judged)
+        views = _views(
+            left,
+            left.rate,
+            left.rate_variance + shaken,
+            (moved.rate, None if known is None else known.rate),
+            judged,
+        )
         scenes.append(Scene("gyro", bins, views, STANDARD, up))
     return bins, scenes
 
 
-def _views(bins: Bins, left: Array, variance: Array, true: Array, moving: Array | None) -> tuple[View, ...]:
-    n = len(bins)
+def _views(
+    bins: Bins, left: Array, variance: Array, inputs: tuple[Array, Array | None], moving: Array | None
+) -> tuple[View, ...]:
+    """Return the views of three axes. inputs: the true ones (n, 3), and what effects of turns added there."""
+    n, (true, added) = len(bins), inputs
+    roughly = np.zeros((n, 3)) if added is None else MODEL_ERROR * added
     return tuple(
         View(
             name=f"pair_{'xyz'[a]}",
@@ -120,7 +133,7 @@ def _views(bins: Bins, left: Array, variance: Array, true: Array, moving: Array 
             t=bins.t,
             duration=bins.duration,
             rest=bins.rest,
-            absorbed=true * GAIN_SIZES[a],
+            absorbed=np.column_stack([true * GAIN_SIZES[a], roughly[:, a]]),
             moving=moving,
         )
         for a in range(3)
@@ -173,21 +186,22 @@ def _of_shaking(stated: Stated) -> bool:
     return stated.finding.effect == "unknown" and stated.finding.where.driver == SHAKEN
 
 
-def compare_in_pair(exam: Examination, *, constants: bool, timed: bool = False) -> Comparison:
+def compare_in_pair(exam: Examination, motion: Alignment | None = None) -> Comparison:
     """Return what the recording has and the other sensor has not. exam: from `examined_in_pair`.
 
-    constants: whether bias, scale and misalignment of one against the other are differences, or mounting.
-    timed: whether a delay of the one against the other could be measured.
+    motion: what the two differ by in motion; without it (a witness) that, and bias, scale and misalignment of
+    one against the other, are a matter of mounting.
     """
-    found = compare_with_ideal(exam, samples=not constants)
-    found = _only_sought(found, constants=constants, timed=timed, gyroscope=exam.gyroscope is not None)
+    found = compare_with_ideal(exam, samples=motion is None)
+    found = _only_sought(found, motion, gyroscope=exam.gyroscope is not None)
     measured = [q for scene in exam.scenes for q in _measured(exam, scene)]
+    measured += [] if motion is None else motion.quantities
     named = {(d.effect, d.sensor): d for d in found.discrepancies if d.effect != "unknown"}
     differences = [subtract(q, _none_of(q)) for q in measured]
     fitted = {(d.recorded.effect, d.recorded.sensor): d for d in differences}
     out = [_sized(d, fitted.get(key)) for key, d in named.items()]
     out += [d for d in found.discrepancies if d.effect == "unknown"]
-    if not constants:
+    if motion is None:
         return replace(found, discrepancies=out)
     pairs = [d for key, d in fitted.items() if key[0].endswith(("_bias", "_scale"))]
     count = found.comparisons + len(pairs)
@@ -202,34 +216,37 @@ def compare_in_pair(exam: Examination, *, constants: bool, timed: bool = False) 
     )
 
 
-def _only_sought(found: Comparison, *, constants: bool, timed: bool, gyroscope: bool) -> Comparison:
-    """Leave out what is not looked for in a pair: what turns between rests show, and how the one moves."""
+def _only_sought(found: Comparison, motion: Alignment | None, *, gyroscope: bool) -> Comparison:
+    """Leave out what is not looked for in a pair: what motion shows where there is too little of it."""
     known = {(n.effect, n.sensor): n.reason for n in found.not_compared}
     of_turns = [(effect, "gyro") for effect in OF_TURNS if effect != "gyro_scale"] if gyroscope else []
-    reasons = known | dict.fromkeys(of_turns, NOT_SOUGHT)
-    count = found.comparisons + len(known) - len(reasons)
-    if constants:
-        reasons |= {key: NOT_SOUGHT for key in MOTION if key != DELAY}
-        if timed:
-            count += 1
-        else:
-            reasons[DELAY] = "it moves too little in most of the recording" if gyroscope else "no gyroscope"
+    count = found.comparisons + len(known)
+    if motion is None:
+        reasons = known | dict.fromkeys(of_turns, NOT_SOUGHT)
+        count -= len(reasons)
+    else:
+        still = "it moves too little in most of the recording" if gyroscope else "no gyroscope"
+        every = [*of_turns, *MOTION]
+        reasons = {key: why for key, why in known.items() if key not in every}
+        missing = {key: known.get(key, still) for key in every if key not in motion.sought}
+        count += len(MOTION) - len(reasons | missing)
+        reasons |= missing
     return replace(
         found, not_compared=[NotCompared(*key, why) for key, why in reasons.items()], comparisons=count
     )
 
 
 def without_found(
-    exam: Examination, found: Comparison, direct: Sequence[Stated], *, constants: bool, timed: bool = False
+    exam: Examination, found: Comparison, direct: Sequence[Stated], motion: Alignment | None = None
 ) -> Comparison:
     """Take what was found out of the difference of readings, by its equations, and judge what is left.
 
-    direct: what is stated besides, of the corrected simulation.
+    direct: what is stated besides; motion: what the corrected simulation differs by in motion.
     """
     names = {(d.effect, d.sensor) for d in found.discrepancies if d.difference is not None}
     scenes = [_taken_out(exam, scene, names) for scene in exam.scenes]
     after = examined_in_pair(exam, exam.bins, scenes, direct)
-    return compare_in_pair(after, constants=constants, timed=timed)
+    return compare_in_pair(after, motion)
 
 
 def without_equation(found: Comparison) -> list[str]:
@@ -273,7 +290,7 @@ def _measured(exam: Examination, scene: Scene) -> list[Quantity]:
     ]
     for hypothesis, rows in zip(every[1:], rows_of(every)[1:], strict=True):
         if transferable(hypothesis):
-            one = effect_quantity(scene, hypothesis, value[rows], covariance[np.ix_(rows, rows)])
+            one = effect_quantity(scene.bins.span, hypothesis, value[rows], covariance[np.ix_(rows, rows)])
             warm = at if one.effect.endswith("_temperature") else {}
             out.append(replace(one, reference={**one.reference, **warm}))
     return out

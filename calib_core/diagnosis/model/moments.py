@@ -11,6 +11,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, Index
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW
 from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.resample import interpolate
+from stillcal.calib_core.streams.samples import Samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +86,15 @@ class Moments:
             return None
         return np.asarray(self.force / np.linalg.norm(self.force, axis=1, keepdims=True))
 
+    def during(self, rows: slice) -> Moments:
+        """Return the drivers at some of the moments, those of motion only."""
+
+        def of(values: Array | None) -> Array | None:
+            return None if values is None else np.asarray(values[rows])
+
+        force, rate, warm, plugged = map(of, (self.force, self.rate, self.temperature, self.charging))
+        return Moments(self.t[rows], self.duration[rows], self.history, force, rate, warm, plugged)
+
     def border(self, i: int) -> float:
         """Time between moments i - 1 and i, s."""
         return float((self.t[i - 1] + self.duration[i - 1] / 2 + self.t[i] - self.duration[i] / 2) / 2)
@@ -117,6 +128,23 @@ def filtered(source: Array, decay: float) -> Array:
     from scipy.signal import lfilter  # noqa: PLC0415 - the daemon stays light
 
     return np.asarray(lfilter([1.0 - decay], [1.0, -decay], source))
+
+
+def at_samples(
+    t: Array,
+    history: History,
+    sensors: tuple[Samples, Samples | Array | None],
+    temperature: Array | None = None,
+    charging: Array | None = None,
+) -> Moments:
+    """Return the drivers at samples t (n,), s. temperature: K about that of the history.
+
+    sensors: the accelerometer and the gyroscope, or the rate (n, 3); what they read stands for the truth.
+    """
+    accelerometer, gyroscope = sensors
+    rate = interpolate(t, gyroscope.t, gyroscope.xyz) if isinstance(gyroscope, Samples) else gyroscope
+    force = interpolate(t, accelerometer.t, accelerometer.xyz)
+    return Moments(t, np.zeros(t.size), history, force, rate, temperature, charging)
 
 
 def turning(moments: Moments, t: Array, rate: Array, temperature: float) -> Moments:

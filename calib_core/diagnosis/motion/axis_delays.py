@@ -20,6 +20,9 @@ SENSORS = ("accel", "gyro")
 ALIKE = 1e-3
 """s, standard deviation by which a sound phone's delays differ: from axis to axis, or while it records."""
 
+SPLIT = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, -1.0]])
+"""What delays of x and y against z (2,) make of all three, which is nothing on the mean."""
+
 UNLIKELY = 0.01
 """Chance of axes being as far apart, below which they have no common delay."""
 
@@ -46,23 +49,22 @@ def axis_columns(t: Array, back: Array, rate: Array, up: Array, gravity: float) 
 class AxisDelays:
     """Delays of each sensor's axes about their mean, with how surely they differ.
 
-    delays, errors: (2, 3) s; log_chance: of axes of one delay being as far apart.
+    delays, errors: (s, 3) s, a sensor a row; log_chance: of axes of one delay being as far apart.
     """
 
-    def __init__(self, sums: Regression, apart: Sequence[float]) -> None:
-        """Estimate them by the last four columns of a regression; apart: s, how parts disagree about each."""
-        from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
+    def __init__(self, sums: Regression, apart: Array, sensors: Sequence[str] = SENSORS) -> None:
+        """Estimate them by the last columns of a regression, two a sensor: x and y against z.
 
+        apart: s, how parts disagree about each of these, one standard deviation.
+        """
         fitted, covariance, _ = sums.jackknifed(PARTS)
-        k = len(apart)
-        x, within = fitted[-k:], covariance[-k:, -k:] + np.diag(np.square(apart) + ALIKE**2)
-        parts = min(PARTS, len(sums.power))
-        squared = float(x @ np.linalg.solve(within, x)) * (parts - k) / (k * (parts - 1.0))
-        self.log_chance = float(f.logsf(squared, k, parts - k))
-        split = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, -1.0]])
-        self.delays = x.reshape(2, 2) @ split.T
-        blocks = (within[:2, :2], within[2:, 2:])
-        self.errors = np.sqrt(np.array([np.einsum("ij,jk,ik->i", split, b, split) for b in blocks]))
+        k = 2 * len(sensors)
+        x, within = fitted[-k:], covariance[-k:, -k:] + np.diag(np.square(apart))
+        self.sensors = sensors
+        self.log_chance = sums.log_chance(x, within)
+        self.delays = x.reshape(-1, 2) @ SPLIT.T
+        blocks = [within[i : i + 2, i : i + 2] for i in range(0, k, 2)]
+        self.errors = np.sqrt(np.array([np.einsum("ij,jk,ik->i", SPLIT, b, SPLIT) for b in blocks]))
 
     @property
     def differ(self) -> bool:
@@ -72,7 +74,7 @@ class AxisDelays:
     def finding(self, where: Where, least: float = 0.0) -> Finding | None:
         """State delays that differ; least: nats for what shows in any case, whatever it is called."""
         which = int(np.argmax((np.abs(self.delays) / self.errors).max(axis=1)))
-        sensor, delays = SENSORS[which], self.delays[which]
+        sensor, delays = self.sensors[which], self.delays[which]
         axis = int(np.argmax(np.abs(delays) / self.errors[which]))
         say = (
             f"The {NAME[sensor]}'s axes are late by different times: {AXES[axis]} by"

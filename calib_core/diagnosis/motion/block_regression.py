@@ -9,11 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import HeldOut
 from stillcal.calib_core.maths.rms import rms
+
+Mask = NDArray[np.bool_]
 
 PARTS = 40
 """Groups of pieces that are left out in turn."""
@@ -57,14 +60,19 @@ class Regression:
             np.array([len(y) for y in lefts], dtype=np.float64),
         )
 
-    def fitted(self, pieces: Array | None = None) -> Array:
+    def fitted(self, pieces: Mask | None = None) -> Array:
         """Return the parameters (k,) that fit the pieces chosen by (K,) bool, all by default."""
         use = np.ones(len(self.power), dtype=bool) if pieces is None else pieces
         return np.asarray(
             np.linalg.solve(self.information[use].sum(axis=0), self.target[use].sum(axis=0)), dtype=np.float64
         )
 
-    def only(self, columns: Array) -> Regression:
+    def through(self, mixed: Array) -> Regression:
+        """Return the same for columns that are mixtures of these: (k, m), a column each."""
+        information = np.einsum("ka,nkl,lb->nab", mixed, self.information, mixed)
+        return Regression(information, self.target @ mixed, self.power, self.count)
+
+    def only(self, columns: Mask) -> Regression:
         """Return the same without the columns that (k,) bool does not choose."""
         rows = np.flatnonzero(columns)
         information = self.information[:, rows[:, None], rows]
@@ -89,7 +97,18 @@ class Regression:
         covariance = (n - 1) / n * away.T @ away + 1e-12 * np.eye(others.shape[1])
         return self.fitted(), covariance, explained / float(self.power.sum())
 
-    def held_out(self, free: Array | None = None, without: Regression | None = None) -> HeldOut:
+    def log_chance(self, x: Array, covariance: Array) -> float:
+        """Return the log probability of k parameters that are nothing being as large (Hotelling's T^2).
+
+        x: (k,) of the pieces, with the covariance (k, k) that leaving `PARTS` of them out gave.
+        """
+        from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
+
+        k, parts = x.size, min(PARTS, len(self.power))
+        squared = float(x @ np.linalg.solve(covariance, x)) * (parts - k) / (k * (parts - 1.0))
+        return float(f.logsf(squared, k, parts - k))
+
+    def held_out(self, free: Mask | None = None, without: Regression | None = None) -> HeldOut:
         """Predict pieces left out with the others' parameters, and with those of `free` (k,) bool alone.
 
         without: the equations that these alone are fitted in, by default the same. A piece's own level of
@@ -109,7 +128,7 @@ class Regression:
         level = [np.sqrt(x / self.count) for x in (before, after)]
         return HeldOut(gain, rms(level[0]), rms(level[1]))
 
-    def _predicted(self, train: Array, use: Array) -> Array:
+    def _predicted(self, train: Mask, use: Mask) -> Array:
         """Return the sums of squares (K,) that parameters `use` leave, fitted to `train`."""
         chosen = self.only(use)
         return np.maximum(chosen.left(chosen.fitted(train)), LEAST * self.power)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.motion.axis_delays import AxisDelays
+from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE, AxisDelays
 from stillcal.calib_core.diagnosis.motion.block_regression import Regression
 from stillcal.calib_core.diagnosis.motion.delay_trend import DelayTrend
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
@@ -60,7 +60,8 @@ class Fit:
 
     def axes(self, motion: Motion) -> AxisDelays:
         """Return what sets the delays of single axes apart."""
-        return AxisDelays(*self._beside(motion.of_axes()))
+        sums, apart = self._beside(motion.of_axes())
+        return AxisDelays(sums, np.hypot(apart, ALIKE))
 
     def trend(self, motion: Motion) -> DelayTrend:
         """Return by how much the delay grows from the first window to the last."""

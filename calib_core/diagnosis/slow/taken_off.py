@@ -14,10 +14,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
-from stillcal.calib_core.diagnosis.model.moments import Moments
+from stillcal.calib_core.diagnosis.model.moments import Moments, at_samples
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.findings import Stated
-from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples
 
 
@@ -81,17 +80,9 @@ class OffRates:
 
     def _during(self, bins: Moments, samples: Samples) -> Moments:
         """Return the drivers at the samples; temperature and charging as interpolated between bins."""
-        t, accel = samples.t, self.accelerometer
+        t = samples.t
         warm, plugged = (
             None if column is None else np.interp(t, bins.t, column)
             for column in (bins.temperature, bins.charging)
         )
-        return Moments(
-            t,
-            np.zeros(t.size),
-            bins.history,
-            interpolate(t, accel.t, accel.xyz),
-            samples.xyz,
-            warm,
-            plugged,
-        )
+        return at_samples(t, bins.history, (self.accelerometer, samples.xyz), warm, plugged)

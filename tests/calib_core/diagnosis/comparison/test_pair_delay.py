@@ -11,7 +11,7 @@ from stillcal.calib_core.diagnosis.comparison.pair_delay import (
     PIECES,
     _moving,
     aligned,
-    delay_between,
+    delays_between,
     late,
 )
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -35,28 +35,28 @@ def shaken(
 @pytest.mark.parametrize("delay", [0.007, -0.024])
 def test_a_delay_is_measured_beside_a_wrong_scale_and_taken_out(delay: float) -> None:
     own, true = shaken(delay, 2, np.eye(3) + 0.02), shaken()
-    found = late(own, true)
+    found = late(own, true, "gyro")
     assert found is not None
     assert found.delay.value == pytest.approx(delay, abs=3.0 * found.delay.error)
     assert 1e-5 < found.delay.error < 3e-4
-    left = late(own, aligned(true, found))
+    left = late(own, aligned(true, found), "gyro")
     assert left is not None and abs(left.delay.value) < 1e-4
 
 
 def test_without_a_delay_nothing_is_said_and_nothing_moved() -> None:
     true = shaken()
-    found = late(shaken(0.0, 2), true)
+    found = late(shaken(0.0, 2), true, "gyro")
     assert found is not None and aligned(true, found) is true
-    assert delay_between(found, found, true) is None
+    assert delays_between(found, found, true) == []
 
 
 def test_what_both_sensors_are_late_by_is_none_between_them() -> None:
-    true, late_one = shaken(), late(shaken(0.01, 2), shaken())
-    assert late_one is not None and delay_between(late_one, late_one, true) is None
-    prompt = late(shaken(0.0, 3), true)
+    true, late_one = shaken(), late(shaken(0.01, 2), shaken(), "gyro")
+    assert late_one is not None and delays_between(late_one, late_one, true) == []
+    prompt = late(shaken(0.0, 3), true, "gyro")
     assert prompt is not None
-    said = delay_between(prompt, late_one, true)
-    assert said is not None and said.effect == "accel_gyro_time_offset"
+    (said,) = delays_between(prompt, late_one, true)
+    assert said.effect == "accel_gyro_time_offset"
     low, high = np.asarray(said.parameters["delay"].ci95, dtype=np.float64)
     assert low < 0.01 < high
 
@@ -65,8 +65,8 @@ def test_a_sensor_that_is_not_moved_tells_no_delay() -> None:
     """Noise changes from sample to sample too, and a delay by it would be nothing, and very sure."""
     for noise in (0.0, 0.01):
         rows = noise * np.random.default_rng(4).normal(size=(2, T.size, 3))
-        still = [Samples(Sensor.GYROSCOPE, frozen(T), frozen(xyz)) for xyz in rows]
-        assert late(*still) is None
+        one, other = (Samples(Sensor.GYROSCOPE, frozen(T), frozen(xyz)) for xyz in rows)
+        assert late(one, other, "gyro") is None
 
 
 @pytest.mark.parametrize(("turns", "told"), [(5, True), (1, False)])
@@ -76,7 +76,7 @@ def test_turns_of_some_seconds_tell_a_delay_wherever_they_begin(turns: int, told
     assert true is not None and own is not None
     later = Samples(Sensor.GYROSCOPE, own.t, frozen(np.roll(own.xyz, 1, axis=0)))
     assert len(_moving(true, PIECES[0])) < LEAST_PIECES
-    found = late(later, true)
+    found = late(later, true, "gyro")
     assert (found is not None) is told
     if found is not None:
         assert found.delay.value == pytest.approx(1.0 / RATE, abs=3.0 * found.delay.error)

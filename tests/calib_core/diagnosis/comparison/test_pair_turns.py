@@ -1,0 +1,69 @@
+"""Effects that two sensors' readings of one motion show sample by sample, and what they are not taken for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.pair_turns import Alignment, align
+from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
+from stillcal.replay.diagnosis.paired import mean_readings, readings_of
+from tests.support.diagnosis.turned_pairs import RATE, Flaw, perfect, turned
+
+
+def seen(flaw: Flaw = perfect, seed: int = 1) -> Alignment:
+    """Return what a flawed device shows in motion beside one without a flaw."""
+    own = turned(seed, flaw)
+    return align(readings_of(own), mean_readings(own, [turned(100 + seed)]))
+
+
+def squared(force: Array, rate: Array) -> tuple[Array, Array]:
+    return force, rate + rate**2 * np.array([0.0, 2e-3, -1e-3])
+
+
+def cubed(force: Array, rate: Array) -> tuple[Array, Array]:
+    return force, rate + rate**3 * np.array([1.5e-3, 0.0, 0.0])
+
+
+def by_direction(force: Array, rate: Array) -> tuple[Array, Array]:
+    return force, rate + 0.015 * np.maximum(rate, 0.0)
+
+
+def on_an_arm(force: Array, rate: Array) -> tuple[Array, Array]:
+    t = np.arange(len(rate)) / RATE
+    return force + of_arm(t, rate) @ np.array([0.02, 0.0, 0.04]), rate
+
+
+def one_axis_late(force: Array, rate: Array) -> tuple[Array, Array]:
+    moved = rate.copy()
+    moved[1:, 2] = 0.8 * rate[1:, 2] + 0.2 * rate[:-1, 2]
+    return force, moved
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_sensors_that_read_alike_show_nothing(seed: int) -> None:
+    assert seen(seed=seed).found == []
+
+
+@pytest.mark.parametrize(
+    ("flaw", "effect", "driver", "name", "value"),
+    [
+        (squared, "gyro_nonlinearity", "rate of turn", "quadratic", [0.0, 2e-3, -1e-3]),
+        (cubed, "gyro_nonlinearity", "rate of turn", "cubic", [1.5e-3, 0.0, 0.0]),
+        (by_direction, "unknown", "size of the rate of turn", "gain", [7.5e-3] * 3),
+        (on_an_arm, "lever_arm", "rate of turn", "position", [0.02, 0.0, 0.04]),
+        (one_axis_late, "unknown", "rate of turn, axis by axis", "delay", [-0.0027, -0.0027, 0.0053]),
+    ],
+)
+def test_each_is_found_alone_with_its_size_and_taken_out(
+    flaw: Flaw, effect: str, driver: str, name: str, value: list[float]
+) -> None:
+    shown = seen(flaw)
+    (said,) = (s.finding for s in shown.found)
+    assert (said.effect, said.where.driver) == (effect, driver)
+    found = np.asarray(said.parameters[name].value, dtype=np.float64)
+    np.testing.assert_allclose(found, value, atol=0.06 * np.abs(value).max())
+    own = turned(1, flaw)
+    assert align(readings_of(own), shown.readings).found == []
+    assert [q.effect for q in shown.quantities] == ([] if effect == "unknown" else [effect])
