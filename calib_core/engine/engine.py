@@ -320,7 +320,7 @@ class Engine:
         state, settings = self._state, self.settings
         if state.allowance is None:
             return
-        state.allowance = state.allowance.at(t, self._detector.ledger.asked_s, settings.energy)
+        state.allowance = state.allowance.at(t, self._detector.asked_s, settings.energy)
         remaining_s = state.allowance.remaining_s(settings.energy)
         need = Need(rests=not self._has_enough_attitudes() or state.degraded, check=state.check_due)
         watch = watch_for(need, state.watch, remaining_s, settings.energy.burst_s, settings.schedule)

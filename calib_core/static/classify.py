@@ -6,6 +6,7 @@ only memory is that of the noise floors and of the sensors' coarseness, which ar
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -142,6 +143,11 @@ class SensorWindows:
         none, yes, no = np.zeros(n), np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
         return cls(rows, none, np.zeros(n, dtype=np.intp), yes, no, yes, none)
 
+    @classmethod
+    def joined(cls, parts: Sequence[SensorWindows]) -> SensorWindows:
+        """Join windows, one run after another."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
+
     def __getitem__(self, part: slice) -> SensorWindows:
         return SensorWindows(*(getattr(self, name)[part] for name in self.__slots__))
 
@@ -170,6 +176,14 @@ class Windows:
         unusable |= sparse(gyro_rows, settings.min_samples)
         gyro_rows[unusable | (across(gyro_rows[:, D2]) == 0)] = 0.0
         return cls(rows, SensorWindows.of(rows[:, :COLUMNS], settings), SensorWindows.of(gyro_rows, settings))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Windows]) -> Windows:
+        """Join windows, one run after another."""
+        if len(parts) == 1:
+            return parts[0]
+        accel, gyro = (SensorWindows.joined([getattr(p, half) for p in parts]) for half in ("accel", "gyro"))
+        return cls(np.concatenate([part.rows for part in parts]), accel, gyro)
 
     def __len__(self) -> int:
         return int(self.rows.shape[0])

@@ -80,16 +80,27 @@ class StationaryDetector:
         run = self._state.gathered.run
         run.rows = run.rows.reshape(-1, 2 * COLUMNS)
         self._gatherer = Gatherer(self.settings, self._state.gathered)
+        self._unlearnt: list[tuple[Windows, Codes, Flags]] = []
+        """Windows of the present epoch not learnt from yet, their labels, and which of them were looked at.
+
+        What they teach is used from the next epoch on, so that they are learnt from together."""
 
     @property
     def state(self) -> DetectorState:
         """A copy of all that is remembered, which further feeding does not change."""
+        self._learn()
         return copy.deepcopy(self._state)
 
     @property
     def ledger(self) -> Ledger:
         """What was asked for and read so far, and the labels of windows and candidate rests."""
+        self._learn()
         return self._state.gathered.ledger.copy()
+
+    @property
+    def asked_s(self) -> float:
+        """For how long samples were asked for so far, s."""
+        return self._state.gathered.ledger.asked_s
 
     @property
     def mode(self) -> Mode:
@@ -252,7 +263,7 @@ class StationaryDetector:
             first = last
 
     def _classify(self, windows: Windows) -> None:
-        """Classify the windows of one epoch, gather rests from them, and learn from those looked at."""
+        """Classify the windows of one epoch and gather rests from them."""
         state = self._state
         steps = (state.coarse[0].step, state.coarse[1].step)
         codes = classify(windows, (state.floors[0], state.floors[1]), state.coarse[0].coarse, self.settings)
@@ -261,11 +272,18 @@ class StationaryDetector:
             self._gatherer.scan(windows.rows, codes, steps)
         else:
             looked = self._gatherer.probe(windows.rows, codes, steps)
-        if looked.any():
-            self._learn(windows, codes, looked)
-        self._count(windows, codes, looked)
+        self._unlearnt.append((windows, codes, looked))
 
-    def _learn(self, windows: Windows, codes: Codes, looked: Flags) -> None:
+    def _learn(self) -> None:
+        """Learn from the windows classified since the last time, and enter them into the ledger."""
+        if self._unlearnt:
+            parts, codes, looked = zip(*self._unlearnt, strict=True)
+            windows = Windows.joined(parts), np.concatenate(codes), np.concatenate(looked)
+            self._unlearnt = []
+            self._train(*windows)
+            self._count(*windows)
+
+    def _train(self, windows: Windows, codes: Codes, looked: Flags) -> None:
         """Train the noise floors and the sensors' coarseness with the windows looked at."""
         state = self._state
         ceilings = (self.settings.accel_ceiling, self.settings.gyro_ceiling)
@@ -291,6 +309,7 @@ class StationaryDetector:
 
     def _renew(self, cell: float) -> None:
         """Begin an epoch: use what was learnt in the last one."""
+        self._learn()
         state, k = self._state, self.settings
         state.floors = [renewed(floor, k) for floor in state.floors]
         state.coarse = [coarse.renewed(k) for coarse in state.coarse]

@@ -227,19 +227,23 @@ class Regression:
             steps,
         )
 
-    def _total(self, wander: Wander, steps: tuple[float, ...]) -> Array:
-        total = self._fixed + wander.flicker**2 * self._flicker + wander.walk**2 * self._walk
+    def _fill_covariance(self, total: Array, wander: Wander, steps: tuple[float, ...]) -> None:
+        """Write the covariance of all values into `total` (n, n)."""
+        np.multiply(self._flicker, wander.flicker**2, out=total)
+        total += self._fixed
+        total += wander.walk**2 * self._walk
         for step in steps:
             after = (self._seen.t >= step).astype(float)
-            total = total + self._priors.step**2 * np.outer(after, after) * self._shared
-        return total + np.diag(self._seen.variances(wander))
+            total += self._priors.step**2 * np.outer(after, after) * self._shared
+        np.einsum("ii->i", total)[:] += self._seen.variances(wander)
 
     def _factor(self, wander: Wander, steps: tuple[float, ...]) -> tuple[Array, Array]:
         """Return the Cholesky factor L of the covariance and L^-1 value, both from one decomposition."""
         value = self._seen.value
         n, k = value.shape
         bordered = np.empty((n + k, n + k))
-        bordered[:n, :n] = self._total(wander, steps)
+        self._fill_covariance(bordered[:n, :n], wander, steps)
+        bordered[:n, n:] = 0.0
         bordered[n:, :n] = value.T
         bordered[n:, n:] = _BORDER * np.eye(k)
         factor = np.linalg.cholesky(bordered)
