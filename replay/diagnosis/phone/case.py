@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+
+import msgspec
 
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
@@ -21,6 +24,7 @@ from stillcal.replay.diagnosis.phone.twin import (
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.phone import Phone
+from stillcal.replay.phone.settings import SensorSettings
 
 SEED = 2
 """Of what is simulated."""
@@ -31,6 +35,7 @@ class Case:
     """A recording with what an ideal sensor lacks of it.
 
     mapped: the findings, each with its effect in a phone file. affine: the constants fitted with these.
+    cutoffs: Hz, of the low-passes that the noise shows, by sensor, also of those that sound phones have.
     """
 
     recording: Recording
@@ -39,11 +44,16 @@ class Case:
     conditions: Conditions
     mapped: tuple[MappedFinding, ...]
     affine: AffinePhone
+    cutoffs: Mapping[str, float]
 
     def phone(self) -> Phone:
         """Return the phone that the recording shows, with the effects found. Needs static bins."""
         known = (self.recording, self.bins, self.effects, self.affine)
-        return phone_of(*known, conditions=self.conditions, gravity=self.gravity)
+        made = phone_of(*known, conditions=self.conditions, gravity=self.gravity)
+        gyro = made.gyro and _filtered(made.gyro, self.cutoffs.get("gyro"))
+        return msgspec.structs.replace(
+            made, accel=_filtered(made.accel, self.cutoffs.get("accel")), gyro=gyro
+        )
 
     def played(self, phone: Phone, conditions: Conditions | None = None) -> Recording:
         """Return what a phone would have recorded of this recording's motion.
@@ -67,6 +77,10 @@ class Case:
         ]
 
 
+def _filtered(settings: SensorSettings, cutoff: float | None) -> SensorSettings:
+    return settings if cutoff is None else msgspec.structs.replace(settings, cutoff_hz=cutoff)
+
+
 def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) -> Case:
     """Return a recording's case. against_ideal: its comparison with an ideal sensor."""
     conditions, gravity = conditions_of(exam.bins), exam.claims.gravity
@@ -76,4 +90,6 @@ def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) 
     affine = fit_affine(exam.bins, effects, conditions, gravity)
     if exam.aligned is not None:
         affine = replace(affine, rate_mapping=exam.aligned.mapping * (1.0 + skew_of(effects)))
-    return Case(recording, exam.bins, gravity, conditions, mapped, affine)
+    spectra = {s.sensor: s.spectra for s in exam.streams if s.spectra is not None}
+    cutoffs = {s: float(f"{one.low_pass.cutoff.value:.4g}") for s, one in spectra.items() if one.low_pass}
+    return Case(recording, exam.bins, gravity, conditions, mapped, affine, cutoffs)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, LEVEL_TOLERANCE
 from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED
@@ -158,6 +159,7 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
         own = _every(finding, "simulated")
         return f"{simulation} has what {recording} does not show: {what}, {own}. Take it out."
     recorded, simulated = (_side(finding, side, name) for side in ("parameters", "simulated"))
+    what = f"cutoff of the {what}" if finding["effect"] == LOW_PASS else what
     word = _word(finding, name)
     text = f"The {what} {word} in {simulation}: {simulated}, recorded {recorded}."
     if not _overlap(finding, name):

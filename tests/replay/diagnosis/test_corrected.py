@@ -11,7 +11,7 @@ from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.diagnosis.corrected import correct
+from stillcal.replay.diagnosis.corrected import correct, low_passed
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
 
@@ -120,3 +120,31 @@ def test_a_delay_is_put_in_with_its_sign() -> None:
         shift = 0.1 if own else -0.1
         expected = 5.0 * np.sin(0.5 * (rate.t[50:-50] - shift))
         np.testing.assert_allclose(done.recording.gyroscope.xyz[50:-50, 0], expected, atol=1e-6)
+
+
+def low_pass(cutoff: float, order: int) -> Quantity:
+    """Return a low-pass of a gyroscope as a comparison measures it; no cutoff is known without an error."""
+    one, part = np.ones(1), (Part("cutoff", "Hz", 1),)
+    value, where = np.array([np.log(cutoff)]), Where(0.0, 1.0, (0.0, 25.0), "noise at rest")
+    return Quantity("bandwidth", "gyro", part, value, 1e-4 * np.eye(1), one, 0.05 * one, np.array([-1]),
+                    logarithmic=True, reference={"order": order}, where=where)  # fmt: skip
+
+
+@pytest.mark.parametrize(("cutoff", "own"), [(6.0, 15.0), (15.0, 6.0)])
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_one_low_pass_takes_the_place_of_another(cutoff: float, own: float, order: int) -> None:
+    rng = np.random.default_rng(1)
+    white = Samples(Sensor.GYROSCOPE, np.arange(2000) / 50.0, rng.normal(size=(2000, 3)))
+    wanted = low_passed(white, low_pass(cutoff, order)).xyz
+    behind = low_passed(white, low_pass(own, order))
+    found = low_passed(behind, low_pass(cutoff, order), low_pass(own, order)).xyz
+    np.testing.assert_allclose(found[200:], wanted[200:], atol=1e-6)
+
+
+def test_a_low_pass_of_another_order_leaves_no_gain_behind() -> None:
+    rng = np.random.default_rng(1)
+    steady = Samples(Sensor.GYROSCOPE, np.arange(2000) / 50.0, 1.0 + 0.01 * rng.normal(size=(2000, 3)))
+    behind = low_passed(steady, low_pass(15.0, 4))
+    found = low_passed(behind, low_pass(6.0, 1), low_pass(15.0, 4)).xyz
+    assert found[200:].mean() == pytest.approx(1.0, abs=1e-3)
+    assert found[200:].std() < 0.01

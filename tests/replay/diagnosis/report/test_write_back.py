@@ -10,11 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.replay.diagnosis.built_in import judge_built_in
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
-from stillcal.replay.diagnosis.judged import named
-from stillcal.replay.diagnosis.phone.case import Case
+from stillcal.replay.diagnosis.judged import examined, named
+from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.phone.phone_effects import map_findings
 from stillcal.replay.diagnosis.phone.phone_file import phone_text, stamps_measured
 from stillcal.replay.diagnosis.phone.phone_simulation import judge_phone
@@ -22,6 +24,7 @@ from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.phone import load_phone
 from stillcal.replay.phone.settings import per_axis
 from tests.replay.diagnosis.report.conftest import diagnosed
+from tests.support.diagnosis.turned_pairs import RATE, low_passed, turned
 from tests.support.report_days import THERMAL, phone_with, recorded
 
 Maker = Callable[..., Recording]
@@ -141,3 +144,22 @@ def test_the_clock_of_the_written_phone_scatters_and_loses_as_the_recording_does
     clock = case.phone().clock
     assert clock.jitter_s == (0.0 if "timestamp_jitter" in told else pytest.approx(scatter, rel=1e-3))
     assert clock.drop_fraction == (0.0 if "dropped_samples" in told else pytest.approx(missing, rel=1e-2))
+
+
+def test_the_phone_has_the_low_pass_that_sound_phones_have_too() -> None:
+    """On both sensors it is no finding, and what is simulated without it would differ all the same."""
+    made = turned(1, turns=8)
+    assert made.gyroscope is not None
+    made = replace(
+        made,
+        accelerometer=low_passed(made.accelerometer, 0.2),
+        gyroscope=low_passed(made.gyroscope, 0.2),
+    )
+    exam = examined(made, search=False)
+    phone = case_of(made, exam, compare_with_ideal(exam)).phone()
+    assert phone.gyro is not None
+    for sensor in (phone.accel, phone.gyro):
+        assert sensor.cutoff_hz == pytest.approx(0.2 * RATE, rel=0.15)
+    assert case_of(made, exam, Comparison()).cutoffs.keys() == {"accel", "gyro"}
+    plain = examined(turned(1, turns=8), search=False)
+    assert case_of(made, plain, Comparison()).cutoffs == {}
