@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
     Seen,
     direct_finding,
+    of_counts,
     of_measured,
     sized,
 )
@@ -41,6 +42,10 @@ MOST_WIDE = 0.35
 SPIKE, RARE = 8.0, 2e-3
 """Far samples are spikes, no noise, above this ratio if fewer than this part (more at a larger ratio)."""
 LEAST_SPIKES = 5
+OUTLIER, LONE = 20.0, 2e-6
+"""Spreads from which a single value is an outlier by itself, and the part of a sound phone's that may be: of
+1.9 million samples none was, in 126 recordings of 28 phones and watches on a table (HHAR)."""
+
 UNLIKE_NOISE = 4.0
 """Standard deviations by which far samples must be on one side, or rise from one size to the next."""
 
@@ -135,8 +140,10 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
     best = max((of_measured(k, usual) for k in every), key=lambda s: s.log_bayes_factor)
     axes = [a for a in AXES if best.stated and (_heavy(kurtosis[a], usual) or _heavy(held[a], usual))]
     everything = np.concatenate(scaled)
-    if not axes or _few_levels(still) or _clustered(everything[:, axes]) or _together(everything):
+    if _few_levels(still) or _clustered(everything[:, axes or AXES]) or _together(everything):
         return None
+    if not axes:
+        return _lone(sensor, scaled, where)
     values = np.abs(everything[:, axes]).ravel()
     fit = contaminated(values, (step / float(spread[axes].mean())) ** 2 / 12.0)
     if fit.fraction.value > MOST_WIDE:
@@ -184,6 +191,28 @@ def unlike_noise(z: Array, step: float = 0.0) -> str:
     return ""
 
 
+def _lone(sensor: str, scaled: Sequence[Array], where: Where) -> Finding | None:
+    """Find outliers that are too few for a moment of the noise, by how many there are.
+
+    They come on one axis, between neighbours that are none.
+    """
+    found = np.concatenate([_alone(z) for z in scaled])
+    hits, axes = int(found.any(axis=1).sum()), np.flatnonzero(found.any(axis=0)).tolist()
+    if not hits:
+        return None
+    seen = Seen(of_counts(float(hits), float(len(found)), LONE))
+    return _spikes(sensor, axes, np.concatenate(scaled), where, seen)
+
+
+def _alone(z: Array) -> NDArray[np.bool_]:
+    """Return which values (n, 3), in spreads, are far from all about them."""
+    size = np.abs(z)
+    farthest = np.pad(size.max(axis=1), 2)
+    near = np.max([farthest[i : i + len(z)] for i in (0, 1, 3, 4)], axis=0)
+    lone = (near < FAR + 1.0) & (np.sort(size, axis=1)[:, 1] < FAR + 1.0)
+    return np.asarray((size > OUTLIER) & lone[:, None])
+
+
 def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) -> Finding | None:
     far = np.abs(z[:, axes]) > FAR + 1.0
     if far.sum() < LEAST_SPIKES:
@@ -191,7 +220,7 @@ def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) ->
     size = float(np.median(np.abs(z[:, axes])[far]))
     n = int(far.sum())
     say = f"{n} single {NAME[sensor]} samples at rest are outliers, of about {size:.0f} times the noise."
-    sizes = sized({"count": (float(far.sum()), "1"), "size": (size, "of the noise")})
+    sizes = sized({"count": (float(far.sum()), "1"), "size": (size, "times the noise")})
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
 
 

@@ -48,6 +48,30 @@ def test_few_far_samples_are_spikes_and_no_heavy_tails() -> None:
     assert found is not None and found.effect == "unknown" and found.axes == ["z"]
 
 
+def with_outliers(count: int, seed: int, axes: int = 1, samples: int = 1) -> np.ndarray:
+    """Return normal noise with some jumps of 35 spreads, on so many axes for so many samples."""
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(50000, 3))
+    for start in rng.choice(49900, count, replace=False):
+        values[start : start + samples, rng.permutation(3)[:axes]] += 35.0 * rng.choice([-1.0, 1.0])
+    return np.asarray(values)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_few_outliers_are_found_by_their_count(seed: int) -> None:
+    """Their fourth moment is no surer than they are many."""
+    found = said(with_outliers(8, seed))
+    assert found is not None and found.effect == "unknown"
+    assert found.parameters["count"].value == 8.0
+    assert said(with_outliers(3, seed)) is None
+
+
+@pytest.mark.parametrize(("axes", "samples"), [(2, 1), (1, 2)])
+def test_knocks_are_no_outliers(axes: int, samples: int) -> None:
+    """What moves the phone shows on several axes, or in several samples."""
+    assert said(with_outliers(8, 1, axes, samples)) is None
+
+
 def shaken(values: np.ndarray, rng: np.random.Generator, share: float) -> np.ndarray:
     """Return samples (50000, 3) of which a share of the rests is shaken now and then."""
     moving = np.convolve(rng.normal(size=50000), np.ones(4) / 2.0, mode="same")
