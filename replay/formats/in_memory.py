@@ -28,7 +28,7 @@ from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
 from stillcal.replay.formats.recognition.names import is_own
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.stream import filled_forward
-from stillcal.replay.formats.tables.cells import dates_in_seconds, is_date
+from stillcal.replay.formats.tables.dates import dates_in_seconds, is_date
 from stillcal.replay.formats.tables.numbers import in_arrays
 from stillcal.replay.formats.tables.table import EMPTY
 from stillcal.replay.formats.trace import Recording, Trace, whole

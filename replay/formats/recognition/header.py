@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from stillcal.replay.formats.recognition.names import find_axes
-from stillcal.replay.formats.tables.cells import is_date, is_number
+from stillcal.replay.formats.tables.cells import is_number
+from stillcal.replay.formats.tables.dates import is_date
 from stillcal.replay.formats.tables.text import uncommented
 
 DELIMITERS = (";", "\t", "|", ",")
@@ -15,10 +17,39 @@ _FEWEST = 4
 """Numbers in a row: a time and three axes."""
 
 
+_FEWEST_CELLS = 3
+"""Cells of a row without a time: three axes. All of them are numbers then, in the next row too."""
+
+_RATE = re.compile(
+    r"(?:rate|freq\w*|fs|odr|sampl\w*|\bat)\b[^0-9\n]{0,20}(\d+(?:\.\d+)?)\s*Hz", re.IGNORECASE
+)
+_OF_A_FILTER = re.compile(r"cut-?off|bandwidth|low-?pass|lpf", re.IGNORECASE)
+
+
 def delimiter_of(row: str) -> str:
     """Return what stands between the cells of a row of numbers, a blank where nothing else does."""
-    several = (mark for mark in DELIMITERS if row.count(mark) >= _FEWEST - 1)
+    several = (mark for mark in DELIMITERS if row.count(mark) >= _FEWEST - 1 or _splits(row, mark))
     return next(several, " ")
+
+
+def _splits(row: str, mark: str) -> bool:
+    """Whether a mark splits a row into three numbers."""
+    cells = row.split(mark)
+    return len(cells) == _FEWEST_CELLS and all(_is_filled_number(cell.strip()) for cell in cells)
+
+
+def stated_rate(lines: Sequence[str]) -> float | None:
+    """Return the rate, Hz, that lines before a table say it was sampled at; None where they say several."""
+    rates = {float(r) for line in lines if not _OF_A_FILTER.search(line) for r in _RATE.findall(line)}
+    return rates.pop() if len(rates) == 1 and min(rates) > 0 else None
+
+
+def unnamed_place(lines: Sequence[str]) -> int:
+    """Return how many lines stand before a table without a header, where they say its rate; else 0."""
+    first = _first_row(lines)
+    before = [line for line in lines[:first] if line.strip()]
+    named = any(find_axes(split_as(lines[first], uncommented(line))) for line in before)
+    return 0 if named or len(before) < 2 or stated_rate(before) is None else first
 
 
 def cells_of(row: str) -> list[str]:
@@ -34,18 +65,31 @@ def header_place(lines: Sequence[str]) -> tuple[int, int]:
     else the last. What follows it and has a number is a row, though it may be a faulty one. (0, 0) where the
     first line is the header, and where no line is one.
     """
-    first = next((i for i, line in enumerate(lines) if _is_row(line)), 0)
+    first = _first_row(lines)
     before = [i for i in range(first) if lines[i].strip()]
     if len(before) < 2:
         return 0, 0
-    width = len(cells_of(lines[first]))
+    width = _width(cells_of(lines[first]))
     names = {i: split_as(lines[first], uncommented(lines[i])) for i in before}
-    fitting = [i for i in before if len(names[i]) == width]
+    fitting = [i for i in before if _width(names[i]) == width]
     if not fitting:
         return 0, 0
     header = next((i for i in fitting if find_axes(names[i])), fitting[-1])
     rows = (i for i in fitting if i > header and any(map(_is_filled_number, names[i])))
     return header, next(rows, first) - header - 1
+
+
+def _first_row(lines: Sequence[str]) -> int:
+    """Return the place of the first row of numbers, 0 where there is none."""
+    short = [_splits(line, delimiter_of(line)) for line in lines]
+    following = [*short[1:], False]
+    rows = (i for i, line in enumerate(lines) if _is_row(line) or (short[i] and following[i]))
+    return next(rows, 0)
+
+
+def _width(cells: Sequence[str]) -> int:
+    """Return how many cells a row has, an empty one behind the last delimiter not counted."""
+    return len(cells) - (len(cells) > 1 and not cells[-1].strip())
 
 
 def split_as(row: str, line: str) -> list[str]:

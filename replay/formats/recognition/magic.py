@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.sources import Source
+from stillcal.replay.formats.tables.plain import UTF16
 
 ULOG, DATAFLASH, AXIVITY = "PX4 ULog", "ArduPilot DataFlash", "Axivity CWA"
 ROS1, ROS2, MCAP = "ROS 1 bag", "ROS 2 bag", "MCAP"
@@ -26,7 +27,7 @@ _STARTS = {
     b"PK\x05\x06": ZIP,
 }
 
-_BLACKBOX, _UTF16 = "a Betaflight blackbox log", "text in UTF-16"
+_BLACKBOX = "a Betaflight blackbox log"
 _FOREIGN = {
     b"%PDF": "a PDF document",
     b"\x89PNG": "a picture",
@@ -41,8 +42,6 @@ _FOREIGN = {
     b"\x7fELF": "a program",
     b"#ROSBAG": "a ROS bag older than version 2.0",
     b"H Product:Blackbox": _BLACKBOX,
-    b"\xff\xfe": _UTF16,
-    b"\xfe\xff": _UTF16,
     b"{": "JSON",
     b"[": "JSON",
     b"<": "HTML or XML",
@@ -52,7 +51,6 @@ _FOREIGN = {
 _PACKED = ("archive", "bzip2", "xz file", "zstd", "compressed")
 _REMEDIES = {
     _BLACKBOX: "decode it with blackbox_decode --save-headers and give the CSV",
-    _UTF16: "save it as UTF-8",
 }
 
 
@@ -68,7 +66,7 @@ def kind_of(source: Source) -> str:
             usual = "unpack it and give what is in it" if packed else "export the recording as CSV"
             remedy = _REMEDIES.get(name, usual)
             raise TraceError(source.path, f"is {name}, not a recording that can be read", remedy)
-    if b"\0" in head:
+    if b"\0" in head and not head.startswith(UTF16):
         what = "is not a text file, and no binary format that is known"
         remedy = "give one of the formats in docs/formats.md, or text in UTF-8"
         raise TraceError(source.path, what, remedy)

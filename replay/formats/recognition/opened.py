@@ -144,7 +144,7 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -
     if form.name == UNKNOWN and gyro is None:
         table = TextTable(source, form.column_map)
         table.names = form.names or table.names
-        sensors = settled(table, form.column_map)
+        sensors = settled(table, form.column_map, form.rate_hz)
         if sensors:
             return Log(source.path, "text table", sensors, beside=source.local)
         if table.names is not None and not OWN & set(table.names):

@@ -42,7 +42,8 @@ from stillcal.replay.formats.recognition.names import (
     find_thermometer,
 )
 from stillcal.replay.formats.stream import SampleFile
-from stillcal.replay.formats.tables.cells import is_date, is_number
+from stillcal.replay.formats.tables.cells import is_number
+from stillcal.replay.formats.tables.dates import is_date, kind_of_dates
 from stillcal.replay.formats.tables.table import EMPTY, Table
 
 _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
@@ -78,7 +79,7 @@ def settled(table: Table, column_map: ColumnMap, rate_hz: float | None = None) -
     column_map: how the table is cut into columns; its sensors do not matter. rate_hz: as the file states it.
     Raises TraceError where there are axes of an accelerometer that cannot be read.
     """
-    candidates = _paired(table.names) if table.names is not None else _counted(table)
+    candidates = _paired(table.names) if table.names is not None else _counted(table, rate_hz)
     if not candidates:
         return []
     sensors: list[tuple[Axes, LoggedSensor]] = []
@@ -119,24 +120,29 @@ def _paired(names: Sequence[str]) -> list[_Candidate]:
     return found
 
 
-def _counted(table: Table) -> list[_Candidate]:
+def _counted(table: Table, rate_hz: float | None) -> list[_Candidate]:
     """Return the sensors of a table without names: a time, three axes, and three more where there are any.
 
-    table: of 4 or 7 columns. Those are the accelerometer's whose size is gravity's. Raises TraceError where
-    both could be.
+    table: of 4 or 7 columns; one less where the file states its rate and holds no time. Those are the
+    accelerometer's whose size is gravity's. Raises TraceError where both could be.
     """
-    stamps = [Stamps(0, "", None)]
-    first, second = (Axes(Sensor.ACCELEROMETER, "", (place, place + 1, place + 2), None) for place in (1, 4))
-    if table.width == 4:
+    timed = table.width in (4, 7) or rate_hz is None
+    stamps = [Stamps(0, "", None)] if timed else []
+    places = (1, 4) if timed else (0, 3)
+    first, second = (Axes(Sensor.ACCELEROMETER, "", (p, p + 1, p + 2), None) for p in places)
+    if table.width <= 4:
         return [_Candidate(first, None, stamps)]
     probe = _Probe(table)
     sizes = [probe.norms(axes) for axes in (first, second)]
     fits = [_gravity_unit(norms) is not None for norms in sizes]
     if all(fits):
-        one, other = (np.subtract(*np.quantile(norms, (0.75, 0.25))) / np.median(norms) for norms in sizes)
-        fits = [one * _STEADIER < other, other * _STEADIER < one]
+        low, high = (np.subtract(*np.quantile(norms, (0.75, 0.25))) / np.median(norms) for norms in sizes)
+        fits = [low * _STEADIER < high, high * _STEADIER < low]
     if sum(fits) != 1:
-        what = "which of columns 1 to 3 and 4 to 6 (counted from 0) are the acceleration is not clear by size"
+        one, other = (f"{p} to {p + 2}" for p in places)
+        what = (
+            f"which of columns {one} and {other} (counted from 0) are the acceleration is not clear by size"
+        )
         raise TraceError(table.path, what, "name them in a first line, such as time, acc_x, ..., gyr_z")
     force, rates = (first, second) if fits[0] else (second, first)
     return [_Candidate(force, replace(rates, sensor=Sensor.GYROSCOPE), stamps)]
@@ -239,7 +245,8 @@ def _time(
     dated = [Stamps(name, "", None) for name in table.names or () if _holds_dates(table, name)]
     for choice in [*stamps, *dated]:
         if _holds_dates(table, choice.column):
-            return TimeMap(column=choice.column, unit="date"), f"time {choice.column} in dates"
+            said = f"time {choice.column} in {kind_of_dates(_first_cell(table, choice.column))}"
+            return TimeMap(column=choice.column, unit="date"), said
         try:
             values = probe.column(choice.column)
         except TraceError as error:

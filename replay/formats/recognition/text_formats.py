@@ -21,10 +21,13 @@ from stillcal.replay.formats.recognition.header import (
     delimiter_of,
     header_place,
     split_as,
+    stated_rate,
+    unnamed_place,
     with_units,
 )
 from stillcal.replay.formats.recognition.names import is_own
 from stillcal.replay.formats.sources import Source
+from stillcal.replay.formats.tables.plain import plain_text
 from stillcal.replay.formats.tables.text import text_head, uncommented
 
 BETAFLIGHT, GNSS_LOGGER = "betaflight", "gnss_logger"
@@ -45,27 +48,37 @@ _G_UNTIL = 2.5
 class TextFormat:
     """A recognised text table. name: of its format, "" where it has none; said: what was assumed.
 
-    names: of its columns, where they are more than the header alone says.
+    names: of its columns, where they are more than the header alone says. rate_hz: as the lines before the
+    table state it.
     """
 
     name: str
     column_map: ColumnMap
     said: str = ""
     names: list[str] | None = None
+    rate_hz: float | None = None
 
 
 def text_format(source: Source) -> TextFormat:
     """Recognise a text table. Raises TraceError where the file is empty or no text."""
-    head = text_head(source)
+    head = text_head(plain_text(source))
     lines = [line.rstrip("\r") for line in head.split("\n")]
     filled = [line for line in lines if line.strip()]
     if _is_gnss_logger(filled):
         return TextFormat(GNSS_LOGGER, load_map("csv"))
     if _numbers_in(cells_of(filled[0])) or _hhar_row(filled[0]):
         return _headerless(filled)
+    unnamed = unnamed_place(lines)
+    if unnamed:
+        form = _headerless([line for line in lines[unnamed:] if line.strip()], timed=False)
+        placed = msgspec.structs.replace(form.column_map, skip_lines=unnamed)
+        return replace(form, column_map=placed, rate_hz=stated_rate(lines[:unnamed]))
     before, after = header_place(lines)
     filled = [line for line in lines[before:] if line.strip()]
-    form = _with_header(filled, whole=len(head) < (1 << 15) and not source.zipped)
+    form = replace(
+        _with_header(filled, whole=len(head) < (1 << 15) and not source.zipped),
+        rate_hz=stated_rate(lines[:before]),
+    )
     skip = form.column_map.skip_lines + before
     placed = msgspec.structs.replace(form.column_map, skip_lines=skip, lines_after_header=after)
     if form.name not in (UNKNOWN, "csv") or not after:
@@ -73,7 +86,7 @@ def text_format(source: Source) -> TextFormat:
     below, row = lines[before + after], lines[before + after + 1]
     names, units = (split_as(row, line) for line in (uncommented(lines[before]), below))
     told = with_units(names, units) if len(units) == len(names) else None
-    return TextFormat(UNKNOWN, placed, names=told)
+    return TextFormat(UNKNOWN, placed, names=told, rate_hz=form.rate_hz)
 
 
 def _with_header(lines: list[str], *, whole: bool) -> TextFormat:
@@ -148,8 +161,11 @@ def _sensor_logger(names: list[str], rows: list[str]) -> TextFormat:
     return TextFormat(name, load_map(name))
 
 
-def _headerless(lines: list[str]) -> TextFormat:
-    """Recognise a table without a header by the count and the size of its cells."""
+def _headerless(lines: list[str], *, timed: bool = True) -> TextFormat:
+    """Recognise a table without a header by the count and the size of its cells.
+
+    timed: whether its first column must be a time.
+    """
     delimiter = delimiter_of(lines[0])
     if _hhar_row(lines[0]):
         return TextFormat("hhar", load_map("hhar"))
@@ -164,15 +180,15 @@ def _headerless(lines: list[str]) -> TextFormat:
         return TextFormat(
             "mikoff", load_map("mikoff"), "no time stamps: 100 Hz is taken, as mikoff's logs have"
         )
-    return TextFormat(UNKNOWN, _counted(width, delimiter) if width in (4, 7) else load_map("csv"))
+    counted = width in (4, 7) or (not timed and width in (3, 6))
+    return TextFormat(UNKNOWN, _counted(delimiter) if counted else load_map("csv"))
 
 
-def _counted(width: int, delimiter: str) -> ColumnMap:
+def _counted(delimiter: str) -> ColumnMap:
     """Return how a table without a header is cut into columns, which are then counted."""
     base = ColumnMap(
         time=TimeMap(column=0, unit="auto"),
-        accelerometer=SensorMap(columns=(1, 2, 3), unit="m/s^2"),
-        gyroscope=SensorMap(columns=(4, 5, 6), unit="rad/s") if width == 7 else None,
+        accelerometer=SensorMap(columns=(0, 1, 2), unit="m/s^2"),
         header=False,
     )
     return _cut_as(base, delimiter)

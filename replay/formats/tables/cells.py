@@ -6,8 +6,6 @@ numpy on the bytes, with a comma between cells and every row of one width; what 
 
 from __future__ import annotations
 
-import re
-from calendar import monthrange
 from collections.abc import Sequence
 
 import msgspec
@@ -98,32 +96,3 @@ def is_number(cell: bytes) -> bool:
     except ValueError:
         return False
     return b"_" not in cell
-
-
-_DATE = re.compile(
-    rb"\s*\d{4}-\d\d-\d\d[T ](?:[01]\d|2[0-3]):[0-5]\d:[0-5]\d(\.\d{1,9})?(Z|[+-]\d\d:?\d\d)?\s*"
-)
-
-
-def is_date(cell: bytes) -> bool:
-    """Whether a cell is a date with a time of day, as ISO 8601 writes them, with T or a blank between."""
-    if _DATE.fullmatch(cell) is None:
-        return False
-    year, month, day = (int(part) for part in cell.strip()[:10].split(b"-"))
-    return 1 <= month <= 12 and 1 <= day <= monthrange(year or 1, month)[1]
-
-
-def dates_in_seconds(cells: Sequence[bytes]) -> Array:
-    """Return dates as s since 1970, (n,), to a microsecond; of cells that are dates (`is_date`)."""
-    texts = [cell.strip().decode("ascii") for cell in cells]
-    offsets = np.zeros(len(texts))
-    for i, text in enumerate(texts):
-        if text.endswith("Z"):
-            texts[i] = text[:-1]
-        elif text[-6] in "+-" or text[-5] in "+-":
-            zone = text[19:].lstrip(".0123456789")
-            texts[i] = text[: len(text) - len(zone)]
-            hours, minutes = int(zone[1:3]), int(zone[-2:])
-            offsets[i] = (1 if zone[0] == "+" else -1) * (3600 * hours + 60 * minutes)
-    stamps = np.array(texts, dtype="datetime64[ns]").astype(np.int64)
-    return np.asarray(stamps / 1e9 - offsets)

@@ -25,14 +25,14 @@ from stillcal.replay.formats.tables.cells import (
     blanks_to_commas,
     cell_ends,
     cut_out,
-    dates_in_seconds,
     holding,
-    is_date,
     is_number,
     line_ends,
     read_numbers,
 )
 from stillcal.replay.formats.tables.compiled import compiled_reader
+from stillcal.replay.formats.tables.dates import Dates, NotADateError, is_date
+from stillcal.replay.formats.tables.plain import plain_text
 from stillcal.replay.formats.tables.table import EMPTY, Block
 
 BLOCK_BYTES = 1 << 20
@@ -62,12 +62,13 @@ class TextTable:
     """
 
     def __init__(self, source: Source | Path, column_map: ColumnMap) -> None:
-        self._source = source if isinstance(source, Source) else source_of(source)
+        self._source = plain_text(source if isinstance(source, Source) else source_of(source))
         self.path = path = self._source.path
         self.size_bytes = self._source.size
         self.skipped_rows = 0
         self.bytes_read = 0
         self._dates: int | None = None
+        self._clock: Dates | None = None
         self._map = column_map
         head = text_head(self._source)
         lines = head.split("\n")
@@ -80,6 +81,8 @@ class TextTable:
             what = "the file holds a header only" if self.names else "the file is empty"
             raise TraceError(path, what, "give a recording with samples", self._skip or None)
         self.first_row = self._cells(rows[0])
+        if self.names is not None:
+            self.names = _as_wide_as(self.first_row, self.names)
         self.decimal = _decimal(self.first_row, column_map.decimal)
         self.header_line: int | None = column_map.skip_lines + 1
         self.width = len(self.names) if self.names is not None else len(self.first_row)
@@ -91,6 +94,7 @@ class TextTable:
         TraceError naming file and line for a row that is not numbers or not whole.
         """
         self.skipped_rows = 0
+        self._clock = None if self._dates is None else Dates(self.first_row[self._dates].encode())
         plain = not key and self._dates not in places
         compiled = compiled_reader(self.size_bytes, self.width) if plain else None
         size = BLOCK_BYTES if compiled is None else _AT_ONCE * BLOCK_BYTES
@@ -231,11 +235,13 @@ class TextTable:
         if not filled.all():
             raise TraceError(self.path, f"{name} is empty", _ROW_REMEDY, int(lines[int(filled.argmin())]))
         cells = flat.split(b",") if flat else []
-        for line, cell in zip(lines.tolist(), cells, strict=True):
-            if not is_date(cell):
-                said = cell.decode("utf-8", "backslashreplace").strip()[:40]
-                raise TraceError(self.path, f"{name} holds {said!r}, which is not a date", _ROW_REMEDY, line)
-        return dates_in_seconds(cells)
+        assert self._clock is not None, "dates are read by blocks"
+        try:
+            return self._clock.seconds(cells)
+        except NotADateError as error:
+            said = cells[error.index].decode("utf-8", "backslashreplace").strip()[:40]
+            what = f"{name} holds {said!r}, which is not a date"
+            raise TraceError(self.path, what, _ROW_REMEDY, int(lines[error.index])) from None
 
     def _accused(
         self, flat: bytes, filled: NDArray[np.bool_], lines: NDArray[np.int64], columns: Sequence[int]
@@ -252,6 +258,14 @@ class TextTable:
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""
         return f"column {self.names[place]!r}" if self.names is not None else f"column {place}"
+
+
+def _as_wide_as(first_row: Sequence[str], names: list[str]) -> list[str]:
+    """Return names for rows that end with a delimiter where the header does not, or the other way round."""
+    more = len(first_row) - len(names)
+    if more == 1 and not first_row[-1].strip():
+        return [*names, ""]
+    return names[:-1] if more == -1 and not names[-1] else names
 
 
 def uncommented(line: str) -> str:

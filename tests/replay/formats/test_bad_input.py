@@ -133,9 +133,7 @@ def test_empty_files(tmp_path: Path, content: bytes) -> None:
     assert "empty" in refused(path).what
 
 
-@pytest.mark.parametrize(
-    "content", [b"t,ax\xff,ay\n1,2,3\n", b"t,ax\n\0\0\0\n", "t,ax,ay,az\n".encode("utf-16")]
-)
+@pytest.mark.parametrize("content", [b"t,ax\xff,ay\n1,2,3\n", b"t,ax\n\0\0\0\n"])
 def test_what_is_not_text_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "r.csv"
     path.write_bytes(content)

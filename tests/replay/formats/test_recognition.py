@@ -433,7 +433,6 @@ def test_a_zip_that_unpacks_to_very_much_is_refused_in_little_memory(tmp_path: P
         (b"%PDF-1.7\n", "a PDF document"),
         (b"\x28\xb5\x2f\xfd\0\0", "a zstd file.*unpack it"),
         (b"H Product:Blackbox flight data recorder", "Betaflight blackbox.*blackbox_decode --save-headers"),
-        ("t,ax,ay,az\n".encode("utf-16"), "text in UTF-16.*save it as UTF-8"),
         (b"\0\1\2\3" * 100, "no binary format that is known.*docs/formats.md"),
     ],
 )
