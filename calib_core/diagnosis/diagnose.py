@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, alig
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones, usual
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
-from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings
+from stillcal.calib_core.diagnosis.motion.time_offset import Shown, shown_in_motion
 from stillcal.calib_core.diagnosis.noise import low_pass as spectrum
 from stillcal.calib_core.diagnosis.noise import noise_level as noise
 from stillcal.calib_core.diagnosis.noise.gathered_noise import (
@@ -74,6 +74,7 @@ class Examination:
     aligned: both sensors' affine parameters (None without a gyroscope or rests); statements: the findings
     with the hypotheses they state. timed: whether it is known when what was recorded.
     exchanged: the sensor whose axes were exchanged for a while, of which nothing slow is searched for.
+    delay: s, of the gyroscope behind the accelerometer; None where motion does not tell one.
     """
 
     accelerometer: Samples
@@ -87,6 +88,7 @@ class Examination:
     statements: list[Stated]
     timed: bool = True
     exchanged: str = ""
+    delay: Measured | None = None
 
     def diagnosis(self, recording: str) -> Diagnosis:
         """Return the findings. recording: the name it is known by."""
@@ -166,7 +168,7 @@ def examine(
     for done, scene in enumerate(searched, 1):
         stated += slow_statements(scene, without)
         progress(MEASURED + (SEARCHED - MEASURED) * done / len(searched))
-    affine, turns = None, None
+    affine, turns, motion = None, None, Shown([])
     if gyroscope is not None:
         most = min(_limits_of("gyro_saturation", direct), default=np.inf)
         known = Known.among(stated)
@@ -174,20 +176,21 @@ def examine(
         affine = aligned(gyroscope, bare, claims.gravity, most, rates) if len(slow) else None
         windows = [f.where for f in gone]
         filters = FilterDelay.of({s.sensor: s.spectra for s in streams if s.spectra is not None})
-        motion = motion_findings(
+        motion = shown_in_motion(
             accelerometer, gyroscope, affine, claims.gravity, sound["time_offset"],
             spoiled=windows, filters=filters,
         )  # fmt: skip
         known_filters = {(f.effect, f.sensor) for f in direct}
-        stated += [Stated(f) for f in motion if (f.effect, f.sensor) not in known_filters]
+        stated += [Stated(f) for f in motion.findings if (f.effect, f.sensor) not in known_filters]
         if affine is not None and spoiled is None:
             turns = turn_scene(affine, bare, claims.gravity)
             stated += turn_statements(turns, without) if search else []
     stated = [replace(s, finding=_named(s.finding, without)) for s in stated]
     exchanged = spoiled.sensor if spoiled else ""
     return Examination(
-        accelerometer, gyroscope, claims, slow, streams, residuals, affine, turns, stated, exchanged=exchanged
-    )
+        accelerometer, gyroscope, claims, slow, streams, residuals, affine, turns, stated,
+        exchanged=exchanged, delay=motion.delay,
+    )  # fmt: skip
 
 
 def _seen_in_all(accelerometer: Samples, overview: Overview | None) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison import noise, not_logged
-from stillcal.calib_core.diagnosis.comparison.direct import stamp_quantities
+from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity, stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.linear import (
     Wanted,
     kind_of,
@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
 from stillcal.calib_core.diagnosis.comparison.looked_for import (
     checks_of,
     obstacle,
+    of_motion,
     uninformed,
     why_not_logged,
 )
@@ -46,6 +47,7 @@ from stillcal.calib_core.diagnosis.comparison.stated import (
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
 CROSSING_SPREAD_K = 10.0
@@ -193,7 +195,7 @@ def _quantities(
         if (slow := noise.slow_noise(exam, scene, asked)) is not None:
             out[slow.effect, slow.sensor] = slow
     out["sample_rate", "timing"] = noise.rate(exam.accelerometer)
-    out |= stamp_quantities(exam)
+    out |= stamp_quantities(exam) | delay_quantity(exam)
     return out
 
 
@@ -203,6 +205,8 @@ def _expected(recorded: Examination, simulated: Examination, wanted: Sequence[Wa
     keys.append(("accel_slow_noise", "accel"))
     if recorded.gyroscope is not None or simulated.gyroscope is not None:
         keys += [(effect, "gyro") for effect in (*GYROSCOPE_ONLY, "noise_level")]
+    if not (recorded.is_table or simulated.is_table):
+        keys.append((DELAY, "timing"))
     return [*keys, *((w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted)]
 
 
@@ -240,6 +244,9 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
     if effect in (noise.LEVEL, noise.LOW_PASS):
         streams = [s for s in exam.streams if s.sensor == sensor]
         return noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"
+    if effect == DELAY:
+        apart = "its axes have no delay in common, or it changes"
+        return next((c.reason for c in of_motion(exam) if c.effect == DELAY), None) or apart
     first = obstacle(exam, effect, sensor)
     if first is None and effect.endswith("slow_noise"):
         return f"too few rests of {AVERAGED:.0f} s"

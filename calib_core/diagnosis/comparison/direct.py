@@ -17,6 +17,8 @@ from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_SHARE as 
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Measured
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE as ALIKE_DELAY
+from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stamps.clock import LEAST_SHARE as LEAST_BURSTS
@@ -33,6 +35,7 @@ MEASURED_ELSEWHERE = (
     "arrival_bursts",
     "held_samples",
     "bandwidth",
+    "time_offset",
 )
 """Findings of one recording by itself whose quantity is measured in both, whether it is a finding or not."""
 
@@ -51,6 +54,22 @@ def direct_statements(exam: Examination) -> list[Finding]:
         if (s.hypothesis is None or not transferable(s.hypothesis))
         and not s.finding.effect.endswith(MEASURED_ELSEWHERE)
     ]
+
+
+DELAY_SIZE = 0.01
+"""Prior size of a delay that a simulation may be off by, s: a sample of a phone's usual rate."""
+
+
+def delay_quantity(exam: Examination) -> dict[Key, Quantity]:
+    """Return the delay between the sensors as far as motion tells it, whether sound phones have it or not."""
+    if exam.delay is None:
+        return {}
+    key, samples, one = (DELAY, "timing"), exam.accelerometer, np.ones(1)
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "rate of turn")
+    return {key: Quantity(
+        *key, (Part("delay", "s", 1),), np.array([exam.delay.value]), np.array([[exam.delay.error**2]]),
+        DELAY_SIZE * one, ALIKE_DELAY * one, np.array([-1]), where=where,
+    )}  # fmt: skip
 
 
 def stamp_quantities(exam: Examination) -> dict[Key, Quantity]:

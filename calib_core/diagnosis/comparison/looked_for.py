@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.moments import moves
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
+from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.time_offset import LEAST_WINDOWS
 from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, turning_windows
 from stillcal.calib_core.diagnosis.noise import noise_level
@@ -106,6 +107,8 @@ HARDLY = "it would show only at a size that one phone in ten has at most"
 
 def uninformed(effect: str) -> str:
     """Say what is missing where all that an effect needs is there, and still too little."""
+    if effect == DELAY:
+        return "its turns do not tell it from how the hand moves it"
     if effect in (*ATTITUDES, "accel_bias", "accel_scale"):
         return "the attitudes are too few or too alike"
     if effect in OF_TURNS:
@@ -202,12 +205,12 @@ def direct_checks(exam: Examination) -> Iterator[Check]:
         yield from _of_stream(exam, stream)
     if exam.gyroscope is None:
         yield from (Check(name, "gyro", "no gyroscope") for name in _of_samples("gyro"))
-    yield from _of_motion(exam)
+    yield from of_motion(exam)
 
 
 STAMPS = ("timestamp_jitter", "dropped_samples")
 LEVELS = ("noise_unequal_axes", "noise_heavy_tailed", "bandwidth", "noise_level")
-MOTION = (("accel_gyro_time_offset", "timing"), ("lever_arm", "accel"))
+MOTION = ((DELAY, "timing"), ("lever_arm", "accel"))
 
 
 def _of_samples(sensor: str) -> tuple[str, ...]:
@@ -249,7 +252,8 @@ def _no_stretch(stream: Stream) -> str | None:
     return f"there are no three steady segments of {BRIEF:.0f} s"
 
 
-def _of_motion(exam: Examination) -> Iterator[Check]:
+def of_motion(exam: Examination) -> Iterator[Check]:
+    """Yield what motion shows of the time between the sensors and of where they sit."""
     stated = {s.finding.effect for s in exam.statements}
     why = None
     if exam.gyroscope is None:

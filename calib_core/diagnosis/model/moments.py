@@ -139,10 +139,12 @@ def at_samples(
 ) -> Moments:
     """Return the drivers at samples t (n,), s. temperature: K about that of the history.
 
-    sensors: the accelerometer and the gyroscope, or the rate (n, 3); what they read stands for the truth.
+    sensors: the accelerometer and the gyroscope, or the rate (n, 3); what they read stands for the truth. A
+    gyroscope without samples is none.
     """
-    accelerometer, gyroscope = sensors
-    rate = interpolate(t, gyroscope.t, gyroscope.xyz) if isinstance(gyroscope, Samples) else gyroscope
+    accelerometer, rate = sensors
+    if isinstance(rate, Samples):
+        rate = interpolate(t, rate.t, rate.xyz) if len(rate) else None
     force = interpolate(t, accelerometer.t, accelerometer.xyz)
     return Moments(t, np.zeros(t.size), history, force, rate, temperature, charging)
 

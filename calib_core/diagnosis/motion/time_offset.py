@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,7 +31,19 @@ ARM = np.array([True, True, True, False])
 """The columns of an arm; the fourth is the delay's."""
 
 
-def motion_findings(
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What motion shows.
+
+    delay: of the gyroscope behind the accelerometer, s, less what low-passes cause; None where it is not
+    known, or not one number.
+    """
+
+    findings: list[Finding]
+    delay: Measured | None = None
+
+
+def shown_in_motion(
     accelerometer: Samples,
     gyroscope: Samples,
     affine: Aligned | None,
@@ -40,17 +52,17 @@ def motion_findings(
     *,
     spoiled: Sequence[Where] = (),
     filters: FilterDelay | None = None,
-) -> list[Finding]:
+) -> Shown:
     """Return what motion shows; nothing where there is too little.
 
     affine: what rests and turns say of the sensors, None without rests; usual: of the delay, s; spoiled: when
     not to look; filters: what low-passes delay, which is no delay of the stamps.
     """
     if len(gyroscope) < 200:
-        return []
+        return Shown([])
     motion = Motion.of(accelerometer, gyroscope, affine, gravity, spoiled)
     if len(motion.windows) < LEAST_WINDOWS:
-        return []
+        return Shown([])
     interval = sample_period(gyroscope.t)
     fit = fitted(motion)
     where = Where(*motion.span(), (0.1, 0.5 / interval), "rate of turn")
@@ -58,8 +70,9 @@ def motion_findings(
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
     total = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
     whole = late = _delayed(total, fit, usual, where, interval)
+    beyond = total if filters is None else filters.beyond(total)
     if filters is not None:
-        late = _delayed(filters.beyond(total), fit, usual, where, interval)
+        late = _delayed(beyond, fit, usual, where, interval)
     axes, trend = fit.axes(motion), fit.trend(motion)
     grows = trend.grows and not (filters is not None and filters.explains_growth(trend.growth.value))
     surely = 0.0 if late is None else late.evidence.log_bayes_factor
@@ -71,7 +84,8 @@ def motion_findings(
         length = 0.0 if arm is None else float(np.linalg.norm(arm.parameters["position"].value))
         arm = None if filters.explains_arm(length, gravity) else arm
         cause = None if whole is None else filters.finding(whole, total, alone=late is None)
-    return [f for f in (late, arm, cause) if f]
+    common = abs(beyond.value) < LONGEST and not (axes.differ or grows)
+    return Shown([f for f in (late, arm, cause) if f], beyond if common else None)
 
 
 def power_over_delays(

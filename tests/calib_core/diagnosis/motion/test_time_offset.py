@@ -13,7 +13,7 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.motion.time_offset import motion_findings, power_over_delays
+from stillcal.calib_core.diagnosis.motion.time_offset import power_over_delays, shown_in_motion
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import ups
@@ -70,9 +70,9 @@ def diagnosed(
     """Look at the motion alone."""
     accelerometer, gyroscope = played(seed, delay, arm, stop, moods, tremor)
     bins = cut(accelerometer, gyroscope)
-    return motion_findings(
+    return shown_in_motion(
         accelerometer, gyroscope, aligned(gyroscope, bins, G), G, sound_phones()["time_offset"]
-    )
+    ).findings
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -135,8 +135,9 @@ def test_a_noisy_gyroscope_makes_no_arm_shorter(seed: int) -> None:
     noise = np.random.default_rng(seed).normal(0.0, 4e-3, gyroscope.xyz.shape)
     noisy = replace(gyroscope, xyz=frozen(gyroscope.xyz + noise))
     bins = cut(accelerometer, noisy)
-    found = motion_findings(accelerometer, noisy, aligned(noisy, bins, G), G, sound_phones()["time_offset"])
-    (only,) = (f for f in found if f.effect == "lever_arm")
+    found = shown_in_motion(accelerometer, noisy, aligned(noisy, bins, G), G, sound_phones()["time_offset"])
+    assert found.delay is not None
+    (only,) = (f for f in found.findings if f.effect == "lever_arm")
     measured = np.asarray(only.parameters["position"].value)
     assert float(measured @ arm / (arm @ arm)) == pytest.approx(1.0, abs=0.12)
 
@@ -146,10 +147,11 @@ def test_an_axis_that_is_late_by_itself_is_no_delay_of_the_sensor() -> None:
     rate = gyroscope.xyz.copy()
     rate[:, 1] = np.interp(gyroscope.t - 0.04, gyroscope.t, rate[:, 1])
     late = Samples.checked(Sensor.GYROSCOPE, gyroscope.t, rate)
-    found = motion_findings(
+    found = shown_in_motion(
         accelerometer, late, aligned(late, cut(accelerometer, late), G), G, sound_phones()["time_offset"]
     )
-    (axis,) = (f for f in found if f.effect != "lever_arm")
+    assert found.delay is None
+    (axis,) = (f for f in found.findings if f.effect != "lever_arm")
     assert (axis.effect, axis.sensor, axis.axes) == ("unknown", "gyro", ["y"])
     assert axis.parameters["delay"].value[1] == pytest.approx(0.04 * 2 / 3, abs=0.01)
 
@@ -160,9 +162,11 @@ def test_a_delay_that_grows_is_no_one_delay(growth: float, tremor: float) -> Non
     t = gyroscope.t
     rate = np.stack([np.interp(t - growth * t / t[-1], t, axis) for axis in gyroscope.xyz.T], axis=1)
     late = Samples.checked(Sensor.GYROSCOPE, t, rate)
-    (found,) = motion_findings(
+    shown = shown_in_motion(
         accelerometer, late, aligned(late, cut(accelerometer, late), G), G, sound_phones()["time_offset"]
     )
+    (found,), none = shown.findings, shown.delay
+    assert none is None
     low, high = found.parameters["growth"].ci95
     assert (found.effect, found.where.driver) == ("unknown", "rate of turn, with time")
     between = (
