@@ -21,6 +21,7 @@ from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum
 from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
 from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.diagnosis.model.settings import MODELLED
 
 Relation = Literal["lacking", "too_small", "too_large", "superfluous"]
 
@@ -32,6 +33,10 @@ EVEN = 0.5
 
 NONE_BEYOND = 0.01
 """Probability of a value as far from nothing, if nothing is there, below which a recording has an effect."""
+
+NO_DOUBT = 1e-6
+"""The same of a value that is less than a tenth of the other's: intervals know of the noise, and not of all
+that a model leaves out."""
 
 INFORMED = 0.5
 """Part of the prior's size that a standard deviation must be below, for a recording to show a parameter."""
@@ -90,14 +95,17 @@ class Quantity:
         """Which of the numbers (k,) the recording shows clearly better than the prior does."""
         return np.asarray(self.sigma < INFORMED * self.size)
 
-    def shows(self) -> bool:
-        """Whether the recording shows a value that is not nothing (chi-squared of all its numbers)."""
+    def shows(self, chance: float = NONE_BEYOND) -> bool:
+        """Whether the recording shows a value that is not nothing (chi-squared of all its numbers).
+
+        chance: of a value as far from nothing if nothing is there, below which it is something.
+        """
         if self.logarithmic:
             return True
         from scipy.special import chdtrc  # noqa: PLC0415 - scipy is loaded when something is computed
 
         whole = self.covariance + np.diag(self.tolerance**2)
-        return bool(chdtrc(self.value.size, self.value @ np.linalg.solve(whole, self.value)) < NONE_BEYOND)
+        return bool(chdtrc(self.value.size, self.value @ np.linalg.solve(whole, self.value)) < chance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,12 +136,15 @@ class Difference:
             return "superfluous" if self.recorded.none else "lacking"
         if self.recorded.logarithmic:
             return _of_logarithms(self.value)
-        if not self.simulated.shows():
-            return "lacking"
-        if not self.recorded.shows():
-            return "superfluous"
         weight = np.linalg.inv(self.covariance + np.diag((1e-9 * self.recorded.size) ** 2))
         sizes = [float(q.value @ weight @ q.value) for q in (self.recorded, self.simulated)]
+        # Beside a value ten times as large, a small one is something only where there is no doubt of it.
+        minor = [own < MODELLED**2 * other for own, other in (sizes, sizes[::-1])]
+        sure = [NO_DOUBT if small else NONE_BEYOND for small in minor]
+        if not self.simulated.shows(sure[1]):
+            return "lacking"
+        if not self.recorded.shows(sure[0]):
+            return "superfluous"
         return "too_small" if sizes[1] < sizes[0] else "too_large"
 
     def visible_from(self, comparisons: int) -> Array:

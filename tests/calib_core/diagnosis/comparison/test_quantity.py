@@ -82,6 +82,23 @@ def test_the_relation_says_how_the_simulation_stands(
     assert subtract(quantity([recorded], 0.5), quantity([simulated], 0.5)).relation() == relation
 
 
+@pytest.mark.parametrize(
+    ("recorded", "simulated", "relation"),
+    [
+        (60.0, 1.6, "lacking"),
+        (1.6, 60.0, "superfluous"),
+        (60.0, 3.0, "too_small"),
+        (3.0, 60.0, "too_large"),
+        (8.0, 1.6, "too_small"),
+    ],
+)
+def test_a_doubtful_value_beside_a_large_one_is_none(
+    recorded: float, simulated: float, relation: str
+) -> None:
+    """3.2 standard errors are something beside 16 of them, and none beside 120; six are beyond doubt."""
+    assert subtract(quantity([recorded], 0.5), quantity([simulated], 0.5)).relation() == relation
+
+
 def test_a_simulation_with_smaller_numbers_of_mixed_signs_is_too_small() -> None:
     recorded, simulated = quantity([88.0, 126.0, -100.0], 0.3), quantity([5.0, -3.0, 8.0], 0.3)
     assert subtract(recorded, simulated).relation() == "too_small"
