@@ -14,7 +14,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.diagnosis.comparison.direct import MEASURED_ELSEWHERE
-from stillcal.calib_core.diagnosis.comparison.noise import UNEQUAL, ratios_to_others
+from stillcal.calib_core.diagnosis.comparison.noise import UNEQUAL, shown_ratios
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared, p_of
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
@@ -199,7 +199,7 @@ def _of_both(difference: Difference) -> dict[str, Any]:
 
 def _with_imbalance(sides: Mapping[str, Any], difference: Difference, axis: str) -> dict[str, Any]:
     """Return both sides, and how they differ, with the ratios of densities to that of the two even axes."""
-    one, other = (ratios_to_others(q, axis) for q in (difference.recorded, difference.simulated))
+    one, other = (shown_ratios(q, axis) for q in (difference.recorded, difference.simulated))
     apart = one[0] - other[0], np.hypot(one[1], other[1])
     by_side = {"parameters": one, "simulated": other, "difference": apart}
     return {

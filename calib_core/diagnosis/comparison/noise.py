@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.model.records import AXES, Where
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, BANDWIDTH_LIMIT
 from stillcal.calib_core.diagnosis.noise.low_pass import relative_cutoff
-from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out
+from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out, ratios_to_others
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
@@ -99,12 +99,10 @@ def imbalance(quantity: Quantity, axis: str) -> Measured:
     return odd_one_out(quantity.value, np.hypot(quantity.sigma, quantity.tolerance), AXES.index(axis))
 
 
-def ratios_to_others(quantity: Quantity, axis: str) -> tuple[Array, Array]:
+def shown_ratios(quantity: Quantity, axis: str) -> tuple[Array, Array]:
     """Return densities over the geometric mean of the two axes but this one, and their errors, (3,) each."""
-    others = [a for a in range(3) if AXES[a] != axis]
-    ratios = np.exp(quantity.value - quantity.value[others].mean())
-    common = np.sqrt((quantity.sigma[others] ** 2).sum()) / 2.0
-    return ratios, np.asarray(ratios * np.hypot(quantity.sigma, common))
+    logs, errors = ratios_to_others(quantity.value, quantity.sigma, AXES.index(axis))
+    return np.exp(logs), np.exp(logs) * errors
 
 
 def unequal(difference: Difference, axes: Sequence[str]) -> Relation | None:

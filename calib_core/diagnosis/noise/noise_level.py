@@ -201,8 +201,14 @@ def odd_one_out(logs: Array, errors: Array, axis: int) -> Measured:
 
     logs, errors: (3,) logarithms of the densities, and their standard errors.
     """
-    weight = np.where(np.arange(3) == axis, 1.0, -0.5)
-    return Measured(float(weight @ logs), float(np.sqrt((weight**2) @ errors**2)))
+    ratios, own = ratios_to_others(logs, errors, axis)
+    return Measured(float(ratios[axis]), float(own[axis]))
+
+
+def ratios_to_others(logs: Array, errors: Array, axis: int) -> tuple[Array, Array]:
+    """Return all axes (3,) over the geometric mean of the two but `axis`, as logarithms, and their errors."""
+    weight = np.eye(3) - np.where(np.arange(3) == axis, 0.0, 0.5)
+    return weight @ logs, np.sqrt(weight**2 @ errors**2)
 
 
 def _unequal(
