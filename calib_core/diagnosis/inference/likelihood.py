@@ -15,6 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.noise_models import families
+from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.residuals import View
 
 ITERATIONS = 25
@@ -39,12 +40,13 @@ NEARLY = (0.5, 0.35, 0.2, 0.1, 0.05)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """A view under G shapes with M candidate columns.
+    """A view under G shapes, with the inner products of every hypothesis' columns.
 
-    prior: (G,) log; constant: (G,) prior and determinants; yy: (G,); xy: (G, M); blocks: one (G, k, k) a
-    hypothesis; columns: its column indices; dof: nu0 + n - p; power: (G,) variance of the wander; walk: (G,)
-    variance rate, 1/s, of random walks; jump: (G,) variance of what is another in every rest; near: (G, G)
-    how an axis' shape scatters about the one that the axes share; known: nu0.
+    prior: (G,) log; constant: (G,) prior and determinants; yy: (G,); pulls: one (G, k) a hypothesis, of its
+    columns with the data; blocks: one (G, k, k) a hypothesis, of its columns with each other; dof:
+    nu0 + n - p; power: (G,) variance of the wander; walk: (G,) variance rate, 1/s, of random walks; jump:
+    (G,) variance of what is another in every rest; near: (G, G) how an axis' shape scatters about the one
+    that the axes share; known: nu0.
 
     shared: how many parameters at the end of every hypothesis are not the effect's: what all views of a
     sensor share whatever else there is. Hypothesis `NOTHING` has these alone. settled: (c,) their
@@ -54,9 +56,8 @@ class Reduced:
     prior: Array
     constant: Array
     yy: Array
-    xy: Array
+    pulls: list[Array]
     blocks: list[Array]
-    columns: list[Array]
     dof: float
     family: tuple[str, ...]
     power: Array
@@ -72,6 +73,19 @@ class Reduced:
         """Return the inner products (G, k, k) of an effect's own columns."""
         k = self.blocks[h].shape[1] - self.shared
         return self.blocks[h][:, :k, :k]
+
+    def with_parts(self, parts: Sequence[Sequence[Index]]) -> Reduced:
+        """Return a view with every hypothesis but `NOTHING` followed by parts of it.
+
+        parts: for each, the indices of the effect's own columns that each part has.
+        """
+        pulls, blocks = [], []
+        for pull, block, chosen in zip(self.pulls, self.blocks, parts, strict=False):
+            always = np.arange(block.shape[1] - self.shared, block.shape[1])
+            rows = [np.concatenate([own, always]) for own in chosen]
+            pulls += [pull, *(pull.take(r, axis=1) for r in rows)]
+            blocks += [block, *(block.take(r, axis=1).take(r, axis=2) for r in rows)]
+        return replace(self, pulls=[*pulls, self.pulls[NOTHING]], blocks=[*blocks, self.blocks[NOTHING]])
 
 
 def reduce_view(
@@ -95,7 +109,7 @@ def reduce_view(
     few = stacked(view, design[:, :, :0], extra)
     volume = -2.0 * blocks * float(np.linalg.slogdet(made[0].rotation)[1])
     ends = np.cumsum([0, *(len(family.diagonals) for family in made)])
-    grams = [np.empty((ends[-1], *own.shape, own.shape[1])) for _, own in groups]
+    grams = [np.empty((len(own), ends[-1], *[own.shape[1]] * 2)) for _, own in groups]
     parts = []
     for family, (start, end) in zip(made, pairwise(ends), strict=True):
         root = 1.0 / np.sqrt(family.diagonals)
@@ -108,7 +122,7 @@ def reduce_view(
         lost = (taken * roots[:, None, :]) @ flat
         log_det = blocks * np.log(family.diagonals).sum(axis=1) + volume
         for (_, own), gram in zip(groups, grams, strict=True):
-            _fill(gram[start:end], turned, 1.0 / family.diagonals, lost, own)
+            _fill(gram[:, start:end], turned, 1.0 / family.diagonals, lost, own)
         prior = np.log(family.weight)
         constant = prior - 0.5 * (log_det + determinant)
         parts.append((prior, constant, np.einsum("gn,gn->g", y, y), (y * roots) @ flat))
@@ -119,9 +133,8 @@ def reduce_view(
         prior,
         constant,
         yy,
-        xy,
+        [xy[:, c] for c in columns],
         _apart(groups, grams),
-        columns,
         view.known + view.y.size - baseline,
         names,
         np.concatenate([f.power for f in made]),
@@ -160,7 +173,7 @@ def _grouped(columns: list[Array]) -> list[tuple[list[int], Array]]:
 
 
 def _fill(gram: Array, turned: Array, weight: Array, lost: Array, columns: Array) -> None:
-    """Write the inner products of the columns (r, k) of r hypotheses into gram (S, r, k, k).
+    """Write the inner products of the columns (r, k) of r hypotheses into gram (r, S, k, k).
 
     turned: (b, n, M) all columns in axes where the S shapes are diagonal, weight: (S, n) their inverse
     variances there. lost: (S, c, M) what of the columns lies along the c directions that are projected out.
@@ -173,10 +186,10 @@ def _fill(gram: Array, turned: Array, weight: Array, lost: Array, columns: Array
         some = slice(first, first + at_once)
         left, right = columns[some][:, i], columns[some][:, j]
         pairs = np.asarray(sum(block[:, left] * block[:, right] for block in turned))
-        part = (weight @ pairs.reshape(len(pairs), -1)).reshape(len(weight), *left.shape)
-        gram[:, some][..., i, j] = part
-        gram[:, some][..., j, i] = part
-    away = lost[:, :, columns].transpose(0, 2, 3, 1)
+        part = (weight @ pairs.reshape(len(pairs), -1)).reshape(len(weight), *left.shape).swapaxes(0, 1)
+        gram[some][..., i, j] = part
+        gram[some][..., j, i] = part
+    away = lost[:, :, columns].transpose(2, 0, 3, 1)
     least = ROUNDING * np.einsum("...ii->...i", gram)
     gram -= away @ np.swapaxes(away, -1, -2)
     d = np.arange(k)
@@ -185,7 +198,7 @@ def _fill(gram: Array, turned: Array, weight: Array, lost: Array, columns: Array
 
 def _apart(groups: list[tuple[list[int], Array]], grams: list[Array]) -> list[Array]:
     """Return the inner products (G, k, k) of each hypothesis under every shape, in place."""
-    of = {i: gram[:, j] for (rows, _), gram in zip(groups, grams, strict=True) for j, i in enumerate(rows)}
+    of = {i: gram[j] for (rows, _), gram in zip(groups, grams, strict=True) for j, i in enumerate(rows)}
     return [of[i] for i in range(len(of))]
 
 
@@ -301,15 +314,18 @@ def gain_bound(views: Sequence[Reduced], h: int) -> float:
 def _least(view: Reduced, h: int) -> Array:
     gram = view.own(h)
     k = gram.shape[1]
-    xy = view.xy[:, view.columns[h][:k]] - view.blocks[h][:, :k, k:] @ view.settled
+    xy = view.pulls[h][:, :k] - view.blocks[h][:, :k, k:] @ view.settled
     ridge = gram + 1e-9 * (np.einsum("gii->g", gram)[:, None, None] + 1e-300) * np.eye(gram.shape[1])
     solved = np.linalg.solve(ridge, xy[:, :, None])[:, :, 0]
     return np.asarray(np.maximum(view.left - np.einsum("gi,gi->g", xy, solved), 0.0))
 
 
-def fit_hypothesis(views: Sequence[Reduced], h: int) -> Fit:
-    """Fit hypothesis `h` to all views at once, and tell how sure its parameters are."""
-    beta, value, weights = maximum(views, h)
+def fit_hypothesis(views: Sequence[Reduced], h: int, top: Maximum | None = None) -> Fit:
+    """Fit hypothesis `h` to all views at once, and tell how sure its parameters are.
+
+    top: its maximum, where that is known already.
+    """
+    beta, value, weights = top or maximum(views, h)
     k = beta.size - views[0].shared
     return Fit(beta[:k], _covariance(views, h, beta, weights)[:k, :k], value, beta)
 
@@ -319,22 +335,20 @@ def highest(views: Sequence[Reduced], h: int) -> float:
     return maximum(views, h)[1]
 
 
-def maximum(views: Sequence[Reduced], h: int) -> tuple[Array, float, list[Array]]:
-    """Return the better of two climbs, begun from the likely shapes and from white noise.
+Maximum = tuple[Array, float, list[Array]]
+"""Parameters (k,), their log likelihood, and the probabilities (G,) of the shapes in every view."""
 
-    Return the parameters (k,), the log likelihood, and the probabilities (G,) of the shapes in every view.
-    """
+
+def maximum(views: Sequence[Reduced], h: int) -> Maximum:
+    """Return the better of two climbs, begun from the likely shapes and from white noise."""
     _, likely = joint(views, [log_terms(v, v.left) for v in views])
     informed = [w * v.dof / (v.known + v.left) for v, w in zip(views, likely, strict=True)]
     plain = [np.eye(len(v.yy))[0] for v in views]
     return max((_climb(views, h, start) for start in (informed, plain)), key=lambda c: c[1])
 
 
-def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> tuple[Array, float, list[Array]]:
-    """Climb by expectation maximisation over shapes and scales: every step is a weighted least squares.
-
-    Return the parameters (k,), the log likelihood, and the probabilities of the shapes in every view.
-    """
+def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> Maximum:
+    """Climb by expectation maximisation over shapes and scales: every step is a weighted least squares."""
     beta = _solve(views, h, weights)
     for _ in range(ITERATIONS):
         left = [residuals(v, h, beta) for v in views]
@@ -350,14 +364,14 @@ def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> tuple[Arra
 
 def residuals(view: Reduced, h: int, beta: Array) -> Array:
     """Return the whitened sum of squares (G,) under every shape with hypothesis `h` at `beta`."""
-    linear = view.xy[:, view.columns[h]] @ beta
-    quadratic = (view.blocks[h] @ beta) @ beta
+    linear = view.pulls[h] @ beta
+    quadratic = _flat(view, h) @ np.outer(beta, beta).ravel()
     return np.asarray(np.maximum(view.yy - 2.0 * linear + quadratic, 0.0))
 
 
 def _solve(views: Sequence[Reduced], h: int, weights: list[Array]) -> Array:
     information = sum(_expected(v, h, w) for v, w in zip(views, weights, strict=True))
-    target = sum(w @ v.xy[:, v.columns[h]] for v, w in zip(views, weights, strict=True))
+    target = sum(w @ v.pulls[h] for v, w in zip(views, weights, strict=True))
     linear = np.asarray(target)
     return np.asarray(
         np.linalg.solve(np.asarray(information) + np.eye(linear.size), linear), dtype=np.float64
@@ -372,9 +386,7 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Arra
     at the maximum knows of.
     """
     rates = [v.dof / (v.known + residuals(v, h, beta)) for v in views]
-    pulls = [
-        r[:, None] * (v.xy[:, v.columns[h]] - v.blocks[h] @ beta) for v, r in zip(views, rates, strict=True)
-    ]
+    pulls = [r[:, None] * (v.pulls[h] - v.blocks[h] @ beta) for v, r in zip(views, rates, strict=True)]
     expected = [_expected(v, h, r * w) for v, r, w in zip(views, rates, likely, strict=True)]
     pulled = sum(w @ p for w, p in zip(likely, pulls, strict=True)) - beta
     whole = sum(expected) + np.eye(beta.size)
@@ -408,4 +420,10 @@ def expected_information(views: Sequence[Reduced], h: int, beta: Array, likely: 
 
 
 def _expected(view: Reduced, h: int, weight: Array) -> Array:
-    return np.asarray(np.tensordot(weight, view.blocks[h], 1))
+    k = view.blocks[h].shape[1]
+    return np.asarray((weight @ _flat(view, h)).reshape(k, k))
+
+
+def _flat(view: Reduced, h: int) -> Array:
+    """Return the inner products of a hypothesis' columns as (G, k k), to be summed by one product."""
+    return view.blocks[h].reshape(len(view.yy), -1)

@@ -17,10 +17,12 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import nameless
 from stillcal.calib_core.diagnosis.inference.likelihood import (
     Fit,
+    Maximum,
     Reduced,
     fit_hypothesis,
     gain_bound,
     highest,
+    maximum,
     null_log_likelihood,
     reduce_view,
     with_shared_fitted,
@@ -95,16 +97,21 @@ def proposals(scene: Scene, effects: Sequence[Effect]) -> list[Hypothesis]:
 def compete(scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()) -> list[Scored]:
     """Score every hypothesis with baseline and `found` projected out; best of each effect, best first."""
     grids = Counter(id(h.effect) for h in hypotheses)
-    scored: dict[int, list[Scored]] = {}
+    best: dict[int, Scored] = {}
     for some in _batches(hypotheses):
         reduced = reduce_scene(scene, some, found, parts=True)
         null = null_log_likelihood(reduced)
+        leading: dict[int, tuple[int, float, Maximum | None]] = {}
         for index, h in enumerate(some):
-            one = _judged(reduced, index, h, null, h.multiplicity or grids[id(h.effect)])
-            if one is not None:
-                scored.setdefault(id(h.effect), []).append(one)
-    best = (max(group, key=lambda s: s.score) for group in scored.values())
-    return sorted(best, key=lambda s: -s.score)
+            known = best.get(id(h.effect))
+            _, least, _ = leading.get(id(h.effect), (0, known.score if known else -np.inf, None))
+            own, top = _judged(reduced, index, null, h.multiplicity or grids[id(h.effect)])
+            if own - h.effect.prior_penalty > least:
+                leading[id(h.effect)] = index, own - h.effect.prior_penalty, top
+        for effect, (index, value, top) in leading.items():
+            fit = fit_hypothesis(reduced, 4 * index, top)
+            best[effect] = Scored(some[index], fit, value, fit.log_likelihood - null)
+    return sorted(best.values(), key=lambda s: -s.score)
 
 
 def _batches(hypotheses: Sequence[Hypothesis]) -> Iterator[Sequence[Hypothesis]]:
@@ -112,20 +119,21 @@ def _batches(hypotheses: Sequence[Hypothesis]) -> Iterator[Sequence[Hypothesis]]
 
 
 def _judged(
-    reduced: Sequence[Reduced], index: int, h: Hypothesis, null: float, trials: float
-) -> Scored | None:
-    """Score a hypothesis on all axes and on each alone, and keep the better; None where it is hopeless.
+    reduced: Sequence[Reduced], index: int, null: float, trials: float
+) -> tuple[float, Maximum | None]:
+    """Score a hypothesis on all axes and on each alone, and keep the better: minus infinity if hopeless.
 
     Set 4 `index` of the reduced scene is the whole hypothesis, the next three are its axes. All axes cost a
-    factor of two in trials, one axis one of six. No axis gains more than all of them.
+    factor of two in trials, one axis one of six. No axis gains more than all of them. The second is the
+    maximum of the whole, where it was needed.
     """
-    best, whole = -np.inf, 4 * index
+    best, whole, of_whole = -np.inf, 4 * index, None
     freedom = degrees(reduced, whole)
     if not freedom:
-        return None
+        return best, None
     most = gain_bound(reduced, whole) - null
     if score(most, 1, freedom, trials * 2) < thresholds.WORTH_FITTING:
-        return None
+        return best, None
     for part, cost in ((whole, 2), (whole + 1, 6), (whole + 2, 6), (whole + 3, 6)):
         rank, dof = visible(reduced, part), degrees(reduced, part)
         if rank == 0:
@@ -134,12 +142,10 @@ def _judged(
         bound = most if part == whole else gain_bound(reduced, part) - null
         if score(bound, rank, dof, trials * cost) < least:
             continue
-        gain = highest(reduced, part) - null
-        best = max(best, score(gain, rank, dof, trials * cost))
-    if not np.isfinite(best):
-        return None
-    fit = fit_hypothesis(reduced, whole)
-    return Scored(h, fit, best - h.effect.prior_penalty, fit.log_likelihood - null)
+        top = maximum(reduced, part)
+        of_whole = top if part == whole else of_whole
+        best = max(best, score(top[1] - null, rank, dof, trials * cost))
+    return best, of_whole
 
 
 def degrees(reduced: Sequence[Reduced], h: int) -> float:
@@ -154,15 +160,15 @@ def reduce_scene(
     widths = [h.columns[0].shape[2] for h in hypotheses]
     ends = np.cumsum([0, *widths])
     index = [np.arange(a, b) for a, b in pairwise(ends)]
-    if parts:
-        owners = zip(index, [h.axis_of for h in hypotheses], strict=True)
-        index = [i for whole, of in owners for i in (whole, *(whole[of == a] for a in range(3)))]
     reduced = []
     for i, view in enumerate(scene.views):
         design = np.concatenate([h.columns[i] * h.sizes for h in hypotheses], axis=2)
         extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2) if found else None
         always = None if scene.shared is None else scene.shared.columns[i] * scene.shared.sizes
         reduced.append(reduce_view(view, design, index, _nonzero(extra), always))
+    if parts:
+        axes = [[np.flatnonzero(h.axis_of == a) for a in range(3)] for h in hypotheses]
+        reduced = [view.with_parts(axes) for view in reduced]
     return with_shared_fitted(reduced)
 
 

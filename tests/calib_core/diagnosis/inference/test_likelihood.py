@@ -48,7 +48,7 @@ def test_the_sums_are_those_of_plain_algebra_though_what_was_found_came_twice(
     reduced = reduce_view(view, columns[None], [np.arange(4), np.array([1])], again[None])
     plain = by_residual_projection(view, columns, found)
     for mine, theirs in zip(
-        (reduced.yy, reduced.xy, reduced.blocks[0]), zip(*plain, strict=True), strict=True
+        (reduced.yy, reduced.pulls[0], reduced.blocks[0]), zip(*plain, strict=True), strict=True
     ):
         np.testing.assert_allclose(mine, np.array(theirs), rtol=1e-7, atol=1e-7 * np.abs(theirs).max())
     np.testing.assert_allclose(reduced.blocks[1][:, 0, 0], reduced.blocks[0][:, 1, 1])
@@ -72,5 +72,5 @@ def test_two_blocks_have_their_baselines_apart_and_what_was_found_together(views
     away = np.eye(blocks * n) - taken @ np.linalg.pinv(taken, rcond=1e-9)
     y, x = away @ (view.y @ white.T).ravel(), away @ (white @ columns).reshape(blocks * n, 3)
     np.testing.assert_allclose(reduced.yy[g], y @ y, rtol=1e-7)
-    np.testing.assert_allclose(reduced.xy[g], x.T @ y, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(reduced.pulls[0][g], x.T @ y, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(reduced.blocks[0][g], x.T @ x, rtol=1e-7, atol=1e-9)
