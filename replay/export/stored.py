@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,9 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.export.imu import ImuParameters, SensorPart, of_record
 
 CURVE = ("slope", "quadratic", "cubic", "reference_c", "limits")
+SAME_BIAS = 1e-9
+"""m/s^2 or rad/s: a bias that was written and read back differs by less."""
+
 AFFINE, SYMMETRIC, DIAGONAL = 12, 9, 6
 """Numbers of a calibration whose scale is any matrix, symmetric or triangular, or diagonal."""
 
@@ -64,9 +68,26 @@ def not_in_file(imu: ImuParameters, before: CalibrationRecord | None) -> list[st
                 out.append(f"{name} {field}: {'the store keeps its own' if kept else other}")
         if part is not None and default is not None and _keeps_crossed(part, default):
             out.append(f"{name} misalignment: the store keeps its own")
+        if part is not None and default is not None:
+            out.extend(f"{name} {line}" for line in _of_curve(part, default))
         if part is None and default is not None:
             out.append(f"{name}: the store keeps its own")
     return out
+
+
+def _of_curve(part: SensorPart, old: SensorPart) -> Iterator[str]:
+    """Say what becomes of the store's curve of temperature where the file does not have all of it."""
+    if old.slope is None or part.bias is None:
+        return
+    if _keeps_curve(part, old):
+        yield "bias by temperature: the store keeps its own"
+    elif part.slope is None:
+        yield (
+            "bias by temperature: the store's own is dropped, because the new bias holds at a temperature"
+            " that is not known ('stillcal store rollback' undoes the import)"
+        )
+    elif old.bent and not part.bent:
+        yield "bias curve: the store's own gives way to the file's straight line"
 
 
 def _merged(fresh: SensorPart | None, old: SensorPart | None) -> SensorPart | None:
@@ -77,11 +98,18 @@ def _merged(fresh: SensorPart | None, old: SensorPart | None) -> SensorPart | No
     }
     if fresh.scale is not None and _keeps_crossed(fresh, old):
         known["scale"] = fresh.scale + old.crossed
-    if fresh.bias is not None:
-        # Without a slope of its own a new bias holds at a temperature that nobody knows: the old curve has no
-        # start any more.
+    if fresh.bias is not None and not _keeps_curve(fresh, old):
+        # Without a slope of its own a new bias holds at a temperature that nobody knows: the old curve has
+        # no start any more.
         known |= {name: getattr(fresh, name) for name in CURVE}
     return replace(old, **known)
+
+
+def _keeps_curve(fresh: SensorPart, old: SensorPart) -> bool:
+    """Whether the old curve holds on: the file has none, and has the bias that it is about."""
+    if fresh.slope is not None or fresh.bias is None or old.bias is None:
+        return False
+    return bool(np.allclose(fresh.bias, old.bias, rtol=0.0, atol=SAME_BIAS))
 
 
 def _keeps_crossed(fresh: SensorPart, old: SensorPart) -> bool:

@@ -24,8 +24,15 @@ from stillcal.replay.formats.logs.extras import library
 from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
-from stillcal.replay.formats.recognition.names import find_axes, find_stamps, is_own, is_rate_hz
-from stillcal.replay.formats.recognition.settle import settled
+from stillcal.replay.formats.recognition.names import (
+    find_axes,
+    find_stamps,
+    is_own,
+    is_rate_hz,
+    qualified,
+    rates_alone,
+)
+from stillcal.replay.formats.recognition.settle import Rates, settled
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats, of_arrow, side_by_side
@@ -88,8 +95,9 @@ def _sensors(
     source: Source, size: int, groups: Mapping[str, _Arrays], column_map: ColumnMap | None
 ) -> list[LoggedSensor]:
     found: list[LoggedSensor] = []
+    tables = {group: _named_table(source.path, size, group, arrays) for group, arrays in groups.items()}
     for group, arrays in groups.items():
-        table = arrays.table(source.path, size)
+        table = tables[group]
         if column_map is not None:
             found += _mapped(table, column_map, group)
             continue
@@ -97,7 +105,7 @@ def _sensors(
             found += _mapped(table, load_map("csv"), group)
             continue
         said = _uneven(source.path, arrays)
-        for sensor in settled(table, load_map("csv"), arrays.rate_hz):
+        for sensor in settled(table, load_map("csv"), arrays.rate_hz, _rates_of(group, groups, tables)):
             name = "/".join(part for part in (group, sensor.name) if part and part != "imu") or "imu"
             found.append(LoggedSensor(name, sensor.files, sensor.about, (*sensor.notes, *said)))
     if not found:
@@ -107,8 +115,44 @@ def _sensors(
         windows = "; arrays of three dimensions are windows, no recording" if deep else ""
         what = f"no accelerometer found in its arrays ({listed or 'there are none of numbers'}){windows}"
         remedy = "name them acc, gyr and t, or say in a column map what they are (docs/formats.md)"
+        if any(rates_alone(table.names or []) for table in tables.values()):
+            what = f"holds a gyroscope and no accelerometer ({listed})"
+            remedy = "give both: without an accelerometer's rests and gravity nothing is calibrated"
         raise TraceError(source.path, what, remedy)
     return found
+
+
+def _named_table(path: Path, size: int, group: str, arrays: _Arrays) -> NumberTable:
+    """Return the table of a group, with what the group's name tells of its columns."""
+    table = arrays.table(path, size)
+    table.names = qualified(table.names or [], group.rpartition("/")[2])
+    return table
+
+
+def _rates_of(group: str, groups: Mapping[str, _Arrays], tables: Mapping[str, NumberTable]) -> Rates | None:
+    """Return the group of a gyroscope alone that belongs to a group: the only one beside it, or at all."""
+    alone = [other for other in tables if other != group and rates_alone(tables[other].names or [])]
+    beside = [other for other in alone if other.rpartition("/")[0] == group.rpartition("/")[0]]
+    chosen = next((found[0] for found in (beside, alone) if len(found) == 1), None)
+    return None if chosen is None else Rates(tables[chosen], load_map("csv"), groups[chosen].rate_hz)
+
+
+def _with_clocks(by_group: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return groups of arrays; those without times have the times of the groups that hold them."""
+    out = {}
+    for group, items in by_group.items():
+        rows = {_oriented(item)[0] for item in items.values()}
+        above, times = group, dict[str, Any]()
+        while above and not times and not find_stamps(list(items)):
+            above = above.rpartition("/")[0]
+            outer = by_group.get(above, {})
+            times = {
+                n: v
+                for n, v in outer.items()
+                if find_stamps([n]) and _oriented(v)[:2] in {(r, 1) for r in rows}
+            }
+        out[group] = {**times, **items}
+    return out
 
 
 def _uneven(path: Path, arrays: _Arrays) -> list[str]:
@@ -201,6 +245,8 @@ def _hdf5(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
         seen += 1
         if seen > MOST_ARRAYS:
             return True  # ends the visit
+        for attribute, value in item.attrs.items():
+            _note_rate(scalars, attribute, value)
         if isinstance(item, h5py.Dataset) and item.dtype.names is not None and item.nbytes <= MOST_BYTES:
             by_group.setdefault(name, {}).update(_of_numbers(name, item[()]))
         if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf":
@@ -210,14 +256,12 @@ def _hdf5(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
             scalars[last] = float(np.ravel(item[()])[0])
         else:
             by_group.setdefault(group, {})[last] = item
-        for attribute, value in item.attrs.items():
-            _note_rate(scalars, attribute, value)
         return None
 
     file.visititems(visit)
     for attribute, value in file.attrs.items():
         _note_rate(scalars, attribute, value)
-    return {group: _gathered(items, scalars) for group, items in by_group.items()}, []
+    return {group: _gathered(items, scalars) for group, items in _with_clocks(by_group).items()}, []
 
 
 def _note_rate(scalars: dict[str, float], name: str, value: Any) -> None:
@@ -235,10 +279,8 @@ def _matlab(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
     except TooLongError:
         raise too_long from None
     scalars = {k: float(v) for items in groups.values() for k, v in items.items() if v.ndim == 0}
-    return {
-        group: _gathered({k: v for k, v in items.items() if v.ndim > 0}, scalars)
-        for group, items in groups.items()
-    }, []
+    arrays = {group: {k: v for k, v in items.items() if v.ndim > 0} for group, items in groups.items()}
+    return {group: _gathered(items, scalars) for group, items in _with_clocks(arrays).items()}, []
 
 
 def _numpy(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:

@@ -12,11 +12,12 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
@@ -26,6 +27,7 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Part
+from stillcal.replay.formats.recognition.settle import rate_unit_shown
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.tables.numbers import NumberTable
 
@@ -39,6 +41,9 @@ _BLOCK = 4096
 _PROBED = 200
 _NEAR_ONE = 0.3
 """g: a driver that publishes g against REP 145 shows gravity as one, with bias, scale and motion."""
+
+_SHOWN = 3
+"""Spans of some seconds that must show rates to be in deg/s, against REP 145."""
 
 _NS = 1e-9
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -324,6 +329,10 @@ class _Bag:
             Part(self._table(topic), _map(topic, warm=warm), sensors)
             for topic, sensors in zip(topics, _shares(topics), strict=True)
         ]
+        with self._understood():
+            unit, shown = rate_unit_shown(parts, _SHOWN) if any(t.has_rate for t in topics) else (None, "")
+        if unit not in (None, "rad/s"):
+            parts = [replace(part, column_map=_with_rates_in(part.column_map, unit)) for part in parts]
         about = f"{topics[0].rate_hz:.3g} Hz" + (f", with {topics[1].name}" if len(topics) > 1 else "")
         notes = [
             f"{self._path.name}: {t.name} has no stamps of its own; the times of logging are used"
@@ -332,6 +341,9 @@ class _Bag:
         ]
         if topics[0].in_g:
             notes.append(f"{self._path.name}: {topics[0].name} is in g, by the size of gravity, not in m/s^2")
+        if unit not in (None, "rad/s"):
+            said = f"rates of {topics[-1].name} are read in {unit} ({shown}), not in rad/s"
+            notes.append(f"{self._path.name}: {said}; mend the driver that published them")
         return LoggedSensor.of(topics[0].name, parts, about, notes)
 
     def _table(self, topic: _Topic) -> NumberTable:
@@ -382,6 +394,11 @@ def _shares(topics: Sequence[_Topic]) -> list[tuple[Sensor, ...]]:
     if len(topics) > 1:
         return [(Sensor.ACCELEROMETER,), (Sensor.GYROSCOPE,)]
     return [BOTH if topics[0].has_rate else (Sensor.ACCELEROMETER,)]
+
+
+def _with_rates_in(column_map: ColumnMap, unit: Any) -> ColumnMap:
+    gyroscope = SensorMap(columns=("gx", "gy", "gz"), unit=unit)
+    return msgspec.structs.replace(column_map, gyroscope=gyroscope)
 
 
 def _map(topic: _Topic, *, warm: bool) -> ColumnMap:

@@ -297,6 +297,22 @@ def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["de
     return (found[0][1], found[0][2]) if found and (not found[0][0] or len(found) == 1) else None
 
 
+def qualified(names: Sequence[str], container: str) -> list[str]:
+    """Return names, those of axes with what holds them (a file's or a group's name) where that tells more.
+
+    `x`, `data[0]` of a file or a group `accel` are `accel.x`, `accel.data[0]`.
+    """
+    if find_axes(names):
+        return list(names)
+    longer = [name if _split_axis(*_words(name))[0] is None else f"{container}.{name}" for name in names]
+    return longer if find_axes(longer) else list(names)
+
+
+def rates_alone(names: Sequence[str]) -> bool:
+    """Whether columns hold a gyroscope and no accelerometer."""
+    return {axes.sensor for axes in find_axes(names)} == {Sensor.GYROSCOPE}
+
+
 def is_own(names: Sequence[str]) -> bool:
     """Whether columns are stillcal's own, in its units: none of their kind has a name of another make."""
     there = set(names)

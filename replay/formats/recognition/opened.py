@@ -18,9 +18,9 @@ from stillcal.replay.formats.logs.ros import open_ros, open_ros_folder
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor
-from stillcal.replay.formats.recognition.names import OWN
+from stillcal.replay.formats.recognition.names import OWN, qualified, rates_alone
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
-from stillcal.replay.formats.recognition.settle import settled
+from stillcal.replay.formats.recognition.settle import Rates, settled
 from stillcal.replay.formats.recognition.text_formats import (
     BETAFLIGHT,
     GNSS_LOGGER,
@@ -33,7 +33,7 @@ from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.layout import missing
-from stillcal.replay.formats.tables.text import TextTable
+from stillcal.replay.formats.tables.text import NoRowsError, TextTable, has_rows
 
 AUTO = "auto"
 """The format of a recording whose content is to decide, as None is."""
@@ -43,6 +43,28 @@ _BINARY_LOGS = {
     magic.DATAFLASH: open_dataflash,
     magic.ULOG: open_ulog,
 }
+
+
+_PAIRS = tuple(
+    (force, rate)
+    for forces, rate in (
+        (("Accelerometer", "Acceleration", "TotalAcceleration"), "Gyroscope"),
+        (("accelerometer", "acceleration"), "gyroscope"),
+        (("accel",), "gyro"),
+        (("Accel",), "Gyro"),
+        (("acc",), "gyr"),
+        (("Acc",), "Gyr"),
+        (("ACC",), "GYR"),
+        (("acc",), "gyro"),
+        (("Acc",), "Gyro"),
+    )
+    for force in forces
+)
+"""Parts of the names of files that belong together: the accelerometer's, and the gyroscope's."""
+
+
+class GyroscopeAloneError(TraceError):
+    """A table holds rates and no acceleration."""
 
 
 class RestTableGivenError(TraceError):
@@ -61,7 +83,7 @@ def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | No
             return open_ros_folder(found)
         return _archive(found, members_of_folder(found), column_map)
     source = source_of(str(path) if str(path) == STANDARD_INPUT else found, magic.kind_of)
-    log = _log(source, column_map, gyro)
+    log = _log(source, column_map, None if gyro is None else source_of(gyro))
     return replace(log, notes=[f"{source.path.name}: {source.said}", *log.notes]) if source.said else log
 
 
@@ -77,7 +99,7 @@ def is_rest_table(path: Path | str, format: str | Path | None = None) -> bool:
     return magic.kind_of(source) == magic.TEXT and text_format(source).name == REST
 
 
-def _log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -> Log:
+def _log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
     kind = magic.kind_of(source)
     if kind == magic.TEXT:
         return _text_log(source, column_map, gyro)
@@ -105,17 +127,20 @@ def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | Non
     export = phone_export(path, members)
     if export is not None:
         return export
-    found: dict[str, Log] = {}
-    for name, source in members.items():
-        try:
-            found[name] = _log(source, column_map, None)
-        except TraceError:
-            continue
+    found, alone, empty = _opened(members, column_map)
     if len(found) == 1:
         ((name, log),) = found.items()
-        others = [member for member in members if member != name]
+        used = {name}
+        if len(alone) == 1 and column_map is None and magic.kind_of(members[name]) == magic.TEXT:
+            log = _text_log(members[name], None, next(iter(alone.values())))
+            used |= alone.keys()
+        others = [member for member in members if member not in used]
+        name = " with ".join([name, *sorted(used - {name})])
+        log = replace(log, notes=[*(f"{path.name}: {line}" for line in empty), *log.notes])
         said = [f"{path.name}: {name} is read; passed over: {_first_of(others)}"] if others else []
         return replace(log, notes=[*said, *log.notes])
+    if not found and len(alone) == 1:
+        raise _alone(Path(path / next(iter(alone))))
     names = _first_of(list(found or members))
     if not found:
         what = f"holds no recording that is known ({names or 'it is empty'})"
@@ -124,11 +149,36 @@ def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | Non
     raise TraceError(path, f"holds {len(found)} recordings: {names}", remedy)
 
 
+def _opened(
+    members: dict[str, Source], column_map: ColumnMap | None
+) -> tuple[dict[str, Log], dict[str, Source], list[str]]:
+    """Return the recordings among files, those of a gyroscope alone, and what is said of empty ones."""
+    found: dict[str, Log] = {}
+    alone: dict[str, Source] = {}
+    empty: list[str] = []
+    for name, source in members.items():
+        try:
+            found[name] = _log(source, column_map, None)
+        except GyroscopeAloneError:
+            alone[name] = source
+        except NoRowsError:
+            empty.append(f"{name} holds a header and no samples")
+        except TraceError:
+            continue
+    return found, alone, empty
+
+
 def _first_of(names: list[str]) -> str:
     return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
 
 
-def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -> Log:
+def _alone(path: Path) -> GyroscopeAloneError:
+    """Return the error for a gyroscope without an accelerometer."""
+    what = "holds a gyroscope and no accelerometer, without whose rests and gravity nothing is calibrated"
+    return GyroscopeAloneError(path, what, "give the accelerometer's file, and this one as --gyro")
+
+
+def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
     """Return the log of a text table, by the given map or the one that its first lines ask for."""
     if column_map is not None:
         return _mapped(source, TextFormat("", column_map), gyro, [])
@@ -141,25 +191,60 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Path | None) -
         raise RestTableGivenError(source.path, "a rest table holds no samples", "give a recording of samples")
     said = f" ({form.said})" if form.said else ""
     notes = [f"{source.path.name}: read as {form.name}{said}"] if form.name not in (UNKNOWN, "csv") else []
-    if form.name == UNKNOWN and gyro is None:
-        table = TextTable(source, form.column_map)
-        table.names = form.names or table.names
-        sensors = settled(table, form.column_map, form.rate_hz)
+    if form.name == UNKNOWN:
+        table = _table(source, form)
+        rates, said_of_rates = _rates_of(source, gyro)
+        sensors = settled(table, form.column_map, form.rate_hz, rates)
         if sensors:
-            return Log(source.path, "text table", sensors, beside=source.local)
+            return Log(source.path, "text table", sensors, said_of_rates, beside=source.local)
+        if rates_alone(table.names or []):
+            raise _alone(source.path)
         if table.names is not None and not OWN & set(table.names):
             raise missing(table, [])
     return _mapped(source, form, gyro, notes)
 
 
-def _mapped(source: Source, form: TextFormat, gyro: Path | None, notes: list[str]) -> Log:
+def _table(source: Source, form: TextFormat) -> TextTable:
+    """Return a text table of unknown make, with what its file's name tells of its columns."""
+    table = TextTable(source, form.column_map)
+    names = form.names or table.names
+    table.names = None if names is None else qualified(names, source.path.name.split(".")[0])
+    return table
+
+
+def _rates_of(source: Source, gyro: Source | None) -> tuple[Rates | None, list[str]]:
+    """Return the gyroscope's own table: the given one, or the one beside; and what is to be said of it.
+
+    Raises TraceError where the given one is of another format.
+    """
+    beside = other_file(source.path, _PAIRS) if source.local == source.path else None
+    given = gyro or (None if beside is None else source_of(beside))
+    if given is None:
+        return None, []
+    try:
+        form = text_format(given)
+        table = _table(given, form)
+    except NoRowsError:
+        if gyro is not None:
+            raise
+        return None, [f"{given.path.name}: holds a header and no samples; read without a gyroscope"]
+    if gyro is None and not rates_alone(table.names or []):
+        return None, []
+    return Rates(table, form.column_map, form.rate_hz), []
+
+
+def _mapped(source: Source, form: TextFormat, gyro: Source | None, notes: list[str]) -> Log:
     """Return the log of one text table, or two, read through a known map."""
     path, column_map = source.path, form.column_map
     both = [Sensor.ACCELEROMETER] + ([Sensor.GYROSCOPE] if column_map.gyroscope else [])
     rules = column_map.gyroscope.other_file if column_map.gyroscope else ()
     if gyro is not None and column_map.gyroscope is None:
-        raise TraceError(gyro, "the format has no gyroscope", "say its columns in a column map")
-    other = gyro or (other_file(path, rules) if source.local == path else None)
+        raise TraceError(gyro.path, "the format has no gyroscope", "say its columns in a column map")
+    beside = other_file(path, rules) if source.local == path and gyro is None else None
+    other = gyro or (None if beside is None else source_of(beside))
+    if other is not None and gyro is None and not has_rows(other):
+        notes = [*notes, f"{other.path.name}: holds a header and no samples; read without a gyroscope"]
+        other, rules = None, ()
     if gyro is None and other is None:
         _refuse_gyroscope_file(source, rules)
     if gyro is None and rules and other is None:
@@ -170,7 +255,7 @@ def _mapped(source: Source, form: TextFormat, gyro: Path | None, notes: list[str
         first = SampleFile(TextTable(source, column_map), column_map, sensors, claims)
         if other is None:
             return [first]
-        second = TextTable(source_of(other), column_map)
+        second = TextTable(other, column_map)
         return [first, SampleFile(second, column_map, [Sensor.GYROSCOPE], claims, first.selected)]
 
     return Log(path, form.name or "text table", [LoggedSensor("imu", files)], notes, beside=source.local)

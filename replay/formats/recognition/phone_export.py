@@ -25,7 +25,7 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
 from stillcal.replay.formats.recognition.text_formats import TextFormat, text_format
 from stillcal.replay.formats.sources import Source, cannot_open, damaged, source_of
-from stillcal.replay.formats.tables.text import TextTable
+from stillcal.replay.formats.tables.text import TextTable, has_rows
 
 MOST_MEMBERS, MOST_INDEX_BYTES = 20_000, 16 << 20
 """Files of an archive, and bytes of its index, that are looked at: an archive of millions is no recording."""
@@ -135,6 +135,7 @@ def _refuse_without_gravity(source: Source) -> None:
 def _phyphox(path: Path, tables: dict[str, Source], name: str, column_map: ColumnMap) -> Log:
     alone = msgspec.structs.replace(column_map, repeats="keep")
     parts = [Part(TextTable(tables[name], alone), alone, [Sensor.ACCELEROMETER])]
+    notes = [f"{path.name}: {line}" for line in _without_samples(tables)]
     if "Gyroscope.csv" in tables:
         parts.append(Part(TextTable(tables["Gyroscope.csv"], alone), alone, [Sensor.GYROSCOPE]))
     elif column_map.gyroscope is not None:
@@ -143,7 +144,17 @@ def _phyphox(path: Path, tables: dict[str, Source], name: str, column_map: Colum
             parts = [Part(table, alone)]
     claims = _phyphox_claims(tables.get("device.csv"))
     about = "accelerometer, gyroscope" if len(parts) > 1 else "accelerometer"
-    return Log(path, "phyphox", [LoggedSensor.of("phone", parts, about)], beside=path, claims=claims)
+    sensors = [LoggedSensor.of("phone", parts, about)]
+    return Log(path, "phyphox", sensors, notes, beside=path, claims=claims)
+
+
+def _without_samples(tables: dict[str, Source]) -> list[str]:
+    """Take the gyroscope's files that hold a header only out of the tables, and say so, a line each."""
+    empty = [f"{stem}.csv" for stem in (_UNCALIBRATED[1], _CALIBRATED[1])]
+    empty = [name for name in empty if name in tables and not has_rows(tables[name])]
+    for name in empty:
+        del tables[name]
+    return [f"{name} holds a header and no samples" for name in empty]
 
 
 def _phyphox_claims(device: Source | None) -> Claims:
@@ -164,6 +175,7 @@ def _phyphox_claims(device: Source | None) -> Claims:
 
 def _sensor_logger(path: Path, tables: dict[str, Source]) -> Log | None:
     forms: dict[str, TextFormat] = {}
+    empty = [f"{path.name}: {line}" for line in _without_samples(tables)] if _is_sensor_logger(tables) else []
     for stem in (*_UNCALIBRATED, *_CALIBRATED, "Accelerometer"):
         if f"{stem}.csv" in tables:
             form = text_format(tables[f"{stem}.csv"])
@@ -181,12 +193,16 @@ def _sensor_logger(path: Path, tables: dict[str, Source]) -> Log | None:
             why, remedy = load_map("sensorlogger").accelerometer.refuse["Accelerometer"]
             raise TraceError(refused.path, why, remedy)
         return None
-    notes = [
+    notes = empty + [
         note
         for pair in zip(_UNCALIBRATED, _CALIBRATED, strict=True)
         for note in _system_bias(path, tables, forms, *pair)
     ]
     return Log(path, "Sensor Logger", sensors, notes, beside=path)
+
+
+def _is_sensor_logger(tables: dict[str, Source]) -> bool:
+    return any(f"{stem}.csv" in tables for stem in (_UNCALIBRATED[0], _CALIBRATED[0]))
 
 
 def _other(stem: str) -> tuple[str, ...]:

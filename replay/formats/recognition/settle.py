@@ -32,7 +32,7 @@ from stillcal.replay.formats.columns import (
     find_columns,
 )
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.recognition.log import LoggedSensor, Part
+from stillcal.replay.formats.recognition.log import BOTH, LoggedSensor, Part
 from stillcal.replay.formats.recognition.names import (
     KNOWN_UNITS,
     Axes,
@@ -73,10 +73,25 @@ class _Candidate:
     stamps: Sequence[Stamps]
 
 
-def settled(table: Table, column_map: ColumnMap, rate_hz: float | None = None) -> list[LoggedSensor]:
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """A table of its own that holds a gyroscope.
+
+    column_map: how it is cut into columns. rate_hz: as the file states it.
+    """
+
+    table: Table
+    column_map: ColumnMap
+    rate_hz: float | None = None
+
+
+def settled(
+    table: Table, column_map: ColumnMap, rate_hz: float | None = None, rates: Rates | None = None
+) -> list[LoggedSensor]:
     """Return the sensors that a table's column names and first samples show; none where they show none.
 
     column_map: how the table is cut into columns; its sensors do not matter. rate_hz: as the file states it.
+    rates: where the gyroscope is that belongs to an accelerometer without one.
     Raises TraceError where there are axes of an accelerometer that cannot be read.
     """
     candidates = _paired(table.names) if table.names is not None else _counted(table, rate_hz)
@@ -86,7 +101,7 @@ def settled(table: Table, column_map: ColumnMap, rate_hz: float | None = None) -
     faults: list[TraceError] = []
     for candidate in candidates:
         try:
-            sensors.append((candidate.accelerometer, _sensor(table, column_map, candidate, rate_hz)))
+            sensors.append((candidate.accelerometer, _sensor(table, column_map, candidate, rate_hz, rates)))
         except TraceError as fault:
             faults.append(fault)
     if not sensors:
@@ -148,7 +163,9 @@ def _counted(table: Table, rate_hz: float | None) -> list[_Candidate]:
     return [_Candidate(force, replace(rates, sensor=Sensor.GYROSCOPE), stamps)]
 
 
-def _sensor(table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float | None) -> LoggedSensor:
+def _sensor(
+    table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float | None, rates: Rates | None
+) -> LoggedSensor:
     probe = _Probe(table)
     accelerometer, gyroscope = candidate.accelerometer, candidate.gyroscope
     time, time_said = _time(table, probe, candidate.stamps, rate_hz)
@@ -162,8 +179,9 @@ def _sensor(table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float
     }
     said = [time_said, f"accelerometer {_listed(accelerometer)} in {force_unit}{force_said}"]
     if gyroscope is not None:
-        draft = msgspec.structs.replace(base, **chosen)
-        rate_unit, rate_said = _rate_unit(table, draft, gyroscope, force_unit)
+        draft = SensorMap(columns=gyroscope.columns, unit="rad/s")
+        part = Part(table, msgspec.structs.replace(base, **chosen | {"gyroscope": draft}), BOTH)
+        rate_unit, rate_said = _rate_unit([part], gyroscope, force_unit)
         chosen["gyroscope"] = SensorMap(columns=gyroscope.columns, unit=rate_unit)
         said.append(f"gyroscope {_listed(gyroscope)} in {rate_unit}{rate_said}")
     thermometer = find_thermometer(table.names or [], accelerometer.label)
@@ -174,8 +192,35 @@ def _sensor(table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float
     how = "counted from 0" if table.names is None else "recognised by their names"
     note = f"{table.path.name}: columns {how}: {'; '.join(said)}"
     sensors = [Sensor.ACCELEROMETER] + ([] if gyroscope is None else [Sensor.GYROSCOPE])
-    about = "accelerometer" + ("" if gyroscope is None else ", gyroscope")
-    return LoggedSensor.of(accelerometer.label or "imu", [Part(table, column_map, sensors)], about, [note])
+    parts, notes = [Part(table, column_map, sensors)], [note]
+    if gyroscope is None and rates is not None:
+        own, told = _rates_apart(rates, parts[0], force_unit)
+        parts, notes = [*parts, own], [*notes, told]
+    about = "accelerometer" + ("" if gyroscope is None and rates is None else ", gyroscope")
+    return LoggedSensor.of(accelerometer.label or "imu", parts, about, notes)
+
+
+def _rates_apart(rates: Rates, force: Part, force_unit: str) -> tuple[Part, str]:
+    """Return the gyroscope that a table of its own holds, and how to say it. Raises TraceError."""
+    table = rates.table
+    axes = next((a for a in find_axes(table.names or ()) if a.sensor is Sensor.GYROSCOPE), None)
+    if axes is None:
+        remedy = "name its columns gyr_x, gyr_y, gyr_z, or give a column map (docs/formats.md)"
+        raise TraceError(table.path, "no gyroscope found by its names", remedy, table.header_line)
+    time, time_said = _time(table, _Probe(table), find_stamps(table.names or ()), rates.rate_hz)
+    chosen: dict[str, Any] = {
+        "time": time,
+        "accelerometer": SensorMap(columns=axes.columns, unit="m/s^2"),  # which is not read
+        "gyroscope": SensorMap(columns=axes.columns, unit="rad/s"),
+        "repeats": "keep",
+        "temperature": None,
+    }
+    column_map = msgspec.structs.replace(rates.column_map, **chosen)
+    part = Part(table, column_map, [Sensor.GYROSCOPE])
+    unit, unit_said = _rate_unit([force, part], axes, force_unit)
+    column_map = msgspec.structs.replace(column_map, gyroscope=SensorMap(columns=axes.columns, unit=unit))
+    said = f"{table.path.name}: {time_said}; gyroscope {_listed(axes)} in {unit}{unit_said}"
+    return Part(table, column_map, [Sensor.GYROSCOPE]), said
 
 
 def _listed(axes: Axes) -> str:
@@ -334,24 +379,47 @@ def _gravity_unit(norms: Array) -> str | None:
     return next((unit for unit, (low, high) in _GRAVITY_IN.items() if low < typical < high), None)
 
 
-def _rate_unit(table: Table, draft: ColumnMap, axes: Axes, force_unit: str) -> tuple[Any, str]:
-    """Return the unit of rates, and where it comes from."""
+def _rate_unit(parts: Sequence[Part], axes: Axes, force_unit: str) -> tuple[Any, str]:
+    """Return the unit of rates, and where it comes from. parts: both sensors, the rates read as rad/s."""
     if axes.unit is not None:
-        return _known(table.path, axes), ""
-    column_map = msgspec.structs.replace(draft, gyroscope=SensorMap(columns=axes.columns, unit="rad/s"))
-    file = SampleFile(table, column_map, [Sensor.ACCELEROMETER, Sensor.GYROSCOPE], Claims())
-    run = next(iter(file.runs()), {})
+        return _known(parts[-1].table.path, axes), ""
+    unit, said = rate_unit_shown(parts)
+    if unit is not None:
+        return unit, f" ({said})"
+    unit = "rad/s" if force_unit == "m/s^2" else "deg/s"
+    return unit, f" (assumed, as usual beside {force_unit}; a column map can say otherwise)"
+
+
+def rate_unit_shown(parts: Sequence[Part], fewest: int = 1) -> tuple[Any, str]:
+    """Return the unit that the first rates show themselves to have, None where they show none, and how.
+
+    parts: both sensors, the rates read as rad/s. fewest: spans of some seconds that must show it.
+    """
+    first: dict[Sensor, Samples] = {}
+    for part in parts:
+        for sensor, samples in _first_run(SampleFile(part.table, part.column_map, part.sensors, Claims())):
+            first[sensor] = samples
     accelerometer, gyroscope = (
-        run.get(s, Samples.empty(s))[:_PROBED_ROWS] for s in (Sensor.ACCELEROMETER, Sensor.GYROSCOPE)
+        first.get(s, Samples.empty(s)) for s in (Sensor.ACCELEROMETER, Sensor.GYROSCOPE)
     )
     fastest = float(np.abs(gyroscope.xyz).max()) if len(gyroscope) else 0.0
     if fastest > np.degrees(_FASTEST_RAD_S):
-        return "mdeg/s", " (too fast for deg/s)"
+        return "mdeg/s", "too fast for deg/s"
     votes = Counter(map(shown_unit, turnings(accelerometer, gyroscope)))
-    if votes["deg/s"] != votes["as stated"]:
+    if max(votes["deg/s"], votes["as stated"]) >= fewest and votes["deg/s"] != votes["as stated"]:
         unit = "deg/s" if votes["deg/s"] > votes["as stated"] else "rad/s"
-        return unit, " (as gravity's direction turns)"
-    if fastest > _FASTEST_RAD_S:
-        return "deg/s", " (too fast for rad/s)"
-    unit = "rad/s" if force_unit == "m/s^2" else "deg/s"
-    return unit, f" (assumed, as usual beside {force_unit}; a column map can say otherwise)"
+        return unit, "as gravity's direction turns"
+    return ("deg/s", "too fast for rad/s") if fastest > _FASTEST_RAD_S else (None, "")
+
+
+def _first_run(file: SampleFile) -> list[tuple[Sensor, Samples]]:
+    """Return the first samples of each sensor of a file."""
+    runs: dict[Sensor, list[Samples]] = {sensor: [] for sensor in file.sensors}
+    count = 0
+    for run in file.runs():
+        for sensor, samples in run.items():
+            runs[sensor].append(samples)
+            count = max(count, sum(map(len, runs[sensor])))
+        if count >= _PROBED_ROWS:
+            break
+    return [(sensor, Samples.joined(found)[:_PROBED_ROWS]) for sensor, found in runs.items() if found]

@@ -55,6 +55,10 @@ _DATE_REMEDY = 'call the column "time", or set unit = "date" in a column map (do
 _CUT_REMEDY = "the recording was cut short: delete its last line, or copy it again"
 
 
+class NoRowsError(TraceError):
+    """A table has a header and no rows."""
+
+
 class TextTable:
     """A table in a text file. Opening reads its head only; `blocks` reads it through.
 
@@ -79,7 +83,8 @@ class TextTable:
         rows = [line for line in lines[self._skip :] if line.strip()]
         if not rows:
             what = "the file holds a header only" if self.names else "the file is empty"
-            raise TraceError(path, what, "give a recording with samples", self._skip or None)
+            kind = NoRowsError if self.names else TraceError
+            raise kind(path, what, "give a recording with samples", self._skip or None)
         self.first_row = self._cells(rows[0])
         if self.names is not None:
             self.names = _as_wide_as(self.first_row, self.names)
@@ -258,6 +263,12 @@ class TextTable:
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""
         return f"column {self.names[place]!r}" if self.names is not None else f"column {place}"
+
+
+def has_rows(source: Source) -> bool:
+    """Whether a text table with a header in its first line has rows below it. Raises TraceError."""
+    lines = text_head(plain_text(source)).split("\n")
+    return any(line.strip() for line in lines[1:])
 
 
 def _as_wide_as(first_row: Sequence[str], names: list[str]) -> list[str]:

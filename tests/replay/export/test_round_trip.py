@@ -170,3 +170,26 @@ def test_a_new_bias_without_a_slope_ends_the_curve_of_the_old_one() -> None:
     assert {term.effect for term in after.terms} == {"gyro_bias_temperature", "gyro_g_sensitivity"}
     assert after.accelerometer is not None and before.accelerometer is not None
     np.testing.assert_array_equal(after.accelerometer.scale, before.accelerometer.scale)
+
+
+@pytest.mark.parametrize("name", sorted(INVERTIBLE))
+@pytest.mark.parametrize("moved", [0.0, 1e-3])
+def test_what_becomes_of_a_curve_that_the_file_does_not_hold_is_said(name: str, moved: float) -> None:
+    imu = random_imu(5, bent=True)
+    before = record_of(imu, None, "test")
+    target = target_named(name)
+    back = target.read(exported(target, imu, "store.json").data)
+    for sensor, part in back.parts():
+        old = getattr(imu, sensor)
+        if part.bias is None or old.slope is None:
+            continue
+        back = replace(back, **{sensor: replace(part, bias=part.bias + moved)})
+        after = getattr(of_record(record_of(back, before, "test")), sensor)
+        told = " ".join(line for line in not_in_file(back, before) if line.startswith(f"{sensor} bias"))
+        if part.slope is None and not moved:
+            assert "the store keeps its own" in told
+            assert_alike(bias_at(after, 40.0), bias_at(old, 40.0))
+        elif part.slope is None:
+            assert "dropped" in told and after.slope is None
+        else:
+            assert ("straight line" in told) == (not part.bent)

@@ -1,0 +1,176 @@
+"""A gyroscope that is not in the accelerometer's table: another file, another group, or none at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import Recording, read_all
+from tests.support.log_files import (
+    DATA,
+    as_folder,
+    as_zip,
+    phyphox_files,
+    ros1_bag,
+    sensor_logger_files,
+    text,
+)
+
+DEGREES = 180 / np.pi
+T, FORCE, RATE = DATA[:, 0], DATA[:, 1:4], DATA[:, 4:]
+LATER = T[:400] + 0.003
+
+
+def force(header: str) -> str:
+    return text(header, DATA[:, :4])
+
+
+def rates(header: str, per_rad: float = 1.0) -> str:
+    return text(header, np.column_stack([LATER, RATE[:400] * per_rad]))
+
+
+def _folder(parent: Path) -> Path:
+    made = parent / "in"
+    made.mkdir()
+    return made
+
+
+def assert_pair(recording: Recording) -> None:
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.accelerometer.xyz, FORCE, rtol=1e-9)
+    np.testing.assert_allclose(recording.gyroscope.xyz, RATE[:400], rtol=1e-9)
+    np.testing.assert_allclose(recording.gyroscope.t - recording.accelerometer.t[0], LATER, atol=1e-9)
+
+
+def xyz(time: str, axis: str, unit: str) -> str:
+    return ",".join([f'"{time}"', *(f'"{axis.format(a)} ({unit})"' for a in "xyz")])
+
+
+PHYPHOX, METAWEAR = ("Time (s)", "{}"), ("elapsed (s)", "{}-axis")
+PAIRS = [
+    ("Accelerometer.csv", xyz(*PHYPHOX, "m/s^2"), "Gyroscope.csv", xyz(*PHYPHOX, "rad/s"), 1.0),
+    ("a_Accelerometer.csv", xyz(*METAWEAR, "m/s^2"), "a_Gyroscope.csv", xyz(*METAWEAR, "deg/s"), DEGREES),
+    ("sensor_accel_0.csv", "timestamp,x,y,z", "sensor_gyro_0.csv", "timestamp,x,y,z", DEGREES),
+    ("acc.csv", "t,x,y,z", "gyr.csv", "t,x,y,z", 1.0),
+]
+
+
+@pytest.mark.parametrize("given", ["file", "folder", "zip", "--gyro"])
+@pytest.mark.parametrize(("first", "columns", "second", "others", "per_rad"), PAIRS)
+def test_two_files_of_one_recording_are_read_together(
+    tmp_path: Path, given: str, first: str, columns: str, second: str, others: str, per_rad: float
+) -> None:
+    files = {first: force(columns), second: rates(others, per_rad)}
+    if given == "zip":
+        assert_pair(read_all(as_zip(tmp_path, files)))
+        return
+    if given == "--gyro":
+        (tmp_path / "elsewhere.csv").write_text(files.pop(second).replace("x,y,z", "gx,gy,gz"))
+    folder = as_folder(tmp_path, files)
+    gyro = tmp_path / "elsewhere.csv" if given == "--gyro" else None
+    assert_pair(read_all(folder if given == "folder" else folder / first, gyro=gyro))
+
+
+@pytest.mark.parametrize(
+    "header", ["t,gx,gy,gz", '"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"']
+)
+@pytest.mark.parametrize("pack", [as_folder, as_zip, None])
+def test_a_gyroscope_alone_is_said_to_be_one(tmp_path: Path, pack, header: str) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(rates(header))
+    with pytest.raises(TraceError, match=r"gyroscope and no accelerometer.*give the accelerometer's file"):
+        read_all(path if pack is None else pack(_folder(tmp_path), {"r.csv": rates(header)}))
+
+
+def test_arrays_of_a_gyroscope_alone_are_said_to_be_one(tmp_path: Path) -> None:
+    np.savez(tmp_path / "r.npz", t=T, gyr=RATE)
+    with pytest.raises(TraceError, match=r"holds a gyroscope and no accelerometer"):
+        read_all(tmp_path / "r.npz")
+
+
+@pytest.mark.parametrize("pack", [as_folder, as_zip])
+@pytest.mark.parametrize("files", [phyphox_files, sensor_logger_files])
+def test_a_gyroscopes_file_without_rows_is_said(tmp_path: Path, pack, files) -> None:
+    held = {n: c.split("\n")[0] + "\n" if n.startswith("Gyroscope") else c for n, c in files().items()}
+    recording = read_all(pack(tmp_path, held))
+    assert recording.gyroscope is None and len(recording.accelerometer) == 400
+    assert any("Gyroscope.csv holds a header and no samples" in note for note in recording.notes)
+
+
+def test_a_gyroscopes_file_without_rows_beside_a_file_is_said(tmp_path: Path) -> None:
+    folder = as_folder(tmp_path, {"acc.csv": force("t,x,y,z"), "gyr.csv": "t,x,y,z\n"})
+    recording = read_all(folder / "acc.csv")
+    assert recording.gyroscope is None
+    assert any("gyr.csv: holds a header and no samples" in note for note in recording.notes)
+    with pytest.raises(TraceError, match=r"gyr.csv:1: the file holds a header only"):
+        read_all(folder / "acc.csv", gyro=folder / "gyr.csv")
+
+
+GROUPS = [
+    {"imu/accel": FORCE, "imu/gyro": RATE, "time": T},
+    {"imu/accel/values": FORCE, "imu/accel/t": T, "imu/gyro/values": RATE[:400], "imu/gyro/t": LATER},
+    {"accel/data": FORCE, "accel/t": T, "gyro/data": RATE[:400] * DEGREES, "gyro/t": LATER},
+    {
+        **{f"acc/{axis}": FORCE[:, i] for i, axis in enumerate("xyz")},
+        **{"acc/t": T, "gyr/data": RATE, "gyr/t": T},
+    },
+]
+
+
+@pytest.mark.parametrize("kind", ["hdf5", "matlab"])
+@pytest.mark.parametrize("arrays", GROUPS)
+def test_groups_that_hold_a_sensor_each_are_read_together(
+    tmp_path: Path, arrays: dict[str, np.ndarray], kind: str
+) -> None:
+    path = tmp_path / "r"
+    if kind == "hdf5":
+        with h5py.File(path, "w") as file:
+            for name, value in arrays.items():
+                file[name] = value
+    else:
+        tree: dict = {}
+        for name, value in arrays.items():
+            *groups, last = name.split("/")
+            inner = tree
+            for group in groups:
+                inner = inner.setdefault(group, {})
+            inner[last] = value
+        scipy.io.savemat(path, tree, appendmat=False)
+    recording = read_all(path)
+    if any(value.shape[0] == 400 for value in arrays.values()):
+        assert_pair(recording)
+        return
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.accelerometer.xyz, FORCE, rtol=1e-9)
+    np.testing.assert_allclose(recording.gyroscope.xyz, RATE, rtol=1e-9)
+
+
+def test_a_groups_attribute_says_its_rate(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["imu/accel"] = FORCE
+        file["imu"].attrs["fs"] = 100.0
+    np.testing.assert_allclose(read_all(tmp_path / "r.h5").accelerometer.t, T, atol=1e-9)
+
+
+def bag(folder: Path, per_rad: float) -> Path:
+    repeated = np.vstack([DATA + 6.0 * i * np.eye(7)[0] for i in range(3)])
+    repeated[:, 4:] *= per_rad
+    return ros1_bag(folder, repeated)
+
+
+def test_a_bag_in_degrees_is_read_as_such_and_said(tmp_path: Path) -> None:
+    recording = read_all(bag(tmp_path, DEGREES))
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.gyroscope.xyz[:600], RATE, rtol=1e-9)
+    assert any("are read in deg/s (as gravity's direction turns), not in rad/s" in n for n in recording.notes)
+
+
+def test_a_bag_in_radians_is_read_without_a_word(tmp_path: Path) -> None:
+    recording = read_all(bag(tmp_path, 1.0))
+    assert recording.gyroscope is not None and not recording.notes
+    np.testing.assert_allclose(recording.gyroscope.xyz[:600], RATE, rtol=1e-9)
