@@ -85,7 +85,10 @@ class Regression:
         )
 
     def jackknifed(self, parts: int) -> tuple[Array, Array, float]:
-        """Return parameters, their covariance and the part of the power of left-out pieces explained."""
+        """Return parameters, their covariance and the part of the power of left-out pieces explained.
+
+        Where all values are exactly 0 (two equal recordings) there is nothing to explain, and the part is 0.
+        """
         part = np.arange(len(self.power)) % parts
         chosen = np.unique(part)
         others = np.array([self.fitted(part != p) for p in chosen])
@@ -95,7 +98,8 @@ class Regression:
         away = others - others.mean(axis=0)
         n = chosen.size
         covariance = (n - 1) / n * away.T @ away + 1e-12 * np.eye(others.shape[1])
-        return self.fitted(), covariance, explained / float(self.power.sum())
+        total = float(self.power.sum())
+        return self.fitted(), covariance, explained / total if total else 0.0
 
     def log_chance(self, x: Array, covariance: Array) -> float:
         """Return the log probability of k parameters that are nothing being as large (Hotelling's T^2).
@@ -129,6 +133,6 @@ class Regression:
         return HeldOut(gain, rms(level[0]), rms(level[1]))
 
     def _predicted(self, train: Mask, use: Mask) -> Array:
-        """Return the sums of squares (K,) that parameters `use` leave, fitted to `train`."""
-        chosen = self.only(use)
-        return np.maximum(chosen.left(chosen.fitted(train)), LEAST * self.power)
+        """Return the sums of squares (K,) that parameters `use` leave, fitted to `train`; all are above 0."""
+        chosen, least = self.only(use), np.maximum(LEAST * self.power, np.finfo(np.float64).tiny)
+        return np.maximum(chosen.left(chosen.fitted(train)), least)

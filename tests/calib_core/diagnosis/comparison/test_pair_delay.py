@@ -50,6 +50,15 @@ def test_without_a_delay_nothing_is_said_and_nothing_moved() -> None:
     assert delays_between(found, found, true) == []
 
 
+def test_readings_that_are_exactly_alike_have_no_delay() -> None:
+    true = shaken()
+    with np.errstate(divide="raise", invalid="raise"):
+        found = late(true, true, "gyro")
+        assert found is not None and not found.apart
+        assert found.delay.value == 0.0 and aligned(true, found) is true
+        assert found.equations.held_out().gain == 0.0
+
+
 def test_what_both_sensors_are_late_by_is_none_between_them() -> None:
     true, late_one = shaken(), late(shaken(0.01, 2), shaken(), "gyro")
     assert late_one is not None and delays_between(late_one, late_one, true) == []
